@@ -1,0 +1,1 @@
+"""Driver and texture renderer for tactile displays made of piezoelectric bimorph arrays."""

@@ -1,0 +1,76 @@
+"""The amplifier between a drive sample and the bimorph's electrodes.
+
+A drive sample means the band-limited signal through the samples, sample k at time k/fs, with no
+hold. An amplifier that holds its output between samples, is slow, late or has an output
+resistance departs from that; its display file says so and the equalizer inverts it.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.actuator.beam import Complex
+
+
+@dataclass(frozen=True, kw_only=True)
+class Amplifier:
+    """A linear piezo amplifier; the default is ideal.
+
+    Parameters
+    ----------
+    gain : volts out per volt of drive
+    bandwidth : corner of its first-order low-pass [Hz]; infinite for none
+    output_resistance : in series with the bimorph [Ω]
+    hold : "none" (output band-limited through the samples) or "zoh" (held until the next one)
+    delay : [s]
+
+    Raises
+    ------
+    ValueError
+        Naming the value out of range; also where a hold would need infinite current.
+    """
+
+    gain: float = 1.0
+    bandwidth: float = np.inf
+    output_resistance: float = 0.0
+    hold: Literal["none", "zoh"] = "none"
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.gain) and self.gain > 0 and self.bandwidth > 0):
+            raise ValueError("Amplifier: gain and bandwidth must be above 0")
+        if not (0 <= self.output_resistance < np.inf and 0 <= self.delay < np.inf):
+            raise ValueError("Amplifier: output_resistance and delay must be finite, from 0 up")
+        if self.hold == "zoh" and np.isinf(self.bandwidth) and self.output_resistance == 0:
+            raise ValueError(
+                "Amplifier: the steps of hold 'zoh' would draw infinite current; "
+                "give a bandwidth or an output resistance"
+            )
+
+    def response(
+        self, frequency: NDArray[np.float64], admittance: Complex, sample_rate: float
+    ) -> Complex:
+        """Return volts at the electrodes per volt of drive.
+
+        Parameters
+        ----------
+        frequency : (F,) [Hz]
+        admittance : (..., F) of the loaded bimorph [S]
+        sample_rate : of the drive [Hz]
+
+        Returns
+        -------
+        (..., F) complex ndarray
+            gain / (1 + jf/bandwidth) / (1 + R Y) · exp(−jω delay), and for a zero-order hold
+            sinc(f/fs) exp(−jπ f/fs).
+        """
+        held = 1.0
+        if self.hold == "zoh":
+            held = np.sinc(frequency / sample_rate) * np.exp(-1j * np.pi * frequency / sample_rate)
+        late = np.exp(-2j * np.pi * frequency * self.delay)
+        slow = 1 + 1j * frequency / self.bandwidth
+        return np.asarray(
+            self.gain * held * late / slow / (1 + self.output_resistance * admittance)
+        )

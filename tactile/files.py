@@ -1,0 +1,179 @@
+"""Descriptor and display files: where the shipped ones lie, and how any of them is read.
+
+A file is TOML, its shape a msgspec Struct whose field names carry their units. Whatever does not
+fit becomes one line: file, field, value, what is allowed, and for a misspelt key the nearest.
+Tables (paths, responses) are CSV with a header whose names carry units.
+"""
+
+import csv
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError, NotFoundError
+
+Shape = TypeVar("Shape", bound=msgspec.Struct)
+
+
+def shipped(kind: str) -> Path:
+    """Return the folder of shipped files ("textures", "displays"), in a wheel or a checkout."""
+    package = Path(__file__).parent
+    inside = package / "_data" / kind
+    return inside if inside.is_dir() else package.parent / kind
+
+
+def shipped_names(kind: str) -> dict[str, Path]:
+    """Return name and path of each shipped file, sorted by name."""
+    paths = {path.stem: path for path in shipped(kind).rglob("*.toml")}
+    return dict(sorted(paths.items()))
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Return " (did you mean …?)" or the list of what there is."""
+    close = get_close_matches(name, known, 1, 0.5)
+    return f"did you mean {close[0]!r}?" if close else f"there is: {', '.join(known) or 'nothing'}"
+
+
+def find(kind: str, name_or_path: str | Path) -> Path:
+    """Return the path of a shipped file by its name, or of a file by its path.
+
+    Raises
+    ------
+    NotFoundError
+        Where neither exists, with the nearest shipped name.
+    """
+    names = shipped_names(kind)
+    if str(name_or_path) in names:
+        return names[str(name_or_path)]
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or path.parent != Path():
+        if path.is_file():
+            return path
+        raise NotFoundError(f"{path}: no such file")
+    raise NotFoundError(f"no {kind[:-1]} {str(path)!r}; {nearest(str(path), list(names))}")
+
+
+def read(path: Path, shape: type[Shape]) -> Shape:
+    """Read a TOML file into a Struct.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, is no TOML, or does not fit: file, field, value and limit.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: no valid TOML: {error}") from error
+    for field, value in _leaves(data):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{path}: {field} = {value}: must be a finite number")
+    for field, problem in _unknown_keys(data, msgspec.inspect.type_info(shape), ""):
+        raise InputError(f"{path}: {field}: {problem}")
+    try:
+        return msgspec.convert(data, shape)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: {_explain(data, str(error))}") from error
+
+
+def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from _leaves(value, f"{field}.{key}" if field else key)
+    elif isinstance(data, list):
+        for i, value in enumerate(data):
+            yield from _leaves(value, f"{field}[{i}]")
+    else:
+        yield field, data
+
+
+def _unknown_keys(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tuple[str, str]]:
+    """Yield each key that the Struct does not know, with the nearest that it does."""
+    if isinstance(kind, msgspec.inspect.UnionType):
+        for member in kind.types:
+            if isinstance(member, msgspec.inspect.StructType | msgspec.inspect.ListType):
+                yield from _unknown_keys(data, member, field)
+    elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, dict):
+        known = {f.encode_name: f.type for f in kind.fields}
+        for key, value in data.items():
+            name = f"{field}.{key}" if field else key
+            if key not in known:
+                yield name, f"unknown key; {nearest(key, list(known))}"
+            else:
+                yield from _unknown_keys(value, known[key], name)
+    elif isinstance(kind, msgspec.inspect.ListType | msgspec.inspect.VarTupleType) and isinstance(
+        data, list
+    ):
+        for i, value in enumerate(data):
+            yield from _unknown_keys(value, kind.item_type, f"{field}[{i}]")
+
+
+def _explain(data: Any, message: str) -> str:
+    """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …"."""
+    found = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", message)
+    assert found is not None
+    problem, field = found[1], found[2] or ""
+    value = data
+    for key in re.findall(r"[^.\[\]]+", field):
+        try:
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        except (KeyError, IndexError, ValueError):
+            value = None
+    plain = isinstance(value, int | float | str | bool)
+    where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
+    return where + problem.replace("Expected", "expected").replace("`", "")
+
+
+def read_columns(path: Path, names: tuple[str, ...]) -> list[list[str]]:
+    """Read named columns of a CSV file with a header, one list of cells per row.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        Where the file, a column or a cell is missing.
+    """
+    if not path.is_file():
+        raise NotFoundError(f"{path}: no such file")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as lines:
+            reader = csv.DictReader(lines)
+            header = list(reader.fieldnames or [])
+            for name in names:
+                if name not in header:
+                    raise InputError(f"{path}: no column {name!r}; {nearest(name, header)}")
+            rows = [[row[name] for name in names] for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    return rows
+
+
+def numbers(path: Path, names: tuple[str, ...], rows: list[list[str]]) -> NDArray[np.float64]:
+    """Return the cells of `read_columns` as numbers (rows, columns).
+
+    Raises
+    ------
+    InputError
+        Naming line, column and value of the first cell that is not a finite number.
+    """
+    table = np.empty((len(rows), len(names)))
+    for i, row in enumerate(rows):
+        for k, (name, cell) in enumerate(zip(names, row, strict=True)):
+            try:
+                table[i, k] = float(cell)
+            except (TypeError, ValueError):
+                table[i, k] = math.nan
+            if not math.isfinite(table[i, k]):
+                raise InputError(
+                    f"{path}: line {i + 2}: {name} = {cell!r}: must be a finite number"
+                )
+    return table

@@ -1,0 +1,160 @@
+"""The limiter: the only door through which volts leave.
+
+Two stages. The first looks eight samples ahead and turns one gain, common to all contactors so
+that the tactile image keeps its shape, down before a sample that would break a limit and slowly up
+after it: nothing is clipped, and where no limit is near nothing is changed. The second holds the
+step from sample to sample whatever came before, by going only part of the way in all contactors
+alike; on a drive without jumps it never acts. Both count what they do.
+"""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+LOOK_AHEAD = 8
+"""Samples: 1 ms at 8 kHz."""
+RELEASE = 0.1
+"""Time constant of the gain's recovery [s]."""
+NONSENSE = 1e9
+"""Volts from which on an input is taken as invalid."""
+LONGEST = 4096
+"""Samples taken at a time."""
+ROUNDING = 1e-9
+"""Relative distance kept from each limit, for sums in double precision."""
+
+
+class Limiter:
+    """Holds voltage and step of N channels; what goes in comes out ``delay`` samples later.
+
+    Parameters
+    ----------
+    voltage : largest magnitude [V]
+    step : largest change from one sample to the next [V]
+    sample_rate : [Hz]
+    channels : N
+    fade : length of the ramps of `fade_in` and `fade_out` [s]
+
+    Attributes
+    ----------
+    limited_samples : output samples whose gain was below one
+    guarded_samples : output samples that went only part of the way
+    invalid_samples : input values that were not finite or beyond reason, taken as 0 V
+    """
+
+    delay = LOOK_AHEAD
+
+    def __init__(
+        self, voltage: float, step: float, *, sample_rate: float, channels: int, fade: float = 20e-3
+    ) -> None:
+        self._voltage = voltage * (1 - ROUNDING)
+        self._step = step * (1 - ROUNDING)
+        self._recovery = np.exp(-1 / (RELEASE * sample_rate))
+        self._ramp = 1 / (fade * sample_rate)
+        self._fade, self._fade_step = 1.0, 0.0
+        self._waiting = np.zeros((LOOK_AHEAD + 1, channels))
+        self._own = np.ones(LOOK_AHEAD)
+        self._held = np.ones(LOOK_AHEAD)
+        self._last = np.zeros(channels)
+        self.limited_samples = 0
+        self.guarded_samples = 0
+        self.invalid_samples = 0
+
+    def fade_in(self) -> None:
+        """Begin at 0 V and rise to full drive within the fade."""
+        self._fade, self._fade_step = 0.0, self._ramp
+
+    def fade_out(self) -> None:
+        """Fall to 0 V within the fade and stay there."""
+        self._fade_step = -self._ramp
+
+    def __call__(self, volts: NDArray[np.floating]) -> Floats:
+        """Return the next samples, within the limits whatever is asked.
+
+        Parameters
+        ----------
+        volts : (S, N) [V]; may hold anything, NaN and infinity included
+
+        Returns
+        -------
+        (S, N) ndarray
+            The input ``delay`` samples ago, limited [V].
+        """
+        if len(volts) > LONGEST:
+            parts = range(0, len(volts), LONGEST)
+            return np.concatenate([self(volts[k : k + LONGEST]) for k in parts])
+        wanted = np.asarray(volts, np.float64)
+        count = len(wanted)
+        peak = np.abs(wanted).max(axis=1, initial=0.0)
+        if not (peak < NONSENSE).all():
+            wanted = self._cleaned(wanted)
+            peak = np.abs(wanted).max(axis=1, initial=0.0)
+        line = np.concatenate([self._waiting, wanted])
+        gain = self._gain(peak, line)
+        out = line[1 : count + 1]
+        if gain is not None:
+            self.limited_samples += int(np.count_nonzero(gain < 1))
+            out = out * gain[:, None]
+        if self._fade_step or self._fade < 1:
+            out = out * self._faded(count)[:, None]
+        self._waiting = line[count:].copy()
+        return self._guard(out)
+
+    def _cleaned(self, volts: Floats) -> Floats:
+        good = np.abs(volts) < NONSENSE
+        self.invalid_samples += volts.size - int(np.count_nonzero(good))
+        return np.where(good, volts, 0.0)
+
+    def _gain(self, peak: Floats, line: Floats) -> Floats | None:
+        """Return the gain of each output sample, or None where it is one throughout.
+
+        A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
+        let go exponentially, then averaged over the look-ahead, is never above it.
+        """
+        rise = np.abs(line[LOOK_AHEAD + 1 :] - line[LOOK_AHEAD:-1]).max(axis=1, initial=0.0)
+        over = np.maximum(peak / self._voltage, rise / self._step)
+        if over.max(initial=0.0) <= 1 and self._own.min() == 1 and self._held.min() > 1 - 1e-6:
+            self._held[:] = 1.0
+            return None
+        own = np.concatenate([self._own, 1 / np.maximum(over, 1.0)])
+        self._own = own[len(peak) :].copy()
+        lowest = sliding_window_view(own, LOOK_AHEAD + 1).min(axis=1)
+        reduction = np.concatenate([[1 - self._held[-1]], 1 - lowest])
+        let_go = 1 - _decaying_maximum(reduction, self._recovery)[1:]
+        held = np.concatenate([self._held, np.minimum(lowest, let_go)])
+        self._held = held[len(peak) :].copy()
+        return np.asarray(sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1))
+
+    def _faded(self, count: int) -> Floats:
+        ramp = np.clip(self._fade + self._fade_step * np.arange(1, count + 1), 0.0, 1.0)
+        self._fade = float(ramp[-1]) if count else self._fade
+        if self._fade in (0.0, 1.0) and self._fade_step * (self._fade - 0.5) > 0:
+            self._fade_step = 0.0
+        return np.asarray(ramp)
+
+    def _guard(self, wanted: Floats) -> Floats:
+        """Go from sample to sample by no more than the step, in the direction of what is asked."""
+        if not len(wanted):
+            return wanted
+        change = np.diff(wanted, axis=0, prepend=self._last[None])
+        if max(change.max(), -change.min()) > self._step:
+            wanted = wanted.copy()
+            for k in range(len(wanted)):
+                move = wanted[k] - self._last
+                far = float(np.abs(move).max())
+                if far > self._step:
+                    wanted[k] = self._last + move * (self._step / far)
+                    self.guarded_samples += 1
+                self._last = wanted[k]
+        self._last = wanted[-1].copy()
+        return wanted
+
+
+def _decaying_maximum(values: Floats, decay: float) -> Floats:
+    """Return the running maximum of values (K,) that shrinks by ``decay`` per step.
+
+    y[n] = max over k ≤ n of values[k] decay^(n−k), without a loop.
+    """
+    weight = decay ** np.arange(len(values))
+    return np.asarray(np.maximum.accumulate(values / weight) * weight)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 SMALLEST_SHEAR = 0.1e-6
 """m peak: the lowest detection threshold over frequency (250 Hz; Verrillo and Bolanowski)."""
@@ -181,46 +182,45 @@ class Equalizer:
         forces: tuple[float, ...],
     ) -> None:
         self._filter, self._forces = filter, np.asarray(forces)
-        self._gain = (filter.mix[kind] * polarity[:, None]).T
-        self._past: Floats | None = None
-        self._maps: dict[int, Floats] = {}
+        self._gain = (filter.mix[kind] * polarity[:, None]).T.astype(np.float32)
+        self._past: Singles | None = None
+        self._maps: dict[int, Singles] = {}
 
-    def _map(self, count: int) -> Floats:
+    def _map(self, count: int) -> Singles:
         """Return the filters as matrices (L, R, S, S + T − 1) over the stream."""
         if count not in self._maps:
             taps = self._filter.taps
             length = taps.shape[-1]
-            found = np.zeros((*taps.shape[:2], count, count + length - 1))
+            found = np.zeros((*taps.shape[:2], count, count + length - 1), np.float32)
             for k in range(count):
                 found[:, :, k, k : k + length] = taps[..., ::-1]
             self._maps[count] = found
         return self._maps[count]
 
-    def __call__(self, shear: Floats, normal_force: Floats) -> Floats:
+    def __call__(self, shear: Singles, normal_force: Floats) -> Singles:
         """Return volts (S, N) for the shear (S, N) [m] ``delay`` samples ago.
 
         ``normal_force`` (S,) [N] is that of the finger now. Before its first sample the stream is
         taken to have rested there.
         """
-        count, length = len(shear), self._filter.taps.shape[-1]
         if self._past is None:
-            self._past = np.repeat(shear[:1], length - 1, axis=0)
+            self._past = np.repeat(shear[:1], self._filter.taps.shape[-1] - 1, axis=0)
         line = np.concatenate([self._past, shear])
-        self._past = line[count:]
-        maps, volts = self._map(count), np.zeros(shear.shape)
-        for load, share in enumerate(self._shares(normal_force)):
-            if share is not None:
-                parts = maps[load] @ line
-                part = parts[0] * self._gain[0]
-                for r in range(1, len(parts)):
-                    part += parts[r] * self._gain[r]
-                volts += part if isinstance(share, float) else part * share[:, None]
+        self._past = line[len(shear) :]
+        maps = self._map(len(shear))
+        if len(maps) == 1:
+            return self._played(maps[0], line)
+        place = np.interp(normal_force, self._forces, np.arange(len(self._forces)))
+        volts = np.zeros_like(shear)
+        for load in range(int(place.min()), min(int(place.max()) + 2, len(maps))):
+            share = np.maximum(1 - np.abs(place - load), 0).astype(np.float32)
+            volts += self._played(maps[load], line) * share[:, None]
         return volts
 
-    def _shares(self, normal_force: Floats) -> list[Floats | float | None]:
-        """Return the weight of each force of the table, None where it has none in this block."""
-        if len(self._forces) == 1:
-            return [1.0]
-        place = np.interp(normal_force, self._forces, np.arange(len(self._forces)))
-        hats = np.maximum(1 - np.abs(place - np.arange(len(self._forces))[:, None]), 0)
-        return [hat if hat.any() else None for hat in hats]
+    def _played(self, maps: Singles, line: Singles) -> Singles:
+        """Return Σ_r of each shared filter's output times the contactors' share of it."""
+        volts = maps[0] @ line
+        volts *= self._gain[0]
+        for shared, gain in zip(maps[1:], self._gain[1:], strict=True):
+            volts += (shared @ line) * gain
+        return np.asarray(volts)

@@ -57,17 +57,18 @@ class Limiter:
         self._own = np.ones(LOOK_AHEAD)
         self._held = np.ones(LOOK_AHEAD)
         self._last = np.zeros(channels)
+        self._idle = True
         self.limited_samples = 0
         self.guarded_samples = 0
         self.invalid_samples = 0
 
     def fade_in(self) -> None:
         """Begin at 0 V and rise to full drive within the fade."""
-        self._fade, self._fade_step = 0.0, self._ramp
+        self._fade, self._fade_step, self._idle = 0.0, self._ramp, False
 
     def fade_out(self) -> None:
         """Fall to 0 V within the fade and stay there."""
-        self._fade_step = -self._ramp
+        self._fade_step, self._idle = -self._ramp, False
 
     def __call__(self, volts: NDArray[np.floating]) -> Floats:
         """Return the next samples, within the limits whatever is asked.
@@ -85,46 +86,56 @@ class Limiter:
             parts = range(0, len(volts), LONGEST)
             return np.concatenate([self(volts[k : k + LONGEST]) for k in parts])
         wanted = np.asarray(volts, np.float64)
-        count = len(wanted)
-        peak = np.abs(wanted).max(axis=1, initial=0.0)
-        if not (peak < NONSENSE).all():
+        size = np.abs(wanted)
+        if not size.max(initial=0.0) < NONSENSE:
             wanted = self._cleaned(wanted)
-            peak = np.abs(wanted).max(axis=1, initial=0.0)
+            size = np.abs(wanted)
         line = np.concatenate([self._waiting, wanted])
-        gain = self._gain(peak, line)
-        out = line[1 : count + 1]
-        if gain is not None:
-            self.limited_samples += int(np.count_nonzero(gain < 1))
-            out = out * gain[:, None]
-        if self._fade_step or self._fade < 1:
-            out = out * self._faded(count)[:, None]
-        self._waiting = line[count:].copy()
-        return self._guard(out)
+        change = np.abs(line[LOOK_AHEAD + 1 :] - line[LOOK_AHEAD:-1])
+        self._waiting, out = line[len(wanted) :], line[1 : len(wanted) + 1]
+        within = size.max(initial=0.0) <= self._voltage and change.max(initial=0.0) <= self._step
+        if self._idle and within:
+            self._last = self._waiting[0]
+            return out
+        over = np.maximum(
+            size.max(axis=1, initial=0.0) / self._voltage,
+            change.max(axis=1, initial=0.0) / self._step,
+        )
+        out = self._guard(out * (self._gain(over) * self._faded(len(out)))[:, None])
+        self._rest()
+        return out
 
     def _cleaned(self, volts: Floats) -> Floats:
         good = np.abs(volts) < NONSENSE
         self.invalid_samples += volts.size - int(np.count_nonzero(good))
         return np.where(good, volts, 0.0)
 
-    def _gain(self, peak: Floats, line: Floats) -> Floats | None:
-        """Return the gain of each output sample, or None where it is one throughout.
+    def _rest(self) -> None:
+        """See whether gain, fade and guard are all done, so that drive may pass as it is."""
+        settled = self._own.min() == 1 and self._held.min() > 1 - 1e-6
+        steady = self._fade == 1 and self._fade_step == 0
+        if settled and steady and np.array_equal(self._last, self._waiting[0]):
+            self._held[:] = 1.0
+            self._idle = True
+        else:
+            self._idle = False
+
+    def _gain(self, over: Floats) -> Floats:
+        """Return the gain of each output sample, from how far each input goes over its limits.
 
         A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
         let go exponentially, then averaged over the look-ahead, is never above it.
         """
-        rise = np.abs(line[LOOK_AHEAD + 1 :] - line[LOOK_AHEAD:-1]).max(axis=1, initial=0.0)
-        over = np.maximum(peak / self._voltage, rise / self._step)
-        if over.max(initial=0.0) <= 1 and self._own.min() == 1 and self._held.min() > 1 - 1e-6:
-            self._held[:] = 1.0
-            return None
         own = np.concatenate([self._own, 1 / np.maximum(over, 1.0)])
-        self._own = own[len(peak) :].copy()
+        self._own = own[len(over) :]
         lowest = sliding_window_view(own, LOOK_AHEAD + 1).min(axis=1)
         reduction = np.concatenate([[1 - self._held[-1]], 1 - lowest])
         let_go = 1 - _decaying_maximum(reduction, self._recovery)[1:]
         held = np.concatenate([self._held, np.minimum(lowest, let_go)])
-        self._held = held[len(peak) :].copy()
-        return np.asarray(sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1))
+        self._held = held[len(over) :]
+        gain = sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1)
+        self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
+        return np.asarray(gain)
 
     def _faded(self, count: int) -> Floats:
         ramp = np.clip(self._fade + self._fade_step * np.arange(1, count + 1), 0.0, 1.0)
@@ -135,19 +146,16 @@ class Limiter:
 
     def _guard(self, wanted: Floats) -> Floats:
         """Go from sample to sample by no more than the step, in the direction of what is asked."""
-        if not len(wanted):
-            return wanted
-        change = np.diff(wanted, axis=0, prepend=self._last[None])
-        if max(change.max(), -change.min()) > self._step:
-            wanted = wanted.copy()
-            for k in range(len(wanted)):
-                move = wanted[k] - self._last
+        change = np.abs(np.diff(wanted, axis=0, prepend=self._last[None]))
+        if change.max(initial=0.0) > self._step:
+            for k, row in enumerate(wanted):
+                move = row - (wanted[k - 1] if k else self._last)
                 far = float(np.abs(move).max())
                 if far > self._step:
-                    wanted[k] = self._last + move * (self._step / far)
+                    row += move * (self._step / far - 1)
                     self.guarded_samples += 1
-                self._last = wanted[k]
-        self._last = wanted[-1].copy()
+        if len(wanted):
+            self._last = wanted[-1]
         return wanted
 
 

@@ -6,7 +6,7 @@ separable, so a block of samples is a product of matrices,
 
     shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
 
-Phases are counted in float64, reduced, and looked up in a table of 32768 phasors (−85 dB). The
+Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, part of the surface that is commanded). The
 roll-off W follows the velocity at nodes every 8 samples of the stream, ramped between them; while
 the finger is too slow for any partial to leave the band it is one. The envelope multiplies, sparse
 events and streamed waveforms add, the laws of speed and force multiply; then the `Equalizer` turns
@@ -23,7 +23,7 @@ from tactile.display import Display
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.limiter import Limiter
-from tactile.rendering.shear import EventField, law
+from tactile.rendering.shear import EventField, Law
 from tactile.texture.surface import Partials, Texture
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ NODE = 8
 """Samples between nodes of the roll-off, and behind each sample that give its velocity."""
 HISTORY = 3 * NODE
 CHUNK = BLOCK = 64
-PHASORS = 32768
+PHASORS = 8192
 PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)
 ROUNDER = 1.5 * 2.0**52
 """Added to a float64 it leaves the nearest integer in the low bits (IEEE 754)."""
@@ -88,20 +88,20 @@ class _Waves:
 
     def __init__(self, wave_vector: Floats) -> None:
         self._steps = np.ascontiguousarray(wave_vector.T * (PHASORS / (2 * np.pi)))
-        self._scratch: dict[int, tuple[Floats, NDArray[np.complex64]]] = {}
+        self._scratch: dict[int, tuple[Floats, NDArray[np.int64], NDArray[np.complex64]]] = {}
 
     def __call__(self, place: Floats) -> NDArray[np.complex64]:
         """Return (S, M) phasors at places (S, 2); the array is used again by the next call."""
         count = len(place)
         if count not in self._scratch:
             shape = (count, self._steps.shape[1])
-            self._scratch[count] = np.empty(shape), np.empty(shape, np.complex64)
-        steps, phasors = self._scratch[count]
+            steps = np.empty(shape)
+            self._scratch[count] = steps, steps.view(np.int64), np.empty(shape, np.complex64)
+        steps, index, phasors = self._scratch[count]
         np.matmul(place, self._steps, out=steps)
         steps += ROUNDER
-        index = steps.view(np.int64)
         index &= PHASORS - 1
-        return np.take(PHASOR_TABLE, index, out=phasors, mode="clip")
+        return PHASOR_TABLE.take(index, out=phasors, mode="clip")
 
 
 class _RollOff:
@@ -109,50 +109,29 @@ class _RollOff:
 
     def __init__(self, wave_vector: Floats) -> None:
         self._cycles = wave_vector.T / (2 * np.pi)
-        self._highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
-        self._table = equalizer.roll_off(np.arange(ENTRIES + 1, dtype=np.float64) * GRID).astype(np.float32)
+        self._table = equalizer.roll_off(np.arange(ENTRIES + 1, dtype=np.float64) * GRID)
+        self._table = self._table.astype(np.float32)
+        highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
+        self.slow = equalizer.PASS_BAND / max(highest, 1e-9)
+        """Speed [m/s] up to which no partial leaves the band."""
         self._ramps: dict[tuple[int, int], Singles] = {}
 
-    def __call__(self, velocity: Floats, count: int, start: int) -> Singles | None:
-        """Return weights (S, M), or None where all are one.
+    def __call__(self, velocity: Floats, start: int) -> Singles:
+        """Return weights (S, M) of samples start … start + S − 1.
 
-        ``velocity`` (nodes, 2) [m/s] is that at the `_nodes` of samples start … start + S − 1.
+        They are read at nodes, multiples of `NODE` in the stream, and ramped between them a node
+        late, so that no later velocity is needed. ``velocity`` (2 `NODE` + S, 2) [m/s] begins two
+        nodes before the samples.
         """
-        if float(np.abs(velocity).max()) * np.sqrt(2) * self._highest <= equalizer.PASS_BAND:
-            return None
-        frequency = np.abs(velocity @ self._cycles)
-        index = np.minimum(frequency * (1 / GRID), ENTRIES).astype(np.intp)
-        return np.asarray(self._ramp(count, start % NODE) @ self._table.take(index))
-
-    def _ramp(self, count: int, phase: int) -> Singles:
+        count, phase = len(velocity) - 2 * NODE, start % NODE
         if (count, phase) not in self._ramps:
             place = (phase + np.arange(count)) / NODE
             hat = 1 - np.abs(place[:, None] - np.arange(int(place[-1]) + 2))
             self._ramps[count, phase] = np.maximum(hat, 0).astype(np.float32)
-        return self._ramps[count, phase]
-
-
-def _nodes(count: int, start: int) -> NDArray[np.intp]:
-    """Return, counted from the block's first sample, the nodes whose ramp covers the block.
-
-    The ramp runs a node behind, so that the last one is no later than the block's last sample.
-    """
-    phase = start % NODE
-    return np.arange((phase + count - 1) // NODE + 2) * NODE - NODE - phase
-
-
-class _Envelope:
-    """The positive envelope exp(g − ⟨g²⟩) of amplitude modulation, at each contactor."""
-
-    def __init__(self, display: Display, slow: Partials) -> None:
-        self._waves = _Waves(slow.wave_vector)
-        self._rows = _interleaved(_at_contactors(slow, display.contactors))
-        self._variance = np.float32(np.sum(slow.amplitude**2) / 2)
-
-    def __call__(self, place: Floats) -> Singles:
-        """Return factors (S, N) at places (S, 2)."""
-        exponent = self._waves(place).view(np.float32) @ self._rows - self._variance
-        return np.asarray(np.exp(exponent))
+        ramp = self._ramps[count, phase]
+        at_nodes = velocity[NODE - phase :: NODE][: ramp.shape[1]]
+        index = np.minimum(np.abs(at_nodes @ self._cycles) * (1 / GRID), ENTRIES).astype(np.intp)
+        return np.asarray(ramp @ self._table.take(index))
 
 
 class Renderer:
@@ -187,26 +166,31 @@ class Renderer:
                 f"{FASTEST:g} Hz"
             )
         surface = texture.realize(seed)
-        partials, contactors = surface.partials, display.contactors
-        self._descriptor, self._sample_rate = texture.descriptor, sample_rate
-        self._waves, self._roll_off = _Waves(partials.wave_vector), _RollOff(partials.wave_vector)
+        self._contactors = contactors = display.contactors
+        partials = surface.partials
+        self._law, self._sample_rate = Law(texture.descriptor), sample_rate
+        self._waves = _Waves((partials + surface.envelope).wave_vector)
+        self._roll_off = _RollOff(partials.wave_vector)
         self._to_shear = _interleaved(_at_contactors(partials, contactors))
+        self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
+        self._half_variance = np.float32(np.sum(surface.envelope.amplitude**2) / 2)
         self._axes = display.shear_axes if display.projected else None
-        self._envelope = self._events = None
-        if len(surface.envelope.amplitude):
-            self._envelope = _Envelope(display, surface.envelope)
+        self._events = None
         if len(surface.event_peak):
-            self._events = EventField(surface, texture.descriptor.events)
+            self._events = EventField(surface, texture.descriptor.events, contactors)
         frequency = np.arange(0, equalizer.STOP_BAND + 1, equalizer.GRID)
         response = display.responses(frequency, sample_rate)
         self.filter = equalizer.design(response, display.limits.voltage, sample_rate)
         self._equalizer = equalizer.Equalizer(
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
-        self._contactors, self.limiter = contactors, _limiter(display, sample_rate)
+        self.limiter = _limiter(display, sample_rate)
         self.delay = self.filter.delay + self.limiter.delay
         self.invalid_samples = self._count = 0
-        self._past, self._late = np.zeros((HISTORY, 3)), np.zeros((self.delay, len(contactors)))
+        self._slow = True
+        self._past, self._waiting = np.zeros((HISTORY, 2)), np.zeros((0, 3))
+        self._late = np.zeros((self.delay, len(contactors)), np.float32)
+        self._nothing = self._waveform = np.zeros((0, len(contactors)))
 
     @overload
     def block(
@@ -214,7 +198,7 @@ class Renderer:
         position: ArrayLike,
         normal_force: ArrayLike,
         *,
-        waveform: Floats | None = None,
+        waveform: ArrayLike | None = None,
         shear: Literal[False] = False,
     ) -> Floats: ...
     @overload
@@ -223,7 +207,7 @@ class Renderer:
         position: ArrayLike,
         normal_force: ArrayLike,
         *,
-        waveform: Floats | None = None,
+        waveform: ArrayLike | None = None,
         shear: Literal[True],
     ) -> tuple[Floats, Floats]: ...
     def block(
@@ -231,7 +215,7 @@ class Renderer:
         position: ArrayLike,
         normal_force: ArrayLike,
         *,
-        waveform: Floats | None = None,
+        waveform: ArrayLike | None = None,
         shear: bool = False,
     ) -> Floats | tuple[Floats, Floats]:
         """Render the next samples.
@@ -250,43 +234,98 @@ class Renderer:
         shear : (S, N) ndarray
             Shear displacement [m] that this drive commands, equally late. Only on request.
         """
-        touch = np.column_stack([position, normal_force]).astype(np.float64, copy=False)
-        parts = []
-        for k in range(0, len(touch), CHUNK):
-            added = None if waveform is None else waveform[k : k + CHUNK]
-            parts.append(self._chunk(touch[k : k + CHUNK], added))
+        touch = np.empty((len(np.asarray(position)), 3))
+        touch[:, :2], touch[:, 2] = position, normal_force
+        if not np.abs(touch).max(initial=0.0) < FARTHEST:
+            touch = self._mended(touch)
+        added = self._nothing if waveform is None else self._added(waveform, len(touch))
+        parts = [
+            self._chunk(touch[k : k + CHUNK], added[k : k + CHUNK])
+            for k in range(0, len(touch), CHUNK)
+        ]
         if len(parts) == 1:
             return parts[0] if shear else parts[0][0]
-        nothing = np.zeros((0, len(self._contactors)))
-        drive = np.concatenate([nothing, *(part[0] for part in parts)])
+        drive = np.concatenate([self._nothing, *(part[0] for part in parts)])
         if not shear:
             return drive
-        return drive, np.concatenate([nothing, *(part[1] for part in parts)])
+        return drive, np.concatenate([self._nothing, *(part[1] for part in parts)])
 
-    def _chunk(self, touch: Floats, waveform: Floats | None) -> tuple[Floats, Floats]:
-        line = self._follow(touch)
-        place, force = line[HISTORY:, :2], line[HISTORY:, 2]
-        shear = self._surface(line) * self._scale(line)
-        if waveform is not None:
-            added = self._finite(np.asarray(waveform, np.float64))
-            shear += added[:, None] if added.ndim == 1 else added
-        volts = self._equalizer(shear, force)
-        late = np.concatenate([self._late, shear])
-        self._late = late[len(place) :]
-        return self.limiter(volts), late[: len(place)]
+    def _added(self, waveform: ArrayLike, count: int) -> Floats:
+        wave = np.asarray(waveform, np.float64)
+        wave = wave[:, None] if wave.ndim == 1 else wave
+        return self._finite(np.broadcast_to(wave, (count, len(self._contactors))))
 
-    def _follow(self, touch: Floats) -> Floats:
-        """Return the new samples behind the last `HISTORY`, with bad ones mended."""
-        if not (np.abs(touch) < FARTHEST).all():
-            touch = self._mended(touch)
-        if self._count == 0:
-            self._past[:] = touch[0]
-        line = np.concatenate([self._past, touch])
-        self._past = line[len(touch) :]
-        self._count += len(touch)
-        return line
+    def _chunk(self, touch: Floats, waveform: Floats) -> tuple[Floats, Singles]:
+        """Render at most `CHUNK` samples.
+
+        The stream's first 9 samples are waited for, since together they give its first velocity.
+        What falls before the stream's beginning is 0 V.
+        """
+        count, begun = len(touch), self._count > NODE
+        self._count += count
+        if not begun:
+            touch = self._waiting = np.concatenate([self._waiting, touch])
+            waveform = self._waveform = np.concatenate([self._waveform, waveform])
+        if self._count > NODE:
+            shear = self._shear(touch, waveform, begun)
+            volts = self._equalizer(shear, touch[:, 2])
+            if not begun:
+                volts[:NODE] = 0.0
+            self._late = np.concatenate([self._late, shear])
+        else:
+            volts = np.zeros((count, len(self._contactors)), np.float32)
+        shear, self._late = self._late[:count], self._late[count:]
+        return self.limiter(volts[len(volts) - count :]), shear
+
+    def _shear(self, touch: Floats, waveform: Floats, begun: bool) -> Singles:
+        """Return what each contactor is to do (S, N) [m]."""
+        place, start = touch[:, :2], self._count - len(touch)
+        past = self._past if begun else np.repeat(place[:1], HISTORY, axis=0)
+        line = np.concatenate([past, place])
+        self._past = line[len(place) :]
+        velocity = self._velocity(line, begun)
+        now = velocity[2 * NODE :]
+        speed = np.sqrt(now[:, 0] ** 2 + now[:, 1] ** 2)
+        phasors = self._waves(place)
+        sides = phasors.view(np.float32)
+        split = len(self._to_shear)
+        if not (self._slow and speed.max() <= self._roll_off.slow):
+            phasors[:, : split // 2] *= self._roll_off(velocity, start)
+            self._slow = bool(np.hypot(*velocity.T).max() <= self._roll_off.slow)
+        shear = sides[:, :split] @ self._to_shear
+        if len(self._to_envelope):
+            shear *= np.exp(sides[:, split:] @ self._to_envelope - self._half_variance)
+        if self._events is not None:
+            shear += self._events.at(place)
+        shear *= self._scale(now, speed, touch[:, 2])
+        if waveform.size:
+            shear += waveform
+        return np.asarray(shear)
+
+    def _velocity(self, line: Floats, begun: bool) -> Floats:
+        """Return the velocity (2 `NODE` + S, 2) [m/s], from a parabola through the last 8 samples.
+
+        In the stream's first 8 samples it is that of the parabola through these, before them none.
+        """
+        half = NODE // 2
+        rise = 3 * line[NODE:] - 4 * line[half:-half] + line[:-NODE]
+        if not begun:
+            a, b, c = line[HISTORY : HISTORY + NODE + 1 : half]
+            part = np.arange(NODE)[:, None] / NODE
+            rise[: 2 * NODE] = 0.0
+            rise[2 * NODE : 3 * NODE] = -3 * a + 4 * b - c + part * (4 * a - 8 * b + 4 * c)
+        rise *= self._sample_rate / NODE
+        return rise
+
+    def _scale(self, velocity: Floats, speed: Floats, normal_force: Floats) -> Singles:
+        """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
+        factor = self._law(speed, normal_force)[:, None]
+        if self._axes is not None:
+            factor = velocity @ self._axes.T * (factor / np.hypot(speed, STILL)[:, None])
+        return factor.astype(np.float32)
 
     def _mended(self, touch: Floats) -> Floats:
+        """Hold the last good position, and lift the finger, where a sample is invalid."""
         touch, last = touch.copy(), self._past[-1]
         for row in touch:
             if not (np.abs(row) < FARTHEST).all():
@@ -297,54 +336,8 @@ class Renderer:
 
     def _finite(self, waveform: Floats) -> Floats:
         good = np.abs(waveform) < FARTHEST
-        if good.all():
-            return waveform
         self.invalid_samples += waveform.size - int(np.count_nonzero(good))
         return np.where(good, waveform, 0.0)
-
-    def _surface(self, line: Floats) -> Singles:
-        """Return what the surface asks of each contactor (S, N) [m], before the laws."""
-        count, place = len(line) - HISTORY, line[HISTORY:, :2]
-        start = self._count - count
-        phasors = self._waves(place)
-        nodes = HISTORY + _nodes(count, start)
-        weight = self._roll_off(self._velocity(line, nodes), count, start)
-        if weight is not None:
-            phasors *= weight
-        shear = phasors.view(np.float32) @ self._to_shear
-        if self._envelope is not None:
-            shear *= self._envelope(place)
-        if self._events is not None:
-            shear += self._events.at(place[:, None] + self._contactors)
-        return np.asarray(shear)
-
-    def _velocity(self, line: Floats, at: NDArray[np.intp]) -> Floats:
-        """Return the velocity [m/s] at samples of the line, from a parabola through the last 8.
-
-        In the stream's first 8 samples it is the parabola through these 8, as far as they are
-        known, and before them there is none.
-        """
-        half, p = NODE // 2, line[:, :2]
-        rise = 3 * p[at] - 4 * p[at - half] + p[at - NODE]
-        first = HISTORY - (self._count - (len(line) - HISTORY))
-        if at[0] < first + NODE:
-            known = np.minimum(first + np.array([0, half, NODE]), len(line) - 1)
-            a, b, c = p[known]
-            begun = np.clip((at - first) / NODE, 0, 1)[:, None]
-            early = (-3 * a + 4 * b - c) + begun * (4 * a - 8 * b + 4 * c)
-            early[at < first] = 0.0
-            rise = np.where((at < first + NODE)[:, None], early, rise)
-        return np.asarray(rise * (self._sample_rate / NODE))
-
-    def _scale(self, line: Floats) -> Floats:
-        """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
-        velocity = self._velocity(line, np.arange(HISTORY, len(line)))
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])
-        factor = law(self._descriptor, speed * 1e3, line[HISTORY:, 2])
-        if self._axes is None:
-            return factor[:, None]
-        unit = velocity / np.hypot(speed, STILL)[:, None]
-        return np.asarray(unit @ self._axes.T * factor[:, None])
 
 
 def _limiter(display: Display, sample_rate: float) -> Limiter:

@@ -82,7 +82,7 @@ class Surface:
     event_place: Floats
     event_peak: Floats
     event_kind: NDArray[np.intp]
-    tile: float = 51.2e-3
+    tile: float = 25.6e-3
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ so that a measured response works as well. The inverse is exact wherever full dr
 least the smallest shear that anyone feels; beyond, its magnitude is bounded there and keeps its
 phase. What full drive attains is |response| × voltage limit.
 
-The inverse is played as a FIR filter of 64 taps, 1 ms late. A resonance of the bimorph is a zero
+The inverse is played as a FIR filter of 32 taps, 1 ms late. A resonance of the bimorph is a zero
 of its inverse, so that few taps hold it: in the band it is within 0.04 dB and 0.25° of the
 inverse, loaded. Being a filter it is as exact for a finger that starts, stops and turns, for
 modulated amplitudes and for events as it is for steady strokes.
@@ -31,7 +31,7 @@ STOP_WEIGHT, FREE_WEIGHT = 3e-3, 1e-4
 """Of errors beyond `FREE_BAND` and below it, against one in the band."""
 GRID = 10.0
 """Hz between the frequencies at which the filter is fitted."""
-TAPS = (64, 256)
+TAPS = (32, 64, 256)
 DELAYS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 176)
 """Samples: the first is enough for a bimorph, later ones for a response with a delay of its own."""
 TOLERANCE = 6e-3
@@ -155,6 +155,8 @@ def design(response: Complex, voltage: float, sample_rate: float) -> InverseFilt
             break
     assert best is not None
     error, found, delay = best
+    if kinds == 1:
+        return InverseFilter(found.reshape(loads, 1, -1), np.ones((1, 1)), delay, error)
     by_kind = np.moveaxis(found.reshape(loads, kinds, -1), 1, 0).reshape(kinds, -1)
     u, s, vt = np.linalg.svd(by_kind, full_matrices=False)
     terms = max(1, int(np.count_nonzero(s > NEGLIGIBLE * s[0])))
@@ -182,7 +184,8 @@ class Equalizer:
         forces: tuple[float, ...],
     ) -> None:
         self._filter, self._forces = filter, np.asarray(forces)
-        self._gain = (filter.mix[kind] * polarity[:, None]).T.astype(np.float32)
+        gain = (filter.mix[kind] * polarity[:, None]).T
+        self._gain, self._plain = gain.astype(np.float32), bool(np.all(gain == 1))
         self._past: Singles | None = None
         self._maps: dict[int, Singles] = {}
 
@@ -220,6 +223,8 @@ class Equalizer:
     def _played(self, maps: Singles, line: Singles) -> Singles:
         """Return Σ_r of each shared filter's output times the contactors' share of it."""
         volts = maps[0] @ line
+        if self._plain:
+            return np.asarray(volts)
         volts *= self._gain[0]
         for shared, gain in zip(maps[1:], self._gain[1:], strict=True):
             volts += (shared @ line) * gain

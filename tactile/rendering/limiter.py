@@ -85,23 +85,17 @@ class Limiter:
         if len(volts) > LONGEST:
             parts = range(0, len(volts), LONGEST)
             return np.concatenate([self(volts[k : k + LONGEST]) for k in parts])
-        wanted = np.asarray(volts, np.float64)
-        size = np.abs(wanted)
-        if not size.max(initial=0.0) < NONSENSE:
-            wanted = self._cleaned(wanted)
-            size = np.abs(wanted)
-        line = np.concatenate([self._waiting, wanted])
-        change = np.abs(line[LOOK_AHEAD + 1 :] - line[LOOK_AHEAD:-1])
-        self._waiting, out = line[len(wanted) :], line[1 : len(wanted) + 1]
-        within = size.max(initial=0.0) <= self._voltage and change.max(initial=0.0) <= self._step
-        if self._idle and within:
+        line = np.concatenate([self._waiting, volts])
+        highest = np.abs(line).max()
+        if not highest < NONSENSE:
+            line = self._cleaned(line)
+            highest = np.abs(line).max()
+        count = len(volts)
+        self._waiting, out = line[count:], line[1 : count + 1]
+        if self._idle and highest <= self._voltage and 2 * highest <= self._step:
             self._last = self._waiting[0]
             return out
-        over = np.maximum(
-            size.max(axis=1, initial=0.0) / self._voltage,
-            change.max(axis=1, initial=0.0) / self._step,
-        )
-        out = self._guard(out * (self._gain(over) * self._faded(len(out)))[:, None])
+        out = self._guard(out * (self._gain(line) * self._faded(count))[:, None])
         self._rest()
         return out
 
@@ -120,12 +114,17 @@ class Limiter:
         else:
             self._idle = False
 
-    def _gain(self, over: Floats) -> Floats:
+    def _gain(self, line: Floats) -> Floats:
         """Return the gain of each output sample, from how far each input goes over its limits.
 
         A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
         let go exponentially, then averaged over the look-ahead, is never above it.
         """
+        new, old = line[LOOK_AHEAD + 1 :], line[LOOK_AHEAD:-1]
+        over = np.maximum(
+            np.abs(new).max(axis=1, initial=0.0) / self._voltage,
+            np.abs(new - old).max(axis=1, initial=0.0) / self._step,
+        )
         own = np.concatenate([self._own, 1 / np.maximum(over, 1.0)])
         self._own = own[len(over) :]
         lowest = sliding_window_view(own, LOOK_AHEAD + 1).min(axis=1)

@@ -6,7 +6,8 @@ separable, so a block of samples is a product of matrices,
 
     shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
 
-Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, part of the surface that is commanded). The
+Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, in what
+is commanded and played alike). The
 roll-off W follows the velocity at nodes every 8 samples of the stream, ramped between them; while
 the finger is too slow for any partial to leave the band it is one. The envelope multiplies, sparse
 events and streamed waveforms add, the laws of speed and force multiply; then the `Equalizer` turns
@@ -31,7 +32,7 @@ Singles = NDArray[np.float32]
 
 NODE = 8
 """Samples between nodes of the roll-off, and behind each sample that give its velocity."""
-HISTORY = 3 * NODE
+HISTORY = 2 * NODE
 CHUNK = BLOCK = 64
 PHASORS = 8192
 PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)
@@ -87,21 +88,22 @@ class _Waves:
     """exp(jk·p) of a set of waves at many places, through the phasor table."""
 
     def __init__(self, wave_vector: Floats) -> None:
-        self._steps = np.ascontiguousarray(wave_vector.T * (PHASORS / (2 * np.pi)))
+        steps = wave_vector.T * (PHASORS / (2 * np.pi))
+        self._steps = np.vstack([steps, np.full(len(wave_vector), ROUNDER)])
         self._scratch: dict[int, tuple[Floats, NDArray[np.int64], NDArray[np.complex64]]] = {}
 
     def __call__(self, place: Floats) -> NDArray[np.complex64]:
-        """Return (S, M) phasors at places (S, 2); the array is used again by the next call."""
-        count = len(place)
+        """Return (S, M) phasors at places (3, S), x, y and 1; the next call uses it again."""
+        count = place.shape[1]
         if count not in self._scratch:
-            shape = (count, self._steps.shape[1])
-            steps = np.empty(shape)
-            self._scratch[count] = steps, steps.view(np.int64), np.empty(shape, np.complex64)
+            steps = np.empty((count, self._steps.shape[1]))
+            phasors = np.empty(steps.shape, np.complex64)
+            self._scratch[count] = steps, steps.view(np.int64), phasors
         steps, index, phasors = self._scratch[count]
-        np.matmul(place, self._steps, out=steps)
-        steps += ROUNDER
+        np.matmul(place.T, self._steps, out=steps)
         index &= PHASORS - 1
-        return PHASOR_TABLE.take(index, out=phasors, mode="clip")
+        PHASOR_TABLE.take(index, out=phasors, mode="clip")
+        return phasors
 
 
 class _RollOff:
@@ -112,24 +114,24 @@ class _RollOff:
         self._table = equalizer.roll_off(np.arange(ENTRIES + 1, dtype=np.float64) * GRID)
         self._table = self._table.astype(np.float32)
         highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
-        self.slow = equalizer.PASS_BAND / max(highest, 1e-9)
-        """Speed [m/s] up to which no partial leaves the band."""
+        self.slow_squared = (equalizer.PASS_BAND / max(highest, 1e-9)) ** 2
+        """Square of the speed [m²/s²] up to which no partial leaves the band."""
         self._ramps: dict[tuple[int, int], Singles] = {}
 
     def __call__(self, velocity: Floats, start: int) -> Singles:
         """Return weights (S, M) of samples start … start + S − 1.
 
         They are read at nodes, multiples of `NODE` in the stream, and ramped between them a node
-        late, so that no later velocity is needed. ``velocity`` (2 `NODE` + S, 2) [m/s] begins two
-        nodes before the samples.
+        late, so that no later velocity is needed. ``velocity`` (2, `HISTORY` + S) [m/s] begins
+        two nodes before the samples.
         """
-        count, phase = len(velocity) - 2 * NODE, start % NODE
+        count, phase = velocity.shape[1] - HISTORY, start % NODE
         if (count, phase) not in self._ramps:
             place = (phase + np.arange(count)) / NODE
             hat = 1 - np.abs(place[:, None] - np.arange(int(place[-1]) + 2))
             self._ramps[count, phase] = np.maximum(hat, 0).astype(np.float32)
         ramp = self._ramps[count, phase]
-        at_nodes = velocity[NODE - phase :: NODE][: ramp.shape[1]]
+        at_nodes = velocity[:, NODE - phase :: NODE][:, : ramp.shape[1]].T
         index = np.minimum(np.abs(at_nodes @ self._cycles) * (1 / GRID), ENTRIES).astype(np.intp)
         return np.asarray(ramp @ self._table.take(index))
 
@@ -169,11 +171,12 @@ class Renderer:
         self._contactors = contactors = display.contactors
         partials = surface.partials
         self._law, self._sample_rate = Law(texture.descriptor), sample_rate
+        self._slopes: dict[tuple[int, bool], Floats] = {}
         self._waves = _Waves((partials + surface.envelope).wave_vector)
         self._roll_off = _RollOff(partials.wave_vector)
-        self._to_shear = _interleaved(_at_contactors(partials, contactors))
+        mean = np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
+        self._to_shear = _interleaved(_at_contactors(partials, contactors) * mean)
         self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
-        self._half_variance = np.float32(np.sum(surface.envelope.amplitude**2) / 2)
         self._axes = display.shear_axes if display.projected else None
         self._events = None
         if len(surface.event_peak):
@@ -187,8 +190,7 @@ class Renderer:
         self.limiter = _limiter(display, sample_rate)
         self.delay = self.filter.delay + self.limiter.delay
         self.invalid_samples = self._count = 0
-        self._slow = True
-        self._past, self._waiting = np.zeros((HISTORY, 2)), np.zeros((0, 3))
+        self._past, self._waiting = np.zeros((6, HISTORY)), np.zeros((6, 0))
         self._late = np.zeros((self.delay, len(contactors)), np.float32)
         self._nothing = self._waveform = np.zeros((0, len(contactors)))
 
@@ -234,21 +236,23 @@ class Renderer:
         shear : (S, N) ndarray
             Shear displacement [m] that this drive commands, equally late. Only on request.
         """
-        touch = np.empty((len(np.asarray(position)), 3))
-        touch[:, :2], touch[:, 2] = position, normal_force
+        touch = np.zeros((6, len(np.asarray(position))))
+        touch[:2], touch[2], touch[3] = np.transpose(position), 1.0, normal_force
         if not np.abs(touch).max(initial=0.0) < FARTHEST:
             touch = self._mended(touch)
-        added = self._nothing if waveform is None else self._added(waveform, len(touch))
+        count = touch.shape[1]
+        added = self._nothing if waveform is None else self._added(waveform, count)
+        if count <= CHUNK:
+            drive, target = self._chunk(touch, added)
+            return (drive, target.astype(np.float64)) if shear else drive
         parts = [
-            self._chunk(touch[k : k + CHUNK], added[k : k + CHUNK])
-            for k in range(0, len(touch), CHUNK)
+            self._chunk(touch[:, k : k + CHUNK], added[k : k + CHUNK])
+            for k in range(0, count, CHUNK)
         ]
-        if len(parts) == 1:
-            return parts[0] if shear else parts[0][0]
-        drive = np.concatenate([self._nothing, *(part[0] for part in parts)])
+        drive = np.concatenate([part[0] for part in parts])
         if not shear:
             return drive
-        return drive, np.concatenate([self._nothing, *(part[1] for part in parts)])
+        return drive, np.concatenate([part[1] for part in parts]).astype(np.float64)
 
     def _added(self, waveform: ArrayLike, count: int) -> Floats:
         wave = np.asarray(waveform, np.float64)
@@ -261,14 +265,14 @@ class Renderer:
         The stream's first 9 samples are waited for, since together they give its first velocity.
         What falls before the stream's beginning is 0 V.
         """
-        count, begun = len(touch), self._count > NODE
+        count, begun = touch.shape[1], self._count > NODE
         self._count += count
         if not begun:
-            touch = self._waiting = np.concatenate([self._waiting, touch])
+            touch = self._waiting = np.concatenate([self._waiting, touch], axis=1)
             waveform = self._waveform = np.concatenate([self._waveform, waveform])
         if self._count > NODE:
             shear = self._shear(touch, waveform, begun)
-            volts = self._equalizer(shear, touch[:, 2])
+            volts = self._equalizer(shear, touch[3])
             if not begun:
                 volts[:NODE] = 0.0
             self._late = np.concatenate([self._late, shear])
@@ -279,59 +283,59 @@ class Renderer:
 
     def _shear(self, touch: Floats, waveform: Floats, begun: bool) -> Singles:
         """Return what each contactor is to do (S, N) [m]."""
-        place, start = touch[:, :2], self._count - len(touch)
-        past = self._past if begun else np.repeat(place[:1], HISTORY, axis=0)
-        line = np.concatenate([past, place])
-        self._past = line[len(place) :]
-        velocity = self._velocity(line, begun)
-        now = velocity[2 * NODE :]
-        speed = np.sqrt(now[:, 0] ** 2 + now[:, 1] ** 2)
-        phasors = self._waves(place)
-        sides = phasors.view(np.float32)
-        split = len(self._to_shear)
-        if not (self._slow and speed.max() <= self._roll_off.slow):
-            phasors[:, : split // 2] *= self._roll_off(velocity, start)
-            self._slow = bool(np.hypot(*velocity.T).max() <= self._roll_off.slow)
+        past = self._past if begun else np.zeros((6, HISTORY))
+        line = np.concatenate([past, touch], axis=1)
+        self._past = line[:, -HISTORY:]
+        line[4:, HISTORY:] = line[:2] @ self._slope(touch.shape[1], begun)
+        squares = line[4:] * line[4:]
+        squares = squares[0] + squares[1]
+        phasors = self._waves(line[:3, HISTORY:])
+        sides, split = phasors.view(np.float32), len(self._to_shear)
+        if not squares.max() <= self._roll_off.slow_squared:
+            start = self._count - touch.shape[1]
+            phasors[:, : split // 2] *= self._roll_off(line[4:], start)
         shear = sides[:, :split] @ self._to_shear
         if len(self._to_envelope):
-            shear *= np.exp(sides[:, split:] @ self._to_envelope - self._half_variance)
+            shear *= np.exp(sides[:, split:] @ self._to_envelope)
         if self._events is not None:
-            shear += self._events.at(place)
-        shear *= self._scale(now, speed, touch[:, 2])
+            shear += self._events.at(touch[:2])
+        shear *= self._scale(line[4:, HISTORY:], squares[HISTORY:], touch[3])
         if waveform.size:
             shear += waveform
         return np.asarray(shear)
 
-    def _velocity(self, line: Floats, begun: bool) -> Floats:
-        """Return the velocity (2 `NODE` + S, 2) [m/s], from a parabola through the last 8 samples.
+    def _slope(self, count: int, begun: bool) -> Floats:
+        """Return what turns places (2, `HISTORY` + S) into the velocity (2, S) of the new ones.
 
-        In the stream's first 8 samples it is that of the parabola through these, before them none.
+        It is that of a parabola through the last 8 samples of each; in the stream's first 8
+        samples that of the parabola through these.
         """
-        half = NODE // 2
-        rise = 3 * line[NODE:] - 4 * line[half:-half] + line[:-NODE]
-        if not begun:
-            a, b, c = line[HISTORY : HISTORY + NODE + 1 : half]
-            part = np.arange(NODE)[:, None] / NODE
-            rise[: 2 * NODE] = 0.0
-            rise[2 * NODE : 3 * NODE] = -3 * a + 4 * b - c + part * (4 * a - 8 * b + 4 * c)
-        rise *= self._sample_rate / NODE
-        return rise
+        if (count, begun) not in self._slopes:
+            slope = np.zeros((HISTORY + count, count))
+            for k in range(count):
+                last = NODE if k < NODE and not begun else k
+                points = last - np.array([NODE, NODE // 2, 0])
+                weights = np.linalg.solve(np.vander(points - k, increasing=True).T, [0, 1, 0])
+                slope[HISTORY + points, k] = weights * self._sample_rate
+            self._slopes[count, begun] = slope
+        return self._slopes[count, begun]
 
-    def _scale(self, velocity: Floats, speed: Floats, normal_force: Floats) -> Singles:
+    def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
         """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
-        factor = self._law(speed, normal_force)[:, None]
+        factor = self._law(squares, normal_force)[:, None]
         if self._axes is not None:
-            factor = velocity @ self._axes.T * (factor / np.hypot(speed, STILL)[:, None])
+            unit = velocity / np.sqrt(squares + STILL**2)
+            factor = (self._axes @ unit).T * factor
         return factor.astype(np.float32)
 
     def _mended(self, touch: Floats) -> Floats:
         """Hold the last good position, and lift the finger, where a sample is invalid."""
-        touch, last = touch.copy(), self._past[-1]
-        for row in touch:
-            if not (np.abs(row) < FARTHEST).all():
-                row[:] = last[0], last[1], 0.0
+        touch, last = touch.copy(), self._past[:, -1]
+        for sample in touch.T:
+            if not (np.abs(sample) < FARTHEST).all():
+                sample[:4] = last[0], last[1], 1.0, 0.0
                 self.invalid_samples += 1
-            last = row
+            last = sample
         return touch
 
     def _finite(self, waveform: Floats) -> Floats:

@@ -1,1 +1,71 @@
-"""Driver and texture renderer for tactile displays made of piezoelectric bimorph arrays."""
+"""Driver and texture renderer for tactile displays made of piezoelectric bimorph arrays.
+
+>>> import tactile
+>>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+>>> played = tactile.render(display, texture, tactile.Trajectory.line(speed=0.08, duration=0.1))
+>>> played.drive.shape
+(800, 24)
+
+Everything inside is SI. Names are loaded when they are first used, so that ``import tactile`` costs
+nothing and a program that needs no rendering never loads it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile.actuator.amplifier import Amplifier as Amplifier
+    from tactile.actuator.bimorph import Bimorph as Bimorph
+    from tactile.actuator.finger import FingerLoad as FingerLoad
+    from tactile.actuator.finger import FingerTable as FingerTable
+    from tactile.actuator.materials import PiezoMaterial as PiezoMaterial
+    from tactile.actuator.materials import ShimMaterial as ShimMaterial
+    from tactile.actuator.plant import Plant as Plant
+    from tactile.actuator.response import TipResponse as TipResponse
+    from tactile.actuator.response import blocked_force as blocked_force
+    from tactile.actuator.response import chain_response as chain_response
+    from tactile.actuator.response import tip_response as tip_response
+    from tactile.devices import open_bus as open_bus
+    from tactile.display import Display as Display
+    from tactile.display import load_display as load_display
+    from tactile.errors import BusError as BusError
+    from tactile.errors import BusStateError as BusStateError
+    from tactile.errors import InputError as InputError
+    from tactile.errors import NotFoundError as NotFoundError
+    from tactile.errors import TactileError as TactileError
+    from tactile.rendering.contact import Trajectory as Trajectory
+    from tactile.rendering.renderer import Renderer as Renderer
+    from tactile.rendering.renderer import Rendering as Rendering
+    from tactile.rendering.renderer import render as render
+    from tactile.texture.descriptor import textures as textures
+    from tactile.texture.surface import Texture as Texture
+    from tactile.texture.surface import load_texture as load_texture
+
+_HOMES = {
+    "actuator.amplifier": ("Amplifier",),
+    "actuator.bimorph": ("Bimorph",),
+    "actuator.finger": ("FingerLoad", "FingerTable"),
+    "actuator.materials": ("PiezoMaterial", "ShimMaterial"),
+    "actuator.plant": ("Plant",),
+    "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
+    "devices": ("open_bus",),
+    "display": ("Display", "load_display"),
+    "errors": ("BusError", "BusStateError", "InputError", "NotFoundError", "TactileError"),
+    "rendering.contact": ("Trajectory",),
+    "rendering.renderer": ("Renderer", "Rendering", "render"),
+    "texture.descriptor": ("textures",),
+    "texture.surface": ("Texture", "load_texture"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'tactile' has no attribute {name!r}")
+    return getattr(import_module(f"tactile.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *globals()]

@@ -150,6 +150,8 @@ class Renderer:
     delay : samples by which `block` lags its input
     limiter : the `Limiter` that volts leave through; it counts, and fades
     filter : the `InverseFilter` in use
+    frequency, attainable : (F,) [Hz] and (L, N, F) peak shear [m] of a sinusoid at the voltage
+        limit, per force of the finger's table and contactor
     invalid_samples : samples that were not finite or beyond reason; the last good position is held,
         the force taken as zero, a waveform's as zero
 
@@ -188,11 +190,23 @@ class Renderer:
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
         self.limiter = _limiter(display, sample_rate)
+        self._fade, self._fade_step = 1.0, 0.0
+        self._fade_rate = 1 / (display.limits.fade * sample_rate)
         self.delay = self.filter.delay + self.limiter.delay
+        self.frequency = frequency
+        self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
         self.invalid_samples = self._count = 0
         self._past, self._waiting = np.zeros((6, HISTORY)), np.zeros((6, 0))
         self._late = np.zeros((self.delay, len(contactors)), np.float32)
         self._nothing = self._waveform = np.zeros((0, len(contactors)))
+
+    def fade_in(self) -> None:
+        """Let shear rise from nothing within the display's fade, from the next sample on."""
+        self._fade, self._fade_step = 0.0, self._fade_rate
+
+    def fade_out(self) -> None:
+        """Let shear fall to nothing within the display's fade, and stay there."""
+        self._fade_step = -self._fade_rate
 
     @overload
     def block(
@@ -302,7 +316,17 @@ class Renderer:
         shear *= self._scale(line[4:, HISTORY:], squares[HISTORY:], touch[3])
         if waveform.size:
             shear += waveform
+        if self._fade_step or self._fade < 1:
+            shear *= self._faded(len(shear))[:, None]
         return np.asarray(shear)
+
+    def _faded(self, count: int) -> Singles:
+        """Return the fade's weights (S,), half a cosine from 0 to 1."""
+        ramp = np.clip(self._fade + self._fade_step * np.arange(count), 0, 1)
+        self._fade = float(np.clip(self._fade + self._fade_step * count, 0, 1))
+        if self._fade == (self._fade_step > 0):
+            self._fade_step = 0.0
+        return np.asarray((1 - np.cos(np.pi * ramp)) / 2, np.float32)
 
     def _slope(self, count: int, begun: bool) -> Floats:
         """Return what turns places (2, `HISTORY` + S) into the velocity (2, S) of the new ones.

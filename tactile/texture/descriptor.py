@@ -167,7 +167,7 @@ class Descriptor(_Part, frozen=True, kw_only=True):
             raise ValueError("needs at least one of [stochastic], [[periodic]], [[events]]")
 
 
-def names() -> list[str]:
+def textures() -> list[str]:
     """Return the names of the shipped textures, sorted."""
     return list(files.shipped_names("textures"))
 

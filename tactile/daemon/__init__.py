@@ -1,0 +1,1 @@
+"""Playing: the loop that brings renderer and bus together."""

@@ -1,0 +1,122 @@
+"""Playback: a trajectory rendered block by block onto a bus.
+
+The stream fades in at its beginning and out at its end. What is handed to the listener is aligned:
+the renderer's delay is taken off, so that a sample's drive, shear, place and time belong together.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile.bus.base import Bus, DriveBlock, Floats
+from tactile.display import Display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer
+
+BLOCK = 64
+
+
+@dataclass(frozen=True)
+class PlayedBlock:
+    """What was sent, sample by sample.
+
+    Attributes
+    ----------
+    time : (S,) [s]
+    position, normal_force : (S, 2) [m] and (S,) [N] of the finger
+    drive, shear : (S, N) [V] and [m], as commanded
+    """
+
+    time: Floats
+    position: Floats
+    normal_force: Floats
+    drive: Floats
+    shear: Floats
+
+
+def play(
+    display: Display,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    bus: Bus,
+    *,
+    sample_rate: float,
+    listen: Callable[[PlayedBlock], None],
+    realtime: bool = False,
+) -> None:
+    """Play a trajectory to its end.
+
+    Parameters
+    ----------
+    display, renderer, trajectory, bus : what plays what, where, on what; the bus idle
+    sample_rate : of the drive [Hz]
+    listen : called after each block
+    realtime : wait for each block's time rather than run as fast as the bus takes it
+
+    Raises
+    ------
+    BusError
+        Where the bus fails; the stream is then aborted by the bus's ``with`` block.
+    """
+    fade = round(display.limits.fade * sample_rate)
+    last = round(trajectory.duration * sample_rate) - fade
+    renderer.fade_in()
+    bus.start()
+    begun, sent = time.monotonic(), 0
+    delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
+    for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
+        if sent == max(last, 0):
+            renderer.fade_out()
+        drive, shear = renderer.block(position, normal_force, shear=True)
+        bus.write(DriveBlock(sent, display.to_channels(drive)))
+        sent += len(drive)
+        played = delayed(position, normal_force, drive, shear)
+        if played is not None:
+            listen(played)
+        if realtime:
+            time.sleep(max(0.0, begun + sent / sample_rate - time.monotonic()))
+    bus.stop()
+
+
+def _blocks(
+    trajectory: Trajectory, sample_rate: float, extra: int, cut: int
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the trajectory's blocks, with an edge where the fade begins."""
+    start = 0
+    for position, normal_force in trajectory.blocks(sample_rate, BLOCK, extra=extra):
+        at = cut - start
+        start += len(position)
+        if 0 < at < len(position):
+            yield position[:at], normal_force[:at]
+            position, normal_force = position[at:], normal_force[at:]
+        yield position, normal_force
+
+
+class _Delayed:
+    """Holds places back until their drive and shear come out of the renderer."""
+
+    def __init__(self, begin: float, sample_rate: float, delay: int) -> None:
+        self._begin, self._rate, self._delay = begin, sample_rate, delay
+        self._touch = np.zeros((0, 3))
+        self._count = -delay
+
+    def __call__(
+        self, position: Floats, normal_force: Floats, drive: Floats, shear: Floats
+    ) -> PlayedBlock | None:
+        touch = np.concatenate([self._touch, np.column_stack([position, normal_force])])
+        early = min(max(-self._count, 0), len(drive))
+        count = len(drive) - early
+        self._touch = touch[count:]
+        first = self._count + early
+        self._count += len(drive)
+        if not count:
+            return None
+        return PlayedBlock(
+            self._begin + (first + np.arange(count)) / self._rate,
+            touch[:count, :2],
+            touch[:count, 2],
+            drive[early:],
+            shear[early:],
+        )

@@ -1,0 +1,7 @@
+"""The devices that a URL can name, all kinds registered: `open_bus`."""
+
+from tactile import sim
+from tactile.bus import mock_bus
+from tactile.bus.base import open_bus
+
+__all__ = ["mock_bus", "open_bus", "sim"]

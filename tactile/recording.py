@@ -1,0 +1,85 @@
+"""A recording of played drive and shear as one ``.npz``, streamed to disk as it grows.
+
+Each array goes to a file of its own beside the target and all are packed at the end, so that memory
+stays flat and the target appears whole or not at all.
+"""
+
+import os
+import shutil
+import tempfile
+import zipfile
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError
+
+Floats = NDArray[np.float64]
+COPY = 1 << 20
+
+
+class Recorder:
+    """Writes arrays that grow along their first axis.
+
+    Use as a context manager: left without an error it makes the file, otherwise nothing.
+
+    Parameters
+    ----------
+    path : of the ``.npz`` to write
+    constants : arrays that do not grow
+
+    Raises
+    ------
+    InputError
+        Where the folder is not there or cannot be written.
+    """
+
+    def __init__(self, path: str | Path, **constants: NDArray[np.float64] | float) -> None:
+        self._path = Path(path)
+        self._constants = constants
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        if self._path.is_dir():
+            raise InputError(f"{path}: is a folder; give the name of a file")
+        try:
+            self._folder = Path(tempfile.mkdtemp(prefix=".recording-", dir=self._path.parent))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+    def add(self, **arrays: Floats) -> None:
+        """Append rows to each array; every call names the same ones."""
+        for name, array in arrays.items():
+            rows, *rest = self._shapes.get(name, (0, *array.shape[1:]))
+            self._shapes[name] = (rows + len(array), *rest)
+            with (self._folder / name).open("ab") as file:
+                np.ascontiguousarray(array, np.float64).tofile(file)
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._pack()
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _pack(self) -> None:
+        whole = self._folder / "whole.npz"
+        with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+            for name, constant in self._constants.items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, np.asarray(constant, np.float64))
+            for name, shape in self._shapes.items():
+                header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array_header_2_0(member, header)
+                    with (self._folder / name).open("rb") as rows:
+                        shutil.copyfileobj(rows, member, COPY)
+        os.replace(whole, self._path)

@@ -1,0 +1,158 @@
+"""``sim:``, the simulated display: a mock amplifier with the plant behind it.
+
+It knows what no amplifier does: how the skin is sheared. ``sim:`` puts the display's own bimorph,
+amplifier and finger behind the drive; ``sim:?plant=package.module:factory`` anyone's plant, where
+``factory(display, sample_rate)`` returns an object with ``delay`` and ``step`` as `Plant` has them.
+"""
+
+import importlib
+from typing import Protocol
+
+import numpy as np
+from scipy.signal import butter, sosfilt, sosfilt_zi
+
+from tactile.actuator.plant import Plant
+from tactile.bus.base import Address, Bus, Floats, Rig, Wiring, register_bus
+from tactile.bus.mock_bus import MockBus, kept
+from tactile.display import Display
+from tactile.errors import InputError
+
+HEARD = (20.0, 1000.0)
+"""Hz over which played shear is judged."""
+
+
+class PlantLike(Protocol):
+    """What may stand behind the drive.
+
+    Attributes
+    ----------
+    delay : samples by which the outputs of `step` lag the drive
+    """
+
+    delay: int
+
+    def step(self, drive: Floats) -> tuple[Floats, Floats]:
+        """Return shear displacement [m] and current [A] (S, N) for drive (S, N) [V]."""
+        ...
+
+
+class SimulatedDisplay(MockBus):
+    """A display in memory.
+
+    Parameters
+    ----------
+    display, sample_rate : what is simulated
+    plant : N contactors on the skin; by default the display's own bimorph, amplifier and finger
+    keep : "second" or "all" of the output
+    """
+
+    def __init__(
+        self,
+        display: Display,
+        sample_rate: float,
+        *,
+        plant: PlantLike | None = None,
+        keep: str = "second",
+    ) -> None:
+        super().__init__(Wiring.of(display, sample_rate), keep=keep)
+        self._display = display
+        self._plant = default_plant(display, sample_rate) if plant is None else plant
+        self._late = self._plant.delay
+        self._shear: list[Floats] = []
+        self.peak_current = 0.0
+        """Largest current into any contactor so far [A]."""
+
+    def _put(self, volts: Floats) -> None:
+        super()._put(volts)
+        self._feel(volts[:, self._display.channel])
+
+    def _feel(self, volts: Floats) -> None:
+        shear, current = self._plant.step(volts)
+        self.peak_current = max(self.peak_current, float(np.abs(current).max(initial=0.0)))
+        skipped = min(self._late, len(shear))
+        self._late -= skipped
+        if len(shear) > skipped:
+            self._shear.append(shear[skipped:] * self._display.polarity)
+
+    def take_shear(self) -> Floats:
+        """Return the skin's shear (S, N) [m] since the last call.
+
+        Its first sample belongs to the first drive sample; the plant's delay is taken off, so that
+        the latest ``plant.delay`` samples of drive are still to come.
+        """
+        taken = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
+        self._shear.clear()
+        return taken
+
+    def settle(self) -> None:
+        """Let the plant run on at 0 V until all that was played has been felt."""
+        self._feel(np.zeros((self._plant.delay, len(self._display.contactors))))
+
+
+def default_plant(display: Display, sample_rate: float) -> Plant:
+    """Return the plant of a display; with a table of fingers that at its middle force."""
+    force = display.load_forces[len(display.load_forces) // 2]
+    return Plant(
+        display.bimorph,
+        display.load_at(force),
+        sample_rate,
+        contactors=len(display.contactors),
+        amplifier=display.amplifier,
+    )
+
+
+class Fidelity:
+    """Signal-to-error ratio of played against commanded shear, in 20–1000 Hz, as it streams.
+
+    Parameters
+    ----------
+    sample_rate : [Hz]
+    """
+
+    def __init__(self, sample_rate: float) -> None:
+        self._filter = butter(4, HEARD, "bandpass", fs=sample_rate, output="sos")
+        self._state: Floats | None = None
+        self._energy = np.zeros(2)
+
+    def add(self, commanded: Floats, played: Floats) -> None:
+        """Take further samples (S, N) [m] of both."""
+        if not len(commanded):
+            return
+        both = np.stack([commanded, played - commanded], axis=1)
+        if self._state is None:
+            rest = sosfilt_zi(self._filter)
+            self._state = np.zeros((*rest.shape, *both.shape[1:]))
+        heard, self._state = sosfilt(self._filter, both, axis=0, zi=self._state)
+        self._energy += np.sum(heard**2, axis=(0, 2))
+
+    @property
+    def signal_to_error_db(self) -> float:
+        """The ratio so far [dB]; NaN before any signal."""
+        signal, error = self._energy
+        return float(10 * np.log10(signal / error)) if signal > 0 and error > 0 else float("nan")
+
+
+def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
+    module, _, factory = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), factory)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"sim: plant = {name!r}: {error}; give package.module:factory") from error
+    plant = found(display, sample_rate)
+    if not isinstance(getattr(plant, "delay", None), int) or not callable(
+        getattr(plant, "step", None)
+    ):
+        raise InputError(f"sim: plant = {name!r}: has no integer delay and step(drive)")
+    return plant  # type: ignore[no-any-return]
+
+
+def _open(address: Address, rig: Rig, sample_rate: float) -> Bus:
+    address.only("keep", "plant")
+    if not isinstance(rig, Display):
+        raise InputError("sim: needs a Display, not only its wiring")
+    name = address.options.get("plant")
+    plant = None if name is None else _foreign(name, rig, sample_rate)
+    return SimulatedDisplay(rig, sample_rate, plant=plant, keep=kept(address))
+
+
+register_bus("sim", _open)

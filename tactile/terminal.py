@@ -1,0 +1,524 @@
+"""The live picture in a terminal: tactile image, drive, one contactor's shear, status.
+
+`Picture` takes what is played; ``rich.live.Live(picture, refresh_per_second=15)`` draws it. Every
+contactor is a rectangle of characters at its place, seen from above with y upward: the smallest
+pitch along x and along y makes a cell, so that contactors of an irregular layout stay apart. Where
+the terminal is too small, a cell is the mean of its contactors. Colored cells are drawn with half
+blocks, two to a character; without color a cell fills with height instead.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rich.color import Color
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.segment import Segment
+from rich.style import Style
+
+from tactile.display import Display
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Line = list[Segment]
+
+DECAY = 2.0
+"""Seconds in which the image's scale falls to 1/e once the contactors move less."""
+SMALLEST_SCALE = 0.1
+"""µm; what skin feels at best (250 Hz), so that less is not made to look like much."""
+STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Ends that a scale may have, times powers of ten."""
+SPAN = 1.0
+"""Seconds that the trace looks back."""
+BINS = 250
+"""In which the trace keeps its lowest and highest value."""
+TALLEST = 39
+"""Lines."""
+TWO_COLUMNS = 64
+"""Characters from which drive and trace stand beside the image."""
+ONE_LINE = 100
+"""Characters from which the status takes one line."""
+LARGEST_CELL = 14
+"""Characters."""
+SMALLEST_BAR = 11
+"""Characters of a contactor's label and bar; where there is less, rows of contactors share one."""
+SMALLEST_LEGEND = 30
+"""Characters."""
+TRACE_LINES = 6
+LOWEST_SIDE = 18
+"""Lines that drive and trace take together at least, where the terminal has them."""
+
+LEVELS = 65
+DIVERGING = (
+    (8, 48, 150),
+    (33, 102, 210),
+    (84, 150, 236),
+    (160, 200, 246),
+    (242, 242, 242),
+    (250, 188, 162),
+    (240, 116, 86),
+    (216, 40, 44),
+    (168, 0, 22),
+)
+"""Blue, white and red (RGB) from the most negative shear to the most positive, evenly spaced."""
+HEIGHTS = " ▁▂▃▄▅▆▇█"
+PARTS = " ▏▎▍▌▋▊▉"
+BRAILLE = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+"""Bits of the dots of a Braille character, 4 × 2 (Unicode 16, block U+2800)."""
+
+FRAME = Style.parse("bright_black")
+TITLE = Style.parse("bold")
+LABEL = Style.parse("bright_black")
+VALUE = Style.parse("bold")
+BADGE = Style.parse("bold reverse")
+ALARM = Style.parse("bold bright_red")
+TRACE = Style.parse("bright_cyan")
+TRACK = "#303030"
+CALM, WARM, FULL = "#2bb5a0", "#e6a817", "#e5383b"
+"""Of a bar below 80 % of the limit, above it, and at the limit."""
+NONE = Style.null()
+
+
+def pitch(places: Floats) -> tuple[float, float]:
+    """Return the smallest distance along x and along y of contactors.
+
+    Each pair counts for the axis along which it is farther apart, so that no two contactors are
+    closer than the pitch along both.
+
+    Parameters
+    ----------
+    places : (N, 2) [m]
+
+    Returns
+    -------
+    x, y : float
+        [m]; where all stand in one line the other pitch is the same, and 1 mm for one contactor.
+    """
+    gap = np.abs(places[:, None] - places)
+    beside = gap[..., 0] >= gap[..., 1]
+    above = ~beside
+    np.fill_diagonal(beside, False)
+    x = float(gap[..., 0].min(initial=math.inf, where=beside))
+    y = float(gap[..., 1].min(initial=math.inf, where=above))
+    x, y = min(x, 1e3), min(y, 1e3)
+    if max(x, y) == 1e3:
+        x = y = 1e-3 if min(x, y) == 1e3 else min(x, y)
+    return x, y
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Contactors as cells of pixels.
+
+    Attributes
+    ----------
+    group : (N,) the cell of each contactor
+    size : (G,) how many contactors each cell stands for
+    member : (rows, columns) the cell at a pixel, −1 for none; the top row first
+    depth : (rows, columns) how many pixels of its cell are below a pixel
+    height : pixels of a cell from bottom to top
+    """
+
+    group: Indices
+    size: Indices
+    member: Indices
+    depth: Indices
+    height: int
+
+    def mean(self, values: Floats) -> Floats:
+        """Return (G,) means over the contactors of each cell."""
+        return np.asarray(np.bincount(self.group, values) / self.size)
+
+
+def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> Raster:
+    """Place contactors (N, 2) [m] in ``columns`` × ``rows`` pixels, as large as they fit.
+
+    Parameters
+    ----------
+    places : (N, 2) [m]
+    columns, rows : pixels to fit in
+    aspect : height of a pixel over its width
+    """
+    unit = np.array(pitch(places))
+    low = places.min(axis=0)
+    count = (places.max(axis=0) - low) / unit + 1
+    room, shape = np.array([columns, rows]), np.array([1.0, aspect])
+    scale = min(np.min(room * shape / (count * unit)), LARGEST_CELL / unit.max())
+    cell = np.maximum(np.floor(scale * unit / shape + 1e-6), 1).astype(np.intp)
+    share = np.ceil(count / room - 1e-6)
+    at = np.floor((places - low) / (unit * share) * cell + 1e-6).astype(np.intp)
+    _, first, group, size = np.unique(
+        at, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    (width, height), (right, top) = cell, at.max(axis=0) + cell
+    top += top % 2
+    member = np.full((top, right), -1)
+    depth = np.zeros((top, right), np.intp)
+    drawn_width, drawn_height = width - (width > 2), height - (height > 2)
+    for index, (x, y) in enumerate(at[first]):
+        block = slice(top - y - drawn_height, top - y), slice(x, x + drawn_width)
+        member[block] = index
+        depth[block] = np.arange(drawn_height)[::-1, None]
+    return Raster(group.ravel(), size, member, depth, int(drawn_height))
+
+
+@lru_cache(maxsize=1)
+def palette() -> tuple[Color, ...]:
+    """Return the colors of `LEVELS` shears from the most negative to the most positive."""
+    stops = np.linspace(0, LEVELS - 1, len(DIVERGING))
+    table = [np.interp(np.arange(LEVELS), stops, side) for side in np.transpose(DIVERGING)]
+    return tuple(Color.from_rgb(*map(round, rgb)) for rgb in np.transpose(table))
+
+
+@lru_cache(maxsize=(LEVELS + 1) ** 2)
+def _half_blocks(top: int, bottom: int) -> tuple[str, Style]:
+    """Return what draws two pixels of these levels (−1: none) in one character."""
+    upper, lower = (palette()[k] if k >= 0 else None for k in (top, bottom))
+    if upper is None:
+        return (" ", NONE) if lower is None else ("▄", Style(color=lower))
+    if top == bottom:
+        return "█", Style(color=upper)
+    return "▀", Style(color=upper, bgcolor=lower)
+
+
+def _runs(values: Indices) -> Iterator[tuple[int, int]]:
+    """Yield (value, count) of the runs of equal values."""
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    for start, end in zip(edges, edges[1:], strict=False):
+        yield int(values[start]), end - start
+
+
+def color_lines(raster: Raster, part: Floats) -> list[Line]:
+    """Draw a cell's shear, −1 … 1 of the scale (G,), as its color."""
+    level = np.rint((np.clip(part, -1, 1) + 1) / 2 * (LEVELS - 1)).astype(np.intp)
+    shown = np.where(raster.member < 0, -1, level[raster.member]) + 1
+    lines = []
+    for pair in shown[0::2] * (LEVELS + 1) + shown[1::2]:
+        line = []
+        for code, count in _runs(pair):
+            sign, style = _half_blocks(code // (LEVELS + 1) - 1, code % (LEVELS + 1) - 1)
+            line.append(Segment(sign * count, style))
+        lines.append(line)
+    return lines
+
+
+def height_lines(raster: Raster, part: Floats) -> list[Line]:
+    """Draw a cell's shear, −1 … 1 of the scale (G,), as the height to which it is filled."""
+    eighths = np.rint((np.clip(part, -1, 1) + 1) / 2 * (8 * raster.height - 1)) + 1
+    fill = np.clip(eighths[raster.member] - 8 * raster.depth, 0, 8) * (raster.member >= 0)
+    return [[Segment("".join(HEIGHTS[k] for k in row))] for row in fill.astype(np.intp).tolist()]
+
+
+class Trace:
+    """Lowest and highest value of one signal in each bin of the last second."""
+
+    def __init__(self) -> None:
+        self._bins = np.full((2, BINS), np.nan)
+        self._last: int | None = None
+
+    def add(self, values: Floats, end: float, step: float) -> None:
+        """Take values (S,) at intervals of ``step``, the last at ``end`` [s]."""
+        time = end - step * np.arange(len(values) - 1, -1, -1)
+        number = np.floor(time * (BINS / SPAN) + 1e-6).astype(np.int64)
+        newest = int(number[-1])
+        if self._last is None or not 0 <= newest - self._last < BINS:
+            self._bins[:] = np.nan
+            self._last = newest
+        self._bins[:, np.arange(self._last + 1, newest + 1) % BINS] = np.nan
+        self._last, recent = newest, number > newest - BINS
+        np.fmin.at(self._bins[0], number[recent] % BINS, values[recent])
+        np.fmax.at(self._bins[1], number[recent] % BINS, values[recent])
+
+    def envelope(self, count: int) -> tuple[Floats, Floats]:
+        """Return the lowest and highest (count,), the oldest first; NaN where nothing is known."""
+        low, high = np.roll(self._bins, -1 - (self._last or 0) % BINS, axis=1)
+        start = np.arange(count) * BINS // count
+        return np.fmin.reduceat(low, start), np.fmax.reduceat(high, start)
+
+
+def braille(low: Floats, high: Floats, lines: int) -> list[str]:
+    """Draw the band between two signals, −1 … 1 (2W,), in lines of W characters."""
+    top, bottom = ((1 - side) / 2 * (4 * lines - 1) for side in (high, low))
+    before_top, before_bottom = (np.concatenate([side[:1], side[:-1]]) for side in (top, bottom))
+    top, bottom = np.fmin(top, before_bottom), np.fmax(bottom, before_top)
+    known = np.isfinite(low)
+    row = np.arange(4 * lines)[:, None]
+    dots = (row >= np.rint(top)) & (row <= np.rint(bottom)) & known
+    cells = dots.reshape(lines, 4, -1, 2) * BRAILLE[:, None]
+    codes = 0x2800 + cells.sum(axis=(1, 3))
+    return ["".join(map(chr, line)) for line in codes.tolist()]
+
+
+def _bar(part: float, width: int, color: bool) -> Line:
+    """Draw a part, 0 … 1, of a bar; only at 1 is it full."""
+    eighths = int(min(part, 1.0) * 8 * width + 1e-9)
+    whole, rest = divmod(max(eighths, int(part > 0)), 8)
+    style = Style.parse(FULL if part >= 1 else WARM if part >= 0.8 else CALM)
+    sign = PARTS[rest] if rest else ""
+    left = (" " if color else "·") * (width - whole - len(sign))
+    track = Style(bgcolor=TRACK)
+    return [Segment("█" * whole + sign, style + track), Segment(left, track if color else LABEL)]
+
+
+def _panel(title: str, body: list[Line], width: int, height: int) -> list[Line]:
+    """Frame lines in ``width`` × ``height`` characters, borders included."""
+    inner = width - 4
+    title = title[: width - 5]
+    left, right = Segment("│ ", FRAME), Segment(" │", FRAME)
+    rest = "─" * (width - 5 - len(title))
+    lines = [[Segment("╭─ ", FRAME), Segment(title, TITLE), Segment(f" {rest}╮", FRAME)]]
+    for k in range(height - 2):
+        line = body[k] if k < len(body) else []
+        lines.append([left, *Segment.adjust_line_length(line, inner), right])
+    lines.append([Segment(f"╰{'─' * (width - 2)}╯", FRAME)])
+    return lines
+
+
+def nice(value: float) -> float:
+    """Return the next round number from ``value`` up."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next((s * power for s in STEPS if s * power >= value * (1 - 1e-9)), 10 * power)
+
+
+@dataclass
+class _State:
+    """What the last update said; lengths in µm and mm as they are shown."""
+
+    time_s: float = 0.0
+    place_mm: tuple[float, float] = (0.0, 0.0)
+    speed_mm_s: float = 0.0
+    normal_force_n: float = 0.0
+    image_um: Floats = field(default_factory=lambda: np.zeros(0))
+    drive_v: Floats = field(default_factory=lambda: np.zeros(0))
+    limited_samples: int = 0
+    peak_um: float = SMALLEST_SCALE
+
+
+class Picture:
+    """What a display plays, as a picture in a terminal.
+
+    Parameters
+    ----------
+    display : the array that plays
+    texture : name of what is played
+    width : characters to use at most; those of the terminal for None
+    sample_rate : of the blocks given to `update` [Hz]
+
+    Attributes
+    ----------
+    texture : name of what is played; may be changed
+    contactor : whose shear is traced, the one nearest to the middle
+    scale_um : shear at the ends of the color map [µm]
+    """
+
+    def __init__(
+        self,
+        display: Display,
+        *,
+        texture: str,
+        width: int | None = None,
+        sample_rate: float = 8000.0,
+    ) -> None:
+        self.texture, self.name = texture, display.name
+        self.places, self.limit = display.contactors, display.limits.voltage
+        self.width, self._step = width, 1 / sample_rate
+        self.pitch = pitch(self.places)
+        middle = (self.places.min(axis=0) + self.places.max(axis=0)) / 2
+        self.contactor = int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
+        self.trace = Trace()
+        nothing = np.zeros(len(self.places))
+        self.state = _State(image_um=nothing, drive_v=nothing)
+        self._rasters: dict[tuple[int, int, bool], Raster] = {}
+
+    @property
+    def scale_um(self) -> float:
+        """Shear at the ends of the color map [µm]."""
+        return nice(self.state.peak_um)
+
+    def update(
+        self,
+        time_s: float,
+        position: ArrayLike,
+        speed: float,
+        normal_force: float,
+        shear: ArrayLike,
+        drive: ArrayLike,
+        limited_samples: int,
+    ) -> None:
+        """Take what was played since the last update.
+
+        Parameters
+        ----------
+        time_s : of the last sample [s]; where it steps back the trace begins anew
+        position : (2,) of the finger [m]
+        speed : of the finger [m/s]
+        normal_force : of the finger [N]
+        shear : (S, N) [m]; the image shows the last sample
+        drive : (S, N) [V]
+        limited_samples : how many samples the limiter has turned down so far
+        """
+        x, y = np.asarray(position, np.float64) * 1e3
+        moved = np.nan_to_num(np.asarray(shear, np.float64)) * 1e6
+        volts = np.nan_to_num(np.asarray(drive, np.float64))
+        old = self.state
+        image = moved[-1] if len(moved) else old.image_um
+        fade = math.exp(-max(time_s - old.time_s, 0.0) / DECAY)
+        if len(moved):
+            self.trace.add(moved[:, self.contactor], time_s, self._step)
+        self.state = _State(
+            time_s,
+            (float(x), float(y)),
+            speed * 1e3,
+            normal_force,
+            image,
+            np.abs(volts).max(axis=0) if len(volts) else old.drive_v,
+            limited_samples,
+            max(float(np.abs(image).max()), old.peak_um * fade, SMALLEST_SCALE),
+        )
+
+    def __rich__(self) -> "Frame":
+        return Frame(self)
+
+    def raster(self, columns: int, lines: int, color: bool) -> Raster:
+        """Return the contactors' cells in so many characters and lines."""
+        key = columns, lines, color
+        if key not in self._rasters:
+            rows, aspect = (2 * lines, 1.0) if color else (lines, 2.0)
+            self._rasters[key] = rasterize(self.places, columns, rows, aspect)
+        return self._rasters[key]
+
+
+class Frame:
+    """A `Picture` as it is now, laid out for the console that it is drawn on."""
+
+    def __init__(self, picture: Picture) -> None:
+        self._picture, self._state = picture, picture.state
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        width = min(self._picture.width or options.max_width, options.max_width)
+        height = min(options.height or options.max_height - 1, TALLEST)
+        color = console.color_system is not None and not console.no_color
+        for line in self._lines(width, height, color):
+            yield from Segment.adjust_line_length(line, width)
+            yield Segment.line()
+
+    def _lines(self, width: int, height: int, color: bool) -> list[Line]:
+        """Return the picture's lines."""
+        status = self._status(width)
+        room, wide = max(height - 1 - len(status), 6), width >= TWO_COLUMNS
+        most = (width * 9 // 20 if wide else width) - 4
+        raster = self._picture.raster(most, room - 4, color)
+        inner = max(raster.member.shape[1], SMALLEST_LEGEND) if wide else most
+        image = self._image(raster, inner, color)
+        tall = max(len(image) + 2, min(room, LOWEST_SIDE)) if wide else len(image) + 2
+        title = "tactile image" if raster.size.max() == 1 else "tactile image, cells averaged"
+        body = _panel(title, image, inner + 4, tall)
+        if wide:
+            side = self._side(width - inner - 4, tall, color)
+            body = [left + right for left, right in zip(body, side, strict=True)]
+        return [self._header(width), *body, *status]
+
+    def _image(self, raster: Raster, width: int, color: bool) -> list[Line]:
+        """Return the tactile image above its legend, centered in ``width`` characters."""
+        scale = self._picture.scale_um
+        part = raster.mean(self._state.image_um) / scale
+        cells = color_lines(raster, part) if color else height_lines(raster, part)
+        margin = Segment(" " * ((width - raster.member.shape[1]) // 2))
+        low, high = f"−{scale:g} µm ", f" +{scale:g} µm"
+        length = min(width - len(low) - len(high), raster.member.shape[1])
+        sweep = np.linspace(0, 1, length)
+        if color:
+            ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
+        else:
+            ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
+        before = Segment(" " * ((width - len(low) - len(high) - length) // 2))
+        legend = [before, Segment(low, LABEL), *ramp, Segment(high, LABEL)]
+        return [*([margin, *line] for line in cells), [], legend]
+
+    def _side(self, width: int, height: int, color: bool) -> list[Line]:
+        """Return drive above trace."""
+        inner, room = width - 4, height - 4
+        title, bars = self._drive(inner, max(room - TRACE_LINES, 1), color)
+        trace = self._trace(inner, max(room - len(bars), 2))
+        of = f"shear of contactor {self._picture.contactor}, last second"
+        return [
+            *_panel(title, bars, width, len(bars) + 2),
+            *_panel(of, trace, width, height - len(bars) - 2),
+        ]
+
+    def _drive(self, width: int, lines: int, color: bool) -> tuple[str, list[Line]]:
+        """Return the title and the bars of the drive."""
+        limit = self._picture.limit
+        title, labels, volts = self._groups(lines * (width // SMALLEST_BAR))
+        columns = -(-len(labels) // lines)
+        each, name = width // columns, max(map(len, labels)) + 1
+        told = 6 if each >= 2 * SMALLEST_BAR else 0
+        bars: list[Line] = [[] for _ in range(-(-len(labels) // columns))]
+        for k, (label, volt) in enumerate(zip(labels, volts, strict=True)):
+            line = bars[k % len(bars)]
+            line.append(Segment(f"{label:>{name - 1}} ", LABEL))
+            line.extend(_bar(volt / limit, each - name - told - 1, color))
+            line.append(Segment(f"{volt:4.0f} V " if told else " ", VALUE))
+        return f"drive per {title}, full bar {limit:g} V", bars
+
+    def _groups(self, most: int) -> tuple[str, list[str], list[float]]:
+        """Return what the bars stand for, their labels, and peaks [V]: at most ``most``."""
+        peaks, y = self._state.drive_v, self._picture.places[:, 1]
+        if len(peaks) <= most:
+            return "contactor", [str(k) for k in range(len(peaks))], peaks.tolist()
+        number = np.rint((y.max() - y) / self._picture.pitch[1]).astype(np.intp)
+        merged = -(-(int(number.max()) + 1) // most)
+        _, row = np.unique(number // merged, return_inverse=True)
+        volts = np.zeros(int(row.max()) + 1)
+        np.maximum.at(volts, row, peaks)
+        middle = np.bincount(row, y) / np.bincount(row) * 1e3
+        return "row (y in mm)", [f"{v:.1f}".replace("-", "−") for v in middle], volts.tolist()
+
+    def _trace(self, width: int, lines: int) -> list[Line]:
+        """Return the trace of one contactor with its scale."""
+        labels = 6
+        low, high = self._picture.trace.envelope(2 * (width - labels - 1))
+        peak = np.fmax.reduce(np.fmax(high, -low), initial=SMALLEST_SCALE)
+        scale = nice(float(peak))
+        rows = braille(low / scale, high / scale, lines - 1)
+        names = [""] * len(rows)
+        names[len(rows) // 2] = "0"
+        names[-1], names[0] = f"−{scale:g}", f"+{scale:g} µm"[:labels]
+        axis = "−1 s" + "now".rjust(width - labels - 5)
+        return [
+            *(
+                [Segment(f"{name:>{labels}} ", LABEL), Segment(row, TRACE)]
+                for name, row in zip(names, rows, strict=True)
+            ),
+            [Segment(" " * (labels + 1) + axis, LABEL)],
+        ]
+
+    def _header(self, width: int) -> Line:
+        badge, rest = " tactile ", f" {self._picture.name} · {self._picture.texture}"
+        return [Segment(badge, BADGE), Segment(rest[: width - len(badge)], TITLE)]
+
+    def _status(self, width: int) -> list[Line]:
+        """Return one line of values, two where the terminal is narrow."""
+        s, limit = self._state, self._picture.limit
+        x, y = s.place_mm
+        drive = float(s.drive_v.max(initial=0.0))
+        fields = [
+            ("time", f"{s.time_s:6.2f} s", VALUE),
+            ("place", f"{x:6.1f} {y:6.1f} mm", VALUE),
+            ("speed", f"{s.speed_mm_s:4.0f} mm/s", VALUE),
+            ("force", f"{s.normal_force_n:4.2f} N", VALUE),
+            ("drive", f"{drive:5.1f} of {limit:g} V", VALUE if drive < limit else ALARM),
+            ("limited", f"{s.limited_samples:d}", ALARM if s.limited_samples else VALUE),
+        ]
+        lines = [fields] if width >= ONE_LINE else [fields[:3], fields[3:]]
+        return [
+            [
+                segment
+                for name, value, style in line
+                for segment in (Segment(f" {name} ", LABEL), Segment(f"{value} ", style))
+            ]
+            for line in lines
+        ]

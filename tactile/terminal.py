@@ -7,6 +7,7 @@ the terminal is too small, a cell is the mean of its contactors. Colored cells a
 blocks, two to a character; without color a cell fills with height instead.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -43,8 +44,14 @@ ONE_LINE = 100
 """Characters from which the status takes one line."""
 LARGEST_CELL = 14
 """Characters."""
-SMALLEST_BAR = 11
-"""Characters of a contactor's label and bar; where there is less, rows of contactors share one."""
+SMALLEST_BAR = 4
+"""Characters of a bar and a space; where there is less, the contactors of a row share one bar."""
+SMALLEST_FIELD = 11
+"""Characters of a label and its bar."""
+NEAR = 1e-6
+"""Of the limit: rounding that a bar at the limit may have."""
+ROW_LABEL, ROW_PEAK = 6, 6
+"""Characters."""
 SMALLEST_LEGEND = 30
 """Characters."""
 TRACE_LINES = 6
@@ -76,10 +83,13 @@ VALUE = Style.parse("bold")
 BADGE = Style.parse("bold reverse")
 ALARM = Style.parse("bold bright_red")
 TRACE = Style.parse("bright_cyan")
-TRACK = "#303030"
-CALM, WARM, FULL = "#2bb5a0", "#e6a817", "#e5383b"
+TRACK = Style.parse("on #303030")
+CALM, WARM, FULL = (
+    Style.parse(f"{color} on #303030") for color in ("#2bb5a0", "#e6a817", "#e5383b")
+)
 """Of a bar below 80 % of the limit, above it, and at the limit."""
 NONE = Style.null()
+SPACE = Segment(" ")
 
 
 def pitch(places: Floats) -> tuple[float, float]:
@@ -103,10 +113,17 @@ def pitch(places: Floats) -> tuple[float, float]:
     np.fill_diagonal(beside, False)
     x = float(gap[..., 0].min(initial=math.inf, where=beside))
     y = float(gap[..., 1].min(initial=math.inf, where=above))
-    x, y = min(x, 1e3), min(y, 1e3)
-    if max(x, y) == 1e3:
-        x = y = 1e-3 if min(x, y) == 1e3 else min(x, y)
-    return x, y
+    if math.isinf(x) and math.isinf(y):
+        return 1e-3, 1e-3
+    return y if math.isinf(x) else x, x if math.isinf(y) else y
+
+
+def _rows(places: Floats) -> list[tuple[str, Indices]]:
+    """Return y [mm] and the contactors of each row from the top, those from left to right."""
+    number = np.rint((places[:, 1].max() - places[:, 1]) / pitch(places)[1])
+    order = np.lexsort((places[:, 0], number))
+    rows = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    return [(f"{places[row, 1].mean() * 1e3:.1f}".replace("-", "−"), row) for row in rows]
 
 
 @dataclass(frozen=True)
@@ -147,17 +164,18 @@ def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> R
     count = (places.max(axis=0) - low) / unit + 1
     room, shape = np.array([columns, rows]), np.array([1.0, aspect])
     scale = min(np.min(room * shape / (count * unit)), LARGEST_CELL / unit.max())
-    cell = np.maximum(np.floor(scale * unit / shape + 1e-6), 1).astype(np.intp)
+    cell = np.minimum(np.rint(scale * unit / shape), np.floor(room / count + 1e-6))
+    cell = np.maximum(cell, 1).astype(np.intp)
     share = np.ceil(count / room - 1e-6)
     at = np.floor((places - low) / (unit * share) * cell + 1e-6).astype(np.intp)
     _, first, group, size = np.unique(
         at, axis=0, return_index=True, return_inverse=True, return_counts=True
     )
     (width, height), (right, top) = cell, at.max(axis=0) + cell
-    top += top % 2
     member = np.full((top, right), -1)
     depth = np.zeros((top, right), np.intp)
-    drawn_width, drawn_height = width - (width > 2), height - (height > 2)
+    gap = width > 2
+    drawn_width, drawn_height = width - gap, height - (gap and height > 2)
     for index, (x, y) in enumerate(at[first]):
         block = slice(top - y - drawn_height, top - y), slice(x, x + drawn_width)
         member[block] = index
@@ -187,7 +205,7 @@ def _half_blocks(top: int, bottom: int) -> tuple[str, Style]:
 def _runs(values: Indices) -> Iterator[tuple[int, int]]:
     """Yield (value, count) of the runs of equal values."""
     edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
-    for start, end in zip(edges, edges[1:], strict=False):
+    for start, end in itertools.pairwise(edges):
         yield int(values[start]), end - start
 
 
@@ -195,13 +213,17 @@ def color_lines(raster: Raster, part: Floats) -> list[Line]:
     """Draw a cell's shear, −1 … 1 of the scale (G,), as its color."""
     level = np.rint((np.clip(part, -1, 1) + 1) / 2 * (LEVELS - 1)).astype(np.intp)
     shown = np.where(raster.member < 0, -1, level[raster.member]) + 1
-    lines = []
-    for pair in shown[0::2] * (LEVELS + 1) + shown[1::2]:
-        line = []
+    shown = np.pad(shown, ((0, len(shown) % 2), (0, 0)))
+    lines: list[Line] = []
+    pairs = shown[0::2] * (LEVELS + 1) + shown[1::2]
+    for k, pair in enumerate(pairs):
+        if k and np.array_equal(pair, pairs[k - 1]):
+            lines.append(lines[-1])
+            continue
+        lines.append([])
         for code, count in _runs(pair):
             sign, style = _half_blocks(code // (LEVELS + 1) - 1, code % (LEVELS + 1) - 1)
-            line.append(Segment(sign * count, style))
-        lines.append(line)
+            lines[-1].append(Segment(sign * count, style))
     return lines
 
 
@@ -253,14 +275,32 @@ def braille(low: Floats, high: Floats, lines: int) -> list[str]:
 
 
 def _bar(part: float, width: int, color: bool) -> Line:
-    """Draw a part, 0 … 1, of a bar; only at 1 is it full."""
-    eighths = int(min(part, 1.0) * 8 * width + 1e-9)
+    """Draw a part, 0 … 1, of a bar and a space in ``width`` characters; only at 1 is it full."""
+    width, part = width - 1, min(part + NEAR, 1.0) if part > 0 else 0.0
+    eighths = int(part * 8 * width)
     whole, rest = divmod(max(eighths, int(part > 0)), 8)
-    style = Style.parse(FULL if part >= 1 else WARM if part >= 0.8 else CALM)
-    sign = PARTS[rest] if rest else ""
-    left = (" " if color else "·") * (width - whole - len(sign))
-    track = Style(bgcolor=TRACK)
-    return [Segment("█" * whole + sign, style + track), Segment(left, track if color else LABEL)]
+    style = FULL if part >= 1 else WARM if part >= 0.8 else CALM
+    filled = "█" * whole + (PARTS[rest] if rest else "")
+    empty = width - len(filled)
+    track = Segment(" " * empty, TRACK) if color else Segment("·" * empty, LABEL)
+    return [Segment(filled, style), track, SPACE]
+
+
+def _flow(
+    peaks: list[tuple[str, float]], limit: float, width: int, lines: int, color: bool
+) -> list[Line]:
+    """Return labels with bars and values [V], down the columns."""
+    columns = -(-len(peaks) // lines)
+    each, label = width // columns, max(len(name) for name, _ in peaks) + 1
+    told = ROW_PEAK if each >= 2 * SMALLEST_FIELD else 0
+    bars: list[Line] = [[] for _ in range(-(-len(peaks) // columns))]
+    for k, (name, volt) in enumerate(peaks):
+        line = bars[k % len(bars)]
+        line.append(Segment(f"{name:>{label - 1}} ", LABEL))
+        line.extend(_bar(volt / limit, each - label - told, color))
+        if told:
+            line.append(Segment(f"{volt:{told - 3}.0f} V ", VALUE))
+    return bars
 
 
 def _panel(title: str, body: list[Line], width: int, height: int) -> list[Line]:
@@ -311,7 +351,9 @@ class Picture:
     ----------
     texture : name of what is played; may be changed
     contactor : whose shear is traced, the one nearest to the middle
-    scale_um : shear at the ends of the color map [µm]
+    rows : y [mm] and the contactors of each row, from the top
+    trace : the last second of that contactor
+    state : what the last update said
     """
 
     def __init__(
@@ -325,7 +367,7 @@ class Picture:
         self.texture, self.name = texture, display.name
         self.places, self.limit = display.contactors, display.limits.voltage
         self.width, self._step = width, 1 / sample_rate
-        self.pitch = pitch(self.places)
+        self.rows = _rows(self.places)
         middle = (self.places.min(axis=0) + self.places.max(axis=0)) / 2
         self.contactor = int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
         self.trace = Trace()
@@ -361,7 +403,7 @@ class Picture:
         limited_samples : how many samples the limiter has turned down so far
         """
         x, y = np.asarray(position, np.float64) * 1e3
-        moved = np.nan_to_num(np.asarray(shear, np.float64)) * 1e6
+        moved = np.nan_to_num(np.asarray(shear, np.float64), posinf=0.0, neginf=0.0) * 1e6
         volts = np.nan_to_num(np.asarray(drive, np.float64))
         old = self.state
         image = moved[-1] if len(moved) else old.image_um
@@ -402,7 +444,7 @@ class Frame:
         height = min(options.height or options.max_height - 1, TALLEST)
         color = console.color_system is not None and not console.no_color
         for line in self._lines(width, height, color):
-            yield from Segment.adjust_line_length(line, width)
+            yield from line
             yield Segment.line()
 
     def _lines(self, width: int, height: int, color: bool) -> list[Line]:
@@ -415,20 +457,22 @@ class Frame:
         image = self._image(raster, inner, color)
         tall = max(len(image) + 2, min(room, LOWEST_SIDE)) if wide else len(image) + 2
         title = "tactile image" if raster.size.max() == 1 else "tactile image, cells averaged"
-        body = _panel(title, image, inner + 4, tall)
+        above: list[Line] = [[]] * ((tall - 2 - len(image)) // 2)
+        body = _panel(title, above + image, inner + 4, tall)
         if wide:
             side = self._side(width - inner - 4, tall, color)
             body = [left + right for left, right in zip(body, side, strict=True)]
-        return [self._header(width), *body, *status]
+        around = (Segment.adjust_line_length(line, width) for line in (self._header(), *status))
+        return [next(around), *body, *around]
 
     def _image(self, raster: Raster, width: int, color: bool) -> list[Line]:
         """Return the tactile image above its legend, centered in ``width`` characters."""
-        scale = self._picture.scale_um
+        scale = nice(self._state.peak_um)
         part = raster.mean(self._state.image_um) / scale
         cells = color_lines(raster, part) if color else height_lines(raster, part)
         margin = Segment(" " * ((width - raster.member.shape[1]) // 2))
         low, high = f"−{scale:g} µm ", f" +{scale:g} µm"
-        length = min(width - len(low) - len(high), raster.member.shape[1])
+        length = max(min(width - len(low) - len(high), raster.member.shape[1]), 0)
         sweep = np.linspace(0, 1, length)
         if color:
             ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
@@ -443,50 +487,54 @@ class Frame:
         inner, room = width - 4, height - 4
         title, bars = self._drive(inner, max(room - TRACE_LINES, 1), color)
         trace = self._trace(inner, max(room - len(bars), 2))
-        of = f"shear of contactor {self._picture.contactor}, last second"
+        of = f"shear of contactor {self._picture.contactor} in µm, last second"
         return [
             *_panel(title, bars, width, len(bars) + 2),
             *_panel(of, trace, width, height - len(bars) - 2),
         ]
 
     def _drive(self, width: int, lines: int, color: bool) -> tuple[str, list[Line]]:
-        """Return the title and the bars of the drive."""
-        limit = self._picture.limit
-        title, labels, volts = self._groups(lines * (width // SMALLEST_BAR))
-        columns = -(-len(labels) // lines)
-        each, name = width // columns, max(map(len, labels)) + 1
-        told = 6 if each >= 2 * SMALLEST_BAR else 0
-        bars: list[Line] = [[] for _ in range(-(-len(labels) // columns))]
-        for k, (label, volt) in enumerate(zip(labels, volts, strict=True)):
-            line = bars[k % len(bars)]
-            line.append(Segment(f"{label:>{name - 1}} ", LABEL))
-            line.extend(_bar(volt / limit, each - name - told - 1, color))
-            line.append(Segment(f"{volt:4.0f} V " if told else " ", VALUE))
-        return f"drive per {title}, full bar {limit:g} V", bars
+        """Return the title and the bars of the drive: each contactor's, or each row's."""
+        rows, limit = self._picture.rows, self._picture.limit
+        most, full = max(len(row) for _, row in rows), f"full bar {limit:g} V"
+        each = (width - ROW_LABEL - ROW_PEAK) // most
+        if each >= SMALLEST_BAR and len(rows) <= lines:
+            parts = self._state.drive_v / limit
+            bars = [
+                [
+                    Segment(f"{y:>{ROW_LABEL - 1}} ", LABEL),
+                    *(part for k in row for part in _bar(parts[k], each, color)),
+                    Segment(" " * (each * (most - len(row)))),
+                    Segment(f"{parts[row].max() * limit:{ROW_PEAK - 2}.0f} V", VALUE),
+                ]
+                for y, row in rows
+            ]
+            spaced = [line for bar in bars for line in (bar, [])][:-1]
+            return f"drive by row (y in mm), {full}", spaced if len(spaced) <= lines else bars
+        title, peaks = self._groups(lines * (width // SMALLEST_FIELD))
+        return f"drive by {title}, {full}", _flow(peaks, limit, width, lines, color)
 
-    def _groups(self, most: int) -> tuple[str, list[str], list[float]]:
-        """Return what the bars stand for, their labels, and peaks [V]: at most ``most``."""
-        peaks, y = self._state.drive_v, self._picture.places[:, 1]
-        if len(peaks) <= most:
-            return "contactor", [str(k) for k in range(len(peaks))], peaks.tolist()
-        number = np.rint((y.max() - y) / self._picture.pitch[1]).astype(np.intp)
-        merged = -(-(int(number.max()) + 1) // most)
-        _, row = np.unique(number // merged, return_inverse=True)
-        volts = np.zeros(int(row.max()) + 1)
-        np.maximum.at(volts, row, peaks)
-        middle = np.bincount(row, y) / np.bincount(row) * 1e3
-        return "row (y in mm)", [f"{v:.1f}".replace("-", "−") for v in middle], volts.tolist()
+    def _groups(self, most: int) -> tuple[str, list[tuple[str, float]]]:
+        """Return what the bars stand for, and at most so many labels and peaks [V]."""
+        volts, rows = self._state.drive_v, self._picture.rows
+        if len(volts) <= most:
+            return "contactor", [(str(k), float(volt)) for k, volt in enumerate(volts)]
+        merged = -(-len(rows) // most)
+        joined = [rows[k : k + merged] for k in range(0, len(rows), merged)]
+        return "row (y in mm)", [
+            (part[0][0], max(float(volts[row].max()) for _, row in part)) for part in joined
+        ]
 
     def _trace(self, width: int, lines: int) -> list[Line]:
         """Return the trace of one contactor with its scale."""
-        labels = 6
+        labels = 5
         low, high = self._picture.trace.envelope(2 * (width - labels - 1))
         peak = np.fmax.reduce(np.fmax(high, -low), initial=SMALLEST_SCALE)
         scale = nice(float(peak))
         rows = braille(low / scale, high / scale, lines - 1)
         names = [""] * len(rows)
         names[len(rows) // 2] = "0"
-        names[-1], names[0] = f"−{scale:g}", f"+{scale:g} µm"[:labels]
+        names[-1], names[0] = f"−{scale:g}", f"+{scale:g}"
         axis = "−1 s" + "now".rjust(width - labels - 5)
         return [
             *(
@@ -496,9 +544,10 @@ class Frame:
             [Segment(" " * (labels + 1) + axis, LABEL)],
         ]
 
-    def _header(self, width: int) -> Line:
-        badge, rest = " tactile ", f" {self._picture.name} · {self._picture.texture}"
-        return [Segment(badge, BADGE), Segment(rest[: width - len(badge)], TITLE)]
+    def _header(self) -> Line:
+        """Return what is played on what."""
+        name = f" {self._picture.name} · {self._picture.texture}"
+        return [Segment(" tactile ", BADGE), Segment(name, TITLE)]
 
     def _status(self, width: int) -> list[Line]:
         """Return one line of values, two where the terminal is narrow."""
@@ -506,9 +555,9 @@ class Frame:
         x, y = s.place_mm
         drive = float(s.drive_v.max(initial=0.0))
         fields = [
-            ("time", f"{s.time_s:6.2f} s", VALUE),
-            ("place", f"{x:6.1f} {y:6.1f} mm", VALUE),
-            ("speed", f"{s.speed_mm_s:4.0f} mm/s", VALUE),
+            ("", f"{s.time_s:6.2f} s", VALUE),
+            ("place", f"{x:5.1f} {y:5.1f} mm", VALUE),
+            ("", f"{s.speed_mm_s:4.0f} mm/s", VALUE),
             ("force", f"{s.normal_force_n:4.2f} N", VALUE),
             ("drive", f"{drive:5.1f} of {limit:g} V", VALUE if drive < limit else ALARM),
             ("limited", f"{s.limited_samples:d}", ALARM if s.limited_samples else VALUE),
@@ -518,7 +567,10 @@ class Frame:
             [
                 segment
                 for name, value, style in line
-                for segment in (Segment(f" {name} ", LABEL), Segment(f"{value} ", style))
+                for segment in (
+                    Segment(f" {name} " if name else "", LABEL),
+                    Segment(f"{value} ", style),
+                )
             ]
             for line in lines
         ]

@@ -27,6 +27,7 @@ class PlayedBlock:
     time : (S,) [s]
     position, normal_force : (S, 2) [m] and (S,) [N] of the finger
     drive, shear : (S, N) [V] and [m], as commanded
+    speed : of the finger at the block's end [m/s]
     """
 
     time: Floats
@@ -34,6 +35,7 @@ class PlayedBlock:
     normal_force: Floats
     drive: Floats
     shear: Floats
+    speed: float
 
 
 def play(
@@ -119,4 +121,9 @@ class _Delayed:
             touch[:count, 2],
             drive[early:],
             shear[early:],
+            self._speed(touch[:, :2]),
         )
+
+    def _speed(self, place: Floats) -> float:
+        step = place[-1] - place[-2] if len(place) > 1 else np.zeros(2)
+        return float(np.hypot(*step)) * self._rate

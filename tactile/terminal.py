@@ -9,8 +9,7 @@ blocks, two to a character; without color a cell fills with height instead.
 
 import itertools
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -32,80 +31,42 @@ SMALLEST_SCALE = 0.1
 """µm; what skin feels at best (250 Hz), so that less is not made to look like much."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Ends that a scale may have, times powers of ten."""
-SPAN = 1.0
-"""Seconds that the trace looks back."""
-BINS = 250
-"""In which the trace keeps its lowest and highest value."""
-TALLEST = 39
-"""Lines."""
-TWO_COLUMNS = 64
-"""Characters from which drive and trace stand beside the image."""
-ONE_LINE = 100
-"""Characters from which the status takes one line."""
-LARGEST_CELL = 14
+SPAN, BINS = 1.0, 250
+"""Seconds that the trace looks back, and bins that it keeps of them."""
+TALLEST, LOWEST_SIDE, TRACE_LINES = 39, 18, 6
+"""Lines of the whole, of drive with trace, and of the trace with its frame."""
+TWO_COLUMNS, ONE_LINE = 64, 100
+"""Characters from which drive and trace stand beside the image, and the status in one line."""
+LARGEST_CELL, SMALLEST_LEGEND = 14, 30
 """Characters."""
-SMALLEST_BAR = 4
-"""Characters of a bar and a space; where there is less, the contactors of a row share one bar."""
-SMALLEST_FIELD = 11
-"""Characters of a label and its bar."""
+SMALLEST_BAR, SMALLEST_FIELD, ROW_LABEL, ROW_PEAK = 4, 11, 6, 6
+"""Characters of a bar with a space, of a label with its bar, and around a row of bars."""
 NEAR = 1e-6
 """Of the limit: rounding that a bar at the limit may have."""
-ROW_LABEL, ROW_PEAK = 6, 6
-"""Characters."""
-SMALLEST_LEGEND = 30
-"""Characters."""
-TRACE_LINES = 6
-LOWEST_SIDE = 18
-"""Lines that drive and trace take together at least, where the terminal has them."""
 
 LEVELS = 65
-DIVERGING = (
-    (8, 48, 150),
-    (33, 102, 210),
-    (84, 150, 236),
-    (160, 200, 246),
-    (242, 242, 242),
-    (250, 188, 162),
-    (240, 116, 86),
-    (216, 40, 44),
-    (168, 0, 22),
-)
-"""Blue, white and red (RGB) from the most negative shear to the most positive, evenly spaced."""
+DIVERGING = "#083096 #2166d2 #5496ec #a0c8f6 #f2f2f2 #fabca2 #f07456 #d8282c #a80016"
+"""Colors from the most negative shear to the most positive, evenly spaced."""
 HEIGHTS = " ▁▂▃▄▅▆▇█"
 PARTS = " ▏▎▍▌▋▊▉"
 BRAILLE = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-"""Bits of the dots of a Braille character, 4 × 2 (Unicode 16, block U+2800)."""
+"""Bits of the dots of a Braille character, 4 × 2 (Unicode block U+2800)."""
 
-FRAME = Style.parse("bright_black")
-TITLE = Style.parse("bold")
-LABEL = Style.parse("bright_black")
-VALUE = Style.parse("bold")
+LABEL = FRAME = Style.parse("bright_black")
+VALUE = TITLE = Style.parse("bold")
 BADGE = Style.parse("bold reverse")
 ALARM = Style.parse("bold bright_red")
 TRACE = Style.parse("bright_cyan")
 TRACK = Style.parse("on #303030")
-CALM, WARM, FULL = (
-    Style.parse(f"{color} on #303030") for color in ("#2bb5a0", "#e6a817", "#e5383b")
-)
+CALM, WARM, FULL = (Style.parse(f"{c} on #303030") for c in ("#2bb5a0", "#e6a817", "#e5383b"))
 """Of a bar below 80 % of the limit, above it, and at the limit."""
-NONE = Style.null()
-SPACE = Segment(" ")
 
 
 def pitch(places: Floats) -> tuple[float, float]:
-    """Return the smallest distance along x and along y of contactors.
+    """Return the smallest distances along x and along y [m] of contactors at places (N, 2) [m].
 
     Each pair counts for the axis along which it is farther apart, so that no two contactors are
-    closer than the pitch along both.
-
-    Parameters
-    ----------
-    places : (N, 2) [m]
-
-    Returns
-    -------
-    x, y : float
-        [m]; where all stand in one line the other pitch is the same, and 1 mm for one contactor.
+    closer than the pitch along both. A single line has one pitch, a single contactor 1 mm.
     """
     gap = np.abs(places[:, None] - places)
     beside = gap[..., 0] >= gap[..., 1]
@@ -151,13 +112,9 @@ class Raster:
 
 
 def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> Raster:
-    """Place contactors (N, 2) [m] in ``columns`` × ``rows`` pixels, as large as they fit.
+    """Place contactors at (N, 2) [m] in ``columns`` × ``rows`` pixels, as large as they fit.
 
-    Parameters
-    ----------
-    places : (N, 2) [m]
-    columns, rows : pixels to fit in
-    aspect : height of a pixel over its width
+    ``aspect`` is the height of a pixel over its width.
     """
     unit = np.array(pitch(places))
     low = places.min(axis=0)
@@ -187,32 +144,26 @@ def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> R
 def palette() -> tuple[Color, ...]:
     """Return the colors of `LEVELS` shears from the most negative to the most positive."""
     stops = np.linspace(0, LEVELS - 1, len(DIVERGING))
-    table = [np.interp(np.arange(LEVELS), stops, side) for side in np.transpose(DIVERGING)]
+    sides = np.transpose([Color.parse(color).get_truecolor() for color in DIVERGING.split()])
+    table = [np.interp(np.arange(LEVELS), stops, side) for side in sides]
     return tuple(Color.from_rgb(*map(round, rgb)) for rgb in np.transpose(table))
 
 
 @lru_cache(maxsize=(LEVELS + 1) ** 2)
 def _half_blocks(top: int, bottom: int) -> tuple[str, Style]:
-    """Return what draws two pixels of these levels (−1: none) in one character."""
-    upper, lower = (palette()[k] if k >= 0 else None for k in (top, bottom))
+    """Return what draws two pixels in one character: levels from 1 up, 0 for none."""
+    upper, lower = (palette()[k - 1] if k else None for k in (top, bottom))
     if upper is None:
-        return (" ", NONE) if lower is None else ("▄", Style(color=lower))
+        return (" ", Style.null()) if lower is None else ("▄", Style(color=lower))
     if top == bottom:
         return "█", Style(color=upper)
     return "▀", Style(color=upper, bgcolor=lower)
 
 
-def _runs(values: Indices) -> Iterator[tuple[int, int]]:
-    """Yield (value, count) of the runs of equal values."""
-    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
-    for start, end in itertools.pairwise(edges):
-        yield int(values[start]), end - start
-
-
 def color_lines(raster: Raster, part: Floats) -> list[Line]:
     """Draw a cell's shear, −1 … 1 of the scale (G,), as its color."""
     level = np.rint((np.clip(part, -1, 1) + 1) / 2 * (LEVELS - 1)).astype(np.intp)
-    shown = np.where(raster.member < 0, -1, level[raster.member]) + 1
+    shown = np.where(raster.member < 0, 0, level[raster.member] + 1)
     shown = np.pad(shown, ((0, len(shown) % 2), (0, 0)))
     lines: list[Line] = []
     pairs = shown[0::2] * (LEVELS + 1) + shown[1::2]
@@ -221,9 +172,9 @@ def color_lines(raster: Raster, part: Floats) -> list[Line]:
             lines.append(lines[-1])
             continue
         lines.append([])
-        for code, count in _runs(pair):
-            sign, style = _half_blocks(code // (LEVELS + 1) - 1, code % (LEVELS + 1) - 1)
-            lines[-1].append(Segment(sign * count, style))
+        for code, run in itertools.groupby(pair.tolist()):
+            sign, style = _half_blocks(*divmod(code, LEVELS + 1))
+            lines[-1].append(Segment(sign * len(list(run)), style))
     return lines
 
 
@@ -283,7 +234,7 @@ def _bar(part: float, width: int, color: bool) -> Line:
     filled = "█" * whole + (PARTS[rest] if rest else "")
     empty = width - len(filled)
     track = Segment(" " * empty, TRACK) if color else Segment("·" * empty, LABEL)
-    return [Segment(filled, style), track, SPACE]
+    return [Segment(filled, style), track, Segment(" ")]
 
 
 def _flow(
@@ -305,16 +256,13 @@ def _flow(
 
 def _panel(title: str, body: list[Line], width: int, height: int) -> list[Line]:
     """Frame lines in ``width`` × ``height`` characters, borders included."""
-    inner = width - 4
     title = title[: width - 5]
     left, right = Segment("│ ", FRAME), Segment(" │", FRAME)
     rest = "─" * (width - 5 - len(title))
-    lines = [[Segment("╭─ ", FRAME), Segment(title, TITLE), Segment(f" {rest}╮", FRAME)]]
-    for k in range(height - 2):
-        line = body[k] if k < len(body) else []
-        lines.append([left, *Segment.adjust_line_length(line, inner), right])
-    lines.append([Segment(f"╰{'─' * (width - 2)}╯", FRAME)])
-    return lines
+    top = [Segment("╭─ ", FRAME), Segment(title, TITLE), Segment(f" {rest}╮", FRAME)]
+    inside = [*body, *([[]] * height)][: height - 2]
+    framed = ([left, *Segment.adjust_line_length(line, width - 4), right] for line in inside)
+    return [top, *framed, [Segment(f"╰{'─' * (width - 2)}╯", FRAME)]]
 
 
 def nice(value: float) -> float:
@@ -323,17 +271,17 @@ def nice(value: float) -> float:
     return next((s * power for s in STEPS if s * power >= value * (1 - 1e-9)), 10 * power)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _State:
-    """What the last update said; lengths in µm and mm as they are shown."""
+    """What the last update said, in the units that are shown."""
 
-    time_s: float = 0.0
-    place_mm: tuple[float, float] = (0.0, 0.0)
-    speed_mm_s: float = 0.0
-    normal_force_n: float = 0.0
-    image_um: Floats = field(default_factory=lambda: np.zeros(0))
-    drive_v: Floats = field(default_factory=lambda: np.zeros(0))
-    limited_samples: int = 0
+    time_s: float
+    place_mm: tuple[float, float]
+    speed_mm_s: float
+    normal_force_n: float
+    image_um: Floats
+    drive_v: Floats
+    limited_samples: int
     peak_um: float = SMALLEST_SCALE
 
 
@@ -357,12 +305,7 @@ class Picture:
     """
 
     def __init__(
-        self,
-        display: Display,
-        *,
-        texture: str,
-        width: int | None = None,
-        sample_rate: float = 8000.0,
+        self, display: Display, *, texture: str, width: int | None = None, sample_rate: float = 8e3
     ) -> None:
         self.texture, self.name = texture, display.name
         self.places, self.limit = display.contactors, display.limits.voltage
@@ -372,13 +315,8 @@ class Picture:
         self.contactor = int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
         self.trace = Trace()
         nothing = np.zeros(len(self.places))
-        self.state = _State(image_um=nothing, drive_v=nothing)
+        self.state = _State(0.0, (0.0, 0.0), 0.0, 0.0, nothing, nothing, 0)
         self._rasters: dict[tuple[int, int, bool], Raster] = {}
-
-    @property
-    def scale_um(self) -> float:
-        """Shear at the ends of the color map [µm]."""
-        return nice(self.state.peak_um)
 
     def update(
         self,
@@ -406,9 +344,10 @@ class Picture:
         moved = np.nan_to_num(np.asarray(shear, np.float64), posinf=0.0, neginf=0.0) * 1e6
         volts = np.nan_to_num(np.asarray(drive, np.float64))
         old = self.state
-        image = moved[-1] if len(moved) else old.image_um
         fade = math.exp(-max(time_s - old.time_s, 0.0) / DECAY)
+        image, peaks = old.image_um, old.drive_v
         if len(moved):
+            image, peaks = moved[-1], np.abs(volts).max(axis=0)
             self.trace.add(moved[:, self.contactor], time_s, self._step)
         self.state = _State(
             time_s,
@@ -416,7 +355,7 @@ class Picture:
             speed * 1e3,
             normal_force,
             image,
-            np.abs(volts).max(axis=0) if len(volts) else old.drive_v,
+            peaks,
             limited_samples,
             max(float(np.abs(image).max()), old.peak_um * fade, SMALLEST_SCALE),
         )
@@ -462,7 +401,9 @@ class Frame:
         if wide:
             side = self._side(width - inner - 4, tall, color)
             body = [left + right for left, right in zip(body, side, strict=True)]
-        around = (Segment.adjust_line_length(line, width) for line in (self._header(), *status))
+        name = f" {self._picture.name} · {self._picture.texture}"
+        header = [Segment(" tactile ", BADGE), Segment(name, TITLE)]
+        around = (Segment.adjust_line_length(line, width) for line in (header, *status))
         return [next(around), *body, *around]
 
     def _image(self, raster: Raster, width: int, color: bool) -> list[Line]:
@@ -474,9 +415,8 @@ class Frame:
         low, high = f"−{scale:g} µm ", f" +{scale:g} µm"
         length = max(min(width - len(low) - len(high), raster.member.shape[1]), 0)
         sweep = np.linspace(0, 1, length)
-        if color:
-            ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
-        else:
+        ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
+        if not color:
             ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
         before = Segment(" " * ((width - len(low) - len(high) - length) // 2))
         legend = [before, Segment(low, LABEL), *ramp, Segment(high, LABEL)]
@@ -521,9 +461,8 @@ class Frame:
             return "contactor", [(str(k), float(volt)) for k, volt in enumerate(volts)]
         merged = -(-len(rows) // most)
         joined = [rows[k : k + merged] for k in range(0, len(rows), merged)]
-        return "row (y in mm)", [
-            (part[0][0], max(float(volts[row].max()) for _, row in part)) for part in joined
-        ]
+        peaks = [(part[0][0], max(float(volts[row].max()) for _, row in part)) for part in joined]
+        return "row (y in mm)", peaks
 
     def _trace(self, width: int, lines: int) -> list[Line]:
         """Return the trace of one contactor with its scale."""
@@ -535,19 +474,10 @@ class Frame:
         names = [""] * len(rows)
         names[len(rows) // 2] = "0"
         names[-1], names[0] = f"−{scale:g}", f"+{scale:g}"
-        axis = "−1 s" + "now".rjust(width - labels - 5)
-        return [
-            *(
-                [Segment(f"{name:>{labels}} ", LABEL), Segment(row, TRACE)]
-                for name, row in zip(names, rows, strict=True)
-            ),
-            [Segment(" " * (labels + 1) + axis, LABEL)],
-        ]
-
-    def _header(self) -> Line:
-        """Return what is played on what."""
-        name = f" {self._picture.name} · {self._picture.texture}"
-        return [Segment(" tactile ", BADGE), Segment(name, TITLE)]
+        axis = " " * labels + " −1 s" + "now".rjust(width - labels - 5)
+        named = zip(names, rows, strict=True)
+        curve = [[Segment(f"{name:>{labels}} ", LABEL), Segment(row, TRACE)] for name, row in named]
+        return [*curve, [Segment(axis, LABEL)]]
 
     def _status(self, width: int) -> list[Line]:
         """Return one line of values, two where the terminal is narrow."""
@@ -562,15 +492,9 @@ class Frame:
             ("drive", f"{drive:5.1f} of {limit:g} V", VALUE if drive < limit else ALARM),
             ("limited", f"{s.limited_samples:d}", ALARM if s.limited_samples else VALUE),
         ]
-        lines = [fields] if width >= ONE_LINE else [fields[:3], fields[3:]]
-        return [
-            [
-                segment
-                for name, value, style in line
-                for segment in (
-                    Segment(f" {name} " if name else "", LABEL),
-                    Segment(f"{value} ", style),
-                )
-            ]
-            for line in lines
+        pairs = [
+            [Segment(f" {name} " if name else "", LABEL), Segment(f"{value} ", style)]
+            for name, value, style in fields
         ]
+        lines = [pairs] if width >= ONE_LINE else [pairs[:3], pairs[3:]]
+        return [list(itertools.chain(*line)) for line in lines]

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 COLUMNS = ("time_s", "x_mm", "y_mm", "normal_force_n")
 LARGEST_FORCE = 50.0
 """N; a finger that slides stays below 10 N, so that more is another unit."""
-LARGEST_POSITION = 10.0
+LARGEST_POSITION = 500.0
 """m."""
 LARGEST_SPEED = 10.0
 """m/s between two samples; a fast stroke of a finger is below 1 m/s."""

@@ -409,15 +409,20 @@ def plant() -> Iterator[Figure]:
     yield Figure("plant.1.times_real_time_of_scipy_dlsim", 1 / taken, "×")
 
 
-def memory() -> Iterator[Figure]:
-    """Compare resident memory of a long play with that of a short one."""
+def memory(longest: int = 60) -> Iterator[Figure]:
+    """Compare resident memory of a long play with that of 10 s."""
     peaks = []
-    for length in (10, 600):
+    for length in (10, longest):
         command = [sys.executable, "-m", "tactile", "play", "wood-oak"]
         command += ["--seconds", str(length), "--quiet"]
-        peaks.append(_peak_memory(command))
-    yield Figure("memory.play_10_s", peaks[0] / 2**20, "MiB")
-    yield at_most("memory.growth_10_to_600_s", (peaks[1] - peaks[0]) / 2**20, "MiB", 2)
+        peaks.append(_peak_memory(command) / 2**20)
+    yield Figure("memory.play_10_s", peaks[0], "MiB")
+    yield at_most(f"memory.growth_10_to_{longest}_s", peaks[1] - peaks[0], "MiB", 2)
+
+
+def soak() -> Iterator[Figure]:
+    """Compare resident memory of ten minutes of play with that of 10 s."""
+    yield from memory(600)
 
 
 def _peak_memory(command: list[str]) -> int:
@@ -433,12 +438,15 @@ def _peak_memory(command: list[str]) -> int:
 BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     f.__name__: f for f in (matrix, response, grating, wood, bands, place, speed, plant, memory)
 }
+LONG: dict[str, Callable[[], Iterator[Figure]]] = {"soak": soak}
+"""Those that take minutes."""
 
 
 def measure(names: list[str]) -> list[Figure]:
     """Run benchmarks, with a progress bar on a terminal, and return their figures."""
     figures: list[Figure] = []
+    known = BENCHMARKS | LONG
     with threadpool_limits(1):
         for name in track(names, "measuring", transient=True, disable=not sys.stdout.isatty()):
-            figures.extend(BENCHMARKS[name]())
+            figures.extend(known[name]())
     return figures

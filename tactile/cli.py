@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 import tactile
 from tactile.errors import InputError, TactileError
+from tactile.files import nearest
 
 app = typer.Typer(
     help="Textures on tactile displays made of piezoelectric bimorphs.\n\n"
@@ -294,20 +295,20 @@ def bench(
     only: Annotated[
         list[str] | None, typer.Argument(help="Names of benchmarks; all of them by default.")
     ] = None,
+    long: Annotated[bool, typer.Option("--long", help="Also those that take minutes.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure every figure this project promises, beside other libraries where there are any.
 
     Example: tactile bench --json
     """
-    from tactile.bench import BENCHMARKS, measure
+    from tactile.bench import BENCHMARKS, LONG, measure
 
     for name in only or []:
-        if name not in BENCHMARKS:
-            from tactile.files import nearest
-
-            raise InputError(f"no benchmark {name!r}; {nearest(name, list(BENCHMARKS))}")
-    figures = measure(only or list(BENCHMARKS))
+        if name not in BENCHMARKS | LONG:
+            known = [*BENCHMARKS, *LONG]
+            raise InputError(f"no benchmark {name!r}; {nearest(name, known)}")
+    figures = measure(only or [*BENCHMARKS, *(LONG if long else [])])
     if as_json:
         typer.echo(json.dumps([figure.as_dict() for figure in figures], indent=1))
         return

@@ -9,6 +9,7 @@ blocks, two to a character; without color a cell fills with height instead.
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -143,9 +144,9 @@ def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> R
 @lru_cache(maxsize=1)
 def palette() -> tuple[Color, ...]:
     """Return the colors of `LEVELS` shears from the most negative to the most positive."""
-    stops = np.linspace(0, LEVELS - 1, len(DIVERGING))
-    sides = np.transpose([Color.parse(color).get_truecolor() for color in DIVERGING.split()])
-    table = [np.interp(np.arange(LEVELS), stops, side) for side in sides]
+    colors = [Color.parse(color).get_truecolor() for color in DIVERGING.split()]
+    stops = np.linspace(0, LEVELS - 1, len(colors))
+    table = [np.interp(np.arange(LEVELS), stops, side) for side in np.transpose(colors)]
     return tuple(Color.from_rgb(*map(round, rgb)) for rgb in np.transpose(table))
 
 
@@ -321,7 +322,7 @@ class Picture:
     def update(
         self,
         time_s: float,
-        position: ArrayLike,
+        position: Sequence[float] | Floats,
         speed: float,
         normal_force: float,
         shear: ArrayLike,
@@ -340,24 +341,23 @@ class Picture:
         drive : (S, N) [V]
         limited_samples : how many samples the limiter has turned down so far
         """
-        x, y = np.asarray(position, np.float64) * 1e3
         moved = np.nan_to_num(np.asarray(shear, np.float64), posinf=0.0, neginf=0.0) * 1e6
         volts = np.nan_to_num(np.asarray(drive, np.float64))
         old = self.state
-        fade = math.exp(-max(time_s - old.time_s, 0.0) / DECAY)
+        faded = old.peak_um * math.exp(-max(time_s - old.time_s, 0.0) / DECAY)
         image, peaks = old.image_um, old.drive_v
         if len(moved):
             image, peaks = moved[-1], np.abs(volts).max(axis=0)
             self.trace.add(moved[:, self.contactor], time_s, self._step)
         self.state = _State(
             time_s,
-            (float(x), float(y)),
-            speed * 1e3,
-            normal_force,
-            image,
-            peaks,
-            limited_samples,
-            max(float(np.abs(image).max()), old.peak_um * fade, SMALLEST_SCALE),
+            place_mm=(float(position[0]) * 1e3, float(position[1]) * 1e3),
+            speed_mm_s=speed * 1e3,
+            normal_force_n=normal_force,
+            image_um=image,
+            drive_v=peaks,
+            limited_samples=limited_samples,
+            peak_um=max(float(np.abs(image).max()), faded, SMALLEST_SCALE),
         )
 
     def __rich__(self) -> "Frame":
@@ -427,7 +427,7 @@ class Frame:
         inner, room = width - 4, height - 4
         title, bars = self._drive(inner, max(room - TRACE_LINES, 1), color)
         trace = self._trace(inner, max(room - len(bars), 2))
-        of = f"shear of contactor {self._picture.contactor} in µm, last second"
+        of = f"contactor {self._picture.contactor}, shear in µm"
         return [
             *_panel(title, bars, width, len(bars) + 2),
             *_panel(of, trace, width, height - len(bars) - 2),

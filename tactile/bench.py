@@ -99,7 +99,7 @@ def _first_order(bimorph: Bimorph, omega: float, axial_force: float) -> NDArray[
     return A
 
 
-def matrix() -> Iterator[Figure]:
+def measure_matrix() -> Iterator[Figure]:
     """Compare the transfer matrix with scipy's matrix exponential."""
     worst = 0.0
     for length in (5e-3, 20e-3, 45e-3):
@@ -137,7 +137,7 @@ def _scales(A: NDArray[np.complex128], unit: float) -> Floats:
     return scale
 
 
-def response() -> Iterator[Figure]:
+def measure_response() -> Iterator[Figure]:
     """Time the loaded response."""
     f = np.linspace(1, 5000, 20_000)
     taken = seconds(lambda: tip_response(Bimorph(), FingerLoad.low(), f))
@@ -198,7 +198,7 @@ def _static(display: Display) -> float:
     return float(np.abs(display.responses(np.zeros(1), RATE)[0, 0, 0]))
 
 
-def grating() -> Iterator[Figure]:
+def measure_grating() -> Iterator[Figure]:
     """Move a grating so that it gives 10 … 1000 Hz, through the time-domain plant."""
     tones = np.geomspace(10, 1000, 25)
     for name, other in (("low", "high"), ("high", "low")):
@@ -269,7 +269,7 @@ def _law_of(texture: Texture, velocity: Floats) -> Floats:
     return Law(texture.descriptor)(squares, np.full(len(squares), 0.5))[:, None]
 
 
-def wood() -> Iterator[Figure]:
+def measure_wood() -> Iterator[Figure]:
     """Play a wood under acceleration, stop and reversal, through the time-domain plant."""
     texture, path = load_texture("wood-oak"), swing()
     for name, other in (("low", "high"), ("high", "low")):
@@ -296,7 +296,7 @@ def _without_events(descriptor: Descriptor) -> Descriptor:
     return changed(descriptor, events=())
 
 
-def bands() -> Iterator[Figure]:
+def measure_bands() -> Iterator[Figure]:
     """Compare line spectra of the realized surfaces with their descriptors."""
     for name in textures():
         t = load_texture(name)
@@ -325,7 +325,7 @@ def _streamed(texture: Texture, place: Floats, sizes: int = 64) -> tuple[Floats,
     return drive, np.concatenate([p[1] for p in parts])[renderer.delay :]
 
 
-def place() -> Iterator[Figure]:
+def measure_place() -> Iterator[Figure]:
     """See that the same place gives the same shear, and that block size changes nothing."""
     texture = load_texture("wood-oak")
     n = np.arange(8001)
@@ -374,7 +374,7 @@ def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -
     return 1 / seconds(stroke, 7)
 
 
-def speed() -> Iterator[Figure]:
+def measure_speed() -> Iterator[Figure]:
     """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
 
     The plain surface is waves and laws; the textures as shipped have an envelope, and two of them
@@ -397,7 +397,7 @@ def speed() -> Iterator[Figure]:
         yield Figure(f"speed.64.blocks_of_64.{name}", as_shipped, "×")
 
 
-def plant() -> Iterator[Figure]:
+def measure_plant() -> Iterator[Figure]:
     """Time the plant beside scipy's simulation of the same system."""
     ours = Plant(Bimorph(), FingerLoad.low(), RATE, contactors=24)
     drive = np.random.default_rng(0).standard_normal((8000, 24))
@@ -409,7 +409,7 @@ def plant() -> Iterator[Figure]:
     yield Figure("plant.1.times_real_time_of_scipy_dlsim", 1 / taken, "×")
 
 
-def memory(longest: int = 60) -> Iterator[Figure]:
+def measure_memory(longest: int = 60) -> Iterator[Figure]:
     """Compare resident memory of a long play with that of 10 s."""
     peaks = []
     for length in (10, longest):
@@ -420,9 +420,9 @@ def memory(longest: int = 60) -> Iterator[Figure]:
     yield at_most(f"memory.growth_10_to_{longest}_s", peaks[1] - peaks[0], "MiB", 2)
 
 
-def soak() -> Iterator[Figure]:
+def measure_soak() -> Iterator[Figure]:
     """Compare resident memory of ten minutes of play with that of 10 s."""
-    yield from memory(600)
+    yield from measure_memory(600)
 
 
 def _peak_memory(command: list[str]) -> int:
@@ -436,9 +436,17 @@ def _peak_memory(command: list[str]) -> int:
 
 
 BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
-    f.__name__: f for f in (matrix, response, grating, wood, bands, place, speed, plant, memory)
+    "matrix": measure_matrix,
+    "response": measure_response,
+    "grating": measure_grating,
+    "wood": measure_wood,
+    "bands": measure_bands,
+    "place": measure_place,
+    "speed": measure_speed,
+    "plant": measure_plant,
+    "memory": measure_memory,
 }
-LONG: dict[str, Callable[[], Iterator[Figure]]] = {"soak": soak}
+LONG: dict[str, Callable[[], Iterator[Figure]]] = {"soak": measure_soak}
 """Those that take minutes."""
 
 

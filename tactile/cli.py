@@ -99,7 +99,7 @@ def play(
     _within("--sample-rate-hz", sample_rate_hz, 4000, 200000, 8000)
     shown, felt = tactile.load_display(display), tactile.load_texture(texture)
     watched = sys.stdout.isatty() and not (quiet or as_json)
-    live, watch = _live(shown, texture) if watched else (nullcontext(), None)
+    live, watch = _live(shown, texture, sample_rate_hz) if watched else (nullcontext(), None)
     with live:
         summary = run(
             shown, felt, trajectory,
@@ -134,14 +134,14 @@ def _within(name: str, value: float | None, low: float, high: float, default: fl
     return value
 
 
-def _live(display: "tactile.Display", texture: str) -> tuple[Any, Any]:
+def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple[Any, Any]:
     """Return a live terminal picture and what feeds it."""
     from rich.live import Live
 
     from tactile.daemon.playback import PlayedBlock
     from tactile.terminal import Picture
 
-    picture = Picture(display, texture=texture)
+    picture = Picture(display, texture=texture, sample_rate=sample_rate)
 
     def watch(block: PlayedBlock, renderer: "tactile.Renderer") -> None:
         picture.update(
@@ -244,8 +244,8 @@ def _texture(name: str, as_json: bool) -> None:
     Console().print(table)
 
 
-@app.command()
-def response(
+@app.command("response")
+def tell_response(
     load: Annotated[
         list[Finger] | None, typer.Option(help="Finger: low, high or none; may be repeated.")
     ] = None,
@@ -290,8 +290,8 @@ def _plot_frequencies() -> Any:
     return np.geomspace(1, 2000, 2000)
 
 
-@app.command()
-def bench(
+@app.command("bench")
+def run_benchmarks(
     only: Annotated[
         list[str] | None, typer.Argument(help="Names of benchmarks; all of them by default.")
     ] = None,
@@ -322,7 +322,7 @@ def bench(
 
 
 def main() -> None:
-    """Run the command line: 0 done, 1 an error in the device, 2 a mistake in what was asked."""
+    """Run the command line; exit code 2 where a device or what was asked cannot be used."""
     try:
         with threadpool_limits(1):
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)

@@ -198,17 +198,21 @@ def load_display(
     path = files.find("displays", name_or_path)
     content = files.read(path, DisplayFile)
     try:
-        return _build(content, path, load)
-    except InputError:
-        raise
+        display = _build(content, path, load)
+        _check_geometry(display)
+    except InputError as error:
+        if str(error).startswith(str(path.parent)):
+            raise
+        raise InputError(f"{path}: {error}") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
+    return display
 
 
 def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
     contactors = _contactors(content)
     measured, kind = _measured(content, contactors, path)
-    display = Display(
+    return Display(
         name=content.display.id,
         contactors=np.array([c.position_mm for c in contactors]) * 1e-3,
         shear_direction=np.radians([c.shear_direction_deg for c in contactors]),
@@ -223,8 +227,6 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
         measured=measured,
         kind=kind,
     )
-    _check_geometry(display)
-    return display
 
 
 def _contactors(content: DisplayFile) -> tuple[Contactor, ...]:
@@ -298,9 +300,7 @@ def _measured(
     for i, group in enumerate(content.group):
         for member in group.contactors or range(len(contactors)):
             if member >= len(contactors):
-                raise InputError(
-                    f"{path}: group[{i}].contactors: {member} is not below {len(contactors)}"
-                )
+                raise InputError(f"group[{i}].contactors: {member} is not below {len(contactors)}")
             wanted[member] = group.response
     names = sorted({name for name in wanted if name is not None})
     kind = [0 if name is None else names.index(name) + 1 for name in wanted]
@@ -317,13 +317,14 @@ def load_response(path: str | Path) -> Measured:
     """
     path = Path(path)
     rows = files.read_columns(path, COLUMNS)
-    values = files.numbers(path, COLUMNS[:3], [row[:3] for row in rows])
-    for line, row in enumerate(rows, 2):
-        if row[3] not in UNITS:
+    values = files.numbers(path, COLUMNS[:3], rows)
+    for row in rows:
+        if row.cells[3] not in UNITS:
             raise InputError(
-                f"{path}: line {line}: unit = {row[3]!r}: must be one of {', '.join(UNITS)}"
+                f"{path}: line {row.line}: unit = {row.cells[3]!r}: "
+                f"must be one of {', '.join(UNITS)}"
             )
-    scale = np.array([UNITS[row[3]] for row in rows])
+    scale = np.array([UNITS[row.cells[3]] for row in rows])
     if len(values) < 2 or np.any(np.diff(values[:, 0]) <= 0) or np.any(values[:, 1] <= 0):
         raise InputError(f"{path}: needs ascending frequencies and magnitudes above 0, two or more")
     low, high = MEASURED_BAND
@@ -339,14 +340,14 @@ def _check_geometry(display: Display) -> None:
     """Refuse what cannot be built or must not be driven."""
     field = display.limits.voltage * display.amplifier.gain / float(display.bimorph.piezo_height)
     if field > LARGEST_FIELD:
-        largest = LARGEST_FIELD * float(display.bimorph.piezo_height) / display.amplifier.gain
+        largest = _three_digits_below(display.limits.voltage * LARGEST_FIELD / field)
         raise InputError(
             f"limits.voltage_v = {display.limits.voltage:g}: {field / 1e3:.0f} V/mm in the piezo "
-            f"layers exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:.0f} V"
+            f"layers exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:g} V"
         )
-    travel = display.limits.voltage * np.abs(
-        tip_response(display.bimorph, FingerLoad.none(), [0.0]).displacement[0]
-    )
+    highest = display.limits.voltage * display.amplifier.gain
+    in_air = tip_response(display.bimorph, FingerLoad.none(), [0.0]).displacement[0]
+    travel = highest * float(np.abs(in_air))
     needs = (float(display.bimorph.height) + 2 * travel, float(display.bimorph.width))
     for need, has, side in zip(needs, display.opening, ("along", "across"), strict=True):
         if need > has:
@@ -363,6 +364,12 @@ def _check_geometry(display: Display) -> None:
             f"contactors {overlap[0]} and {overlap[1]} overlap: their openings of "
             f"{display.opening[0] * 1e3:g} × {display.opening[1] * 1e3:g} mm meet"
         )
+
+
+def _three_digits_below(value: float) -> float:
+    """Return a value rounded down to three significant digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / unit * (1 + 1e-12)) * unit
 
 
 def _first_overlap(display: Display) -> tuple[int, int] | None:

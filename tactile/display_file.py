@@ -9,7 +9,8 @@ Place = Annotated[float, Meta(ge=-500, le=500)]
 Degrees = Annotated[float, Meta(ge=-360, le=360)]
 Stiffness = Annotated[float, Meta(ge=0, le=1e6)]
 Damping = Annotated[float, Meta(ge=0, le=1e3)]
-Channel = Annotated[int, Meta(ge=0, lt=4096)]
+CHANNELS = 4096
+Channel = Annotated[int, Meta(ge=0, lt=CHANNELS)]
 Index = Annotated[int, Meta(ge=0)]
 
 
@@ -31,6 +32,11 @@ class Grid(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     shear_direction_deg: Degrees = 0.0
     polarity: Literal[-1, 1] = 1
     first_channel: Channel = 0
+
+    def __post_init__(self) -> None:
+        last = self.first_channel + self.columns * self.rows - 1
+        if last >= CHANNELS:
+            raise ValueError(f"its last channel would be {last}; at most {CHANNELS - 1}")
 
 
 class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -60,6 +66,12 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     shim_height_mm: Annotated[float, Meta(ge=0, le=5)] = 0.20
     layer_stiffening: bool = False
 
+    def __post_init__(self) -> None:
+        for name, least in (("clamped_length_mm", 0.1), ("shim_height_mm", 0.005)):
+            value = getattr(self, name)
+            if 0 < value < least:
+                raise ValueError(f"{name} = {value:g}: must be 0 or at least {least:g}")
+
 
 class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A load at one normal force."""
@@ -80,9 +92,13 @@ class Finger(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     table: tuple[FingerRow, ...] = ()
 
     def __post_init__(self) -> None:
-        constants = self.k0_n_per_m is not None and self.d0_n_s_per_m is not None
-        if [self.preset is not None, constants, bool(self.table)].count(True) != 1:
-            raise ValueError("needs either preset, or k0_n_per_m and d0_n_s_per_m, or table")
+        both = self.k0_n_per_m is not None and self.d0_n_s_per_m is not None
+        either = self.k0_n_per_m is not None or self.d0_n_s_per_m is not None or self.branches
+        ways = [self.preset is not None, bool(either), bool(self.table)]
+        if ways.count(True) != 1 or (either and not both):
+            raise ValueError(
+                "needs either preset, or k0_n_per_m, d0_n_s_per_m and branches, or table"
+            )
 
 
 class AmplifierTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

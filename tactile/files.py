@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -42,6 +42,14 @@ def nearest(name: str, known: list[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else f"there is: {', '.join(known) or 'nothing'}"
 
 
+def is_file(path: Path) -> bool:
+    """Return whether a file is there, also for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def find(kind: str, name_or_path: str | Path) -> Path:
     """Return the path of a shipped file by its name, or of a file by its path.
 
@@ -55,7 +63,7 @@ def find(kind: str, name_or_path: str | Path) -> Path:
         return names[str(name_or_path)]
     path = Path(name_or_path)
     if path.suffix == ".toml" or path.parent != Path():
-        if path.is_file():
+        if is_file(path):
             return path
         raise NotFoundError(f"{path}: no such file")
     raise NotFoundError(f"no {kind[:-1]} {str(path)!r}; {nearest(str(path), list(names))}")
@@ -73,17 +81,21 @@ def read(path: Path, shape: type[Shape]) -> Shape:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: no valid TOML: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: no valid TOML: {_one_line(str(error))}") from error
     for field, value in _leaves(data):
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{path}: {field} = {value}: must be a finite number")
-    for field, problem in _unknown_keys(data, msgspec.inspect.type_info(shape), ""):
-        raise InputError(f"{path}: {field}: {problem}")
+    for field, problem in _unknown(data, msgspec.inspect.type_info(shape), ""):
+        raise InputError(_one_line(f"{path}: {field}: {problem}"))
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        raise InputError(f"{path}: {_explain(data, str(error))}") from error
+        raise InputError(_one_line(f"{path}: {_explain(data, str(error))}")) from error
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
@@ -97,12 +109,12 @@ def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
         yield field, data
 
 
-def _unknown_keys(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tuple[str, str]]:
-    """Yield each key that the Struct does not know, with the nearest that it does."""
+def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tuple[str, str]]:
+    """Yield each key and option that the Struct does not know, with the nearest that it does."""
     if isinstance(kind, msgspec.inspect.UnionType):
         for member in kind.types:
-            if isinstance(member, msgspec.inspect.StructType | msgspec.inspect.ListType):
-                yield from _unknown_keys(data, member, field)
+            if not isinstance(member, msgspec.inspect.NoneType):
+                yield from _unknown(data, member, field)
     elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, dict):
         known = {f.encode_name: f.type for f in kind.fields}
         for key, value in data.items():
@@ -110,12 +122,14 @@ def _unknown_keys(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator
             if key not in known:
                 yield name, f"unknown key; {nearest(key, list(known))}"
             else:
-                yield from _unknown_keys(value, known[key], name)
-    elif isinstance(kind, msgspec.inspect.ListType | msgspec.inspect.VarTupleType) and isinstance(
-        data, list
-    ):
+                yield from _unknown(value, known[key], name)
+    elif isinstance(kind, msgspec.inspect.LiteralType) and isinstance(data, str | int | float):
+        if data not in kind.values:
+            options = [str(value) for value in kind.values]
+            yield f"{field} = {data!r}", f"unknown; {nearest(str(data), options)}"
+    elif isinstance(kind, msgspec.inspect.VarTupleType) and isinstance(data, list):
         for i, value in enumerate(data):
-            yield from _unknown_keys(value, kind.item_type, f"{field}[{i}]")
+            yield from _unknown(value, kind.item_type, f"{field}[{i}]")
 
 
 def _explain(data: Any, message: str) -> str:
@@ -134,15 +148,22 @@ def _explain(data: Any, message: str) -> str:
     return where + problem.replace("Expected", "expected").replace("`", "")
 
 
-def read_columns(path: Path, names: tuple[str, ...]) -> list[list[str]]:
-    """Read named columns of a CSV file with a header, one list of cells per row.
+class Row(NamedTuple):
+    """A row of a table: its line in the file and its cells."""
+
+    line: int
+    cells: list[str]
+
+
+def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
+    """Read named columns of a CSV file with a header, a `Row` each.
 
     Raises
     ------
     NotFoundError, InputError
         Where the file, a column or a cell is missing.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise NotFoundError(f"{path}: no such file")
     try:
         with path.open(newline="", encoding="utf-8-sig") as lines:
@@ -151,14 +172,14 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[list[str]]:
             for name in names:
                 if name not in header:
                     raise InputError(f"{path}: no column {name!r}; {nearest(name, header)}")
-            rows = [[row[name] for name in names] for row in reader]
+            rows = [Row(reader.line_num, [row[name] for name in names]) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
     return rows
 
 
-def numbers(path: Path, names: tuple[str, ...], rows: list[list[str]]) -> NDArray[np.float64]:
-    """Return the cells of `read_columns` as numbers (rows, columns).
+def numbers(path: Path, names: tuple[str, ...], rows: list[Row]) -> NDArray[np.float64]:
+    """Return the first cells of `read_columns`, one per name, as numbers (rows, columns).
 
     Raises
     ------
@@ -167,13 +188,13 @@ def numbers(path: Path, names: tuple[str, ...], rows: list[list[str]]) -> NDArra
     """
     table = np.empty((len(rows), len(names)))
     for i, row in enumerate(rows):
-        for k, (name, cell) in enumerate(zip(names, row, strict=True)):
+        for k, (name, cell) in enumerate(zip(names, row.cells, strict=False)):
             try:
                 table[i, k] = float(cell)
             except (TypeError, ValueError):
                 table[i, k] = math.nan
             if not math.isfinite(table[i, k]):
                 raise InputError(
-                    f"{path}: line {i + 2}: {name} = {cell!r}: must be a finite number"
+                    f"{path}: line {row.line}: {name} = {cell!r}: must be a finite number"
                 )
     return table

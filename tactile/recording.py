@@ -40,9 +40,9 @@ class Recorder:
         self._path = Path(path)
         self._constants = constants
         self._shapes: dict[str, tuple[int, ...]] = {}
-        if self._path.is_dir():
-            raise InputError(f"{path}: is a folder; give the name of a file")
         try:
+            if self._path.is_dir():
+                raise InputError(f"{path}: is a folder; give the name of a file")
             self._folder = Path(tempfile.mkdtemp(prefix=".recording-", dir=self._path.parent))
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
@@ -52,8 +52,11 @@ class Recorder:
         for name, array in arrays.items():
             rows, *rest = self._shapes.get(name, (0, *array.shape[1:]))
             self._shapes[name] = (rows + len(array), *rest)
-            with (self._folder / name).open("ab") as file:
-                np.ascontiguousarray(array, np.float64).tofile(file)
+            try:
+                with (self._folder / name).open("ab") as file:
+                    file.write(np.ascontiguousarray(array, np.float64).data)
+            except OSError as error:
+                raise self._unwritable(error) from error
 
     def __enter__(self) -> "Recorder":
         return self
@@ -67,8 +70,13 @@ class Recorder:
         try:
             if kind is None:
                 self._pack()
+        except OSError as failed:
+            raise self._unwritable(failed) from failed
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _unwritable(self, error: OSError) -> InputError:
+        return InputError(f"{self._path}: cannot be written: {error.strerror or error}")
 
     def _pack(self) -> None:
         whole = self._folder / "whole.npz"

@@ -87,6 +87,7 @@ class SimulatedDisplay(MockBus):
     def settle(self) -> None:
         """Let the plant run on at 0 V until all that was played has been felt."""
         self._feel(np.zeros((self._plant.delay, len(self._display.contactors))))
+        self._late = self._plant.delay
 
 
 def default_plant(display: Display, sample_rate: float) -> Plant:
@@ -127,22 +128,23 @@ class Fidelity:
 
     @property
     def signal_to_error_db(self) -> float:
-        """The ratio so far [dB]; NaN before any signal."""
+        """The ratio so far [dB]; infinite without error, NaN before any signal."""
         signal, error = self._energy
-        return float(10 * np.log10(signal / error)) if signal > 0 and error > 0 else float("nan")
+        if not signal > 0:
+            return float("nan")
+        return float(10 * np.log10(signal / error)) if error > 0 else float("inf")
 
 
 def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     module, _, factory = name.partition(":")
     try:
         found = getattr(importlib.import_module(module), factory)
-    except (ImportError, AttributeError, ValueError) as error:
+        plant = found(display, sample_rate)
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise InputError(f"sim: plant = {name!r}: {error}; give package.module:factory") from error
-    plant = found(display, sample_rate)
-    if not isinstance(getattr(plant, "delay", None), int) or not callable(
-        getattr(plant, "step", None)
-    ):
-        raise InputError(f"sim: plant = {name!r}: has no integer delay and step(drive)")
+    delay = getattr(plant, "delay", None)
+    if not isinstance(delay, int) or delay < 0 or not callable(getattr(plant, "step", None)):
+        raise InputError(f"sim: plant = {name!r}: has no delay from 0 up and no step(drive)")
     return plant  # type: ignore[no-any-return]
 
 

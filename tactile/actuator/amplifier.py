@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.actuator.beam import Complex
+from tactile.actuator.materials import require_not_negative, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +40,14 @@ class Amplifier:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain > 0 and self.bandwidth > 0):
-            raise ValueError("Amplifier: gain and bandwidth must be above 0")
-        if not (0 <= self.output_resistance < np.inf and 0 <= self.delay < np.inf):
-            raise ValueError("Amplifier: output_resistance and delay must be finite, from 0 up")
+        require_positive("Amplifier", gain=self.gain)
+        if not self.bandwidth > 0:
+            raise ValueError(f"Amplifier: bandwidth = {self.bandwidth} is not a number above 0")
+        require_not_negative(
+            "Amplifier", output_resistance=self.output_resistance, delay=self.delay
+        )
+        if self.hold not in ("none", "zoh"):
+            raise ValueError(f"Amplifier: hold = {self.hold!r} is neither 'none' nor 'zoh'")
         if self.hold == "zoh" and np.isinf(self.bandwidth) and self.output_resistance == 0:
             raise ValueError(
                 "Amplifier: the steps of hold 'zoh' would draw infinite current; "

@@ -13,7 +13,7 @@ Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
 
 from dataclasses import dataclass
 from math import factorial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,8 @@ def _closed_form(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, C
     growth, turn = np.exp(lambda1), np.exp(1j * lambda2)
     decay, back = 1 / growth, 1 / turn
     cosh, cos = (growth + decay) / 2, (turn + back) / 2
-    sinh, sin = (growth - decay) / (2 * lambda1), (turn - back) / (2j * lambda2)
+    sinh = _over_root((growth - decay) / 2, lambda1)
+    sin = _over_root((turn - back) / 2, 1j * lambda2)
     scale = 1 / (z1 - z2)
     return (
         (z1 * cos - z2 * cosh) * scale,
@@ -79,6 +80,14 @@ def _closed_form(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, C
         (cosh - cos) * scale,
         (sinh - sin) * scale,
     )
+
+
+def _over_root(sinh: Any, root: Any) -> Any:
+    """Return sinh(√z)/√z from both, by its series where the root is near zero."""
+    z = root * root
+    near = np.abs(z) < 1e-3
+    series = 1 + z / 6 * (1 + z / 20 * (1 + z / 42))
+    return np.where(near, series, sinh / np.where(near, 1, root))
 
 
 def _series(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, Complex]:

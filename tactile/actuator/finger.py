@@ -1,4 +1,4 @@
-"""The finger pad as the bimorph's tip feels it: a generalised Maxwell load.
+"""The finger pad as the bimorph's tip feels it: a generalized Maxwell load.
 
 Z_L = k0/(jω) + d0 + Σ k_i d_i/(k_i + jω d_i), the mechanical impedance [N s/m] against shear; the
 same form serves a rotational load [N m s]. The finger pushes back: F = −Z_L v at the tip.
@@ -17,7 +17,7 @@ from tactile.actuator.materials import Real, require_not_negative
 
 @dataclass(frozen=True, kw_only=True)
 class FingerLoad:
-    """A generalised Maxwell load; any number may be an array over designs.
+    """A generalized Maxwell load; any number may be an array over designs.
 
     Parameters
     ----------

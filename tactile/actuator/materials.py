@@ -32,6 +32,12 @@ def require_not_negative(owner: str, **values: Real) -> None:
             raise ValueError(f"{owner}: {name} = {value} is not a finite number from 0 up")
 
 
+def require_quality(owner: str, quality_factor: Real) -> None:
+    """Raise ValueError where a quality factor is not above zero; it may be infinite."""
+    if not np.all(np.asarray(quality_factor) > 0):
+        raise ValueError(f"{owner}: quality_factor = {quality_factor} is not a number above 0")
+
+
 @dataclass(frozen=True, kw_only=True)
 class PiezoMaterial:
     """A piezoceramic, poled across its thickness and driven in the 31 mode.
@@ -67,8 +73,8 @@ class PiezoMaterial:
             s55E=self.s55E,
             eps33T=self.eps33T,
             density=self.density,
-            inverse_quality_factor=1 + 1 / np.asarray(self.quality_factor),
         )
+        require_quality("PiezoMaterial", self.quality_factor)
         require_not_negative(
             "PiezoMaterial",
             loss_tangent=self.loss_tangent,
@@ -110,8 +116,8 @@ class ShimMaterial:
             s11=self.s11,
             s55=self.s55,
             density=self.density,
-            inverse_quality_factor=1 + 1 / np.asarray(self.quality_factor),
         )
+        require_quality("ShimMaterial", self.quality_factor)
 
 
 PIEZO_3203HD = PiezoMaterial(

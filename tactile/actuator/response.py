@@ -30,7 +30,7 @@ from tactile.actuator.materials import Real
 Vector2 = tuple[Complex, Complex]
 
 LARGEST_GROWTH = 8.0
-"""λ1 of a piece: exp(8) costs 3e-13 of accuracy."""
+"""λ1 of a piece: rounding grows as its square's exponential, to 3e-8 at most (measured)."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +172,19 @@ def _back(sweep: _Sweep, f: Vector2) -> list[Vector2]:
     return [sweep.cuts[0].y, *found[::-1]]
 
 
+def _checked(
+    frequency: ArrayLike, axial_force: Real
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequency (F,) and axial force (..., 1), or raise ValueError."""
+    f = np.atleast_1d(np.asarray(frequency, np.float64))
+    if f.ndim != 1 or not np.all(np.isfinite(f) & (f >= 0)):
+        raise ValueError("frequency: needs one axis of finite numbers from 0 Hz up")
+    axial = np.asarray(axial_force, np.float64)
+    if not np.all(np.isfinite(axial)):
+        raise ValueError(f"axial_force = {axial_force}: not a finite number of newtons")
+    return f, axial[..., None]
+
+
 def chain_response(
     segments: list[Segment],
     load: FingerLoad,
@@ -196,10 +209,10 @@ def chain_response(
     ValueError
         Without a segment, or with frequencies that are negative or not finite.
     """
-    f = np.atleast_1d(np.asarray(frequency, np.float64))
-    if f.ndim != 1 or not np.all(np.isfinite(f) & (f >= 0)):
-        raise ValueError("frequency: needs one axis of finite numbers from 0 Hz up")
-    omega, axial = 2 * np.pi * f, np.asarray(axial_force, np.float64)[..., None]
+    f, axial = _checked(frequency, axial_force)
+    if point_after is not None and not 1 <= point_after <= len(segments):
+        raise ValueError(f"point_after = {point_after}: must be 1 … {len(segments)}")
+    omega = 2 * np.pi * f
     over = [over_frequency(s) for s in segments]
     sweep = _sweep(over, omega, axial)
     k = load.stiffness(f)
@@ -292,8 +305,7 @@ def blocked_force(
     stiffness : (..., F) complex ndarray
         Dynamic stiffness of the undriven tip [N/m]; force/stiffness is the displacement in air.
     """
-    omega = 2 * np.pi * np.atleast_1d(np.asarray(frequency, np.float64))
-    axial = np.asarray(axial_force, np.float64)[..., None]
-    sweep = _sweep([over_frequency(active_segment(bimorph))], omega, axial)
+    f, axial = _checked(frequency, axial_force)
+    sweep = _sweep([over_frequency(active_segment(bimorph))], 2 * np.pi * f, axial)
     stiffness = 1 / sweep.Y[0][1]
     return sweep.y[0] * stiffness, stiffness

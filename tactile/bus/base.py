@@ -231,7 +231,9 @@ class Address:
     options: dict[str, str]
 
     def only(self, *known: str) -> None:
-        """Raise InputError for an option that is not among the known ones."""
+        """Raise InputError for a path, or an option that is not among the known ones."""
+        if self.path:
+            raise InputError(f"{self.scheme}: takes no path; what does {self.path!r} mean?")
         for name in self.options:
             if name not in known:
                 raise InputError(
@@ -264,7 +266,10 @@ def open_bus(url: str, rig: Rig, *, sample_rate: float = 8000.0) -> Bus:
     BusError
         For a device that cannot be opened.
     """
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise InputError(f"device {url!r}: {error}") from error
     scheme = parts.scheme or url.partition(":")[0]
     if ":" not in url or scheme not in _factories:
         raise InputError(

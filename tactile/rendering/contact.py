@@ -73,11 +73,17 @@ class Trajectory:
         if np.any((self.normal_force < 0) | (self.normal_force > LARGEST_FORCE)):
             worst = self.normal_force[np.argmax(np.abs(self.normal_force - LARGEST_FORCE / 2))]
             raise InputError(f"normal_force {worst:g} N: must be 0 … {LARGEST_FORCE:g} N")
-        speed = np.linalg.norm(np.diff(self.position, axis=0), axis=1) / step
-        if np.abs(self.position).max() > LARGEST_POSITION or speed.max() > LARGEST_SPEED:
+        farthest = float(np.abs(self.position).max())
+        if farthest > LARGEST_POSITION:
             raise InputError(
-                f"position: reaches {np.abs(self.position).max():g} m and {speed.max():g} m/s; "
-                f"limits {LARGEST_POSITION:g} m and {LARGEST_SPEED:g} m/s (is it in millimeters?)"
+                f"position: reaches {farthest:g} m, limit {LARGEST_POSITION:g} m "
+                "(is it in millimeters?)"
+            )
+        speed = float((np.linalg.norm(np.diff(self.position, axis=0), axis=1) / step).max())
+        if speed > LARGEST_SPEED:
+            raise InputError(
+                f"position: reaches {speed:g} m/s, limit {LARGEST_SPEED:g} m/s "
+                "(is it in millimeters?)"
             )
 
     @classmethod

@@ -74,6 +74,10 @@ def inverse(response: Complex, voltage: float) -> Complex:
     return np.asarray(phase / np.maximum(size, floor))
 
 
+def _turns(frequency: Floats, sample_rate: float, taps: int) -> Complex:
+    return np.asarray(np.exp(-2j * np.pi / sample_rate * np.outer(frequency, np.arange(taps))))
+
+
 def fit_taps(gain: Complex, sample_rate: float, taps: int, delay: int) -> tuple[Floats, float]:
     """Return the FIR filter whose response is a gain, some samples late, and its largest error.
 
@@ -88,25 +92,30 @@ def fit_taps(gain: Complex, sample_rate: float, taps: int, delay: int) -> tuple[
     taps : (K, taps) ndarray
         Weighted least squares over 0 … half the sample rate.
     error : float
-        Largest |filter/gain − 1| in 10 … 1000 Hz.
+        As `largest_error`.
     """
     f = np.arange(0, sample_rate / 2, GRID)
     band = gain.shape[1]
-    turn = np.exp(-2j * np.pi / sample_rate * np.outer(f, np.arange(taps)))
     late = np.exp(-2j * np.pi / sample_rate * f[:band] * delay)
     wanted = np.zeros((len(f), len(gain)), np.complex128)
     wanted[:band] = (gain * late).T
     weight = np.where(f < FREE_BAND, FREE_WEIGHT, STOP_WEIGHT)
     weight[:band] = 1.0
-    left, right = turn * weight[:, None], wanted * weight[:, None]
+    left, right = _turns(f, sample_rate, taps) * weight[:, None], wanted * weight[:, None]
     found = np.linalg.lstsq(
         np.concatenate([left.real, left.imag]),
         np.concatenate([right.real, right.imag]),
         rcond=1e-12,
-    )[0]
-    heard = (f >= GRID) & (f <= PASS_BAND)
-    error = np.abs(turn[heard] @ found / wanted[heard] - 1)
-    return found.T, float(error.max())
+    )[0].T
+    return found, largest_error(found, gain, sample_rate, delay)
+
+
+def largest_error(taps: Floats, gain: Complex, sample_rate: float, delay: int) -> float:
+    """Return the largest |filter/gain − 1| in 10 … 1000 Hz of filters (K, T), gains (K, F)."""
+    f = np.arange(0, sample_rate / 2, GRID)[: gain.shape[1]]
+    late = np.exp(-2j * np.pi / sample_rate * f * delay)
+    reached = taps @ _turns(f, sample_rate, taps.shape[1]).T / (gain * late)
+    return float(np.abs(reached[:, (f >= GRID) & (f <= PASS_BAND)] - 1).max())
 
 
 @dataclass(frozen=True)
@@ -142,7 +151,8 @@ def design(response: Complex, voltage: float, sample_rate: float) -> InverseFilt
     Returns
     -------
     InverseFilter
-        The shortest and earliest within `TOLERANCE`, or the best of all.
+        The shortest and earliest within `TOLERANCE`; where there is none, a later one only where it
+        halves the error.
     """
     loads, kinds, _ = response.shape
     gain = inverse(response, voltage).reshape(loads * kinds, -1)
@@ -157,11 +167,15 @@ def design(response: Complex, voltage: float, sample_rate: float) -> InverseFilt
     error, found, delay = best
     if kinds == 1:
         return InverseFilter(found.reshape(loads, 1, -1), np.ones((1, 1)), delay, error)
-    by_kind = np.moveaxis(found.reshape(loads, kinds, -1), 1, 0).reshape(kinds, -1)
-    u, s, vt = np.linalg.svd(by_kind, full_matrices=False)
+    rows = np.moveaxis(found.reshape(loads, kinds, -1), 1, 0).reshape(kinds, -1)
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    u, s, vt = np.linalg.svd(rows / size, full_matrices=False)
     terms = max(1, int(np.count_nonzero(s > NEGLIGIBLE * s[0])))
-    shared = (s[:terms, None] * vt[:terms]).reshape(terms, loads, -1)
-    return InverseFilter(np.moveaxis(shared, 0, 1), u[:, :terms], delay, error)
+    mix, shared = size * u[:, :terms], s[:terms, None] * vt[:terms]
+    kept = np.moveaxis((mix @ shared).reshape(kinds, loads, -1), 0, 1).reshape(found.shape)
+    error = largest_error(kept, gain, sample_rate, delay)
+    by_load = np.moveaxis(shared.reshape(terms, loads, -1), 0, 1)
+    return InverseFilter(by_load, mix, delay, error)
 
 
 class Equalizer:
@@ -206,6 +220,8 @@ class Equalizer:
         ``normal_force`` (S,) [N] is that of the finger now. Before its first sample the stream is
         taken to have rested there.
         """
+        if not len(shear):
+            return shear
         if self._past is None:
             self._past = np.repeat(shear[:1], self._filter.taps.shape[-1] - 1, axis=0)
         line = np.concatenate([self._past, shear])

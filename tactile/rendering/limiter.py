@@ -51,6 +51,7 @@ class Limiter:
         self._voltage = voltage * (1 - ROUNDING)
         self._step = step * (1 - ROUNDING)
         self._recovery = np.exp(-1 / (RELEASE * sample_rate))
+        self._let_go = 1 / (RELEASE * sample_rate)
         self._ramp = 1 / (fade * sample_rate)
         self._fade, self._fade_step = 1.0, 0.0
         self._waiting = np.zeros((LOOK_AHEAD + 1, channels))
@@ -85,6 +86,8 @@ class Limiter:
         if len(volts) > LONGEST:
             parts = range(0, len(volts), LONGEST)
             return np.concatenate([self(volts[k : k + LONGEST]) for k in parts])
+        if not len(volts):
+            return np.zeros((0, len(self._last)))
         line = np.concatenate([self._waiting, volts])
         highest = np.abs(line).max()
         if not highest < NONSENSE:
@@ -94,7 +97,7 @@ class Limiter:
         self._waiting, out = line[count:], line[1 : count + 1]
         if self._idle and highest <= self._voltage and 2 * highest <= self._step:
             self._last = self._waiting[0]
-            return out
+            return out.copy()
         out = self._guard(out * (self._gain(line) * self._faded(count))[:, None])
         self._rest()
         return out
@@ -117,13 +120,14 @@ class Limiter:
     def _gain(self, line: Floats) -> Floats:
         """Return the gain of each output sample, from how far each input goes over its limits.
 
-        A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
+        A sample's own gain is min(1, voltage/|u|, step/|Δu|), with room for the gain's own recovery
+        in the step. The lowest of it over the look-ahead,
         let go exponentially, then averaged over the look-ahead, is never above it.
         """
         new, old = line[LOOK_AHEAD + 1 :], line[LOOK_AHEAD:-1]
         over = np.maximum(
             np.abs(new).max(axis=1, initial=0.0) / self._voltage,
-            np.abs(new - old).max(axis=1, initial=0.0) / self._step,
+            (np.abs(new - old) + np.abs(old) * self._let_go).max(axis=1) / self._step,
         )
         own = np.concatenate([self._own, 1 / np.maximum(over, 1.0)])
         self._own = own[len(over) :]
@@ -153,8 +157,7 @@ class Limiter:
                 if far > self._step:
                     row += move * (self._step / far - 1)
                     self.guarded_samples += 1
-        if len(wanted):
-            self._last = wanted[-1]
+        self._last = wanted[-1].copy()
         return wanted
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile.display import Display
+from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.limiter import Limiter
@@ -157,15 +158,15 @@ class Renderer:
 
     Raises
     ------
-    ValueError
-        Where the sample rate is below twice the band.
+    InputError
+        Where the sample rate is below twice the band, or beyond reason.
     """
 
     def __init__(
         self, display: Display, texture: Texture, *, sample_rate: float = 8000.0, seed: int = 0
     ) -> None:
         if not 2 * equalizer.FREE_BAND <= sample_rate <= FASTEST:
-            raise ValueError(
+            raise InputError(
                 f"sample_rate {sample_rate:g} Hz: must be {2 * equalizer.FREE_BAND:g} … "
                 f"{FASTEST:g} Hz"
             )

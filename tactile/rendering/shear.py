@@ -73,8 +73,8 @@ def _places(bounds: tuple[float, float]) -> Floats:
 class EventField:
     """Sparse events drawn once on a tile that repeats over the surface, read bilinearly.
 
-    The narrowest event, 0.1 mm, is 8 pixels wide: the reading is within 1.1 % of its peak, one of
-    0.25 mm within 0.2 %. Contactors are taken to stand on whole pixels, so that one fraction of a
+    The narrowest event, 0.1 mm, is 8 pixels wide: the reading is within 2.2 % of its peak, one of
+    0.25 mm within 0.4 %. Contactors are taken to stand on whole pixels, so that one fraction of a
     pixel serves them all: 9 µm at most from where they are, nothing for the shipped displays.
     """
 

@@ -139,6 +139,10 @@ class Laws(_Part, frozen=True, kw_only=True):
             low, high = getattr(self, name)
             if low >= high:
                 raise ValueError(f"{name} = [{low}, {high}] must ascend")
+        if 0 < self.contact_length_mm < 0.05:
+            raise ValueError(
+                f"contact_length_mm = {self.contact_length_mm:g}: must be 0 or at least 0.05"
+            )
 
 
 class Friction(_Part, frozen=True, kw_only=True):

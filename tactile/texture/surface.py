@@ -258,7 +258,8 @@ def grating(part: Periodic, rng: np.random.Generator) -> Partials:
     amplitude = np.asarray(part.harmonics_um) * MICRO
     phase = np.radians(part.phases_deg or np.zeros(len(order)))
     if part.jitter:
-        stretch = 1 + part.jitter * ndtri((np.arange(JITTER_LINES) + 0.5) / JITTER_LINES)
+        quantiles = ndtri((np.arange(JITTER_LINES) + 0.5) / JITTER_LINES)
+        stretch = 1 + part.jitter * quantiles / quantiles.std()
         number = np.outer(number, stretch).ravel()
         amplitude = np.repeat(amplitude / np.sqrt(JITTER_LINES), JITTER_LINES)
         phase = rng.uniform(0, 2 * np.pi, len(number))

@@ -328,7 +328,7 @@ def main() -> None:
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt):
         status = 130
-    except TactileError as error:
+    except (TactileError, OSError) as error:
         status = _complain(f"tactile: {error}")
     except Exception as error:
         if not hasattr(error, "format_message"):  # the parser's own kind; typer does not export it

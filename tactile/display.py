@@ -143,6 +143,11 @@ class Display:
         return float((r.admittance / (2j * np.pi * r.frequency)).real[0])
 
     @property
+    def slew(self) -> float:
+        """Largest rate that both the slew limit and the current limit allow [V/s]."""
+        return self.limits.step(1.0, self.capacitance)
+
+    @property
     def load_forces(self) -> tuple[float, ...]:
         """Normal forces [N] of the finger's table; one, for a load that does not depend on it."""
         return self.load.normal_force if isinstance(self.load, FingerTable) else (1.0,)

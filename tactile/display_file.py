@@ -36,7 +36,7 @@ class Grid(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         last = self.first_channel + self.columns * self.rows - 1
         if last >= CHANNELS:
-            raise ValueError(f"its last channel would be {last}; at most {CHANNELS - 1}")
+            raise ValueError(f"last channel {last}: must be below {CHANNELS}")
 
 
 class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

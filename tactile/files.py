@@ -143,6 +143,8 @@ def _explain(data: Any, message: str) -> str:
             value = value[int(key)] if isinstance(value, list) else value[key]
         except (KeyError, IndexError, ValueError):
             value = None
+    if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # a Struct's own check of a field
+        return f"{field}.{problem}"
     plain = isinstance(value, int | float | str | bool)
     where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
     return where + problem.replace("Expected", "expected").replace("`", "")

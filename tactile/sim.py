@@ -6,6 +6,7 @@ amplifier and finger behind the drive; ``sim:?plant=package.module:factory`` any
 """
 
 import importlib
+from collections import deque
 from typing import Protocol
 
 import numpy as np
@@ -58,7 +59,10 @@ class SimulatedDisplay(MockBus):
         self._display = display
         self._plant = default_plant(display, sample_rate) if plant is None else plant
         self._late = self._plant.delay
-        self._shear: list[Floats] = []
+        self._shear: deque[Floats] = deque()
+        self._untaken = 0
+        self.dropped_shear = 0
+        """Samples of shear that nobody took within a second; with keep=all none are dropped."""
         self.peak_current = 0.0
         """Largest current into any contactor so far [A]."""
 
@@ -73,6 +77,11 @@ class SimulatedDisplay(MockBus):
         self._late -= skipped
         if len(shear) > skipped:
             self._shear.append(shear[skipped:] * self._display.polarity)
+            self._untaken += len(shear) - skipped
+        while not self._all and self._untaken - len(shear) > self.wiring.sample_rate:
+            dropped = len(self._shear.popleft())
+            self._untaken -= dropped
+            self.dropped_shear += dropped
 
     def take_shear(self) -> Floats:
         """Return the skin's shear (S, N) [m] since the last call.
@@ -82,6 +91,7 @@ class SimulatedDisplay(MockBus):
         """
         taken = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
         self._shear.clear()
+        self._untaken = 0
         return taken
 
     def settle(self) -> None:

@@ -110,7 +110,9 @@ def display() -> tactile.Display:
 
 def test_shear_is_the_sum_over_waves_at_each_contactor(display: tactile.Display) -> None:
     texture = plain("wood-oak")
-    r = tactile.render(display, texture, tactile.Trajectory.line(speed=0.07, angle=0.4))
+    r = tactile.render(
+        display, texture, tactile.Trajectory.line(speed=0.07, angle=0.4, duration=0.25)
+    )
     wanted = texture.partials.at(r.position[:, None] + display.contactors)
     # the phasor table's steps leave -73 dB
     assert 20 * np.log10(np.std(r.shear - wanted) / np.std(wanted)) < -70
@@ -121,7 +123,9 @@ def test_drive_of_a_steady_stroke_is_each_wave_times_the_inverse_response(
 ) -> None:
     texture, velocity = plain("wood-pine-sanded"), np.array([0.06, 0.03])
     speed, angle = float(np.hypot(*velocity)), float(np.arctan2(velocity[1], velocity[0]))
-    r = tactile.render(display, texture, tactile.Trajectory.line(speed=speed, angle=angle))
+    r = tactile.render(
+        display, texture, tactile.Trajectory.line(speed=speed, angle=angle, duration=0.3)
+    )
     p = texture.partials
     signed = p.wave_vector @ velocity / (2 * np.pi)
     response = tactile.tip_response(

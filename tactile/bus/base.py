@@ -46,8 +46,6 @@ class RigLimits(Protocol):
     @property
     def voltage(self) -> float: ...  # noqa: D102
     @property
-    def slew(self) -> float: ...  # noqa: D102
-    @property
     def fade(self) -> float: ...  # noqa: D102
 
 
@@ -56,6 +54,8 @@ class Rig(Protocol):
 
     @property
     def channels(self) -> int: ...  # noqa: D102
+    @property
+    def slew(self) -> float: ...  # noqa: D102
     @property
     def limits(self) -> RigLimits: ...  # noqa: D102
 
@@ -86,7 +86,7 @@ class Wiring:
             channels=rig.channels,
             sample_rate=sample_rate,
             voltage=rig.limits.voltage,
-            slew=rig.limits.slew,
+            slew=rig.slew,
             fade=rig.limits.fade,
         )
 

@@ -72,15 +72,19 @@ class MockBus(Bus):
         return np.clip(volts, -limit, limit)
 
     def _stop(self) -> None:
-        count = round(self.wiring.fade * self.wiring.sample_rate)
-        ramp = 1 - np.arange(1, count + 1) / count
+        count = max(round(self.wiring.fade * self.wiring.sample_rate), self._fastest())
+        ramp = 1 - np.arange(1, count + 1) / max(count, 1)
         self._put(ramp[:, None] * self._last)
 
     def _abort(self) -> None:
         step = self.wiring.slew / self.wiring.sample_rate
-        count = int(np.ceil(np.abs(self._last).max() / step))
-        size = np.maximum(np.abs(self._last) - step * np.arange(1, count + 1)[:, None], 0)
-        self._put(size * np.sign(self._last))
+        fall = step * np.arange(1, self._fastest() + 1)[:, None]
+        self._put(np.maximum(np.abs(self._last) - fall, 0) * np.sign(self._last))
+
+    def _fastest(self) -> int:
+        """Return in how many samples the slew limit allows 0 V."""
+        step = self.wiring.slew / self.wiring.sample_rate
+        return int(np.ceil(np.abs(self._last).max() / step))
 
     def _put(self, volts: Floats) -> None:
         """Put volts out; a driver with something behind it goes on from here."""

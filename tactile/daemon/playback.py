@@ -121,9 +121,9 @@ class _Delayed:
             touch[:count, 2],
             drive[early:],
             shear[early:],
-            self._speed(touch[:, :2]),
+            self._speed(touch[:, :2], count - 1),
         )
 
-    def _speed(self, place: Floats) -> float:
-        step = place[-1] - place[-2] if len(place) > 1 else np.zeros(2)
-        return float(np.hypot(*step)) * self._rate
+    def _speed(self, place: Floats, at: int) -> float:
+        before, after = max(at - 1, 0), min(at + 1, len(place) - 1)
+        return float(np.hypot(*(place[after] - place[before]))) * self._rate / (after - before)

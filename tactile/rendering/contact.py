@@ -82,8 +82,8 @@ class Trajectory:
         speed = float((np.linalg.norm(np.diff(self.position, axis=0), axis=1) / step).max())
         if speed > LARGEST_SPEED:
             raise InputError(
-                f"position: reaches {speed:g} m/s, limit {LARGEST_SPEED:g} m/s "
-                "(is it in millimeters?)"
+                f"position: reaches {farthest:g} m and {speed:g} m/s; "
+                f"limits {LARGEST_POSITION:g} m and {LARGEST_SPEED:g} m/s (is it in millimeters?)"
             )
 
     @classmethod

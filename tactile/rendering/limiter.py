@@ -4,7 +4,8 @@ Two stages. The first looks eight samples ahead and turns one gain, common to al
 that the tactile image keeps its shape, down before a sample that would break a limit and slowly up
 after it: nothing is clipped, and where no limit is near nothing is changed. The second holds the
 step from sample to sample whatever came before, by going only part of the way in all contactors
-alike; on a drive without jumps it never acts. Both count what they do.
+alike; on a drive that has no jumps and needs no turning down for its steps it never acts. Both
+count what they do.
 """
 
 import numpy as np
@@ -51,7 +52,6 @@ class Limiter:
         self._voltage = voltage * (1 - ROUNDING)
         self._step = step * (1 - ROUNDING)
         self._recovery = np.exp(-1 / (RELEASE * sample_rate))
-        self._let_go = 1 / (RELEASE * sample_rate)
         self._ramp = 1 / (fade * sample_rate)
         self._fade, self._fade_step = 1.0, 0.0
         self._waiting = np.zeros((LOOK_AHEAD + 1, channels))
@@ -120,14 +120,13 @@ class Limiter:
     def _gain(self, line: Floats) -> Floats:
         """Return the gain of each output sample, from how far each input goes over its limits.
 
-        A sample's own gain is min(1, voltage/|u|, step/|Δu|), with room for the gain's own recovery
-        in the step. The lowest of it over the look-ahead,
+        A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
         let go exponentially, then averaged over the look-ahead, is never above it.
         """
         new, old = line[LOOK_AHEAD + 1 :], line[LOOK_AHEAD:-1]
         over = np.maximum(
             np.abs(new).max(axis=1, initial=0.0) / self._voltage,
-            (np.abs(new - old) + np.abs(old) * self._let_go).max(axis=1) / self._step,
+            np.abs(new - old).max(axis=1) / self._step,
         )
         own = np.concatenate([self._own, 1 / np.maximum(over, 1.0)])
         self._own = own[len(over) :]

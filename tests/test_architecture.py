@@ -1,0 +1,295 @@
+"""The house holds: which room may know which, what is imported where, how long things may be.
+
+`MAP` says for each room (a package or module directly in `tactile`) which other rooms it may
+import. A new room gets its line here.
+"""
+
+import ast
+import graphlib
+import importlib
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import tactile
+
+PACKAGE = Path(tactile.__file__).parent
+PROJECT = Path(__file__).parents[1]
+
+MAP: dict[str, set[str]] = {
+    "errors": set(),
+    "files": {"errors"},
+    "actuator": set(),
+    "display_file": set(),
+    "display": {"actuator", "display_file", "errors", "files"},
+    "texture": {"errors", "files"},
+    "rendering": {"display", "errors", "files", "texture"},
+    "bus": {"errors", "files"},
+    "sim": {"actuator", "bus", "display", "errors"},
+    "devices": {"bus", "sim"},
+    "recording": {"errors"},
+    "daemon": {"bus", "devices", "display", "recording", "rendering", "sim", "texture"},
+    "study": {"actuator"},
+    "plots": {"actuator", "display", "errors"},
+    "terminal": {"display"},
+    "bench": {"actuator", "display", "rendering", "sim", "texture"},
+    "cli": {"bench", "daemon", "errors", "files", "plots", "study", "terminal"},
+    "__main__": {"cli"},
+}
+"""What a room may import besides itself; `tactile/__init__.py` only names where things live."""
+ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finger"}
+"""Modules that import nothing of tactile."""
+AT_HOME = {"matplotlib": {"plots"}, "rich": {"bench", "cli", "terminal"}, "typer": {"cli"}}
+"""Libraries that only some modules may import."""
+BY_NAME = {"__init__", "sim"}
+"""Modules that may import by a name made at run time: lazily, and a user's plant."""
+
+LONGEST_FILE = 500
+LONGEST_FUNCTION = 40
+
+SOURCES = {
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+"""Path by module, as "bus.base"; packages end in "__init__"."""
+TREES = {module: ast.parse(path.read_text("utf-8")) for module, path in SOURCES.items()}
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+each_module = pytest.mark.parametrize("module", SOURCES)
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[0]
+
+
+def is_module(name: str) -> bool:
+    return name in SOURCES or f"{name}.__init__" in SOURCES
+
+
+def imports(module: str) -> Iterator[str]:
+    """Yield the full name of all that a module imports, wherever in it.
+
+    ``from a.b import c`` is a.b.c, so that a module imported as a name is found as well.
+    """
+    parts = ["tactile", *module.split(".")]
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            origin = parts[: len(parts) - node.level] if node.level else []
+            origin = [*origin, *([node.module] if node.module else [])]
+            yield from (".".join([*origin, alias.name]) for alias in node.names)
+
+
+def own_imports(module: str) -> set[str]:
+    """Return the modules of tactile that a module imports; "" for tactile itself."""
+    found = set()
+    for name in imports(module):
+        first, _, inner = name.partition(".")
+        if first == "tactile":
+            while inner and not is_module(inner):
+                inner = inner.rpartition(".")[0]
+            found.add(inner)
+    return found
+
+
+def foreign_imports(module: str) -> set[str]:
+    return {name.partition(".")[0] for name in imports(module)} - {"tactile"}
+
+
+def functions(tree: ast.AST) -> Iterator[Function]:
+    for node in ast.walk(tree):
+        if isinstance(node, Function):
+            yield node
+
+
+# The map
+
+
+def test_every_room_has_a_line_in_the_map_and_every_line_a_room() -> None:
+    assert {room_of(module) for module in SOURCES} == {*MAP, "__init__"}
+
+
+def test_the_map_points_one_way() -> None:
+    order = list(graphlib.TopologicalSorter(MAP).static_order())
+    assert set(order) == set(MAP), "a room that is imported has a line"
+
+
+@each_module
+def test_a_module_imports_only_what_its_room_may_know(module: str) -> None:
+    room = room_of(module)
+    if room == "__init__":
+        pytest.skip("names where things live, as the tests below say")
+    known = {room_of(name) for name in own_imports(module)} - {room}
+    if room == "cli":
+        known -= {""}
+    assert known <= MAP[room], f"{module} must not know {known - MAP[room]}"
+
+
+@pytest.mark.parametrize("module", ALONE)
+def test_a_module_that_stands_alone_imports_nothing_of_tactile(module: str) -> None:
+    assert own_imports(module) == set(), ALONE[module]
+
+
+@pytest.mark.parametrize("library", AT_HOME)
+def test_a_library_is_imported_only_where_it_is_at_home(library: str) -> None:
+    users = {module for module in SOURCES if library in foreign_imports(module)}
+    assert users == AT_HOME[library]
+
+
+def test_only_lazy_names_and_a_users_plant_are_imported_by_name() -> None:
+    users = {
+        module
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name | ast.Attribute)
+        and (node.id if isinstance(node, ast.Name) else node.attr)
+        in ("import_module", "__import__", "find_spec", "exec_module")
+    }
+    assert users == BY_NAME
+
+
+@each_module
+def test_nothing_is_imported_by_star_or_relatively(module: str) -> None:
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            assert all(alias.name != "*" for alias in node.names)
+
+
+def test_every_library_is_a_declared_dependency() -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    declared = [*project["dependencies"], *extras["plot"]]
+    names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
+    used = {name for module in SOURCES for name in foreign_imports(module)}
+    assert used - set(sys.stdlib_module_names) == names
+
+
+# The front door
+
+
+def test_the_front_door_imports_only_for_type_checkers() -> None:
+    tree = TREES["__init__"]
+    checked = [
+        node
+        for block in tree.body
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for node in block.body
+    ]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("tactile"):
+            assert node in checked
+
+
+def test_names_for_type_checkers_and_names_at_run_time_are_the_same() -> None:
+    typed = {
+        (str(node.module).removeprefix("tactile."), alias.name)
+        for node in ast.walk(TREES["__init__"])
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("tactile")
+        for alias in node.names
+    }
+    assert typed == {(home, name) for name, home in tactile._HOME.items()}
+    assert set(tactile.__all__) == {name for _, name in typed}
+
+
+@pytest.mark.parametrize("name", tactile.__all__)
+def test_every_public_name_is_there_and_is_the_one_of_its_home(name: str) -> None:
+    home = importlib.import_module(f"tactile.{tactile._HOME[name]}")
+    assert getattr(tactile, name) is getattr(home, name)
+    assert name in dir(tactile)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'tactile' has no attribute 'rendr'"):
+        _ = tactile.rendr
+
+
+def loaded_after(statement: str) -> set[str]:
+    """Return the packages that a fresh interpreter has after a statement."""
+    code = f"import sys\n{statement}\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+    run = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env=os.environ
+    )
+    return set(run.stdout.split())
+
+
+def test_import_tactile_alone_loads_neither_scipy_nor_numpy() -> None:
+    assert loaded_after("import tactile") & {"numpy", "scipy", "msgspec", "rich", "typer"} == set()
+
+
+def test_the_rendering_room_loads_no_drawing_and_no_command_line() -> None:
+    loaded = loaded_after("import tactile; tactile.render, tactile.open_bus")
+    assert "scipy" in loaded
+    assert loaded & {"matplotlib", "rich", "typer", "threadpoolctl"} == set()
+
+
+def test_the_command_line_loads_no_plots_until_they_are_drawn() -> None:
+    assert "matplotlib" not in loaded_after("import tactile.cli, tactile.plots")
+
+
+# Names and sizes
+
+
+@each_module
+def test_no_function_shares_its_name_with_a_module_or_package(module: str) -> None:
+    """Functions of a module; a method is always seen behind its object."""
+    modules = {part for name in SOURCES for part in name.split(".")} | {"tactile"}
+    here = {node.name for node in TREES[module].body if isinstance(node, Function)}
+    assert here & modules == set()
+
+
+@each_module
+def test_every_public_module_has_a_docstring(module: str) -> None:
+    name = module.rpartition(".")[2]
+    if name.startswith("_") and name not in ("__init__", "__main__"):
+        pytest.skip("not public")
+    assert (ast.get_docstring(TREES[module]) or "").strip()
+
+
+@each_module
+def test_no_file_is_longer_than_500_lines(module: str) -> None:
+    assert len(SOURCES[module].read_text("utf-8").splitlines()) <= LONGEST_FILE
+
+
+def length(function: Function) -> int:
+    """Return the lines from the first after the docstring to the last."""
+    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    if not body:
+        return 0
+    first, last = body[0], body[-1]
+    decorators = first.decorator_list if isinstance(first, Function | ast.ClassDef) else []
+    start = min([first.lineno, *(node.lineno for node in decorators)])
+    return (last.end_lineno or last.lineno) - start + 1
+
+
+@each_module
+def test_no_function_is_longer_than_40_lines(module: str) -> None:
+    long = {f.name: length(f) for f in functions(TREES[module]) if length(f) > LONGEST_FUNCTION}
+    assert long == {}
+
+
+def test_lengths_are_counted_from_after_the_docstring_to_the_last_line() -> None:
+    text = 'def f():\n    """One\n\n    two."""\n    a = 1\n\n    return (\n        a\n    )\n'
+    (function,) = functions(ast.parse(text))
+    assert length(function) == 5
+
+
+def test_imports_of_every_form_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise the tests above would pass for nothing."""
+    text = (
+        "import tactile\nimport tactile.bus.base as b\nfrom tactile import files\n"
+        "from tactile.sim import Fidelity\nfrom ..texture import surface\nfrom . import limiter\n"
+        "def f():\n    from tactile.bus import mock_bus\n    import scipy.signal\n"
+    )
+    monkeypatch.setitem(SOURCES, "rendering.example", PACKAGE / "rendering" / "example.py")
+    monkeypatch.setitem(TREES, "rendering.example", ast.parse(text))
+    assert own_imports("rendering.example") == {
+        "", "bus.base", "files", "sim", "texture.surface", "rendering.limiter", "bus.mock_bus",
+    }  # fmt: skip
+    assert foreign_imports("rendering.example") == {"scipy"}

@@ -1,0 +1,397 @@
+"""The laws of speed and force, and the raster that sparse events are read from.
+
+Laws are compared with plain powers where they hold and with constants where they are held; the
+raster with the Gaussians themselves, summed one by one in double precision over the tiles.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile.rendering.shear import CONTACT_FORCE, EventField, Law, held_power_law
+from tactile.texture.descriptor import About, Descriptor, Events, Laws, Reference
+from tactile.texture.surface import Partials, Surface
+
+Floats = NDArray[np.float64]
+
+EXPONENTS = [-4.0, -1.0, -0.5, 0.4, 1.0, 3.0]
+RANGE = (10.0, 1000.0)
+MIDDLE = 100.0
+
+
+# The law
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_law_is_the_plain_power_in_the_middle_of_its_range(exponent: float) -> None:
+    """Four times away from either end 4⁻⁸/8 = 2e-6 is left of the bend, per unit of exponent."""
+    x = np.geomspace(40, 250, 50)
+    found = held_power_law(x, MIDDLE, RANGE, exponent)
+    np.testing.assert_allclose(found, (x / MIDDLE) ** exponent, rtol=3e-6 * abs(exponent))
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+@pytest.mark.parametrize("reference", [1.0, 30.0, MIDDLE, 5000.0])
+def test_a_law_is_one_at_its_reference_wherever_that_is(exponent: float, reference: float) -> None:
+    found = held_power_law(np.array([reference]), reference, RANGE, exponent)
+    assert found == pytest.approx(1, abs=1e-14)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_law_is_held_at_what_it_has_at_the_ends_of_its_range(exponent: float) -> None:
+    """From rest, (10/100)^e, to anything, (1000/100)^e; four times outside 4⁻⁸/8 is left."""
+    slow = held_power_law(np.array([0.0, 1e-9, 1.0, 2.5]), MIDDLE, RANGE, exponent)
+    np.testing.assert_allclose(slow, 0.1**exponent, rtol=3e-6 * abs(exponent))
+    fast = held_power_law(np.array([4e3, 1e5, 1e12]), MIDDLE, RANGE, exponent)
+    np.testing.assert_allclose(fast, 10.0**exponent, rtol=3e-6 * abs(exponent))
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_law_is_three_quarters_of_a_decibel_off_right_at_an_end(exponent: float) -> None:
+    """x⁸ + x⁸ is 2 x⁸: 2^(1/8), 0.753 dB, per unit of exponent, from whichever side."""
+    at_ends = held_power_law(np.array(RANGE), MIDDLE, RANGE, exponent)
+    plain = (np.array(RANGE) / MIDDLE) ** exponent
+    decibels = 20 * np.log10(at_ends / plain)
+    np.testing.assert_allclose(decibels, np.array([0.7526, -0.7526]) * exponent, atol=1e-3)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_law_is_even_and_flat_through_a_stop(exponent: float) -> None:
+    """A reversal changes nothing: same from either side, and the seventh power near zero."""
+    x = np.linspace(0, 50, 101)
+    there = held_power_law(x, MIDDLE, RANGE, exponent)
+    np.testing.assert_array_equal(held_power_law(-x, MIDDLE, RANGE, exponent), there)
+    near = held_power_law(np.array([0.0, 0.5, 1.0]), MIDDLE, RANGE, exponent)
+    assert np.ptp(near) / near[0] < 2e-8 * abs(exponent)
+
+
+@settings(deadline=None, derandomize=True, max_examples=100)
+@given(
+    low=st.floats(0.1, 50),
+    ratio=st.floats(1.2, 100),
+    reference=st.floats(0.1, 1000),
+    exponent=st.floats(-4, 4),
+)
+def test_a_law_is_smooth_and_never_steeper_than_its_power(
+    low: float, ratio: float, reference: float, exponent: float
+) -> None:
+    """In its logarithm: a slope between 0 and the exponent, that turns by ≤ 2 e per e-fold.
+
+    The bend x⁸/(x⁸ + low⁸) is a logistic of 8 ln x, whose slope is at most 8/4.
+    """
+    log = np.linspace(math.log(low) - 3, math.log(low * ratio) + 3, 4001)
+    law = np.log(held_power_law(np.exp(log), reference, (low, low * ratio), exponent))
+    slope = np.diff(law) / np.diff(log)
+    share = slope / exponent if abs(exponent) > 1e-3 else np.zeros(1)
+    assert share.min() > -1e-6
+    assert share.max() < 1 + 1e-6
+    turn = np.diff(slope) / np.diff(log)[0]
+    assert np.abs(turn).max() < 2.01 * abs(exponent) + 1e-4
+
+
+def descriptor(laws: Laws, *, speed: float = 40.0, force: float = 0.5) -> Descriptor:
+    """Return a descriptor of one event with these laws and this reference [mm/s], [N]."""
+    return Descriptor(
+        texture=About(
+            id="sample",
+            category="test",
+            description="",
+            provenance="authored",
+            source="a test",
+            licence="",
+        ),
+        reference=Reference(speed_mm_s=speed, normal_force_n=force),
+        events=(Events(density_per_mm2=1.0, amplitude_um=1.0, width_mm=1.0),),
+        laws=laws,
+    )
+
+
+def factor(law: Law, speed: Floats, force: Floats) -> Floats:
+    """Return a law's factor at speeds [m/s] and forces [N]."""
+    return np.asarray(law(speed**2, force), np.float64)
+
+
+BOTH = Laws(
+    speed_exponent=-1.0,
+    speed_range_mm_s=(20.0, 60.0),
+    force_exponent=0.4,
+    force_range_n=(0.2, 2.0),
+)
+
+
+def table_error(exponent: float, step: float) -> float:
+    """Return what straight lines between entries leave of x^exponent, and 10 % more.
+
+    step²/8 times x² L″/L, which is e² − e in the law, and where it bends adds 2 |e| to |e|.
+    """
+    return 1.1 * step**2 / 8 * (exponent**2 + 3 * abs(exponent)) + 1e-9
+
+
+@pytest.mark.parametrize(("speed", "force"), [(40.0, 0.5), (25.0, 1.0), (55.0, 0.3)])
+def test_the_factor_is_one_at_the_descriptor_s_reference(speed: float, force: float) -> None:
+    """Within what the tables leave."""
+    law = Law(descriptor(BOTH, speed=speed, force=force))
+    at_reference = factor(law, np.array([speed * 1e-3]), np.array([force]))
+    assert at_reference == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_the_factor_follows_the_speed_law_of_the_descriptor(exponent: float) -> None:
+    """From rest to 3 m/s here, millimeters per second in the file; its table is over speed²."""
+    laws = Laws(speed_exponent=exponent, speed_range_mm_s=(20.0, 60.0))
+    speed = np.concatenate([[0.0, 1e-6], np.geomspace(1e-4, 3, 999)])
+    found = factor(Law(descriptor(laws)), speed, np.full(len(speed), 0.5))
+    expected = held_power_law(speed * 1e3, 40.0, (20.0, 60.0), exponent)
+    np.testing.assert_allclose(found, expected, rtol=table_error(exponent / 2, 0.02) + 1e-5)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_the_factor_follows_the_force_law_of_the_descriptor(exponent: float) -> None:
+    """From where contact is full up to 50 N."""
+    laws = Laws(force_exponent=exponent, force_range_n=(0.2, 2.0))
+    force = np.geomspace(CONTACT_FORCE, 50, 999)
+    found = factor(Law(descriptor(laws)), np.full(len(force), 0.04), force)
+    expected = held_power_law(force, 0.5, (0.2, 2.0), exponent)
+    np.testing.assert_allclose(found, expected, rtol=table_error(exponent, 0.01) + 1e-5)
+
+
+def test_speed_and_force_multiply() -> None:
+    law = Law(descriptor(BOTH))
+    speed, force = np.meshgrid(np.linspace(0, 0.2, 30), np.linspace(0, 3, 30))
+    together = factor(law, speed.ravel(), force.ravel()).reshape(30, 30)
+    alone = factor(law, speed[0], np.full(30, 0.5)), factor(law, np.full(30, 0.04), force[:, 0])
+    expected = np.outer(alone[1], alone[0]) / factor(law, np.array([0.04]), np.array([0.5]))
+    np.testing.assert_allclose(together, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("exponent", [-2.0, 0.0, 0.4])
+def test_without_contact_there_is_no_shear_and_it_comes_and_goes_smoothly(exponent: float) -> None:
+    """Exactly nothing at 0 N, all at 0.05 N, and between 3t² − 2t³ without a corner.
+
+    In the table's 64 steps of it: 6/8/64² = 2e-4 off at most; the slope's corners at both ends
+    are that of one step.
+    """
+    laws = Laws(force_exponent=exponent, force_range_n=(0.2, 2.0))
+    law = Law(descriptor(laws))
+    force = np.linspace(0, 2 * CONTACT_FORCE, 2001)
+    found = factor(law, np.full(2001, 0.04), force)
+    assert found[0] == 0
+    touch = np.minimum(force / CONTACT_FORCE, 1)
+    held = held_power_law(force, 0.5, (0.2, 2.0), exponent)
+    np.testing.assert_allclose(found, touch**2 * (3 - 2 * touch) * held, atol=3e-4 * held[0])
+    assert np.all(np.diff(found[:1001]) >= 0)
+    slope = np.diff(found) / np.diff(force) * CONTACT_FORCE / held[0]
+    assert abs(slope[0]) < 0.1
+    assert abs(slope[999]) < 0.1
+    assert slope.max() == pytest.approx(1.5, abs=0.05)
+
+
+def test_no_speed_and_no_law_give_no_change() -> None:
+    law = Law(descriptor(Laws()))
+    speed, force = np.array([0.0, 0.01, 5.0]), np.array([0.06, 0.5, 40.0])
+    np.testing.assert_allclose(factor(law, speed, force), 1, atol=1e-12)
+
+
+# Events
+
+TILE = 25.6e-3
+PITCH = TILE / 2048
+"""12.5 µm"""
+
+
+def surface(place: Floats, peak: Floats, kind: NDArray[np.intp]) -> Surface:
+    none = Partials(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    return Surface(none, none, place, peak, kind, TILE)
+
+
+def read(field: EventField, place: Floats) -> Floats:
+    """Return displacement (S, N) [m] for finger places (S, 2) [m]."""
+    return np.asarray(field.at(place.T), np.float64)
+
+
+def summed(
+    place: Floats, peak: Floats, kinds: list[Events], kind: NDArray[np.intp], at: Floats
+) -> Floats:
+    """Return the displacement (S,) of every event on 3 × 3 tiles, Gaussian by Gaussian [m]."""
+    total = np.zeros(len(at))
+    home = at % TILE
+    for where, size, k in zip(place, peak, kind, strict=True):
+        event = kinds[k]
+        sigma = event.width_mm * 1e-3 / math.sqrt(8 * math.log(2))
+        turn = math.radians(event.direction_deg)
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                x, y = (home - where - TILE * np.array([i, j])).T
+                bump = np.exp(-(x**2 + y**2) / (2 * sigma**2))
+                if event.shape == "edge":
+                    along = x * math.cos(turn) + y * math.sin(turn)
+                    bump = bump * along / sigma * math.exp(0.5)
+                total += size * bump
+    return total
+
+
+KINDS = [
+    Events(density_per_mm2=1.0, amplitude_um=1.0, width_mm=0.25),
+    Events(density_per_mm2=1.0, amplitude_um=1.0, width_mm=1.3, shape="edge", direction_deg=30.0),
+    Events(density_per_mm2=1.0, amplitude_um=1.0, width_mm=5.0),
+]
+
+
+def bend(width: float, shape: str) -> float:
+    """Return the most that bilinear reading may miss of an event of peak one.
+
+    pitch²/8 times the second derivatives along both axes: 1/σ² each for a Gaussian, and for its
+    derivative (scaled to a peak of one) at most 3.22/σ² together.
+    """
+    sigma = width * 1e-3 / math.sqrt(8 * math.log(2))
+    return (2.0 if shape == "pulse" else 3.22) * (PITCH / sigma) ** 2 / 8
+
+
+def test_the_raster_is_the_sum_of_its_events_at_random_places() -> None:
+    """60 events of three kinds, some across the tile's edges; 2000 places on ± 4 tiles.
+
+    Each event near a place adds what its bilinear reading misses (0.35 % of the narrowest) and
+    the five-σ cut (4e-6); eight of them overlap at most, float32 adds 1e-6.
+    """
+    rng = np.random.default_rng(5)
+    place, kind = rng.uniform(0, TILE, (60, 2)), rng.choice(3, 60, p=[0.6, 0.25, 0.15])
+    place[:6, 0], place[6:12, 1] = rng.uniform(0, 2e-4, 6), TILE - rng.uniform(0, 2e-4, 6)
+    peak = rng.choice([-1, 1], 60) * rng.uniform(0.5e-6, 2e-6, 60)
+    field = EventField(surface(place, peak, kind), tuple(KINDS), np.zeros((1, 2)))
+    at = np.concatenate(
+        [rng.uniform(-4 * TILE, 4 * TILE, (1000, 2)), place.repeat(16, 0)]
+    ) + rng.normal(0, 2e-4, (1960, 2))
+    expected = summed(place, peak, KINDS, kind, at)
+    assert np.std(expected) > 0.5e-6
+    tolerance = 2e-6 * (bend(0.25, "pulse") + bend(1.3, "edge") + 8 * bend(5.0, "pulse") + 1e-4)
+    np.testing.assert_allclose(read(field, at)[:, 0], expected, atol=tolerance)
+
+
+@pytest.mark.parametrize("shape", ["pulse", "edge"])
+@pytest.mark.parametrize("width", [0.1, 0.25, 1.0])
+def test_one_event_is_read_within_the_error_of_a_bilinear_reading(width: float, shape: str) -> None:
+    """Wherever on the raster it lies, and wherever between pixels it is read."""
+    worst = worst_reading(width, shape)
+    assert worst < bend(width, shape) + 2e-5
+    assert worst > 0.3 * bend(width, shape)
+
+
+@pytest.mark.parametrize(("width", "stated"), [(0.1, 0.022), (0.25, 0.004)])
+def test_a_pulse_is_read_as_closely_as_the_class_states(width: float, stated: float) -> None:
+    assert worst_reading(width, "pulse") <= stated
+
+
+def worst_reading(width: float, shape: str) -> float:
+    """Return the largest error of reading an event, of its peak, over offsets of both."""
+    rng, worst = np.random.default_rng(1), 0.0
+    direction = 0.0 if shape == "edge" else 77.0
+    event = Events(
+        density_per_mm2=1.0,
+        amplitude_um=1.0,
+        width_mm=width,
+        shape="edge" if shape == "edge" else "pulse",
+        direction_deg=direction,
+    )
+    for offset in ([0.0, 0.0], [0.5, 0.5], [0.3, 0.8]):
+        place = (np.array([[700.0, 1200.0]]) + offset) * PITCH
+        field = EventField(
+            surface(place, np.ones(1), np.zeros(1, np.intp)), (event,), np.zeros((1, 2))
+        )
+        near = place + rng.uniform(-1, 1, (4000, 2)) * width * 1e-3
+        near = np.concatenate([near, np.floor(near / PITCH) * PITCH + 0.5 * PITCH, place])
+        expected = summed(place, np.ones(1), [event], np.zeros(1, np.intp), near)
+        worst = max(worst, float(np.abs(read(field, near)[:, 0] - expected).max()))
+    return worst
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (TILE - 1e-6, 1e-6), (1e-5, TILE / 2)])
+def test_an_event_on_the_edge_of_the_tile_goes_on_at_the_other(corner: tuple[float, float]) -> None:
+    """The same shape around it as in the middle of the tile, on whichever tile it is read."""
+    rng = np.random.default_rng(3)
+    around = rng.uniform(-2e-3, 2e-3, (500, 2))
+    place = np.round(np.array([corner]) / PITCH) * PITCH % TILE
+    middle = np.array([[1000, 900]]) * PITCH
+    shapes = []
+    for where in (place, middle):
+        one = surface(where, np.full(1, 1e-6), np.ones(1, np.intp))
+        shapes.append(read(EventField(one, tuple(KINDS), np.zeros((1, 2))), where + around))
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-12)
+    one = surface(place, np.full(1, 1e-6), np.ones(1, np.intp))
+    field = EventField(one, tuple(KINDS), np.zeros((1, 2)))
+    for tiles in ([1, 0], [0, -1], [-20, 35]):
+        np.testing.assert_allclose(
+            read(field, place + around + np.array(tiles) * TILE), shapes[0], atol=1e-11
+        )
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, -90.0])
+def test_an_edge_pushes_and_pulls_along_its_direction(degrees: float) -> None:
+    """Antisymmetric about its middle, even across, its peaks of the stated height a σ away."""
+    edge = Events(
+        density_per_mm2=1.0, amplitude_um=1.0, width_mm=1.0, shape="edge", direction_deg=degrees
+    )
+    place = np.array([[812, 1033]]) * PITCH
+    one = surface(place, np.full(1, 3e-6), np.zeros(1, np.intp))
+    field = EventField(one, (edge,), np.zeros((1, 2)))
+    axis = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+    across = np.array([-axis[1], axis[0]])
+    steps = np.linspace(-1.5e-3, 1.5e-3, 301)[:, None]
+    along = read(field, place + steps * axis)[:, 0]
+    np.testing.assert_allclose(along, -along[::-1], atol=1e-11)
+    assert np.abs(read(field, place + steps * across)).max() < 1e-9
+    aside = read(field, place + steps * axis + 3e-4 * across)[:, 0]
+    other = read(field, place + steps * axis - 3e-4 * across)[:, 0]
+    np.testing.assert_allclose(aside, other, atol=3e-6 * bend(1.0, "edge"))
+    sigma = 1e-3 / math.sqrt(8 * math.log(2))
+    assert along.max() == pytest.approx(3e-6, rel=2e-3)
+    assert steps[np.argmax(along), 0] == pytest.approx(sigma, abs=2e-5)
+
+
+def test_a_pulse_is_round_and_of_one_sign() -> None:
+    place = np.array([[812, 1033]]) * PITCH
+    one = surface(place, np.full(1, -3e-6), np.zeros(1, np.intp))
+    field = EventField(one, (KINDS[2],), np.zeros((1, 2)))
+    turn = np.linspace(0, 2 * np.pi, 50)[:, None]
+    ring = read(field, place + 2e-3 * np.concatenate([np.cos(turn), np.sin(turn)], axis=1))[:, 0]
+    np.testing.assert_allclose(ring, ring[0], rtol=1e-4)
+    assert read(field, place)[0, 0] == pytest.approx(-3e-6, rel=1e-6)
+    assert ring[0] == pytest.approx(-3e-6 * 0.5 ** (2 * 2 / 5) ** 2, rel=1e-3)
+
+
+def test_every_contactor_reads_at_its_own_place() -> None:
+    """That of the finger plus its own, to the nearest pixel: here on whole ones, as shipped."""
+    rng = np.random.default_rng(8)
+    place, kind = rng.uniform(0, TILE, (40, 2)), rng.integers(0, 2, 40)
+    whole = surface(place, rng.uniform(1e-6, 2e-6, 40), kind)
+    contactors = np.array([[0.0, 0.0], [2.5e-3, 0.0], [-6.25e-3, 5.25e-3], [1.25e-3, -30e-3]])
+    finger = rng.uniform(-0.1, 0.1, (300, 2))
+    shear = read(EventField(whole, tuple(KINDS), contactors), finger)
+    assert shear.shape == (300, 4)
+    alone = EventField(whole, tuple(KINDS), np.zeros((1, 2)))
+    for i, where in enumerate(contactors):
+        np.testing.assert_allclose(shear[:, i], read(alone, finger + where)[:, 0], atol=1e-11)
+
+
+def test_a_contactor_between_pixels_is_read_at_the_nearest() -> None:
+    """9 µm away at most: half a pixel along each axis."""
+    rng = np.random.default_rng(9)
+    whole = surface(rng.uniform(0, TILE, (40, 2)), np.full(40, 1e-6), rng.integers(0, 2, 40))
+    contactors = rng.uniform(-0.02, 0.02, (20, 2))
+    nearest = np.round(contactors / PITCH) * PITCH
+    assert np.linalg.norm(nearest - contactors, axis=1).max() < 9e-6
+    finger = rng.uniform(-0.1, 0.1, (100, 2))
+    between, at_pixels = (
+        read(EventField(whole, tuple(KINDS), where), finger) for where in (contactors, nearest)
+    )
+    np.testing.assert_array_equal(between, at_pixels)
+
+
+def test_a_surface_without_events_is_still() -> None:
+    field = EventField(
+        surface(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.intp)), (), np.zeros((3, 2))
+    )
+    assert not np.any(read(field, np.random.default_rng(0).uniform(-1, 1, (50, 2))))

@@ -1,13 +1,12 @@
 """Nothing that leaves the limiter exceeds its limits, and what needs no limit leaves untouched.
 
-The property tests feed it whatever floating-point numbers can be, cut in any way, with fades at
-any time; the rest shows that it turns down rather than clips, and counts what it does. Limits are
+The property tests feed it whatever floating-point numbers can be, cut in any way;
+the rest shows that it turns down rather than clips, and counts what it does. Limits are
 compared exactly, without a tolerance: the limiter keeps a relative 1e-9 from them for rounding.
 """
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from tactile.display import Limits
 from tactile.rendering.limiter import Limiter
 
 Floats = NDArray[np.float64]
-Event = Floats | Literal["fade in", "fade out"]
 
 RATE = 8000.0
 ANYTHING = settings(deadline=None, derandomize=True, max_examples=200)
@@ -27,21 +25,16 @@ AGAIN_ALL = 32_000
 """Samples, 4 s: 40 time constants of the release, after which a gain is 1 within rounding."""
 
 
-def limiter(
-    voltage: float = 100.0, step: float = 40.0, channels: int = 1, fade: float = 20e-3
-) -> Limiter:
-    return Limiter(voltage, step, sample_rate=RATE, channels=channels, fade=fade)
+def limiter(voltage: float = 100.0, step: float = 40.0, channels: int = 1) -> Limiter:
+    return Limiter(voltage, step, sample_rate=RATE, channels=channels)
 
 
-def played(device: Limiter, events: Iterable[Event]) -> Floats:
-    """Play blocks and fades; return all that came out."""
+def played(device: Limiter, events: Iterable[Floats]) -> Floats:
+    """Play blocks; return all that came out."""
     out = []
     for event in events:
-        if isinstance(event, str):
-            device.fade_in() if event == "fade in" else device.fade_out()
-        else:
-            out.append(device(event))
-            assert out[-1].shape == event.shape
+        out.append(device(event))
+        assert out[-1].shape == event.shape
     return np.concatenate(out) if out else np.zeros((0, 1))
 
 
@@ -96,16 +89,16 @@ PATTERNS: list[Callable[[np.random.Generator, tuple[int, int], float], Floats]] 
 
 
 @st.composite
-def streams(draw: st.DrawFn) -> tuple[float, float, int, float, list[Event]]:
-    """Return voltage, step, channels, fade and what to play."""
+def streams(draw: st.DrawFn) -> tuple[float, float, int, list[Floats]]:
+    """Return voltage, step, channels and what to play."""
     voltage = draw(st.sampled_from([100.0, 1.0, 0.3, 1000.0]) | st.floats(1e-3, 1e3))
     step = voltage * draw(st.sampled_from([0.9, 0.05, 3.0, 2.0]) | st.floats(1e-4, 4))
-    channels, fade = draw(st.integers(1, 3)), draw(st.sampled_from([20e-3, 1e-3, 1e-5]))
+    channels = draw(st.integers(1, 3))
 
-    def block(values: list[float]) -> Event:
+    def block(values: list[float]) -> Floats:
         return np.resize(np.array(values, np.float64), (len(values) // channels, channels))
 
-    def pattern(choice: int, seed: int, size: int, over: float) -> Event:
+    def pattern(choice: int, seed: int, size: int, over: float) -> Floats:
         rng = np.random.default_rng(seed)
         return PATTERNS[choice](rng, (size, channels), over * voltage)
 
@@ -113,32 +106,27 @@ def streams(draw: st.DrawFn) -> tuple[float, float, int, float, list[Event]]:
     scale = st.sampled_from([0.5, 1.0, 3.0, 100.0, 1e-6]) | st.floats(0, 10)
     kinds = st.integers(0, len(PATTERNS) - 1)
     patterns = st.builds(pattern, kinds, st.integers(0, 99), st.integers(0, 400), scale)
-    fades: st.SearchStrategy[Event] = st.sampled_from(["fade in", "fade out"])
-    return voltage, step, channels, fade, draw(st.lists(some | patterns | fades, max_size=12))
+    return voltage, step, channels, draw(st.lists(some | patterns, max_size=12))
 
 
 @ANYTHING
 @given(stream=streams())
 def test_whatever_comes_in_what_leaves_is_within_both_limits(
-    stream: tuple[float, float, int, float, list[Event]],
+    stream: tuple[float, float, int, list[Floats]],
 ) -> None:
-    voltage, step, channels, fade, events = stream
-    device = limiter(voltage, step, channels, fade)
+    voltage, step, channels, events = stream
+    device = limiter(voltage, step, channels)
     out = played(device, [np.zeros((0, channels)), *events, np.zeros((9, channels))])
     assert_within(out, voltage, step)
 
 
 @settings(ANYTHING, max_examples=60)
 @given(seed=st.integers(0, 2**31), step=st.sampled_from([2.0, 40.0, 150.0, 250.0]))
-def test_limits_hold_from_block_to_block_and_through_fades_at_any_sample(
-    seed: int, step: float
-) -> None:
-    """1500 samples of changing patterns in blocks of 0 … 60, a fade before one block in four."""
+def test_limits_hold_from_block_to_block(seed: int, step: float) -> None:
+    """1500 samples of changing patterns in blocks of 0 … 60."""
     rng = np.random.default_rng(seed)
-    events: list[Event] = []
+    events: list[Floats] = []
     for _ in range(50):
-        if rng.uniform() < 0.25:
-            events.append("fade in" if rng.uniform() < 0.6 else "fade out")
         make = PATTERNS[rng.integers(len(PATTERNS))]
         size = 100 * float(rng.choice([0.2, 0.49, 1.0, 2.0, 30.0]))
         events.append(make(rng, (int(rng.integers(0, 61)), 2), size))
@@ -165,12 +153,10 @@ def test_any_type_of_number_is_limited(kind: type[np.float32], most: float) -> N
 
 
 def test_an_empty_block_is_an_empty_block_at_any_time() -> None:
-    """At rest, while the gain is down, and during a fade."""
+    """At rest, and while the gain is down."""
     device, nothing = limiter(channels=2), np.zeros((0, 2))
     assert device(nothing).shape == (0, 2)
     device(np.full((50, 2), 300.0))
-    assert device(nothing).shape == (0, 2)
-    device.fade_out()
     assert device(nothing).shape == (0, 2)
 
 
@@ -293,12 +279,13 @@ def test_channels_keep_their_ratios_and_a_quiet_one_its_shape() -> None:
 
 
 def test_channels_keep_their_ratios_where_the_guard_acts() -> None:
-    """A fade-in restarted at full drive falls to 0 V at the limit of steps, all channels alike."""
-    volts = np.full((600, 1), 1.0) * np.array([[80.0, -20.0]])
-    device = limiter(step=3.0, channels=2)
-    out = played(device, [volts, "fade in", volts])
+    """A jump of full scale to the other side goes in steps of the limit, all channels alike."""
+    share = np.array([[1.0, -0.5, 0.1]])
+    volts = 90 * np.concatenate([np.ones((100, 1)), -np.ones((100, 1))]) * share
+    device = limiter(step=30.0, channels=3)
+    out = device(volts)
     assert device.guarded_samples > 0
-    np.testing.assert_allclose(out[:, 1], -0.25 * out[:, 0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(out, out[:, :1] * share, atol=1e-9)
 
 
 @pytest.mark.parametrize("over", [1.5, 4.0])
@@ -348,17 +335,13 @@ def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: 
     rng = np.random.default_rng(seed)
     volts = _walk(rng, (3000, 2), 60.0) + 40 * (rng.uniform(size=(3000, 2)) < 0.002)
     volts[rng.integers(3000, size=3), 0] = math.nan
-    fades: dict[int, Event] = {1200: "fade out", 1900: "fade in"}
 
     def cut(sizes: list[int]) -> tuple[Floats, Limiter]:
-        device, events, at, k = limiter(channels=2), list[Event](), 0, 0
+        device, events, at, k = limiter(channels=2), list[Floats](), 0, 0
         while at < 3000:
-            following = min([f for f in fades if f > at] + [3000])
-            size = min(max(sizes[k % len(sizes)], k % 2), following - at)
+            size = min(max(sizes[k % len(sizes)], k % 2), 3000 - at)
             events.append(volts[at : at + size])
             at, k = at + size, k + 1
-            if size and at in fades:
-                events.append(fades[at])
         return played(device, events), device
 
     (one, first), (two, second) = cut([3000]), cut(sizes)
@@ -397,86 +380,14 @@ def test_limited_samples_are_those_whose_gain_is_below_one() -> None:
 
 
 def test_guarded_samples_are_those_that_went_only_a_step() -> None:
-    """A fade-in restarted at 80 V falls by 3 V a sample, until it meets the ramp coming up.
-
-    The ramp rises by 0.5 V a sample (80 V in 160): 80 − 3n = 0.5 n after 23 samples.
-    """
-    volts = np.full((1000, 1), 80.0)
-    volts[:100, 0] = np.linspace(0, 80, 100)
-    device = limiter(step=3.0)
-    out = played(device, [volts, "fade in", volts[100:]])
-    falls = np.diff(out[:, 0]) < -2.9
-    assert device.guarded_samples == pytest.approx(np.count_nonzero(falls), abs=1)
-    assert device.guarded_samples == pytest.approx(80 / 3.5, abs=1.5)
-    assert device.limited_samples == 0
-
-
-# Fades
-
-
-@pytest.mark.parametrize("fade", [5e-3, 20e-3, 0.1])
-@pytest.mark.parametrize("size", [1, 64, 3000])
-def test_a_fade_out_falls_straight_to_exactly_zero_and_a_fade_in_rises_straight(
-    fade: float, size: int
-) -> None:
-    """Of a constant 60 V, one sample more or less for the sum of a fade's steps."""
-    length = round(fade * RATE)
-    volts = np.full((1600, 1), 60.0)
-    parts = [volts[k : k + size] for k in range(0, len(volts), size)]
-    device = limiter(step=70.0, fade=fade)
-    out = played(device, ["fade in", *parts, "fade out", *parts, "fade in", *parts])[:, 0]
-    ramp = np.minimum(np.arange(1, 1601) / length, 1)
-    up, down, again = np.split(out, 3)
-    np.testing.assert_allclose(up[8:], 60 * ramp[8:], rtol=1e-9)
-    np.testing.assert_allclose(down, 60 * (1 - ramp), atol=1e-9)
-    np.testing.assert_allclose(again, 60 * ramp, rtol=1e-9)
-    assert np.all(np.diff(down) <= 0)
-    assert np.all(np.diff(again) >= 0)
-    assert np.all(down[length + 1 :] == 0)
-    assert np.all(again[length + 1 :] == 60)
-
-
-def test_after_a_fade_out_nothing_leaves_however_long() -> None:
-    device = limiter()
-    volts = sine(200, 150, 1.0)
-    played(device, [volts, "fade out", volts[:400]])
-    assert not np.any(played(device, [volts, "fade out", volts, np.full((50, 1), math.inf)]))
-
-
-def test_a_fade_turned_round_goes_back_from_where_it_is() -> None:
-    """A fade-out 40 samples into a fade-in of 160 is over after 40."""
-    volts = np.full((400, 1), 60.0)
-    device = limiter(step=70.0)
-    device(volts[:50])
-    device.fade_out()
-    device(volts)
-    out = played(device, ["fade in", volts[:40], "fade out", volts])[:, 0]
-    assert out[:40].max() == out[39] == pytest.approx(15, rel=1e-9)
-    np.testing.assert_allclose(out[40:80], 15 * (1 - np.arange(1, 41) / 40), atol=1e-9)
-    assert np.all(out[81:] == 0)
-
-
-def test_fading_out_twice_is_fading_out_once() -> None:
-    volts = np.full((100, 1), 60.0)
-    once, twice = limiter(), limiter()
-    one = played(once, [volts, "fade out", volts, volts])
-    two = played(twice, [volts, "fade out", "fade out", volts, "fade out", volts])
-    np.testing.assert_allclose(two, one, atol=1e-12)
-
-
-def test_a_fade_in_begins_at_zero_volts() -> None:
-    """Also where drive has been playing: it falls there as fast as steps allow."""
-    volts = np.full((300, 1), 60.0)
-    volts[:10, 0] = np.linspace(0, 60, 10)
-    device = limiter(step=10.0)
-    out = played(device, [volts, "fade in", volts[10:]])[:, 0]
-    assert out[299] == 60
-    np.testing.assert_allclose(np.diff(out[299:304]), -10, rtol=1e-6)
-    assert out[300:320].min() < 5
-    assert out[-1] == pytest.approx(60)
-
-
-# From slew rate and current to a step
+    """From 80 V to −80 V by 30 V a sample: six samples, of which the last is what remains."""
+    volts = np.concatenate([np.full((200, 1), 80.0), np.full((200, 1), -80.0)])
+    device = limiter(step=30.0)
+    device(volts[:200])
+    before = device.guarded_samples
+    out = np.concatenate([device(volts[200:]), device(volts[-9:])])
+    steps = np.abs(np.diff(out[:, 0]))
+    assert device.guarded_samples - before == np.count_nonzero(steps > 30 * (1 - 1e-6))
 
 
 @pytest.mark.parametrize(

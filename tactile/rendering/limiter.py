@@ -35,7 +35,6 @@ class Limiter:
     step : largest change from one sample to the next [V]
     sample_rate : [Hz]
     channels : N
-    fade : length of the ramps of `fade_in` and `fade_out` [s]
 
     Attributes
     ----------
@@ -46,14 +45,10 @@ class Limiter:
 
     delay = LOOK_AHEAD
 
-    def __init__(
-        self, voltage: float, step: float, *, sample_rate: float, channels: int, fade: float = 20e-3
-    ) -> None:
+    def __init__(self, voltage: float, step: float, *, sample_rate: float, channels: int) -> None:
         self._voltage = voltage * (1 - ROUNDING)
         self._step = step * (1 - ROUNDING)
         self._recovery = np.exp(-1 / (RELEASE * sample_rate))
-        self._ramp = 1 / (fade * sample_rate)
-        self._fade, self._fade_step = 1.0, 0.0
         self._waiting = np.zeros((LOOK_AHEAD + 1, channels))
         self._own = np.ones(LOOK_AHEAD)
         self._held = np.ones(LOOK_AHEAD)
@@ -62,14 +57,6 @@ class Limiter:
         self.limited_samples = 0
         self.guarded_samples = 0
         self.invalid_samples = 0
-
-    def fade_in(self) -> None:
-        """Begin at 0 V and rise to full drive within the fade."""
-        self._fade, self._fade_step, self._idle = 0.0, self._ramp, False
-
-    def fade_out(self) -> None:
-        """Fall to 0 V within the fade and stay there."""
-        self._fade_step, self._idle = -self._ramp, False
 
     def __call__(self, volts: NDArray[np.floating]) -> Floats:
         """Return the next samples, within the limits whatever is asked.
@@ -98,7 +85,7 @@ class Limiter:
         if self._idle and highest <= self._voltage and 2 * highest <= self._step:
             self._last = self._waiting[0]
             return out.copy()
-        out = self._guard(out * (self._gain(line) * self._faded(count))[:, None])
+        out = self._guard(out * self._gain(line)[:, None])
         self._rest()
         return out
 
@@ -108,10 +95,9 @@ class Limiter:
         return np.where(good, volts, 0.0)
 
     def _rest(self) -> None:
-        """See whether gain, fade and guard are all done, so that drive may pass as it is."""
+        """See whether gain and guard are done, so that drive may pass as it is."""
         settled = self._own.min() == 1 and self._held.min() > 1 - 1e-6
-        steady = self._fade == 1 and self._fade_step == 0
-        if settled and steady and np.array_equal(self._last, self._waiting[0]):
+        if settled and np.array_equal(self._last, self._waiting[0]):
             self._held[:] = 1.0
             self._idle = True
         else:
@@ -138,13 +124,6 @@ class Limiter:
         gain = sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1)
         self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
         return np.asarray(gain)
-
-    def _faded(self, count: int) -> Floats:
-        ramp = np.clip(self._fade + self._fade_step * np.arange(1, count + 1), 0.0, 1.0)
-        self._fade = float(ramp[-1]) if count else self._fade
-        if self._fade in (0.0, 1.0) and self._fade_step * (self._fade - 0.5) > 0:
-            self._fade_step = 0.0
-        return np.asarray(ramp)
 
     def _guard(self, wanted: Floats) -> Floats:
         """Go from sample to sample by no more than the step, in the direction of what is asked."""

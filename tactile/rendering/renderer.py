@@ -376,7 +376,6 @@ def _limiter(display: Display, sample_rate: float) -> Limiter:
         limits.step(sample_rate, display.capacitance),
         sample_rate=sample_rate,
         channels=len(display.contactors),
-        fade=limits.fade,
     )
 
 

@@ -141,6 +141,13 @@ def test_limits_hold_over_blocks_longer_than_it_takes_at_a_time(over: float) -> 
     assert_within(limiter(channels=2)(volts), 100.0, 40.0)
 
 
+def test_limits_hold_over_a_minute_and_a_half_at_once() -> None:
+    """Over 700000 samples the release falls below what double precision can hold."""
+    volts = np.random.default_rng(2).normal(0, 20, (700_000, 1))
+    volts[::100_000] *= 50
+    assert_within(limiter()(volts), 100.0, 40.0)
+
+
 @pytest.mark.parametrize(
     ("kind", "most"),
     [(np.float32, 3.4e38), (np.float16, 65504.0), (np.int32, 2**31 - 1)],

@@ -149,7 +149,7 @@ class Renderer:
     Attributes
     ----------
     delay : samples by which `block` lags its input
-    limiter : the `Limiter` that volts leave through; it counts, and fades
+    limiter : the `Limiter` that volts leave through, with its counts
     filter : the `InverseFilter` in use
     frequency, attainable : (F,) [Hz] and (L, N, F) peak shear [m] of a sinusoid at the voltage
         limit, per force of the finger's table and contactor

@@ -42,13 +42,13 @@ MEASURED_BAND = (20.0, 1000.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What may reach a bimorph.
+    """What the drive may ask of an amplifier and a bimorph.
 
     Parameters
     ----------
-    voltage : [V], on either side of zero
-    slew : [V/s]
-    current : of one channel [A], into its capacitance; infinite for none
+    voltage : of the drive [V], on either side of zero; the electrodes see the amplifier's gain more
+    slew : of the drive [V/s]
+    current : of one channel [A], into its bimorph's capacitance; infinite for none
     fade : length of the ordinary ramp [s]
 
     Raises
@@ -71,7 +71,10 @@ class Limits:
             raise ValueError(f"Limits: current = {self.current} A is not above 0")
 
     def step(self, sample_rate: float, capacitance: float) -> float:
-        """Return the largest change from one sample to the next [V]."""
+        """Return the largest change of drive from one sample to the next [V].
+
+        ``capacitance`` is that of a bimorph times the amplifier's gain [F].
+        """
         return min(self.slew, self.current / capacitance) / sample_rate
 
 
@@ -144,8 +147,8 @@ class Display:
 
     @property
     def slew(self) -> float:
-        """Largest rate that both the slew limit and the current limit allow [V/s]."""
-        return self.limits.step(1.0, self.capacitance)
+        """Largest rate of drive that both the slew limit and the current limit allow [V/s]."""
+        return self.limits.step(1.0, self.capacitance * self.amplifier.gain)
 
     @property
     def load_forces(self) -> tuple[float, ...]:
@@ -302,11 +305,13 @@ def _measured(
 ) -> tuple[tuple[Measured, ...], NDArray[np.intp]]:
     """Return the measured responses, and which of them each contactor has (0: none)."""
     wanted: list[str | None] = [c.response for c in contactors]
+    own = [name is not None for name in wanted]
     for i, group in enumerate(content.group):
         for member in group.contactors or range(len(contactors)):
             if member >= len(contactors):
                 raise InputError(f"group[{i}].contactors: {member} is not below {len(contactors)}")
-            wanted[member] = group.response
+            if not own[member]:
+                wanted[member] = group.response
     names = sorted({name for name in wanted if name is not None})
     kind = [0 if name is None else names.index(name) + 1 for name in wanted]
     return tuple(load_response(path.parent / name) for name in names), np.array(kind, np.intp)

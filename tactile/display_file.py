@@ -50,7 +50,10 @@ class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Contactors that share a measured response; all of them where none are named."""
+    """Contactors that share a measured response: all of them where none are named.
+
+    A contactor's own response goes before its group's.
+    """
 
     response: str
     contactors: tuple[Index, ...] = ()

@@ -345,7 +345,7 @@ def test_bad_positions_forces_and_waveforms_are_counted_and_harm_nothing(
 def test_limits_hold_whatever_the_finger_does(data: st.DataObject) -> None:
     display = tactile.load_display("reference-24")
     renderer = tactile.Renderer(display, tactile.load_texture("wood-oak"))
-    step = display.limits.step(RATE, display.capacitance)
+    step = display.slew / RATE
     last = np.zeros((1, 24))
     value = st.one_of(st.floats(), st.floats(-0.1, 0.1))
     for _ in range(data.draw(st.integers(1, 6))):
@@ -394,3 +394,18 @@ def test_another_sample_rate_asks_the_same_of_the_skin(display: tactile.Display)
     assert fast.shear[::2][50:] == pytest.approx(slow.shear[50:], abs=2e-3 * slow.shear.std())
     with pytest.raises(ValueError, match="4000"):
         tactile.render(display, texture, path, sample_rate=2500.0)
+
+
+def test_the_current_limit_holds_behind_an_amplifier_with_gain(display: tactile.Display) -> None:
+    """The electrodes see gain × drive, so that the drive may move by as much less."""
+    behind = replace(
+        display,
+        amplifier=Amplifier(gain=20.0),
+        limits=replace(display.limits, voltage=5.0, current=10e-3),
+    )
+    renderer = tactile.Renderer(behind, tactile.load_texture("wood-oak"))
+    wave = 80e-6 * np.sign(np.sin(np.arange(2000) / 9))
+    drive = renderer.block(np.zeros((2000, 2)), np.full(2000, 0.5), waveform=wave)
+    current = 20 * np.abs(np.diff(drive, axis=0)).max() * RATE * display.capacitance
+    assert current <= 10e-3
+    assert renderer.limiter.limited_samples > 0

@@ -373,7 +373,7 @@ def _limiter(display: Display, sample_rate: float) -> Limiter:
     limits = display.limits
     return Limiter(
         limits.voltage,
-        limits.step(sample_rate, display.capacitance),
+        display.slew / sample_rate,
         sample_rate=sample_rate,
         channels=len(display.contactors),
     )

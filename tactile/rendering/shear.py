@@ -39,7 +39,7 @@ class Law:
 
     Both of the descriptor's laws, and a smooth fall to nothing as the force goes to zero. The
     tables reach as far as the laws vary; between entries, 1 % of speed or force apart, they run
-    straight, within 2e-5 of an exponent of one.
+    straight, within 3e-5 of an exponent of one.
     """
 
     def __init__(self, descriptor: Descriptor) -> None:

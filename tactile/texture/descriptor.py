@@ -109,8 +109,9 @@ class Events(_Part, frozen=True, kw_only=True):
     """Sparse features scattered over the surface: pores, seams, grit.
 
     ``amplitude_um`` is the median of a log-normal whose logarithm has the standard deviation
-    ``amplitude_sd``; ``width_mm`` the full width at half maximum. A "pulse" pushes one way and
-    back, an "edge" pushes and pulls (along ``direction_deg``).
+    ``amplitude_sd``, its sign as often one as the other; ``width_mm`` the full width at half
+    maximum. A "pulse" pushes one way and back, an "edge" pushes and pulls (along
+    ``direction_deg``).
     """
 
     density_per_mm2: Annotated[float, Meta(gt=0, le=4)]

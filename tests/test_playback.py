@@ -448,6 +448,16 @@ def test_without_a_simulated_skin_there_is_no_played_shear(
         assert np.array_equal(r[name], simulated[name])
 
 
+def test_all_of_the_shear_is_recorded_however_short_the_fade(
+    display: Display, oak: Texture, tmp_path: Path
+) -> None:
+    """The last shear is felt a plant's delay of 16 samples later than a fade of 8 samples ends."""
+    quick = replace(display, limits=replace(display.limits, fade=1e-3))
+    run(quick, oak, stroke(0.1), device="sim:", record=tmp_path / "r.npz")
+    r = recorded(tmp_path / "r.npz")
+    assert len(r["shear_played_m"]) == len(r["drive_v"]) == 800
+
+
 def test_without_a_recording_the_summary_is_the_same(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:

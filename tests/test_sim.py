@@ -315,6 +315,33 @@ def test_memory_is_flat_while_shear_is_taken(display: Display) -> None:
     assert grown < 0.05 * 400 * 64 * 4 * 8, "5 % of the shear that was taken"
 
 
+def test_of_shear_that_nobody_takes_the_last_second_is_kept_and_the_rest_counted(
+    display: Display,
+) -> None:
+    bus = opened(display, "sim:?plant=plants_of_the_sim_test:late")
+    volts = noise(30000)
+    bus.start()
+    for start in range(0, len(volts), 100):
+        bus.write(DriveBlock(start, volts[start : start + 100]))
+    shear = bus.take_shear()
+    assert RATE <= len(shear) <= RATE + 100
+    assert len(shear) + bus.dropped_shear == 30000 - 3
+    gain = 1e-9 * np.arange(1, 5) * POLARITY
+    last = volts[bus.dropped_shear : 30000 - 3, CHANNEL]
+    np.testing.assert_allclose(shear, last * gain, rtol=1e-12)
+    bus.write(DriveBlock(30000, volts[:50]))
+    assert len(bus.take_shear()) == 50
+
+
+def test_with_keep_all_no_shear_is_dropped(display: Display) -> None:
+    bus = opened(display, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
+    bus.start()
+    for start in range(0, 30000, 100):
+        bus.write(DriveBlock(start, noise(100)))
+    assert len(bus.take_shear()) == 30000
+    assert bus.dropped_shear == 0
+
+
 def test_a_table_of_fingers_stands_at_its_middle_force(tmp_path: Path) -> None:
     display = shuffled(tmp_path, THREE_FORCES)
     assert display.load_forces == (0.2, 0.7, 2.0)

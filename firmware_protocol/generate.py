@@ -1,0 +1,369 @@
+"""Writes messages.py and c/tactile_messages.h from schema.toml.
+
+``python -m firmware_protocol.generate``; with ``--check`` nothing is written: files that differ
+from what would be are named, exit code 1.
+"""
+
+import sys
+import tomllib
+import zlib
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+SIZES = {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "i16": 2, "char16": 16}
+STRUCT = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "char16": "16s"}
+C_TYPES = {
+    "u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i16": "int16_t",
+}  # fmt: skip
+STATES = ("IDLE", "ARMED", "RUNNING", "RAMPDOWN", "SAFE", "FAULT", "ESTOP")
+REFUSED, STAYS = 0x80, 0x40
+"""Of a table entry: with the NAK code in the low bits; without. Else state | what follows << 3."""
+
+Schema = dict[str, Any]
+Message = dict[str, Any]
+
+
+def load(path: Path = HERE / "schema.toml") -> Schema:
+    """Return the schema as plain data."""
+    return tomllib.loads(path.read_text("utf-8"))
+
+
+def schema_crc(schema: Schema) -> int:
+    """Return the CRC-32 of the message definitions, as section 13 of SPEC.md says."""
+    lines = []
+    for message in sorted(schema["message"], key=lambda m: m["id"]):
+        parts = [message["name"], str(message["id"])]
+        parts += [f"{name}:{kind}" for name, kind in message["fields"]]
+        if "body" in message:
+            parts.append(f"{message['body']}:body")
+        lines.append(" ".join(parts) + "\n")
+    return zlib.crc32("".join(lines).encode())
+
+
+def entry(text: str, schema: Schema) -> int:
+    """Return a cell of the state table as one byte."""
+    states, naks = schema["enum"]["state"], schema["enum"]["nak"]
+    if text == "=":
+        return STAYS
+    if text.startswith("!"):
+        return REFUSED | int(naks[text[1:]])
+    state, _, then = text.partition(":")
+    return int(states[state]) | (int(states[then]) << 3 if then else 0)
+
+
+def table(schema: Schema) -> dict[str, list[int]]:
+    """Return the state table, an entry per state, by event."""
+    return {
+        event: [entry(row[state], schema) for state in STATES]
+        for event, row in schema["table"].items()
+    }
+
+
+def _title(name: str) -> str:
+    if name == "nak":
+        return "NakCode"
+    return "".join(word.capitalize() for word in name.split("_"))
+
+
+def _upper(name: str) -> str:
+    """Return CLEAR_FAULT for ClearFault."""
+    return "".join(f"_{c}" if c.isupper() and i else c for i, c in enumerate(name)).upper()
+
+
+# Python
+
+
+def python_text(schema: Schema) -> str:
+    """Return messages.py."""
+    lines = [
+        '"""Messages, codes and states of the protocol; written by generate.py from schema.toml.',
+        "",
+        "SPEC.md says what they mean. ``pack`` gives a payload, ``unpack`` takes one: a missing",
+        "tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than",
+        'the head of a message with a body."""',
+        "",
+        "from dataclasses import dataclass",
+        "from enum import IntEnum",
+        "from struct import Struct",
+        "from typing import Any, ClassVar, Self",
+        "",
+        f"MAJOR, MINOR = {schema['protocol']['major']}, {schema['protocol']['minor']}",
+        f"SCHEMA_CRC = 0x{schema_crc(schema):08X}",
+        f"STAYS, REFUSED = 0x{STAYS:02X}, 0x{REFUSED:02X}",
+        *(f"{name} = {_number(value)}" for name, value in schema["limits"].items()),
+    ]
+    for name, members in schema["enum"].items():
+        lines += [
+            "",
+            "",
+            f"class {_title(name)}(IntEnum):",
+            f'    """Of section {_section(name)}."""',
+            "",
+        ]
+        lines += [f"    {member} = {_number(value)}" for member, value in members.items()]
+    lines += ["", "", "TABLE: dict[str, tuple[int, ...]] = {"]
+    lines += [
+        f'    "{event}": ({", ".join(f"0x{cell:02X}" for cell in cells)}),'
+        for event, cells in table(schema).items()
+    ]
+    lines += [
+        "}",
+        '"""Of section 6, per state: `STAYS`, `REFUSED` | NAK code, or state | next << 3."""',
+    ]
+    lines += ["", "", *PYTHON_BASE.splitlines()]
+    for message in schema["message"]:
+        lines += ["", "", *_python_message(message)]
+    lines += ["", "", "MESSAGES: dict[int, type[Message]] = {"]
+    lines += [f"    0x{m['id']:02X}: {m['name']}," for m in schema["message"]]
+    lines += ["}", ""]
+    return "\n".join(lines)
+
+
+def _number(value: int) -> str:
+    return f"0x{value:02X}" if value > 4096 and value != 10000 and value != 32767 else str(value)
+
+
+def _section(name: str) -> str:
+    return {
+        "flag": "2", "state": "6", "phase": "8.2", "nak": "5", "mode": "4", "sample_format": "9",
+        "fault": "6", "parameter": "4", "log_level": "4", "feature": "4", "can_class": "3.2",
+    }[name]  # fmt: skip
+
+
+PYTHON_BASE = '''\
+class Message:
+    """Any message.
+
+    Attributes
+    ----------
+    TYPE, CAN, HEAD : id, class on CAN, and layout of the fixed part
+    """
+
+    __slots__ = ()
+    TYPE: ClassVar[int]
+    CAN: ClassVar[CanClass]
+    HEAD: ClassVar[Struct]
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        raise NotImplementedError
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        """Return the message of a payload."""
+        raise NotImplementedError'''
+
+
+def _python_message(message: Message) -> list[str]:
+    fields, body = message["fields"], message.get("body")
+    code = "<" + "".join(STRUCT[kind] for _, kind in fields)
+    types = {"char16": "bytes"}
+    lines = ["@dataclass(frozen=True, slots=True)", f"class {message['name']}(Message):"]
+    lines += [f'    """{_upper(message["name"])}, from the {message["from"]}."""', ""]
+    lines += [
+        f"    TYPE = 0x{message['id']:02X}",
+        f"    CAN = CanClass.{message['can']}",
+        f'    HEAD = Struct("{code}")',
+        "",
+    ]
+    lines += [
+        f"    {name}: {types.get(kind, 'int')} = {'b' + chr(34) * 2 if kind == 'char16' else 0}"
+        for name, kind in fields
+    ]
+    if body:
+        lines.append(f'    {body}: bytes = b""')
+    values = ", ".join(f"self.{name}" for name, _ in fields)
+    packed = f"self.HEAD.pack({values})"
+    lines += ["", "    def pack(self) -> bytes:"]
+    lines += [f"        return {packed} + self.{body}" if body else f"        return {packed}"]
+    lines += ["", "    @classmethod", "    def unpack(cls, payload: bytes) -> Self | None:"]
+    size = sum(SIZES[kind] for _, kind in fields)
+    if body:
+        lines += [
+            f"        if len(payload) < {size}:",
+            "            return None",
+            f"        body = bytes(payload[{size}:])",
+            "        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]",
+            "        return cls(*fields)",
+        ]
+    else:
+        lines += [f"        return cls(*cls.HEAD.unpack(payload[:{size}].ljust({size}, b'\\0')))"]
+    return lines
+
+
+# C
+
+
+def c_text(schema: Schema) -> str:
+    """Return c/tactile_messages.h."""
+    lines = [
+        "/* Messages, codes and states of the protocol; written by generate.py from schema.toml.",
+        " *",
+        " * SPEC.md says what they mean. tp_X_encode writes a payload and returns its size, 0",
+        " * where it does not fit. tp_X_decode takes one: a missing tail reads as 0, an unknown",
+        " * tail is ignored; it returns false for one that is shorter than the head of a",
+        " * message with a body. Bodies are pointers into the payload.",
+        " */",
+        "#ifndef TACTILE_MESSAGES_H",
+        "#define TACTILE_MESSAGES_H",
+        "",
+        "#include <stdbool.h>",
+        "#include <stddef.h>",
+        "#include <stdint.h>",
+        "#include <string.h>",
+        "",
+        f"#define TP_MAJOR {schema['protocol']['major']}u",
+        f"#define TP_MINOR {schema['protocol']['minor']}u",
+        f"#define TP_SCHEMA_CRC 0x{schema_crc(schema):08X}u",
+        f"#define TP_TABLE_STAYS 0x{STAYS:02X}u",
+        f"#define TP_TABLE_REFUSED 0x{REFUSED:02X}u",
+    ]
+    lines += [f"#define TP_{name} {_number(value)}u" for name, value in schema["limits"].items()]
+    for name, members in schema["enum"].items():
+        lines += ["", "enum {"]
+        lines += [f"    TP_{name.upper()}_{m} = {_number(v)}," for m, v in members.items()]
+        lines[-1] = lines[-1].rstrip(",")
+        lines.append("};")
+    lines += ["", "/* Section 6: an entry per state. */"]
+    for event, cells in table(schema).items():
+        joined = ", ".join(f"0x{cell:02X}u" for cell in cells)
+        lines.append(f"#define TP_TABLE_{event.upper()} {{{joined}}}")
+    lines += ["", *C_HELPERS.splitlines()]
+    for message in schema["message"]:
+        lines += ["", *_c_message(message)]
+    lines += ["", "#endif", ""]
+    return "\n".join(lines)
+
+
+C_HELPERS = """\
+static inline void tp_put_le(uint8_t *out, uint64_t value, size_t size)
+{
+    for (size_t i = 0; i < size; i++) {
+        out[i] = (uint8_t)(value >> (8u * i));
+    }
+}
+
+/* Bytes beyond the end read as 0. */
+static inline uint64_t tp_get_le(const uint8_t *in, size_t length, size_t at, size_t size)
+{
+    uint64_t value = 0;
+    for (size_t i = 0; i < size && at + i < length; i++) {
+        value |= (uint64_t)in[at + i] << (8u * i);
+    }
+    return value;
+}"""
+
+
+def _c_message(message: Message) -> list[str]:
+    fields, body = message["fields"], message.get("body")
+    upper, name = _upper(message["name"]), _upper(message["name"]).lower()
+    size = sum(SIZES[kind] for _, kind in fields)
+    lines = [f"#define TP_{upper} 0x{message['id']:02X}u", f"#define TP_{upper}_SIZE {size}u"]
+    lines += ["typedef struct {"]
+    for field, kind in fields:
+        if kind == "char16":
+            lines.append(f"    char {field}[16];")
+        else:
+            lines.append(f"    {C_TYPES[kind]} {field};")
+    if body:
+        lines += [f"    const uint8_t *{body};", f"    size_t {body}_size;"]
+    if not fields and not body:
+        lines.append("    uint8_t nothing;")
+    lines += [f"}} tp_{name};", ""]
+    lines += [*_c_encode(name, upper, fields, body, size), ""]
+    return lines + _c_decode(name, upper, fields, body, size)
+
+
+def _c_encode(
+    name: str, upper: str, fields: list[list[str]], body: str | None, size: int
+) -> list[str]:
+    lines = [
+        f"static inline size_t tp_{name}_encode(const tp_{name} *m, uint8_t *out, size_t room)",
+        "{",
+    ]
+    if body:
+        lines += [
+            f"    if (room < TP_{upper}_SIZE || room - TP_{upper}_SIZE < m->{body}_size) {{",
+        ]
+    elif fields:
+        lines += [f"    if (room < TP_{upper}_SIZE) {{"]
+    else:
+        return [*lines, "    (void)m;", "    (void)out;", "    (void)room;", "    return 0;", "}"]
+    lines += ["        return 0;", "    }"]
+    at = 0
+    for field, kind in fields:
+        if kind == "char16":
+            lines.append(f"    memcpy(out + {at}, m->{field}, 16);")
+        else:
+            lines.append(f"    tp_put_le(out + {at}, (uint64_t)m->{field}, {SIZES[kind]});")
+        at += SIZES[kind]
+    if body:
+        lines += [
+            f"    if (m->{body}_size > 0) {{",
+            f"        memcpy(out + TP_{upper}_SIZE, m->{body}, m->{body}_size);",
+            "    }",
+            f"    return TP_{upper}_SIZE + m->{body}_size;",
+        ]
+    else:
+        lines.append(f"    return {size};")
+    return [*lines, "}"]
+
+
+def _c_decode(
+    name: str, upper: str, fields: list[list[str]], body: str | None, size: int
+) -> list[str]:
+    lines = [
+        f"static inline bool tp_{name}_decode(tp_{name} *m, const uint8_t *in, size_t length)",
+        "{",
+    ]
+    if not fields and not body:
+        nothing = ["    (void)in;", "    (void)length;", "    m->nothing = 0;", "    return true;"]
+        return [*lines, *nothing, "}"]
+    if body:
+        lines += [f"    if (length < TP_{upper}_SIZE) {{", "        return false;", "    }"]
+    at = 0
+    for field, kind in fields:
+        if kind == "char16":
+            lines += [
+                f"    memset(m->{field}, 0, 16);",
+                f"    if (length > {at}) {{",
+                f"        memcpy(m->{field}, in + {at}, length - {at} < 16 ? length - {at} : 16);",
+                "    }",
+            ]
+        else:
+            lines.append(
+                f"    m->{field} = ({C_TYPES[kind]})tp_get_le(in, length, {at}, {SIZES[kind]});"
+            )
+        at += SIZES[kind]
+    if body:
+        lines += [f"    m->{body} = in + {size};", f"    m->{body}_size = length - {size};"]
+    return [*lines, "    return true;", "}"]
+
+
+def outputs() -> dict[Path, str]:
+    """Return what each generated file must hold."""
+    schema = load()
+    return {
+        HERE / "messages.py": python_text(schema),
+        HERE / "c" / "tactile_messages.h": c_text(schema),
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Write the files, or name those that differ; return the exit code."""
+    differing = [
+        p for p, text in outputs().items() if not p.exists() or p.read_text("utf-8") != text
+    ]
+    for path in differing:
+        if "--check" in arguments:
+            print(f"{path.name} differs; run python -m firmware_protocol.generate", file=sys.stderr)
+        else:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(outputs()[path], "utf-8")
+            print(f"wrote {path.name}")
+    return int(bool(differing) and "--check" in arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

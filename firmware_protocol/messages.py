@@ -1,0 +1,811 @@
+"""Messages, codes and states of the protocol; written by generate.py from schema.toml.
+
+SPEC.md says what they mean. ``pack`` gives a payload, ``unpack`` takes one: a missing
+tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than
+the head of a message with a body."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from struct import Struct
+from typing import Any, ClassVar, Self
+
+MAJOR, MINOR = 1, 0
+SCHEMA_CRC = 0x92740080
+STAYS, REFUSED = 0x40, 0x80
+WATCHDOG_MS = 150
+HEARTBEAT_MS = 50
+FADE_MS = 20
+VALID_MS = 50
+FRAGMENT_TIMEOUT_MS = 20
+START_AHEAD_MS = 10000
+PACKET_MAX = 4096
+FULL_SCALE_CODE = 32767
+CARRIERS_MAX = 64
+CAN_PREFIX = 0x1D0B0000
+
+
+class Flag(IntEnum):
+    """Of section 2."""
+
+    ACK_REQUEST = 32
+    INCOMPATIBLE = 24
+    COMPATIBLE = 7
+
+
+class State(IntEnum):
+    """Of section 6."""
+
+    IDLE = 0
+    ARMED = 1
+    RUNNING = 2
+    RAMPDOWN = 3
+    SAFE = 4
+    FAULT = 5
+    ESTOP = 6
+
+
+class Phase(IntEnum):
+    """Of section 8.2."""
+
+    STILL = 0
+    WAITING = 1
+    PLAYING = 2
+    STARVED = 3
+
+
+class NakCode(IntEnum):
+    """Of section 5."""
+
+    UNKNOWN_TYPE = 1
+    VERSION = 2
+    UNSUPPORTED = 3
+    LENGTH = 4
+    SESSION = 5
+    BUSY = 6
+    STATE = 7
+    NOT_ARMED = 8
+    FAULT = 9
+    ESTOP = 10
+    RANGE = 11
+    CHANNEL = 12
+    FORMAT = 13
+    PARAMETER = 14
+    READ_ONLY = 15
+    TIME = 16
+    CARRIERS = 17
+
+
+class Mode(IntEnum):
+    """Of section 4."""
+
+    PCM = 0
+    SPECTRUM = 1
+
+
+class SampleFormat(IntEnum):
+    """Of section 9."""
+
+    PCM16 = 0
+    PCM12 = 1
+    BFP8 = 2
+    SPECTRUM8 = 3
+
+
+class Fault(IntEnum):
+    """Of section 6."""
+
+    NONE = 0
+    OVERCURRENT = 1
+    OVERTEMPERATURE = 2
+    UNDERVOLTAGE = 3
+    HARDWARE = 4
+
+
+class Parameter(IntEnum):
+    """Of section 4."""
+
+    NODE = 1
+    PULSE_MS = 2
+    SENSE_MS = 3
+    LOG_LEVEL = 4
+    UPTIME_S = 5
+    HIGH_VOLTAGE_MV = 6
+    TEMPERATURE_MK = 7
+
+
+class LogLevel(IntEnum):
+    """Of section 4."""
+
+    DEBUG = 0
+    INFO = 1
+    WARNING = 2
+    ERROR = 3
+    OFF = 4
+
+
+class Feature(IntEnum):
+    """Of section 4."""
+
+    SENSES = 1
+    ZERO_ORDER_HOLD = 2
+
+
+class CanClass(IntEnum):
+    """Of section 3.2."""
+
+    ESTOP = 0
+    PROMPT = 1
+    PULSE = 2
+    STREAM = 3
+    REQUEST = 4
+    RESPONSE = 5
+    BULK = 6
+
+
+TABLE: dict[str, tuple[int, ...]] = {
+    "hello_other": (0x40, 0x86, 0x86, 0x86, 0x40, 0x40, 0x40),
+    "arm": (0x01, 0x01, 0x87, 0x87, 0x01, 0x89, 0x8A),
+    "start": (0x88, 0x02, 0x87, 0x87, 0x88, 0x89, 0x8A),
+    "stop": (0x40, 0x40, 0x0B, 0x40, 0x40, 0x40, 0x40),
+    "disarm": (0x40, 0x00, 0x03, 0x03, 0x00, 0x40, 0x40),
+    "estop": (0x06, 0x06, 0x06, 0x06, 0x06, 0x06, 0x40),
+    "clear_fault": (0x40, 0x40, 0x40, 0x40, 0x40, 0x00, 0x00),
+    "limits": (0x40, 0x40, 0x87, 0x87, 0x40, 0x40, 0x40),
+    "carriers": (0x40, 0x40, 0x87, 0x87, 0x40, 0x40, 0x40),
+    "watchdog": (0x40, 0x04, 0x23, 0x23, 0x40, 0x40, 0x40),
+    "fault": (0x05, 0x05, 0x05, 0x05, 0x05, 0x40, 0x40),
+}
+"""Of section 6, per state: `STAYS`, `REFUSED` | NAK code, or state | next << 3."""
+
+
+class Message:
+    """Any message.
+
+    Attributes
+    ----------
+    TYPE, CAN, HEAD : id, class on CAN, and layout of the fixed part
+    """
+
+    __slots__ = ()
+    TYPE: ClassVar[int]
+    CAN: ClassVar[CanClass]
+    HEAD: ClassVar[Struct]
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        raise NotImplementedError
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        """Return the message of a payload."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(Message):
+    """HELLO, from the host."""
+
+    TYPE = 0x01
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HBBI")
+
+    session: int = 0
+    major: int = 0
+    minor: int = 0
+    schema: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.major, self.minor, self.schema)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Time(Message):
+    """TIME, from the host."""
+
+    TYPE = 0x02
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<Q")
+
+    host_time: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.host_time)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Sync(Message):
+    """SYNC, from the host."""
+
+    TYPE = 0x03
+    CAN = CanClass.PROMPT
+    HEAD = Struct("<B")
+
+    index: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.index)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Start(Message):
+    """START, from the host."""
+
+    TYPE = 0x04
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HIBQ")
+
+    session: int = 0
+    position: int = 0
+    delay_ms: int = 0
+    time: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.position, self.delay_ms, self.time)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:15].ljust(15, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Stop(Message):
+    """STOP, from the host."""
+
+    TYPE = 0x05
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HB")
+
+    session: int = 0
+    quick: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.quick)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:3].ljust(3, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Arm(Message):
+    """ARM, from the host."""
+
+    TYPE = 0x06
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HBI")
+
+    session: int = 0
+    mode: int = 0
+    sample_rate_hz: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.mode, self.sample_rate_hz)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:7].ljust(7, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Disarm(Message):
+    """DISARM, from the host."""
+
+    TYPE = 0x07
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<H")
+
+    session: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Estop(Message):
+    """ESTOP, from the host."""
+
+    TYPE = 0x08
+    CAN = CanClass.ESTOP
+    HEAD = Struct("<B")
+
+    reason: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.reason)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class ClearFault(Message):
+    """CLEAR_FAULT, from the host."""
+
+    TYPE = 0x09
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<H")
+
+    session: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat(Message):
+    """HEARTBEAT, from the host."""
+
+    TYPE = 0x0A
+    CAN = CanClass.PROMPT
+    HEAD = Struct("<H")
+
+    session: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Limits(Message):
+    """LIMITS, from the host."""
+
+    TYPE = 0x0B
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HIII")
+
+    session: int = 0
+    voltage_uv: int = 0
+    slew_v_per_s: int = 0
+    fade_us: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.voltage_uv, self.slew_v_per_s, self.fade_us)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:14].ljust(14, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Get(Message):
+    """GET, from the host."""
+
+    TYPE = 0x0C
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<H")
+
+    parameter: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.parameter)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Set(Message):
+    """SET, from the host."""
+
+    TYPE = 0x0D
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HHI")
+
+    session: int = 0
+    parameter: int = 0
+    value: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.parameter, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Identify(Message):
+    """IDENTIFY, from the host."""
+
+    TYPE = 0x0E
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<B")
+
+    seconds: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.seconds)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Poll(Message):
+    """POLL, from the host."""
+
+    TYPE = 0x0F
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<")
+
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack()
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:0].ljust(0, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Pcm(Message):
+    """PCM, from the host."""
+
+    TYPE = 0x10
+    CAN = CanClass.STREAM
+    HEAD = Struct("<IHBBBB")
+
+    position: int = 0
+    session: int = 0
+    first_channel: int = 0
+    channels: int = 0
+    format: int = 0
+    samples: int = 0
+    data: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.position, self.session, self.first_channel, self.channels, self.format, self.samples) + self.data
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        if len(payload) < 10:
+            return None
+        body = bytes(payload[10:])
+        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
+        return cls(*fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Carriers(Message):
+    """CARRIERS, from the host."""
+
+    TYPE = 0x11
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HB")
+
+    session: int = 0
+    count: int = 0
+    increments: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.count) + self.increments
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        if len(payload) < 3:
+            return None
+        body = bytes(payload[3:])
+        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
+        return cls(*fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum(Message):
+    """SPECTRUM, from the host."""
+
+    TYPE = 0x12
+    CAN = CanClass.STREAM
+    HEAD = Struct("<IHHBBBB")
+
+    position: int = 0
+    session: int = 0
+    valid: int = 0
+    first_channel: int = 0
+    channels: int = 0
+    format: int = 0
+    carriers: int = 0
+    envelopes: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.position, self.session, self.valid, self.first_channel, self.channels, self.format, self.carriers) + self.envelopes
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        if len(payload) < 12:
+            return None
+        body = bytes(payload[12:])
+        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
+        return cls(*fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Ack(Message):
+    """ACK, from the amplifier."""
+
+    TYPE = 0x40
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<BB")
+
+    type: int = 0
+    seq: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.type, self.seq)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Nak(Message):
+    """NAK, from the amplifier."""
+
+    TYPE = 0x41
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<BBBBI")
+
+    type: int = 0
+    seq: int = 0
+    code: int = 0
+    state: int = 0
+    detail: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.type, self.seq, self.code, self.state, self.detail)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Caps(Message):
+    """CAPS, from the amplifier."""
+
+    TYPE = 0x42
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<HBBIBBHHHHIIIIIIII16s")
+
+    session: int = 0
+    major: int = 0
+    minor: int = 0
+    schema: int = 0
+    channels: int = 0
+    carriers: int = 0
+    formats: int = 0
+    features: int = 0
+    packet_limit: int = 0
+    fifo_samples: int = 0
+    tick_hz: int = 0
+    rate_min_hz: int = 0
+    rate_max_hz: int = 0
+    full_scale_uv: int = 0
+    voltage_limit_uv: int = 0
+    slew_limit_v_per_s: int = 0
+    fade_limit_us: int = 0
+    firmware: int = 0
+    name: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.major, self.minor, self.schema, self.channels, self.carriers, self.formats, self.features, self.packet_limit, self.fifo_samples, self.tick_hz, self.rate_min_hz, self.rate_max_hz, self.full_scale_uv, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_limit_us, self.firmware, self.name)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:66].ljust(66, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class TimeReply(Message):
+    """TIME_REPLY, from the amplifier."""
+
+    TYPE = 0x43
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<QQQ")
+
+    host_time: int = 0
+    received: int = 0
+    sent: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.host_time, self.received, self.sent)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:24].ljust(24, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Value(Message):
+    """VALUE, from the amplifier."""
+
+    TYPE = 0x44
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<HI")
+
+    parameter: int = 0
+    value: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.parameter, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:6].ljust(6, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse(Message):
+    """PULSE, from the amplifier."""
+
+    TYPE = 0x45
+    CAN = CanClass.PULSE
+    HEAD = Struct("<IBBBB")
+
+    credit_position: int = 0
+    state: int = 0
+    phase: int = 0
+    underruns: int = 0
+    fill_ms: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.credit_position, self.state, self.phase, self.underruns, self.fill_ms)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Status(Message):
+    """STATUS, from the amplifier."""
+
+    TYPE = 0x46
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<BBBBHIQBQIIIIIIIIIIIIIIIIIIIIIII")
+
+    state: int = 0
+    phase: int = 0
+    fault: int = 0
+    estop_reason: int = 0
+    session: int = 0
+    position: int = 0
+    time: int = 0
+    sync_index: int = 0
+    sync_time: int = 0
+    voltage_limit_uv: int = 0
+    slew_limit_v_per_s: int = 0
+    fade_us: int = 0
+    packets: int = 0
+    crc_errors: int = 0
+    malformed: int = 0
+    oversized: int = 0
+    fragments_dropped: int = 0
+    wrong_version: int = 0
+    unsupported: int = 0
+    unknown_type: int = 0
+    foreign_session: int = 0
+    refused: int = 0
+    ignored: int = 0
+    wrong_channel: int = 0
+    wrong_format: int = 0
+    late_samples: int = 0
+    future_samples: int = 0
+    lost_samples: int = 0
+    underruns: int = 0
+    limited_samples: int = 0
+    watchdogs: int = 0
+    dropped_replies: int = 0
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.state, self.phase, self.fault, self.estop_reason, self.session, self.position, self.time, self.sync_index, self.sync_time, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_us, self.packets, self.crc_errors, self.malformed, self.oversized, self.fragments_dropped, self.wrong_version, self.unsupported, self.unknown_type, self.foreign_session, self.refused, self.ignored, self.wrong_channel, self.wrong_format, self.late_samples, self.future_samples, self.lost_samples, self.underruns, self.limited_samples, self.watchdogs, self.dropped_replies)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        return cls(*cls.HEAD.unpack(payload[:119].ljust(119, b'\0')))
+
+
+@dataclass(frozen=True, slots=True)
+class Sense(Message):
+    """SENSE, from the amplifier."""
+
+    TYPE = 0x47
+    CAN = CanClass.BULK
+    HEAD = Struct("<IBB")
+
+    position: int = 0
+    first_channel: int = 0
+    channels: int = 0
+    readings: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.position, self.first_channel, self.channels) + self.readings
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        if len(payload) < 6:
+            return None
+        body = bytes(payload[6:])
+        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
+        return cls(*fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Message):
+    """LOG, from the amplifier."""
+
+    TYPE = 0x48
+    CAN = CanClass.BULK
+    HEAD = Struct("<B")
+
+    level: int = 0
+    text: bytes = b""
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.level) + self.text
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        if len(payload) < 1:
+            return None
+        body = bytes(payload[1:])
+        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
+        return cls(*fields)
+
+
+MESSAGES: dict[int, type[Message]] = {
+    0x01: Hello,
+    0x02: Time,
+    0x03: Sync,
+    0x04: Start,
+    0x05: Stop,
+    0x06: Arm,
+    0x07: Disarm,
+    0x08: Estop,
+    0x09: ClearFault,
+    0x0A: Heartbeat,
+    0x0B: Limits,
+    0x0C: Get,
+    0x0D: Set,
+    0x0E: Identify,
+    0x0F: Poll,
+    0x10: Pcm,
+    0x11: Carriers,
+    0x12: Spectrum,
+    0x40: Ack,
+    0x41: Nak,
+    0x42: Caps,
+    0x43: TimeReply,
+    0x44: Value,
+    0x45: Pulse,
+    0x46: Status,
+    0x47: Sense,
+    0x48: Log,
+}

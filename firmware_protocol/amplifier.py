@@ -1,0 +1,313 @@
+"""An amplifier in Python: sessions, checks and answers (sections 4 and 5 of SPEC.md).
+
+It takes packets and ticks and gives packets and the codes it puts out, instant by instant; no I/O
+and no clock of its own. It behaves as the one in `c/`, so that no compiler is needed to play.
+"""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from firmware_protocol import messages as m
+from firmware_protocol import samples, spectrum
+from firmware_protocol.config import LimitsInForce
+from firmware_protocol.machine import NO_CARRIERS, Machine
+from firmware_protocol.messages import (
+    MAJOR,
+    REFUSED,
+    TABLE,
+    Fault,
+    Flag,
+    Message,
+    Mode,
+    NakCode,
+    Parameter,
+    SampleFormat,
+    State,
+)
+from firmware_protocol.packet import Packet
+from firmware_protocol.player import distance
+from firmware_protocol.sources import TURN, PcmSource, Source, SpectrumSource
+
+SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
+STREAMED = (m.Pcm, m.Spectrum)
+
+
+class Refusal(NamedTuple):
+    """Why a request is refused, and what counts it."""
+
+    code: NakCode
+    detail: int
+    counter: str = "refused"
+
+
+Reply = Message | Refusal | None
+
+
+class Amplifier(Machine):
+    """A whole amplifier but for its link; parameters and attributes as of `Machine`."""
+
+    def receive(self, packet: Packet, now: int) -> None:
+        """Act on a packet that came at a tick."""
+        self.run(now)
+        if packet.node not in (self.node, 0):
+            return
+        node, before = self.node, self.state
+        reply = self._checked(packet)
+        asked = bool(packet.flags & Flag.ACK_REQUEST)
+        if isinstance(reply, Refusal):
+            counted = getattr(self.counters, reply.counter)
+            setattr(self.counters, reply.counter, counted + 1)
+            if asked and packet.node:
+                refusal = m.Nak(packet.type, packet.seq, reply.code, self.state, reply.detail)
+                self._send(refusal, node)
+        elif reply is not None:
+            if packet.node or isinstance(reply, m.Caps):
+                self._send(reply, node)
+        elif asked and packet.node:
+            self._send(m.Ack(packet.type, packet.seq), node)
+        if self.state != before:
+            self._send_pulse()
+
+    def _checked(self, packet: Packet) -> Reply:
+        """Check in the order of section 5, then act."""
+        if packet.flags >> 6 != MAJOR:
+            return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
+        if packet.flags & Flag.INCOMPATIBLE:
+            return Refusal(NakCode.UNSUPPORTED, packet.flags, "unsupported")
+        kind = m.MESSAGES.get(packet.type)
+        if kind is None or kind not in HANDLERS:
+            return Refusal(NakCode.UNKNOWN_TYPE, 0, "unknown_type")
+        message = kind.unpack(packet.payload)
+        if message is None:
+            return Refusal(NakCode.LENGTH, len(packet.payload), "malformed")
+        if not isinstance(message, SESSION_FREE) and not self._owned(message):
+            return Refusal(NakCode.SESSION, 0, "foreign_session")
+        event, handler = HANDLERS[kind]
+        if isinstance(message, STREAMED) and self.state != State.RUNNING:
+            return Refusal(NakCode.STATE, 0, "ignored")
+        if event and (refused := self._forbidden(event, message)):
+            return refused
+        return handler(self, message)
+
+    def _owned(self, message: Message) -> bool:
+        return self.session != 0 and getattr(message, "session", 0) == self.session
+
+    def _forbidden(self, event: str, message: Message) -> Refusal | None:
+        cell = TABLE[event][self.state]
+        if not cell & REFUSED:
+            return None
+        if isinstance(message, m.Hello) and message.session in (0, self.session):
+            return None
+        if isinstance(message, m.Start) and self._repeated(message):
+            return None
+        return Refusal(NakCode(cell & ~REFUSED), 0)
+
+    def _repeated(self, start: m.Start) -> bool:
+        return self.state == State.RUNNING and start.position == self._begun
+
+    def _hello(self, hello: m.Hello) -> Reply:
+        if hello.major != MAJOR:
+            return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
+        if hello.session not in (0, self.session):
+            self.session = hello.session
+            self._limit(LimitsInForce.of(self.config))
+            self._increments, self._sync = NO_CARRIERS, (0, 0)
+            self._next_pulse = self._now
+        c = self.config
+        return m.Caps(
+            self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats, 0,
+            c.packet_limit, c.fifo, c.tick_hz, c.rate_min_hz, c.rate_max_hz, c.full_scale_uv,
+            c.voltage_limit_uv, c.slew_limit_v_per_s, c.fade_limit_us, c.firmware, c.name.encode(),
+        )  # fmt: skip
+
+    def _time(self, time: m.Time) -> Reply:
+        return m.TimeReply(time.host_time, self._now, self._now)
+
+    def _take_sync(self, sync: m.Sync) -> Reply:
+        self._sync = (sync.index, self._now)
+        return None
+
+    def _arm(self, arm: m.Arm) -> Reply:
+        if arm.mode > Mode.SPECTRUM:
+            return Refusal(NakCode.RANGE, 1)
+        rate = arm.sample_rate_hz
+        if not self.config.rate_min_hz <= rate <= self.config.rate_max_hz:
+            return Refusal(NakCode.RANGE, 2)
+        if not self._limits.step(rate):
+            return Refusal(NakCode.RANGE, 2)
+        if rate != self.rate:
+            self._base, self._instant, self.rate = self._now, 0, rate
+        self._mode, self._heartbeat = Mode(arm.mode), self._now
+        self._limit(self._limits)
+        self._to(TABLE["arm"][self.state])
+        return None
+
+    def _start(self, start: m.Start) -> Reply:
+        if self._repeated(start):
+            return None
+        if self._mode == Mode.SPECTRUM and not len(self._increments):
+            return Refusal(NakCode.CARRIERS, 0)
+        tick = start.time or self._now + self._ms(start.delay_ms)
+        if start.time and not 0 <= tick - self._now <= self._ms(m.START_AHEAD_MS):
+            return Refusal(NakCode.TIME, 0)
+        self._to(TABLE["start"][self.state])
+        self._start_tick, self._begun = tick, start.position
+        self._player.start(self._source(), start.position)
+        return None
+
+    def _stop(self, stop: m.Stop) -> Reply:
+        self._to(TABLE["stop"][self.state])
+        if self.state == State.RAMPDOWN and stop.quick:
+            self._player.ramp(quick=True)
+        return None
+
+    def _disarm(self, disarm: m.Disarm) -> Reply:
+        self._to(TABLE["disarm"][self.state])
+        return None
+
+    def _estop(self, estop: m.Estop) -> Reply:
+        if self._to(TABLE["estop"][self.state]):
+            self._estop_reason = estop.reason
+        return None
+
+    def _clear_fault(self, clear: m.ClearFault) -> Reply:
+        if self.state in (State.FAULT, State.ESTOP):
+            if not self._player.silent:
+                return Refusal(NakCode.STATE, 0)
+            if self._fault_now:
+                return Refusal(NakCode.FAULT, self._fault_now)
+            self._fault = self._estop_reason = int(Fault.NONE)
+            self._to(TABLE["clear_fault"][self.state])
+        return None
+
+    def _take_heartbeat(self, heartbeat: m.Heartbeat) -> Reply:
+        self._heartbeat = self._now
+        return None
+
+    def _lower(self, limits: m.Limits) -> Reply:
+        lowered = self._limits.lowered(limits)
+        if isinstance(lowered, int):
+            return Refusal(NakCode.RANGE, lowered)
+        self._limit(lowered)
+        return None
+
+    def _get(self, get: m.Get) -> Reply:
+        if get.parameter == Parameter.UPTIME_S:
+            return m.Value(get.parameter, self._now // self.config.tick_hz % TURN)
+        if get.parameter not in self._settings:
+            return Refusal(NakCode.PARAMETER, get.parameter)
+        return m.Value(get.parameter, self._settings[Parameter(get.parameter)])
+
+    def _set(self, setting: m.Set) -> Reply:
+        key = setting.parameter
+        if key == Parameter.UPTIME_S:
+            return Refusal(NakCode.READ_ONLY, key)
+        if key not in self._settings:
+            return Refusal(NakCode.PARAMETER, key)
+        low, high = SETTING_RANGES[Parameter(key)]
+        if not low <= setting.value <= high:
+            return Refusal(NakCode.RANGE, 2)
+        self._settings[Parameter(key)] = setting.value
+        self.node = self._settings[Parameter.NODE]
+        return None
+
+    def _identify(self, identify: m.Identify) -> Reply:
+        return None
+
+    def _poll(self, poll: m.Poll) -> Reply:
+        counters = {f.name: getattr(self.counters, f.name) % TURN for f in fields(self.counters)}
+        return m.Status(
+            state=self.state, phase=self.phase, fault=self._fault,
+            estop_reason=self._estop_reason, session=self.session, position=self.position,
+            time=self.due(), sync_index=self._sync[0], sync_time=self._sync[1],
+            voltage_limit_uv=self._limits.voltage_uv,
+            slew_limit_v_per_s=self._limits.slew_v_per_s, fade_us=self._limits.fade_us, **counters,
+        )  # fmt: skip
+
+    # Streams
+
+    def _channels_wrong(self, first: int, count: int) -> Refusal | None:
+        if not count or first + count > self.config.channels:
+            return Refusal(NakCode.CHANNEL, first + count, "wrong_channel")
+        return None
+
+    def _pcm(self, pcm: m.Pcm) -> Reply:
+        known = pcm.format <= SampleFormat.BFP8 and self.config.formats >> pcm.format & 1
+        source = self._player.source
+        if not isinstance(source, PcmSource) or not known:
+            return Refusal(NakCode.FORMAT, pcm.format, "wrong_format")
+        if refused := self._channels_wrong(pcm.first_channel, pcm.channels):
+            return refused
+        size = samples.size(pcm.format, pcm.samples, pcm.channels)
+        if not pcm.samples or len(pcm.data) != size:
+            return Refusal(NakCode.LENGTH, m.Pcm.HEAD.size + len(pcm.data), "malformed")
+        codes = samples.decode(pcm.format, pcm.data, pcm.samples, pcm.channels)
+        player = self._player
+        ahead = distance(pcm.position, player.position)
+        source.write(player.position, ahead, pcm.first_channel, codes)
+        self._count_dropped(source)
+        return None
+
+    def _count_dropped(self, source: Source) -> None:
+        self.counters.late_samples += source.late
+        self.counters.future_samples += source.future
+        source.late = source.future = 0
+
+    def _carriers(self, carriers: m.Carriers) -> Reply:
+        if not 1 <= carriers.count <= self.config.carriers:
+            return Refusal(NakCode.RANGE, 1)
+        if len(carriers.increments) != 4 * carriers.count:
+            size = m.Carriers.HEAD.size + len(carriers.increments)
+            return Refusal(NakCode.LENGTH, size, "malformed")
+        self._increments = np.frombuffer(carriers.increments, "<u4").astype(np.uint32)
+        return None
+
+    def _spectrum(self, frame: m.Spectrum) -> Reply:
+        source, count = self._player.source, len(self._increments)
+        known = frame.format == SampleFormat.SPECTRUM8 and self.config.formats >> frame.format & 1
+        if not isinstance(source, SpectrumSource) or not known or frame.carriers != count:
+            return Refusal(NakCode.FORMAT, frame.format, "wrong_format")
+        if refused := self._channels_wrong(frame.first_channel, frame.channels):
+            return refused
+        if len(frame.envelopes) != 2 * frame.channels * count:
+            size = m.Spectrum.HEAD.size + len(frame.envelopes)
+            return Refusal(NakCode.LENGTH, size, "malformed")
+        codes = np.frombuffer(frame.envelopes, np.uint8).reshape(frame.channels, count, 2)
+        player = self._player
+        ahead = distance(frame.position, player.position)
+        envelopes = np.stack(spectrum.decode(codes), axis=1)
+        source.write(player.position, ahead, frame.valid, frame.first_channel, envelopes)
+        self._count_dropped(source)
+        return None
+
+
+SETTING_RANGES = {
+    Parameter.NODE: (1, 127),
+    Parameter.PULSE_MS: (1, 100),
+    Parameter.LOG_LEVEL: (0, 4),
+}
+Handler = Callable[[Amplifier, Any], Reply]
+HANDLERS: dict[type[Message], tuple[str, Handler]] = {
+    m.Hello: ("hello_other", Amplifier._hello),
+    m.Time: ("", Amplifier._time),
+    m.Sync: ("", Amplifier._take_sync),
+    m.Start: ("start", Amplifier._start),
+    m.Stop: ("stop", Amplifier._stop),
+    m.Arm: ("arm", Amplifier._arm),
+    m.Disarm: ("disarm", Amplifier._disarm),
+    m.Estop: ("estop", Amplifier._estop),
+    m.ClearFault: ("clear_fault", Amplifier._clear_fault),
+    m.Heartbeat: ("", Amplifier._take_heartbeat),
+    m.Limits: ("limits", Amplifier._lower),
+    m.Get: ("", Amplifier._get),
+    m.Set: ("", Amplifier._set),
+    m.Identify: ("", Amplifier._identify),
+    m.Poll: ("", Amplifier._poll),
+    m.Pcm: ("", Amplifier._pcm),
+    m.Carriers: ("carriers", Amplifier._carriers),
+    m.Spectrum: ("", Amplifier._spectrum),
+}
+"""Event of the state table, and what handles it, by message."""

@@ -1,0 +1,308 @@
+"""An amplifier's states, sample clock, and what it does by itself (sections 6 to 8 of SPEC.md).
+
+Ticks go in, codes and packets come out. What the host says is the `Amplifier`'s business, which
+turns it into the moves that the state table allows.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import messages as m
+from firmware_protocol.config import Config, LimitsInForce
+from firmware_protocol.messages import (
+    REFUSED,
+    STAYS,
+    TABLE,
+    Fault,
+    LogLevel,
+    Message,
+    Mode,
+    Parameter,
+    Phase,
+    State,
+)
+from firmware_protocol.packet import LinkCounters, Packet
+from firmware_protocol.player import Player
+from firmware_protocol.sources import TURN, Ints, PcmSource, Source, SpectrumSource
+
+DEFAULT_RATE = 8000
+OUTBOX = 256
+"""Packets that wait to be taken; further ones are dropped and counted."""
+POWERED = (State.ARMED, State.RUNNING, State.RAMPDOWN)
+NO_CARRIERS = np.zeros(0, np.uint32)
+
+
+@dataclass
+class Counters(LinkCounters):
+    """What STATUS tells, in its order but for those of the link (section 12)."""
+
+    wrong_version: int = 0
+    unsupported: int = 0
+    foreign_session: int = 0
+    refused: int = 0
+    ignored: int = 0
+    wrong_channel: int = 0
+    wrong_format: int = 0
+    late_samples: int = 0
+    future_samples: int = 0
+    lost_samples: int = 0
+    underruns: int = 0
+    limited_samples: int = 0
+    watchdogs: int = 0
+    dropped_replies: int = 0
+
+
+class Played(NamedTuple):
+    """A run of instants.
+
+    Attributes
+    ----------
+    position : of the first, modulo 2³²
+    ticks : (S,) of the instants
+    codes : (S, C) put out
+    state, high_voltage : after the last instant
+    """
+
+    position: int
+    ticks: Ints
+    codes: NDArray[np.int16]
+    state: State
+    high_voltage: bool
+
+
+class Machine:
+    """An amplifier that nobody talks to.
+
+    Parameters
+    ----------
+    config : what it is
+
+    Attributes
+    ----------
+    state, session, node, counters : as in STATUS
+    high_voltage : whether it is on
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config, self.node = config, config.node
+        self.state, self.session, self.high_voltage = State.IDLE, 0, False
+        self.counters = Counters()
+        self.rate = min(max(DEFAULT_RATE, config.rate_min_hz), config.rate_max_hz)
+        self._base = self._instant = 0
+        self._start_tick: int | None = None
+        self._begun = 0
+        self._heartbeat = self._next_pulse = 0
+        self._mode = Mode.PCM
+        self._increments = NO_CARRIERS
+        self._sync = (0, 0)
+        self._fault = self._fault_now = self._estop_reason = int(Fault.NONE)
+        self._after_ramp = State.IDLE
+        self._settings = {Parameter.NODE: config.node, Parameter.PULSE_MS: 10,
+                          Parameter.LOG_LEVEL: int(LogLevel.WARNING)}  # fmt: skip
+        self._seq = 0
+        self._sent: deque[Packet] = deque()
+        self._played: list[Played] = []
+        self._now = 0
+        self._player = Player(self._source())
+        self._limit(LimitsInForce.of(config))
+
+    # What comes out
+
+    def take_sent(self) -> list[Packet]:
+        """Return the packets sent since the last call."""
+        sent = list(self._sent)
+        self._sent.clear()
+        return sent
+
+    def take_played(self) -> list[Played]:
+        """Return the runs of instants put out since the last call."""
+        played, self._played = self._played, []
+        return played
+
+    @property
+    def phase(self) -> Phase:
+        """The phase of RUNNING."""
+        return self._player.phase
+
+    @property
+    def position(self) -> int:
+        """Position put out next, modulo 2³²."""
+        return self._player.position % TURN
+
+    def due(self, count: int = 1) -> int:
+        """Return the tick of the count-th next instant."""
+        if self._start_tick is not None:
+            first = self._index(self._start_tick) - self._instant
+            if count >= first:
+                return self._start_tick + (count - first) * self.config.tick_hz // self.rate
+        return self._tick(self._instant + count)
+
+    # Time
+
+    def _tick(self, k: int) -> int:
+        return self._base + k * self.config.tick_hz // self.rate
+
+    def _index(self, tick: int) -> int:
+        """Return the first instant, from the next on, at or after a tick."""
+        k = -((tick - self._base) * self.rate // -self.config.tick_hz)
+        return max(k, self._instant + 1)
+
+    def run(self, now: int) -> None:
+        """Put out all instants up to a tick."""
+        while True:
+            tick = self._tick(self._instant + 1)
+            if self._start_tick is not None and tick >= self._start_tick:
+                tick = self._start_tick
+                if tick > now:
+                    break
+                self._base, self._instant, self._start_tick = tick, -1, None
+            if tick > now:
+                break
+            self._at_instant(tick)
+            self._put_out(self._uneventful(now))
+        self._now = max(self._now, now)
+
+    def _at_instant(self, tick: int) -> None:
+        """Do what comes before the sample."""
+        if self.state in POWERED and tick - self._heartbeat >= self._ms(m.WATCHDOG_MS):
+            self._watchdog()
+        if self.session and tick >= self._next_pulse:
+            self._send_pulse()
+            self._next_pulse = tick + self._ms(self._settings[Parameter.PULSE_MS])
+
+    def _watchdog(self) -> None:
+        before = self.state, self._after_ramp
+        self._to(TABLE["watchdog"][self.state])
+        if self.state != before[0]:
+            self._send_pulse()
+        if (self.state, self._after_ramp) != before:
+            self.counters.watchdogs += 1
+            self._log(LogLevel.WARNING, "watchdog: no heartbeat")
+
+    def _uneventful(self, now: int) -> int:
+        """Return how many instants, this one included, pass before anything else may come."""
+        end = self._index(now + 1)
+        first = self._instant + 1
+        for tick, matters in (
+            (self._heartbeat + self._ms(m.WATCHDOG_MS), self._watched),
+            (self._next_pulse, self.session != 0),
+            (self._start_tick or 0, self._start_tick is not None),
+        ):
+            if matters:
+                end = min(end, self._index(tick))
+        return max(end - first, 1)
+
+    @property
+    def _watched(self) -> bool:
+        """Whether the watchdog may still change anything."""
+        return self.state in (State.ARMED, State.RUNNING) or (
+            self.state == State.RAMPDOWN and self._after_ramp != State.SAFE
+        )
+
+    def _put_out(self, count: int) -> None:
+        position, pending = self.position, self._start_tick is not None
+        player = self._player
+        codes = player.advance(count, pending=pending)
+        ticks = (
+            self._base
+            + (self._instant + 1 + np.arange(len(codes))) * self.config.tick_hz // self.rate
+        )
+        self._instant += len(codes)
+        self._count_played()
+        if self.state == State.RAMPDOWN and not player.ramping:
+            self._enter(self._after_ramp)
+            self._send_pulse()
+        if self.state not in POWERED and player.silent:
+            self.high_voltage = False
+        self._played.append(
+            Played(position, ticks, codes.astype(np.int16), self.state, self.high_voltage)
+        )
+
+    def _count_played(self) -> None:
+        """Bring the counters up to what the player has counted."""
+        for name in ("lost_samples", "underruns", "limited_samples"):
+            setattr(self.counters, name, getattr(self._player, name))
+
+    def _ms(self, milliseconds: int) -> int:
+        return milliseconds * self.config.tick_hz // 1000
+
+    # States
+
+    def _to(self, cell: int) -> bool:
+        """Do what a cell of the table says; return whether the state changed."""
+        if cell == STAYS or cell & REFUSED:
+            return False
+        before = self.state
+        state, self._after_ramp = State(cell & 7), State(cell >> 3)
+        if state != State.RAMPDOWN:
+            self._enter(state)
+        elif before != State.RAMPDOWN:
+            self.state, self._start_tick = state, None
+            self._player.ramp(quick=False)
+        return self.state != before
+
+    def _enter(self, state: State) -> None:
+        self.state = state
+        if state != State.RUNNING:
+            self._start_tick = None
+            self._player.still()
+        if state in POWERED:
+            self.high_voltage = True
+        elif self._player.silent:
+            self.high_voltage = False
+
+    def fault(self, code: int, now: int) -> None:
+        """Take a fault of the hardware; 0 when it is gone."""
+        self.run(now)
+        self._fault_now = code
+        if code:
+            self._fault = code
+            if self._to(TABLE["fault"][self.state]):
+                self._send_pulse()
+                self._log(LogLevel.ERROR, f"fault {code}")
+
+    # What is played
+
+    def _limit(self, limits: LimitsInForce) -> None:
+        """Put limits in force, at the present rate."""
+        self._limits, player = limits, self._player
+        player.limit, player.step = limits.code, limits.step(self.rate)
+        player.fade = limits.fade(self.rate)
+
+    def _source(self) -> Source:
+        c = self.config
+        if self._mode == Mode.SPECTRUM:
+            return SpectrumSource(c.channels, c.fifo, self.rate, self._increments)
+        return PcmSource(c.channels, c.fifo, self.rate)
+
+    # What is sent
+
+    def _send(self, message: Message, node: int | None = None) -> None:
+        if len(self._sent) >= OUTBOX:
+            self.counters.dropped_replies += 1
+            return
+        sender = self.node if node is None else node
+        self._sent.append(Packet.of(message, node=sender, seq=self._seq))
+        self._seq = (self._seq + 1) & 0xFF
+
+    def _send_pulse(self) -> None:
+        if not self.session:
+            return
+        player = self._player
+        self._send(
+            m.Pulse(
+                (player.position + self.config.fifo) % TURN,
+                self.state,
+                player.phase,
+                player.underruns & 0xFF,
+                min(player.fill * 1000 // self.rate, 255),
+            )
+        )
+
+    def _log(self, level: int, text: str) -> None:
+        if self.session and level >= self._settings[Parameter.LOG_LEVEL]:
+            self._send(m.Log(level, text.encode()))

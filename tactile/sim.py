@@ -12,9 +12,10 @@ from typing import Protocol
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
+from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
 from tactile.bus.base import Address, Bus, Floats, Rig, Wiring, register_bus
-from tactile.bus.mock_bus import MockBus, kept
+from tactile.bus.mock_bus import MockBus, options
 from tactile.display import Display
 from tactile.errors import InputError
 
@@ -45,6 +46,7 @@ class SimulatedDisplay(MockBus):
     display, sample_rate : what is simulated
     plant : N contactors on the skin; by default the display's own bimorph, amplifier and finger
     keep : "second" or "all" of the output
+    sample_format : on the line to the amplifier
     """
 
     def __init__(
@@ -54,8 +56,10 @@ class SimulatedDisplay(MockBus):
         *,
         plant: PlantLike | None = None,
         keep: str = "second",
+        sample_format: SampleFormat = SampleFormat.PCM16,
     ) -> None:
-        super().__init__(Wiring.of(display, sample_rate), keep=keep)
+        wiring = Wiring.of(display, sample_rate)
+        super().__init__(wiring, keep=keep, sample_format=sample_format)
         self._display = display
         self._plant = default_plant(display, sample_rate) if plant is None else plant
         self._late = self._plant.delay
@@ -159,12 +163,13 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
 
 
 def _open(address: Address, rig: Rig, sample_rate: float) -> Bus:
-    address.only("keep", "plant")
+    address.only("keep", "plant", "format")
     if not isinstance(rig, Display):
         raise InputError("sim: needs a Display, not only its wiring")
     name = address.options.get("plant")
     plant = None if name is None else _foreign(name, rig, sample_rate)
-    return SimulatedDisplay(rig, sample_rate, plant=plant, keep=kept(address))
+    keep, sample_format = options(address)
+    return SimulatedDisplay(rig, sample_rate, plant=plant, keep=keep, sample_format=sample_format)
 
 
 register_bus("sim", _open)

@@ -102,6 +102,7 @@ class Counters:
     repeated_samples : positions that were sent before, dropped
     invalid_samples : values that were not finite, played as 0 V
     clipped_samples : values beyond the amplifier's own voltage limit
+    underruns : times the amplifier had nothing to play, and faded
     """
 
     blocks: int = 0
@@ -110,6 +111,7 @@ class Counters:
     repeated_samples: int = 0
     invalid_samples: int = 0
     clipped_samples: int = 0
+    underruns: int = 0
 
     def faults(self) -> dict[str, int]:
         """Return the counters that should be zero and are not."""

@@ -33,8 +33,10 @@ SECOND = 8000
 FADE = 160
 """Samples: 20 ms."""
 VOLTAGE = 100.0
-STEP = 0.05e6 / RATE
-"""V per sample at the slew limit of the display below: 16 samples from 100 V."""
+SLEW = 2e6
+"""V/s of the display below: any sample may follow any other at 8 kHz."""
+SLOW = 0.05e6
+"""V/s of the display of the ramps: 16 samples from 100 V."""
 WIRE = 5e-3
 """V; 16 bits over ±100 V round by 1.5 mV at most. 0 V is compared exactly."""
 ROUNDING = 1e-9
@@ -59,7 +61,7 @@ channel = 2
 preset = "low"
 [limits]
 voltage_v = 100.0
-slew_v_per_us = 0.05
+slew_v_per_us = 2.0
 fade_ms = 20.0
 """
 PLANT = '''
@@ -109,6 +111,12 @@ def bus(url: str, display: Display) -> Iterator[Bus]:
     opened.close()
 
 
+@pytest.fixture
+def slow(display: Display) -> Display:
+    """The same, with a slew limit that ramps can be seen in."""
+    return replace(display, limits=replace(display.limits, slew=SLOW))
+
+
 def put_out(bus: Bus) -> Floats:
     return cast(Watched, bus).output.copy()
 
@@ -116,6 +124,12 @@ def put_out(bus: Bus) -> Floats:
 def level(*volts: float, count: int = 10) -> Floats:
     """Return (count, 3) samples that stay where they are [V]."""
     return np.tile(np.asarray(volts, np.float64), (count, 1))
+
+
+def climb(start: Floats, step: float) -> Floats:
+    """Return samples that rise from 0 V to ``start`` within a step's size each [V]."""
+    count = math.ceil(np.abs(start).max() / (0.9 * step)) + 1
+    return np.linspace(np.zeros(len(start)), start, count)
 
 
 def noise(count: int, seed: int = 0) -> Floats:
@@ -144,12 +158,16 @@ def assert_linear_ramp(ramp: Floats, start: Floats) -> None:
     np.testing.assert_allclose(ramp, line, rtol=0, atol=WIRE)
 
 
-def assert_slews(ramp: Floats, start: Floats, step: float = STEP) -> None:
-    """See that it goes to 0 V at the slew limit: never steeper, never back, and not later."""
+def assert_slews(ramp: Floats, start: Floats, step: float) -> None:
+    """See that it goes to 0 V at the slew limit: never steeper, never back, and not later.
+
+    Not later than the limit in whole codes of 16 bits allows, a little less than in volts.
+    """
     line = np.concatenate([start[None], ramp])
     assert np.all(np.abs(np.diff(line, axis=0)) <= step + ROUNDING)
     assert np.all(np.diff(np.abs(line), axis=0) <= 0)
-    assert len(ramp) <= math.ceil(np.abs(start).max() / step + ROUNDING)
+    code = VOLTAGE / 32767
+    assert len(ramp) <= math.ceil(np.abs(start).max() / (step - code) + ROUNDING)
 
 
 @pytest.mark.parametrize("url", URLS)
@@ -242,18 +260,22 @@ class TestEveryBus:
 
     @pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt, BusError])
     def test_an_exception_in_the_with_block_aborts_closes_and_goes_on(
-        self, bus: Bus, kind: type[BaseException]
+        self, url: str, slow: Display, kind: type[BaseException]
     ) -> None:
+        start = np.array([80.0, -60, 10])
+        bus = open_bus(url, slow, sample_rate=RATE)
+        line = climb(start, SLOW / RATE)
+
         def failing() -> None:
             with bus:
                 bus.start()
-                bus.write(DriveBlock(0, level(80, -60, 10)))
+                bus.write(DriveBlock(0, line))
                 raise kind("no more")
 
         with pytest.raises(kind, match="no more"):
             failing()
         assert bus.state == "closed"
-        assert_slews(assert_rests(bus, 10), np.array([80.0, -60, 10]))
+        assert_slews(assert_rests(bus, len(line)), start, SLOW / RATE)
 
     def test_stop_is_a_straight_ramp_of_the_fades_length_to_exactly_0_volts(self, bus: Bus) -> None:
         bus.start()
@@ -275,11 +297,13 @@ class TestEveryBus:
             bus.write(DriveBlock(0, start[None]))
             bus.stop()
             assert len(assert_rests(bus, 1)) == round(20e-3 * rate)
-        with open_bus(url, display, sample_rate=rate) as bus:
+        slow = replace(display, limits=replace(display.limits, slew=SLOW))
+        line = climb(start, SLOW / rate)
+        with open_bus(url, slow, sample_rate=rate) as bus:
             bus.start()
-            bus.write(DriveBlock(0, start[None]))
+            bus.write(DriveBlock(0, line))
             bus.abort()
-            assert_slews(assert_rests(bus, 1), start, 0.05e6 / rate)
+            assert_slews(assert_rests(bus, len(line)), start, SLOW / rate)
 
     @pytest.mark.parametrize("fade", [1e-5, 62.5e-6, 125e-6, 1e-3])
     def test_stop_ends_at_0_volts_however_short_the_fade(
@@ -302,7 +326,7 @@ class TestEveryBus:
         with open_bus(url, steep, sample_rate=RATE) as bus:
             for start in (*noise(30), *np.clip(multiples, -VOLTAGE, VOLTAGE), np.zeros(3)):
                 bus.start()
-                bus.write(DriveBlock(0, start[None]))
+                bus.write(DriveBlock(0, climb(start, step)))
                 bus.abort()
                 out = put_out(bus)
                 assert np.all(out[-1] == 0.0)
@@ -314,42 +338,72 @@ class TestEveryBus:
     ) -> None:
         weak = replace(display, limits=replace(display.limits, current=0.1e-3))
         step = weak.limits.step(RATE, weak.capacitance)
-        assert step < STEP
+        assert step < SLOW / RATE
+        line = climb(np.array([50.0, -30, 20]), step)
         with open_bus(url, weak, sample_rate=RATE) as bus:
             bus.start()
-            bus.write(DriveBlock(0, level(50, -30, 20)))
+            bus.write(DriveBlock(0, line))
             bus.abort()
-            line = put_out(bus)[9:]
-            assert np.all(np.abs(np.diff(line, axis=0)) <= step + ROUNDING)
+            out = put_out(bus)[len(line) - 1 :]
+            assert np.all(np.abs(np.diff(out, axis=0)) <= step + ROUNDING)
+
+    def test_no_sample_steps_further_than_the_slew_limit(self, url: str, slow: Display) -> None:
+        with open_bus(url, slow, sample_rate=RATE) as bus:
+            bus.start()
+            play(bus, noise(300), [100, 200])
+            bus.stop()
+            out = np.concatenate([np.zeros((1, 3)), put_out(bus)])
+            assert np.abs(np.diff(out, axis=0)).max() == pytest.approx(SLOW / RATE, abs=WIRE)
+            assert np.all(np.abs(np.diff(out, axis=0)) <= SLOW / RATE + ROUNDING)
+
+    def test_a_slew_limit_that_breaks_the_promise_to_be_at_0_volts_is_refused(
+        self, url: str, display: Display
+    ) -> None:
+        lame = replace(display, limits=replace(display.limits, slew=4e3))
+        with pytest.raises(InputError, match="slew limit 4000 V/s: takes 25 ms") as found:
+            open_bus(url, lame, sample_rate=RATE)
+        assert "\n" not in str(found.value)
+
+    def test_a_sample_rate_that_is_no_whole_number_is_refused(
+        self, url: str, display: Display
+    ) -> None:
+        with pytest.raises(InputError, match=r"sample_rate 8000.5 Hz: the protocol tells whole Hz"):
+            open_bus(url, display, sample_rate=8000.5)
 
     # What arrives wrong
 
-    def test_a_gap_is_counted_and_held(self, bus: Bus) -> None:
+    def test_a_short_gap_is_counted_and_bridged_by_a_straight_line(self, bus: Bus) -> None:
         bus.start()
         bus.write(DriveBlock(0, level(10, 20, -30)))
         bus.write(DriveBlock(25, level(1, 2, 3)))
-        expected = np.concatenate([level(10, 20, -30, count=25), level(1, 2, 3)])
-        np.testing.assert_allclose(put_out(bus), expected, rtol=0, atol=WIRE)
+        line = np.linspace([10.0, 20, -30], [1.0, 2, 3], 17)
+        expected = np.concatenate([level(10, 20, -30, count=9), line, level(1, 2, 3, count=9)])
+        np.testing.assert_allclose(put_out(bus), expected, rtol=0, atol=2 * WIRE)
         assert bus.counters.faults() == {"lost_samples": 15}
         assert bus.counters.samples == 20
 
-    def test_a_gap_at_the_beginning_is_held_at_0_volts(self, bus: Bus) -> None:
+    def test_a_gap_at_the_beginning_is_silent(self, bus: Bus) -> None:
         bus.start(100)
         bus.write(DriveBlock(104, level(10, 20, -30)))
         expected = np.concatenate([level(0, 0, 0, count=4), level(10, 20, -30)])
         np.testing.assert_allclose(put_out(bus), expected, rtol=0, atol=WIRE)
         assert bus.counters.faults() == {"lost_samples": 4}
 
-    def test_a_gap_of_seconds_is_held_to_its_end(self, url: str, bus: Bus) -> None:
+    def test_a_long_gap_fades_out_and_in_again(self, url: str, bus: Bus) -> None:
         bus.start()
         bus.write(DriveBlock(0, level(10, 20, -30)))
-        bus.write(DriveBlock(3 * SECOND + 7, level(1, 2, 3)))
-        assert bus.counters.faults() == {"lost_samples": 3 * SECOND - 3}
+        bus.write(DriveBlock(3 * SECOND + 7, level(1, 2, 3, count=2 * FADE)))
+        assert bus.counters.faults() == {"lost_samples": 3 * SECOND - 3, "underruns": 1}
         out = put_out(bus)
-        assert len(out) == 3 * SECOND + 17 if "keep=all" in url else len(out) >= SECOND
-        last = out[-7000:]
-        np.testing.assert_allclose(last[:-10], level(10, 20, -30, count=6990), rtol=0, atol=WIRE)
-        np.testing.assert_allclose(last[-10:], level(1, 2, 3), rtol=0, atol=WIRE)
+        rise = np.minimum(np.arange(1, 2 * FADE + 1) / FADE, 1)[:, None] * [1.0, 2, 3]
+        np.testing.assert_allclose(out[-2 * FADE :], rise, rtol=0, atol=WIRE)
+        if "keep=all" not in url:
+            assert len(out) >= SECOND
+            assert not out[: -2 * FADE].any()
+            return
+        assert len(out) == 3 * SECOND + 7 + 2 * FADE
+        assert_linear_ramp(out[10 : 10 + FADE], out[9])
+        assert not out[10 + FADE : -2 * FADE].any()
 
     def test_a_resend_is_dropped_counted_and_otherwise_changes_nothing(
         self, url: str, display: Display
@@ -519,7 +573,7 @@ class TestEveryBus:
         volts = noise(3 * SECOND)
         bus.start()
         play(bus, volts, list(range(64, len(volts), 64)))
-        assert np.array_equal(put_out(bus), volts)
+        np.testing.assert_allclose(put_out(bus), volts, rtol=0, atol=WIRE)
 
     def test_memory_does_not_grow(self, url: str, bus: Bus) -> None:
         if "keep=all" in url:

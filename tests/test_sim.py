@@ -163,8 +163,13 @@ def opened(display: Display, url: str = "sim:") -> SimulatedDisplay:
 
 
 def noise(count: int, seed: int = 0) -> Floats:
-    """Return samples for six lines [V]."""
-    return np.random.default_rng(seed).uniform(-50, 50, (count, 6))
+    """Return samples for six lines [V] that the wire carries exactly, within the slew limit."""
+    return on_wire(np.random.default_rng(seed).uniform(-40, 40, (count, 6)))
+
+
+def on_wire(volts: Floats) -> Floats:
+    """Return volts rounded to the amplifier's codes, 32767 for the limit of 100 V."""
+    return np.asarray(np.rint(volts * 327.67) / 327.67)
 
 
 def play(bus: SimulatedDisplay, volts: Floats, edges: list[int]) -> Floats:
@@ -375,8 +380,8 @@ def test_the_peak_current_is_the_largest_so_far_of_any_contactor(display: Displa
     assert bus.peak_current == 0
     bus.start()
     peak = 0.0
-    for k, size in enumerate([0.1, 1.0, 0.2, -2.0]):
-        volts = size * noise(200, k)
+    for k, size in enumerate([0.1, 1.0, 0.2, -1.09]):
+        volts = on_wire(size * noise(200, k))
         volts[:, [2, 4]] = 99.0
         peak = max(peak, float(np.abs(plant.step(volts[:, CHANNEL])[1]).max()))
         bus.write(DriveBlock(200 * k, volts))

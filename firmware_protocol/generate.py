@@ -94,14 +94,7 @@ def python_text(schema: Schema) -> str:
         *(f"{name} = {_number(value)}" for name, value in schema["limits"].items()),
     ]
     for name, members in schema["enum"].items():
-        lines += [
-            "",
-            "",
-            f"class {_title(name)}(IntEnum):",
-            f'    """Of section {_section(name)}."""',
-            "",
-        ]
-        lines += [f"    {member} = {_number(value)}" for member, value in members.items()]
+        lines += _python_enum(name, members)
     lines += ["", "", "TABLE: dict[str, tuple[int, ...]] = {"]
     lines += [
         f'    "{event}": ({", ".join(f"0x{cell:02X}" for cell in cells)}),'
@@ -118,6 +111,12 @@ def python_text(schema: Schema) -> str:
     lines += [f"    0x{m['id']:02X}: {m['name']}," for m in schema["message"]]
     lines += ["}", ""]
     return "\n".join(lines)
+
+
+def _python_enum(name: str, members: dict[str, int]) -> list[str]:
+    lines = ["", "", f"class {_title(name)}(IntEnum):"]
+    lines += [f'    """Of section {_section(name)}."""', ""]
+    return lines + [f"    {member} = {_number(value)}" for member, value in members.items()]
 
 
 def _number(value: int) -> str:

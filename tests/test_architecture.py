@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+import firmware_protocol
 import tactile
 
 PACKAGE = Path(tactile.__file__).parent
@@ -49,6 +50,13 @@ AT_HOME = {"matplotlib": {"plots"}, "rich": {"bench", "cli", "terminal"}, "typer
 BY_NAME = {"__init__", "sim"}
 """Modules that may import by a name made at run time: lazily, and a user's plant."""
 
+PROTOCOL_MAY_IMPORT = {"numpy", "cobs"}
+"""Besides the standard library: the protocol knows no physics and no bus."""
+PROTOCOL_IMPORTERS = {"bench", "bus", "sim"}
+"""Rooms of tactile that know how drive goes over the wire."""
+GENERATED = {"messages"}
+"""Modules that a program writes, as long as they have to be."""
+
 LONGEST_FILE = 500
 LONGEST_FUNCTION = 40
 
@@ -57,6 +65,12 @@ SOURCES = {
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 """Path by module, as "bus.base"; packages end in "__init__"."""
+PROTOCOL = Path(firmware_protocol.__file__).parent
+PROTOCOL_TREES = {
+    path.stem: ast.parse(path.read_text("utf-8"))
+    for path in sorted(PROTOCOL.glob("*.py"))
+    if path.stem not in GENERATED
+}
 TREES = {module: ast.parse(path.read_text("utf-8")) for module, path in SOURCES.items()}
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -162,13 +176,42 @@ def test_nothing_is_imported_by_star_or_relatively(module: str) -> None:
             assert all(alias.name != "*" for alias in node.names)
 
 
+def test_the_protocol_imports_neither_tactile_nor_anything_that_does_io() -> None:
+    for name, tree in PROTOCOL_TREES.items():
+        found = {
+            (alias.name if isinstance(node, ast.Import) else str(node.module)).partition(".")[0]
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for alias in node.names
+        }
+        known = {"firmware_protocol", *PROTOCOL_MAY_IMPORT, *sys.stdlib_module_names}
+        assert found <= known, f"firmware_protocol.{name}"
+        io = {"socket", "serial", "threading", "time", "asyncio", "os", "subprocess"}
+        assert not found & io, f"firmware_protocol.{name} does I/O"
+
+
+def test_only_buses_know_the_protocol() -> None:
+    users = {m for m in SOURCES if "firmware_protocol" in foreign_imports(m)}
+    assert {room_of(module) for module in users} <= PROTOCOL_IMPORTERS
+
+
+@pytest.mark.parametrize("module", PROTOCOL_TREES)
+def test_the_protocol_keeps_the_house_too(module: str) -> None:
+    tree = PROTOCOL_TREES[module]
+    text = (PROTOCOL / f"{module}.py").read_text("utf-8")
+    assert (ast.get_docstring(tree) or "").strip()
+    assert len(text.splitlines()) <= LONGEST_FILE
+    long = {f.name: length(f) for f in functions(tree) if length(f) > LONGEST_FUNCTION}
+    assert long == {}
+
+
 def test_every_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
     declared = [*project["dependencies"], *extras["plot"]]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
-    used = {name for module in SOURCES for name in foreign_imports(module)}
-    assert used - set(sys.stdlib_module_names) == names
+    used = {name for module in SOURCES for name in foreign_imports(module)} | {"cobs"}
+    assert used - set(sys.stdlib_module_names) - {"firmware_protocol"} == names
 
 
 # The front door

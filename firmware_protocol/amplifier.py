@@ -115,7 +115,7 @@ class Amplifier(Machine):
             self.session = hello.session
             self._limit(LimitsInForce.of(self.config))
             self._increments, self._sync = NO_CARRIERS, (0, 0)
-            self._next_pulse = self._now
+            self._pulsed = None
         c = self.config
         return m.Caps(
             self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats, 0,
@@ -169,8 +169,8 @@ class Amplifier(Machine):
         return None
 
     def _estop(self, estop: m.Estop) -> Reply:
-        if self._to(TABLE["estop"][self.state]):
-            self._estop_reason = estop.reason
+        self._estop_reason = estop.reason
+        self._to(TABLE["estop"][self.state])
         return None
 
     def _clear_fault(self, clear: m.ClearFault) -> Reply:
@@ -179,7 +179,7 @@ class Amplifier(Machine):
                 return Refusal(NakCode.STATE, 0)
             if self._fault_now:
                 return Refusal(NakCode.FAULT, self._fault_now)
-            self._fault = self._estop_reason = int(Fault.NONE)
+            self._fault = int(Fault.NONE)
             self._to(TABLE["clear_fault"][self.state])
         return None
 
@@ -191,6 +191,8 @@ class Amplifier(Machine):
         lowered = self._limits.lowered(limits)
         if isinstance(lowered, int):
             return Refusal(NakCode.RANGE, lowered)
+        if not lowered.step(self.rate):
+            return Refusal(NakCode.RANGE, 2)
         self._limit(lowered)
         return None
 
@@ -222,7 +224,7 @@ class Amplifier(Machine):
         return m.Status(
             state=self.state, phase=self.phase, fault=self._fault,
             estop_reason=self._estop_reason, session=self.session, position=self.position,
-            time=self.due(), sync_index=self._sync[0], sync_time=self._sync[1],
+            time=self.due() if self._start_tick is None else self._start_tick, sync_index=self._sync[0], sync_time=self._sync[1],
             voltage_limit_uv=self._limits.voltage_uv,
             slew_limit_v_per_s=self._limits.slew_v_per_s, fade_us=self._limits.fade_us, **counters,
         )  # fmt: skip

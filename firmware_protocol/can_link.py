@@ -98,7 +98,8 @@ class CanDecoder:
         if identifier & 1 != self._direction or (self.node not in (None, node) and node):
             return []
         if kind in self._fragments:
-            found = self._reassembler.feed(identifier & BASE, data, now_us)
+            padded = len(data) > CLASSIC
+            found = self._reassembler.feed(identifier, data, now_us, padded=padded)
         else:
             found = self._prompt(kind, node, data)
         return [] if found is None else [found]
@@ -115,7 +116,7 @@ class CanDecoder:
         elif data[0] not in PROMPT:
             self.counters.unknown_type += 1
         else:
-            return self._counted(data[0], node, data[1:])
+            return self._counted(data[0], node, data[1 : 1 + PROMPT_START])
         return None
 
     def _counted(self, kind: int, node: int, payload: bytes) -> Packet:

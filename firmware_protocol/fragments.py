@@ -64,8 +64,10 @@ class Reassembler:
         self._limit, self._counters = min(limit, PACKET_MAX), counters
         self._transfers: dict[tuple[int, int], _Transfer] = {}
 
-    def feed(self, identifier: int, fragment: bytes, now_us: int) -> Packet | None:
-        """Return the packet that a fragment completes, if any."""
+    def feed(
+        self, identifier: int, fragment: bytes, now_us: int, *, padded: bool = False
+    ) -> Packet | None:
+        """Return the packet that a fragment completes, if any; one ``padded`` may hold more."""
         self._forget_old(now_us)
         if not fragment:
             self._counters.fragments_dropped += 1
@@ -86,16 +88,13 @@ class Reassembler:
                 self._drop(key)
                 return None
         transfer.data += data
-        complete = len(transfer.data) >= transfer.length
-        if head & END:
-            if not complete:
-                self._drop(key)
-                return None
+        missing, ends = transfer.length - len(transfer.data), bool(head & END)
+        if (ends and missing > 0) or (missing < 0 and not (ends and padded)):
+            self._drop(key)
+        elif ends:
             del self._transfers[key]
             packet = bytes(transfer.data[: transfer.length])
             return decode_packet(packet, self._counters, self._limit)
-        if len(transfer.data) > transfer.length:
-            self._drop(key)
         return None
 
     def _begin(self, key: tuple[int, int], head: int, data: bytes, now_us: int) -> bool:

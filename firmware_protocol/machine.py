@@ -95,7 +95,8 @@ class Machine:
         self._base = self._instant = 0
         self._start_tick: int | None = None
         self._begun = 0
-        self._heartbeat = self._next_pulse = 0
+        self._heartbeat: int | None = None
+        self._pulsed: int | None = None
         self._mode = Mode.PCM
         self._increments = NO_CARRIERS
         self._sync = (0, 0)
@@ -168,14 +169,16 @@ class Machine:
 
     def _at_instant(self, tick: int) -> None:
         """Do what comes before the sample."""
-        if self.state in POWERED and tick - self._heartbeat >= self._ms(m.WATCHDOG_MS):
+        watchdog = self._watchdog_due
+        if watchdog is not None and tick >= watchdog:
             self._watchdog()
-        if self.session and tick >= self._next_pulse:
+        if self.session and tick >= self._pulse_due:
             self._send_pulse()
-            self._next_pulse = tick + self._ms(self._settings[Parameter.PULSE_MS])
+            self._pulsed = tick
 
     def _watchdog(self) -> None:
         before = self.state, self._after_ramp
+        self._heartbeat = None
         self._to(TABLE["watchdog"][self.state])
         if self.state != before[0]:
             self._send_pulse()
@@ -187,21 +190,24 @@ class Machine:
         """Return how many instants, this one included, pass before anything else may come."""
         end = self._index(now + 1)
         first = self._instant + 1
-        for tick, matters in (
-            (self._heartbeat + self._ms(m.WATCHDOG_MS), self._watched),
-            (self._next_pulse, self.session != 0),
-            (self._start_tick or 0, self._start_tick is not None),
-        ):
-            if matters:
+        pulse = self._pulse_due if self.session else None
+        for tick in (self._watchdog_due, pulse, self._start_tick):
+            if tick is not None:
                 end = min(end, self._index(tick))
         return max(end - first, 1)
 
     @property
-    def _watched(self) -> bool:
-        """Whether the watchdog may still change anything."""
-        return self.state in (State.ARMED, State.RUNNING) or (
-            self.state == State.RAMPDOWN and self._after_ramp != State.SAFE
-        )
+    def _watchdog_due(self) -> int | None:
+        """Tick from which the watchdog is an event, once for a heartbeat; None for never."""
+        if self._heartbeat is None or self.state not in POWERED:
+            return None
+        return self._later(self._heartbeat, m.WATCHDOG_MS)
+
+    @property
+    def _pulse_due(self) -> int:
+        """Tick from which a PULSE is due: at once after a session was taken."""
+        since = self._pulsed
+        return 0 if since is None else self._later(since, self._settings[Parameter.PULSE_MS])
 
     def _put_out(self, count: int) -> None:
         position, pending = self.position, self._start_tick is not None
@@ -229,6 +235,10 @@ class Machine:
 
     def _ms(self, milliseconds: int) -> int:
         return milliseconds * self.config.tick_hz // 1000
+
+    def _later(self, tick: int, milliseconds: int) -> int:
+        """Return the first tick by which so much has passed since another."""
+        return tick - milliseconds * self.config.tick_hz // -1000
 
     # States
 

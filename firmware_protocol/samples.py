@@ -53,27 +53,27 @@ def encode_pcm16(codes: Codes) -> bytes:
 
 def encode_pcm12(codes: Codes) -> bytes:
     """Return codes / 16, rounded, two in three bytes."""
-    flat = codes.ravel()
-    short = (flat >> 4) + (flat >> 3 & 1)
+    short = ((codes.ravel() >> 3) + np.int16(1)) >> 1
     np.clip(short, -2047, 2047, out=short)
-    pairs = np.zeros(len(short) + len(short) % 2, np.int32)
-    pairs[: len(short)] = short
-    words = (pairs[0::2] & 0xFFF) | pairs[1::2] << 12
-    data = words.astype("<i4", copy=False).view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
-    return data[: (3 * len(short) + 1) // 2]
+    if len(short) % 2:
+        short = np.append(short, np.int16(0))
+    first, second = short[0::2], short[1::2]
+    data = np.empty((len(first), 3), np.uint8)
+    data[:, 0] = first
+    data[:, 1] = (first >> 8 & 0x0F) | second << 4
+    data[:, 2] = second >> 4
+    return data.tobytes()[: size(SampleFormat.PCM12, *codes.shape)]
 
 
 def decode_pcm12(data: bytes, samples: int, channels: int) -> Codes:
     """Return 16 times what `encode_pcm12` packed."""
     count = samples * channels
-    words = np.zeros((count + 1) // 2, "<i4")
-    raw = np.frombuffer(data.ljust(3 * len(words), b"\0"), np.uint8)
-    words.view(np.uint8).reshape(-1, 4)[:, :3] = raw.reshape(-1, 3)
-    codes = np.empty(2 * len(words), np.int16)
-    codes[0::2] = words << 4 & 0xFFFF
-    codes[1::2] = words >> 8 & 0xFFF0
-    codes = np.maximum(codes[:count], -2047 * 16)
-    return codes.reshape(samples, channels)
+    padded = data.ljust((count + 1) // 2 * 3, b"\0")
+    raw = np.frombuffer(padded, np.uint8).reshape(-1, 3).astype(np.int16)
+    codes = np.empty((len(raw), 2), np.int16)
+    codes[:, 0] = raw[:, 1] << 12 | raw[:, 0] << 4
+    codes[:, 1] = raw[:, 2] << 8 | (raw[:, 1] & 0xF0)
+    return np.maximum(codes.ravel()[:count], -2047 * 16).reshape(samples, channels)
 
 
 def encode_bfp8(codes: Codes) -> bytes:

@@ -41,7 +41,7 @@ class Source(ABC):
     ----------
     active : (C,) that were sent anything since START
     late, future : positions (frames) that were dropped
-    newest : position of the newest that was kept, plus one for samples
+    newest : position after the newest that was kept
     """
 
     def __init__(self, channels: int, fifo: int, rate: int) -> None:
@@ -238,7 +238,7 @@ class SpectrumSource(Source):
         elif all(frame.position != other.position for other in queue):
             queue.append(frame)
             queue.sort(key=lambda other: other.position)
-            self.newest = max(self.newest, queue[min(len(queue), QUEUE) - 1].position)
+            self.newest = max(self.newest, queue[min(len(queue), QUEUE) - 1].position + 1)
             if len(queue) > QUEUE:
                 del queue[QUEUE:]
                 self.future += 1

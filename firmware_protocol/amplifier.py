@@ -188,6 +188,8 @@ class Amplifier(Machine):
         return None
 
     def _lower(self, limits: m.Limits) -> Reply:
+        if not self._player.silent:
+            return Refusal(NakCode.STATE, 0)
         lowered = self._limits.lowered(limits)
         if isinstance(lowered, int):
             return Refusal(NakCode.RANGE, lowered)
@@ -224,7 +226,8 @@ class Amplifier(Machine):
         return m.Status(
             state=self.state, phase=self.phase, fault=self._fault,
             estop_reason=self._estop_reason, session=self.session, position=self.position,
-            time=self.due() if self._start_tick is None else self._start_tick, sync_index=self._sync[0], sync_time=self._sync[1],
+            time=self.due() if self._start_tick is None else self._start_tick,
+            sync_index=self._sync[0], sync_time=self._sync[1],
             voltage_limit_uv=self._limits.voltage_uv,
             slew_limit_v_per_s=self._limits.slew_v_per_s, fade_us=self._limits.fade_us, **counters,
         )  # fmt: skip

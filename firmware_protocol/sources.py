@@ -101,8 +101,9 @@ class PcmSource(Source):
         count = len(codes)
         early = min(max(-ahead, 0), count)
         beyond = min(max(ahead + count - self.fifo, 0), count - early)
-        self.late += early
-        self.future += beyond
+        turned = max(ahead + count - TURN // 2, 0)
+        self.late += early + turned
+        self.future += beyond - turned
         kept = codes[early : count - beyond]
         channels = slice(first, first + codes.shape[1])
         self.active[channels] = True

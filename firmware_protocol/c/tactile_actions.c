@@ -1,0 +1,263 @@
+/* What the messages do that change states, sessions and the stream; check 9 of section 5 stands
+ * before each. */
+#include "tactile_internal.h"
+
+static const uint8_t on_hello_other[] = TP_TABLE_HELLO_OTHER;
+
+/* Session and time */
+
+/* Section 6.1: another session begins with the hardware's limits, no carriers and no sync. */
+static void take_session(ta_amplifier *amp, uint16_t session)
+{
+    const ta_config *c = &amp->config;
+    amp->session = session;
+    ta_limit(amp, c->voltage_limit_uv, c->slew_limit_v_per_s, c->fade_limit_us);
+    amp->player.carriers = 0;
+    amp->sync_index = 0;
+    amp->sync_tick = 0;
+    amp->pulse_now = true;
+}
+
+ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r)
+{
+    tp_hello m;
+    (void)tp_hello_decode(&m, r->packet.payload, r->packet.size);
+    bool other = m.session != 0 && m.session != amp->session;
+    if (other) {
+        ta_verdict v = ta_by_table(amp, on_hello_other);
+        if (v.code != 0) {
+            return v;
+        }
+    }
+    if (m.major != TP_MAJOR) {
+        return ta_refuse_as(&amp->counters.wrong_version, TP_NAK_VERSION, TP_MAJOR);
+    }
+    if (other) {
+        take_session(amp, m.session);
+    }
+    ta_send_caps(amp);
+    return ta_done();
+}
+
+ta_verdict ta_act_time(ta_amplifier *amp, const ta_request *r)
+{
+    uint8_t packet[TA_OVERHEAD + TP_TIME_REPLY_SIZE];
+    tp_time m;
+    tp_time_reply reply;
+    if (r->to_all) {
+        return ta_done();
+    }
+    (void)tp_time_decode(&m, r->packet.payload, r->packet.size);
+    reply.host_time = m.host_time;
+    reply.received = r->now;
+    reply.sent = amp->hal.clock != NULL ? amp->hal.clock(amp->hal.context) : r->now;
+    ta_send(amp, TP_TIME_REPLY, packet,
+            tp_time_reply_encode(&reply, packet + TA_HEADER, TP_TIME_REPLY_SIZE));
+    return ta_done();
+}
+
+ta_verdict ta_act_sync(ta_amplifier *amp, const ta_request *r)
+{
+    tp_sync m;
+    (void)tp_sync_decode(&m, r->packet.payload, r->packet.size);
+    amp->sync_index = m.index;
+    amp->sync_tick = r->now;
+    return ta_done();
+}
+
+ta_verdict ta_act_heartbeat(ta_amplifier *amp, const ta_request *r)
+{
+    amp->watched = true;
+    amp->heartbeat = r->now;
+    return ta_done();
+}
+
+/* States */
+
+ta_verdict ta_act_arm(ta_amplifier *amp, const ta_request *r)
+{
+    const ta_config *c = &amp->config;
+    tp_arm m;
+    (void)tp_arm_decode(&m, r->packet.payload, r->packet.size);
+    if (m.mode > TP_MODE_SPECTRUM) {
+        return ta_refuse(amp, TP_NAK_RANGE, 1);
+    }
+    if (m.sample_rate_hz < c->rate_min_hz || m.sample_rate_hz > c->rate_max_hz ||
+        ta_step(amp, amp->slew_v_per_s, m.sample_rate_hz) < 1) {
+        return ta_refuse(amp, TP_NAK_RANGE, 2);
+    }
+    amp->player.mode = m.mode;
+    ta_set_rate(amp, m.sample_rate_hz, r->now);
+    amp->watched = true;
+    amp->heartbeat = r->now;
+    ta_apply(amp, ta_on_arm[amp->state]);
+    return ta_done();
+}
+
+ta_verdict ta_act_start(ta_amplifier *amp, const ta_request *r)
+{
+    uint32_t tick_hz = amp->config.tick_hz;
+    tp_start m;
+    (void)tp_start_decode(&m, r->packet.payload, r->packet.size);
+    if (amp->state == TP_STATE_RUNNING && m.position == amp->start_position) {
+        return ta_done();
+    }
+    ta_verdict v = ta_by_table(amp, ta_on_start);
+    if (v.code != 0) {
+        return v;
+    }
+    if (amp->player.mode == TP_MODE_SPECTRUM && amp->player.carriers == 0) {
+        return ta_refuse(amp, TP_NAK_CARRIERS, 0);
+    }
+    if (m.time != 0 && (m.time < r->now ||
+                        m.time - r->now > (uint64_t)tick_hz * TP_START_AHEAD_MS / 1000u)) {
+        return ta_refuse(amp, TP_NAK_TIME, 0);
+    }
+    amp->start_pending = true;
+    amp->start_position = m.position;
+    amp->start_tick = m.time != 0 ? m.time : r->now + (uint64_t)m.delay_ms * tick_hz / 1000u;
+    ta_player_start(&amp->player, m.position);
+    ta_apply(amp, ta_on_start[amp->state]);
+    return ta_done();
+}
+
+ta_verdict ta_act_stop(ta_amplifier *amp, const ta_request *r)
+{
+    tp_stop m;
+    (void)tp_stop_decode(&m, r->packet.payload, r->packet.size);
+    ta_apply(amp, ta_on_stop[amp->state]);
+    if (m.quick != 0 && amp->state == TP_STATE_RAMPDOWN) {
+        amp->player.quick = true;
+    }
+    return ta_done();
+}
+
+ta_verdict ta_act_disarm(ta_amplifier *amp, const ta_request *r)
+{
+    (void)r;
+    ta_apply(amp, ta_on_disarm[amp->state]);
+    return ta_done();
+}
+
+ta_verdict ta_act_estop(ta_amplifier *amp, const ta_request *r)
+{
+    tp_estop m;
+    (void)tp_estop_decode(&m, r->packet.payload, r->packet.size);
+    amp->estop_reason = m.reason;
+    ta_apply(amp, ta_on_estop[amp->state]);
+    return ta_done();
+}
+
+/* FAULT or ESTOP: the states in which the output may be on its way to 0 V, and which latch. */
+static bool latched(const ta_amplifier *amp)
+{
+    return amp->state == TP_STATE_FAULT || amp->state == TP_STATE_ESTOP;
+}
+
+ta_verdict ta_act_clear_fault(ta_amplifier *amp, const ta_request *r)
+{
+    (void)r;
+    if (latched(amp)) {
+        uint8_t fault = amp->hal.fault != NULL ? amp->hal.fault(amp->hal.context)
+                                               : amp->hardware_fault;
+        if (!ta_player_silent(&amp->player)) {
+            return ta_refuse(amp, TP_NAK_STATE, 0);
+        }
+        if (fault != TP_FAULT_NONE) {
+            return ta_refuse(amp, TP_NAK_FAULT, fault);
+        }
+        amp->fault = TP_FAULT_NONE;
+    }
+    ta_apply(amp, ta_on_clear_fault[amp->state]);
+    return ta_done();
+}
+
+/* Streams */
+
+/* Whether a stream message fits mode and channels; the rest is the format's. */
+static ta_verdict check_stream(ta_amplifier *amp, bool format_known, uint8_t format, uint8_t first,
+                            uint8_t channels)
+{
+    uint32_t end = (uint32_t)first + channels;
+    if (!format_known) {
+        return ta_refuse_as(&amp->counters.wrong_format, TP_NAK_FORMAT, format);
+    }
+    if (channels == 0 || end > amp->config.channels) {
+        return ta_refuse_as(&amp->counters.wrong_channel, TP_NAK_CHANNEL, end);
+    }
+    return ta_done();
+}
+
+static ta_verdict not_running(ta_amplifier *amp)
+{
+    return ta_refuse_as(&amp->counters.ignored, TP_NAK_STATE, 0);
+}
+
+ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r)
+{
+    tp_pcm m;
+    ta_samples samples;
+    if (amp->state != TP_STATE_RUNNING) {
+        return not_running(amp);
+    }
+    if (!tp_pcm_decode(&m, r->packet.payload, r->packet.size)) {
+        return ta_malformed(amp, r);
+    }
+    bool known = amp->player.mode == TP_MODE_PCM && m.format <= TP_SAMPLE_FORMAT_BFP8 &&
+                 ((uint32_t)amp->config.formats >> m.format & 1u) != 0;
+    ta_verdict v = check_stream(amp, known, m.format, m.first_channel, m.channels);
+    if (v.code != 0) {
+        return v;
+    }
+    if (m.samples == 0 || m.data_size != ta_samples_size(m.format, m.channels, m.samples)) {
+        return ta_malformed(amp, r);
+    }
+    samples.format = m.format;
+    samples.channels = m.channels;
+    samples.samples = m.samples;
+    samples.data = m.data;
+    ta_player_pcm(&amp->player, m.position, m.first_channel, &samples);
+    return ta_done();
+}
+
+ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r)
+{
+    tp_carriers m;
+    if (!tp_carriers_decode(&m, r->packet.payload, r->packet.size)) {
+        return ta_malformed(amp, r);
+    }
+    if (m.count == 0 || m.count > amp->config.carriers) {
+        return ta_refuse(amp, TP_NAK_RANGE, 1);
+    }
+    if (m.increments_size != 4u * m.count) {
+        return ta_malformed(amp, r);
+    }
+    amp->player.carriers = m.count;
+    for (size_t i = 0; i < m.count; i++) {
+        amp->player.increments[i] =
+            (uint32_t)tp_get_le(m.increments, m.increments_size, 4u * i, 4);
+    }
+    return ta_done();
+}
+
+ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r)
+{
+    tp_spectrum m;
+    if (amp->state != TP_STATE_RUNNING) {
+        return not_running(amp);
+    }
+    if (!tp_spectrum_decode(&m, r->packet.payload, r->packet.size)) {
+        return ta_malformed(amp, r);
+    }
+    bool known = amp->player.mode == TP_MODE_SPECTRUM &&
+                 m.format == TP_SAMPLE_FORMAT_SPECTRUM8 && m.carriers == amp->player.carriers;
+    ta_verdict v = check_stream(amp, known, m.format, m.first_channel, m.channels);
+    if (v.code != 0) {
+        return v;
+    }
+    if (m.envelopes_size != 2u * m.channels * m.carriers) {
+        return ta_malformed(amp, r);
+    }
+    ta_player_frame(&amp->player, m.position, m.valid, m.first_channel, m.channels, m.envelopes);
+    return ta_done();
+}

@@ -1,0 +1,104 @@
+/* The amplifier of SPEC.md: states, session, watchdog, sample clock, checks and answers.
+ *
+ * Firmware has one `ta_amplifier`, a link (tactile_link.h) and a loop or a timer interrupt that calls
+ * ta_run with the present tick; all is integer arithmetic in fixed memory. Calls must not overlap: with
+ * several interrupts, give them one priority, or mask them around each call.
+ */
+#ifndef TACTILE_AMPLIFIER_H
+#define TACTILE_AMPLIFIER_H
+
+#include "tactile_hal.h"
+#include "tactile_packet.h"
+#include "tactile_player.h"
+
+/* What the board is; most of it is told to the host in CAPS. */
+typedef struct {
+    uint8_t node;     /* 1 ... 127 */
+    uint8_t channels; /* at most TA_CHANNELS */
+    uint8_t carriers; /* at most TA_CARRIERS; 0: no spectrum frames */
+    bool holds;       /* each sample, instead of interpolating */
+    uint16_t formats; /* bit f for sample format f */
+    uint16_t packet_limit;
+    uint16_t fifo_samples; /* at most TA_FIFO */
+    uint32_t tick_hz;
+    uint32_t rate_min_hz;
+    uint32_t rate_max_hz; /* at most 1 MHz */
+    uint32_t full_scale_uv;
+    uint32_t voltage_limit_uv;
+    uint32_t slew_limit_v_per_s;
+    uint32_t fade_limit_us;
+    uint32_t firmware;
+    char name[16];
+} ta_config;
+
+typedef struct {
+    ta_config config;
+    ta_hal hal;
+    ta_counters counters;
+    ta_player player;
+
+    /* State, section 6. */
+    uint8_t state;
+    uint8_t then; /* what follows RAMPDOWN */
+    bool high_voltage;
+    bool announce; /* the state changed: PULSE */
+    uint8_t estop_reason;
+    uint8_t fault;          /* that led to FAULT */
+    uint8_t hardware_fault; /* that persists */
+    uint16_t session;
+
+    /* Limits in force, section 11.1. */
+    uint32_t voltage_uv;
+    uint32_t slew_v_per_s;
+    uint32_t fade_us;
+
+    /* Watchdog, section 6.2. */
+    bool watched;
+    uint64_t heartbeat; /* tick of the last, or of ARM */
+
+    /* Sample clock, section 7.1: the next instant and the remainder of k x tick_hz / rate. */
+    uint64_t next;
+    uint32_t remainder;
+    bool start_pending;
+    uint64_t start_tick;
+    uint32_t start_position;
+    uint32_t last_position; /* that was put out */
+
+    /* What is sent by itself. */
+    bool pulse_now;
+    uint64_t pulse_tick;
+    bool sense_now;
+    uint64_t sense_tick;
+    bool prompt_pulse; /* the link sends PULSE without a header: it takes no seq */
+    uint8_t seq;
+
+    /* Parameters, and what SYNC left. */
+    uint8_t node;
+    uint8_t next_node; /* after the answer */
+    uint32_t pulse_ms;
+    uint32_t sense_ms;
+    uint32_t log_level;
+    uint8_t sync_index;
+    uint64_t sync_tick;
+} ta_amplifier;
+
+/* Powers up at tick 0. False: the configuration is not one that SPEC.md allows. */
+bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
+
+/* Does all sample instants up to and at `now`. */
+void ta_run(ta_amplifier *amp, uint64_t now);
+
+/* Takes a packet whose last byte came at `now`. */
+void ta_receive(ta_amplifier *amp, const uint8_t *packet, size_t size, uint64_t now);
+
+/* Takes a message that came without header and CRC-32: CAN's prompt frames (section 3.2). */
+void ta_receive_prompt(ta_amplifier *amp, uint8_t type, const uint8_t *payload, size_t size,
+                       uint64_t now);
+
+/* The hardware reports a fault, or with code 0 that it is over. */
+void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now);
+
+/* The tick of the next sample instant, for whoever sets a timer. */
+uint64_t ta_next_instant(const ta_amplifier *amp);
+
+#endif

@@ -1,0 +1,103 @@
+/* What every file of the amplifier shares: its sizes, its counters and three lines of arithmetic.
+ *
+ * A board changes a size with -DTA_CHANNELS=24 or the like. Nothing here is allocated at run time:
+ * the sizes are those of arrays in structs that the firmware places where it wants them.
+ */
+#ifndef TACTILE_CORE_H
+#define TACTILE_CORE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "tactile_messages.h"
+
+#ifndef TA_CHANNELS
+#define TA_CHANNELS 64 /* drive lines at most */
+#endif
+#ifndef TA_FIFO
+#define TA_FIFO 1024 /* samples kept per channel; 64 ms at the highest rate or more */
+#endif
+#ifndef TA_CARRIERS
+#define TA_CARRIERS 16 /* carriers of spectrum frames at most */
+#endif
+#ifndef TA_PACKET_MAX
+#define TA_PACKET_MAX 4096 /* bytes of the longest packet that is taken */
+#endif
+#ifndef TA_QUEUE
+#define TA_QUEUE 4 /* spectrum frames that wait, per channel; section 10.3 says 4 */
+#endif
+#ifndef TA_TRANSFERS
+#define TA_TRANSFERS 4 /* fragmented packets under way; section 3.2 says 4 */
+#endif
+#ifndef TA_REPLIES
+#define TA_REPLIES 1024 /* bytes of packets that wait for an I2C host to read them */
+#endif
+
+/* A packet of the amplifier is at most a SENSE of all channels or a LOG of 200 bytes. */
+#define TA_HEADER 4u
+#define TA_OVERHEAD 8u
+#define TA_LOG_MAX 200u
+#define TA_REPLY_BODY (4u * TA_CHANNELS > TA_LOG_MAX ? 4u * TA_CHANNELS : TA_LOG_MAX)
+#define TA_REPLY_MAX (TA_OVERHEAD + TP_SENSE_SIZE + TA_REPLY_BODY)
+
+/* C99 has no _Static_assert: an array of negative size does not compile. */
+#define TA_ASSERT(name, condition) typedef char ta_assert_##name[(condition) ? 1 : -1]
+
+TA_ASSERT(channels, TA_CHANNELS >= 1 && TA_CHANNELS <= 255);
+TA_ASSERT(fifo, TA_FIFO >= 2 && TA_FIFO <= 65535);
+TA_ASSERT(carriers, TA_CARRIERS >= 1 && TA_CARRIERS <= (int)TP_CARRIERS_MAX);
+TA_ASSERT(packet, TA_PACKET_MAX >= 64 && TA_PACKET_MAX <= (int)TP_PACKET_MAX);
+TA_ASSERT(queue, TA_QUEUE >= 1 && TA_QUEUE <= 255);
+TA_ASSERT(transfers, TA_TRANSFERS >= 1);
+TA_ASSERT(replies, TA_REPLIES >= 2 + TP_STATUS_SIZE + TA_OVERHEAD && TA_REPLIES <= 65535);
+
+/* Section 12, in the order of STATUS. */
+typedef struct {
+    uint32_t packets;
+    uint32_t crc_errors;
+    uint32_t malformed;
+    uint32_t oversized;
+    uint32_t fragments_dropped;
+    uint32_t wrong_version;
+    uint32_t unsupported;
+    uint32_t unknown_type;
+    uint32_t foreign_session;
+    uint32_t refused;
+    uint32_t ignored;
+    uint32_t wrong_channel;
+    uint32_t wrong_format;
+    uint32_t late_samples;
+    uint32_t future_samples;
+    uint32_t lost_samples;
+    uint32_t underruns;
+    uint32_t limited_samples;
+    uint32_t watchdogs;
+    uint32_t dropped_replies;
+} ta_counters;
+
+/* The distance a - b of two positions, which wrap (section 1). */
+static inline int32_t ta_distance(uint32_t a, uint32_t b)
+{
+    uint32_t d = a - b;
+    return d < 0x80000000u ? (int32_t)d : -1 - (int32_t)~d;
+}
+
+static inline int32_t ta_clamp(int32_t value, int32_t limit)
+{
+    return value > limit ? limit : value < -limit ? -limit : value;
+}
+
+/* An arithmetic shift, which C leaves to the compiler where the value is negative. */
+static inline int64_t ta_shift_right(int64_t value, unsigned bits)
+{
+    return value >= 0 ? value >> bits : ~(~value >> bits);
+}
+
+/* Whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. */
+static inline bool ta_elapsed(uint64_t now, uint64_t since, uint32_t ms, uint32_t tick_hz)
+{
+    return (now - since) * 1000u >= (uint64_t)ms * tick_hz;
+}
+
+#endif

@@ -1,0 +1,78 @@
+/* Between the files of the amplifier: tactile_amplifier.c does what is done unasked, tactile_requests.c
+ * checks and answers, tactile_actions.c and tactile_settings.c do what was asked. */
+#ifndef TACTILE_INTERNAL_H
+#define TACTILE_INTERNAL_H
+
+#include "tactile_amplifier.h"
+
+/* An entry of the table of section 6: the state that follows, or what follows RAMPDOWN. */
+void ta_apply(ta_amplifier *amp, uint8_t entry);
+
+/* Puts limits in force, and what follows from them for the player. */
+void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t fade_us);
+
+/* The step of section 11.1 of a slew limit at a rate, in sample codes. */
+int32_t ta_step(const ta_amplifier *amp, uint32_t slew_v_per_s, uint32_t rate);
+
+/* ARM's part of the sample clock: another rate begins at `now`. */
+void ta_set_rate(ta_amplifier *amp, uint32_t rate, uint64_t now);
+
+/* Sends a packet whose payload is at packet + TA_HEADER. */
+void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_size);
+
+/* Sends PULSE if the state has changed since the last call. */
+void ta_announce(ta_amplifier *amp);
+
+/* The phase that is told: STILL but in RUNNING. */
+uint8_t ta_phase(const ta_amplifier *amp);
+
+/* A message that came. */
+typedef struct {
+    ta_packet packet;
+    uint64_t now;
+    bool to_all; /* came to node 0 */
+    bool ack;    /* the host wants an answer */
+} ta_request;
+
+/* What becomes of it: 0 for done, or the code of NAK, its detail and what is counted. */
+typedef struct {
+    uint8_t code;
+    uint32_t detail;
+    uint32_t *counter;
+} ta_verdict;
+
+ta_verdict ta_done(void);
+ta_verdict ta_refuse_as(uint32_t *counter, uint8_t code, uint32_t detail);
+ta_verdict ta_refuse(ta_amplifier *amp, uint8_t code, uint32_t detail);
+ta_verdict ta_malformed(ta_amplifier *amp, const ta_request *r);
+
+/* Check 8: whether the table lets the event happen in this state. */
+ta_verdict ta_by_table(ta_amplifier *amp, const uint8_t *table);
+
+/* The table of section 6, an entry per state. */
+extern const uint8_t ta_on_arm[], ta_on_start[], ta_on_stop[], ta_on_disarm[], ta_on_estop[],
+    ta_on_clear_fault[], ta_on_limits[], ta_on_carriers[];
+
+/* Check 9 of each message, and what it does. */
+ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_time(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_sync(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_start(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_stop(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_arm(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_disarm(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_estop(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_clear_fault(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_heartbeat(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_limits(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_get(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_set(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_identify(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r);
+
+void ta_send_caps(ta_amplifier *amp);
+
+#endif

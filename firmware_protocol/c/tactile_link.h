@@ -1,0 +1,83 @@
+/* The links of section 3: between bytes or frames of the wire and packets of the amplifier.
+ *
+ * Firmware has the struct of its own link only. Receiving: feed what came. Sending: the HAL's `send`
+ * calls ta_serial_send or ta_can_send, or ta_replies_push where the host fetches.
+ */
+#ifndef TACTILE_LINK_H
+#define TACTILE_LINK_H
+
+#include "tactile_amplifier.h"
+#include "tactile_fragment.h"
+
+/* Serial: UART, USB CDC, TCP (3.1). */
+typedef struct {
+    ta_amplifier *amp;
+    bool (*write)(void *context, const uint8_t *bytes, size_t size); /* all, or false */
+    void *context;
+    ta_cobs cobs;
+} ta_serial;
+
+void ta_serial_init(ta_serial *link, ta_amplifier *amp,
+                    bool (*write)(void *context, const uint8_t *bytes, size_t size),
+                    void *context);
+void ta_serial_feed(ta_serial *link, const uint8_t *bytes, size_t size, uint64_t now);
+bool ta_serial_send(ta_serial *link, const uint8_t *packet, size_t size);
+
+/* CAN and CAN FD (3.2). */
+typedef struct {
+    uint32_t id;
+    bool extended; /* 29-bit identifier */
+    bool fd;
+    uint8_t size;
+    uint8_t data[64];
+} ta_can_frame;
+
+typedef struct {
+    ta_amplifier *amp;
+    bool fd;       /* send FD frames */
+    bool extended; /* send 29-bit identifiers; as the last frame that came for this node */
+    bool (*write)(void *context, const ta_can_frame *frame);
+    void *context;
+    uint8_t ids[2]; /* of the next transfer, by class: RESPONSE, BULK */
+    ta_reassembly reassembly;
+} ta_can;
+
+void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd,
+                 bool (*write)(void *context, const ta_can_frame *frame), void *context);
+void ta_can_feed(ta_can *link, const ta_can_frame *frame, uint64_t now);
+bool ta_can_send(ta_can *link, const uint8_t *packet, size_t size);
+
+/* Packets that wait to be fetched, first in first out, each after its length. */
+typedef struct {
+    uint8_t bytes[TA_REPLIES];
+    size_t head;
+    size_t used;
+} ta_replies;
+
+/* False where there is no room; for the HAL's `send`. */
+bool ta_replies_push(ta_replies *replies, const uint8_t *packet, size_t size);
+bool ta_replies_waiting(const ta_replies *replies); /* for the line that is low */
+
+/* I2C, raw transfers (3.3). A read gives at most `size` bytes; the number that it gave. */
+void ta_i2c_write(ta_amplifier *amp, const uint8_t *bytes, size_t size, uint64_t now);
+size_t ta_i2c_read(ta_replies *replies, uint8_t *out, size_t size);
+
+/* I2C, SMBus block transfers: the bytes after command and count. */
+#define TA_SMBUS_WRITE 0x54u
+#define TA_SMBUS_READ 0x55u
+#define TA_SMBUS_BLOCK 32u
+
+typedef struct {
+    ta_amplifier *amp;
+    ta_replies *replies;
+    uint8_t id;                   /* of the next transfer to the host */
+    ta_cutter cutter;             /* the reply that is being fetched */
+    uint8_t packet[TA_REPLY_MAX]; /* its bytes */
+    ta_reassembly reassembly;
+} ta_smbus;
+
+void ta_smbus_init(ta_smbus *link, ta_amplifier *amp, ta_replies *replies);
+void ta_smbus_write(ta_smbus *link, const uint8_t *block, size_t size, uint64_t now);
+size_t ta_smbus_read(ta_smbus *link, uint8_t out[TA_SMBUS_BLOCK]);
+
+#endif

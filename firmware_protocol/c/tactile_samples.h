@@ -1,0 +1,26 @@
+/* The sample formats of section 9: PCM16, PCM12 and BFP8. */
+#ifndef TACTILE_SAMPLES_H
+#define TACTILE_SAMPLES_H
+
+#include "tactile_core.h"
+
+/* The body of a PCM message and what it holds. */
+typedef struct {
+    uint8_t format;
+    uint8_t channels;
+    uint8_t samples;
+    const uint8_t *data;
+} ta_samples;
+
+/* Bytes of the body; 0 for an unknown format. */
+size_t ta_samples_size(uint8_t format, uint8_t channels, uint8_t samples);
+
+/* The sample code of one channel at one position of the body, -32767 ... 32767. */
+int16_t ta_samples_get(const ta_samples *samples, uint8_t channel, uint8_t at);
+
+/* Codes channels x samples codes, position by position, into `out`, which has room for
+ * ta_samples_size. An amplifier does not need it; tests and firmware hosts do. */
+void ta_samples_encode(const int16_t *codes, uint8_t format, uint8_t channels, uint8_t samples,
+                       uint8_t *out);
+
+#endif

@@ -1,0 +1,234 @@
+/* Spectrum frames; see the header. */
+#include "tactile_spectrum.h"
+
+/* SINE[k] = round(32767 sin(2 pi k / 1024)) of the first quarter, k = 0 ... 256. */
+static const int16_t quarter[257] = {
+        0,   201,   402,   603,   804,  1005,  1206,  1407,  1608,  1809,  2009,  2210,
+     2410,  2611,  2811,  3012,  3212,  3412,  3612,  3811,  4011,  4210,  4410,  4609,
+     4808,  5007,  5205,  5404,  5602,  5800,  5998,  6195,  6393,  6590,  6786,  6983,
+     7179,  7375,  7571,  7767,  7962,  8157,  8351,  8545,  8739,  8933,  9126,  9319,
+     9512,  9704,  9896, 10087, 10278, 10469, 10659, 10849, 11039, 11228, 11417, 11605,
+    11793, 11980, 12167, 12353, 12539, 12725, 12910, 13094, 13279, 13462, 13645, 13828,
+    14010, 14191, 14372, 14553, 14732, 14912, 15090, 15269, 15446, 15623, 15800, 15976,
+    16151, 16325, 16499, 16673, 16846, 17018, 17189, 17360, 17530, 17700, 17869, 18037,
+    18204, 18371, 18537, 18703, 18868, 19032, 19195, 19357, 19519, 19680, 19841, 20000,
+    20159, 20317, 20475, 20631, 20787, 20942, 21096, 21250, 21403, 21554, 21705, 21856,
+    22005, 22154, 22301, 22448, 22594, 22739, 22884, 23027, 23170, 23311, 23452, 23592,
+    23731, 23870, 24007, 24143, 24279, 24413, 24547, 24680, 24811, 24942, 25072, 25201,
+    25329, 25456, 25582, 25708, 25832, 25955, 26077, 26198, 26319, 26438, 26556, 26674,
+    26790, 26905, 27019, 27133, 27245, 27356, 27466, 27575, 27683, 27790, 27896, 28001,
+    28105, 28208, 28310, 28411, 28510, 28609, 28706, 28803, 28898, 28992, 29085, 29177,
+    29268, 29358, 29447, 29534, 29621, 29706, 29791, 29874, 29956, 30037, 30117, 30195,
+    30273, 30349, 30424, 30498, 30571, 30643, 30714, 30783, 30852, 30919, 30985, 31050,
+    31113, 31176, 31237, 31297, 31356, 31414, 31470, 31526, 31580, 31633, 31685, 31736,
+    31785, 31833, 31880, 31926, 31971, 32014, 32057, 32098, 32137, 32176, 32213, 32250,
+    32285, 32318, 32351, 32382, 32412, 32441, 32469, 32495, 32521, 32545, 32567, 32589,
+    32609, 32628, 32646, 32663, 32678, 32692, 32705, 32717, 32728, 32737, 32745, 32752,
+    32757, 32761, 32765, 32766, 32767,
+};
+
+/* round(32767 x 256 x 10^(-(255 - c) / 80)), but 0 for c = 0. */
+static const int32_t amplitudes[256] = {
+          0,    5606,    5770,    5938,    6112,    6290,    6474,    6663,    6858,
+       7058,    7264,    7476,    7694,    7919,    8150,    8388,    8633,    8885,
+       9145,    9412,    9687,    9970,   10261,   10560,   10869,   11186,   11513,
+      11849,   12195,   12551,   12917,   13295,   13683,   14082,   14494,   14917,
+      15352,   15801,   16262,   16737,   17226,   17729,   18246,   18779,   19328,
+      19892,   20473,   21071,   21686,   22319,   22971,   23642,   24332,   25042,
+      25774,   26526,   27301,   28098,   28919,   29763,   30632,   31527,   32447,
+      33395,   34370,   35373,   36406,   37469,   38564,   39690,   40849,   42041,
+      43269,   44532,   45833,   47171,   48549,   49966,   51425,   52927,   54472,
+      56063,   57700,   59385,   61119,   62904,   64741,   66631,   68577,   70579,
+      72640,   74761,   76944,   79191,   81504,   83884,   86333,   88854,   91449,
+      94119,   96867,   99696,  102607,  105603,  108687,  111860,  115127,  118489,
+     121949,  125510,  129174,  132946,  136829,  140824,  144936,  149168,  153524,
+     158007,  162621,  167370,  172257,  177287,  182464,  187792,  193275,  198919,
+     204728,  210706,  216859,  223191,  229708,  236416,  243319,  250424,  257737,
+     265263,  273009,  280981,  289186,  297630,  306321,  315266,  324472,  333946,
+     343698,  353734,  364063,  374694,  385635,  396896,  408486,  420413,  432690,
+     445325,  458328,  471712,  485486,  499662,  514253,  529269,  544724,  560630,
+     577001,  593850,  611191,  629038,  647406,  666310,  685767,  705792,  726401,
+     747613,  769443,  791911,  815036,  838835,  863330,  888539,  914485,  941189,
+     968672,  996958, 1026069, 1056031, 1086868, 1118605, 1151269, 1184886, 1219486,
+    1255095, 1291745, 1329464, 1368285, 1408240, 1449361, 1491683, 1535241, 1580071,
+    1626210, 1673696, 1722569, 1772869, 1824638, 1877918, 1932754, 1989192, 2047277,
+    2107059, 2168586, 2231910, 2297083, 2364159, 2433193, 2504244, 2577369, 2652630,
+    2730088, 2809808, 2891856, 2976300, 3063209, 3152656, 3244716, 3339463, 3436977,
+    3537339, 3640631, 3746939, 3856352, 3968959, 4084855, 4204135, 4326898, 4453246,
+    4583283, 4717117, 4854859, 4996624, 5142528, 5292692, 5447242, 5606304, 5770011,
+    5938498, 6111906, 6290377, 6474059, 6663105, 6857671, 7057919, 7264014, 7476127,
+    7694433, 7919115, 8150357, 8388352,
+};
+
+/* SINE[k], k = 0 ... 1024, from its first quarter. */
+static int32_t sine_at(uint32_t k)
+{
+    uint32_t half = k & 511u;
+    int32_t value = quarter[half <= 256u ? half : 512u - half];
+    return (k & 512u) != 0 ? -value : value;
+}
+
+int32_t ta_sine(uint32_t angle)
+{
+    uint32_t i = angle >> 22;
+    int32_t r = (int32_t)((angle >> 6) & 0xFFFFu);
+    int32_t a = sine_at(i);
+    return a + (int32_t)ta_shift_right((sine_at(i + 1u) - a) * r + (1 << 15), 16);
+}
+
+int32_t ta_cosine(uint32_t angle)
+{
+    return ta_sine(angle + (1u << 30));
+}
+
+int32_t ta_amplitude(uint8_t code)
+{
+    return amplitudes[code];
+}
+
+ta_phasor ta_phasor_decode(uint8_t amplitude, uint8_t phase)
+{
+    int64_t a = amplitudes[amplitude];
+    uint32_t angle = (uint32_t)phase << 24;
+    ta_phasor p;
+    p.i = (int32_t)ta_shift_right(a * ta_cosine(angle) + (1 << 14), 15);
+    p.q = (int32_t)ta_shift_right(a * ta_sine(angle) + (1 << 14), 15);
+    return p;
+}
+
+static ta_phasor frame_at(const ta_frame *frame, size_t carrier)
+{
+    return ta_phasor_decode(frame->codes[2u * carrier], frame->codes[2u * carrier + 1u]);
+}
+
+void ta_envelope_clear(ta_envelope *e)
+{
+    ta_envelope_silence(e);
+    e->ramping = false;
+    e->queued = 0;
+    e->in_force = 0;
+}
+
+void ta_envelope_silence(ta_envelope *e)
+{
+    memset(e->present, 0, sizeof e->present);
+}
+
+/* Takes the frame at `from` out of the queue. */
+static void unqueue(ta_envelope *e, size_t from)
+{
+    e->queued--;
+    for (size_t i = from; i < e->queued; i++) {
+        e->queue[i] = e->queue[i + 1u];
+    }
+}
+
+static void enqueue(ta_envelope *e, size_t at, const ta_frame *frame)
+{
+    for (size_t i = e->queued; i > at; i--) {
+        e->queue[i] = e->queue[i - 1u];
+    }
+    e->queue[at] = *frame;
+    e->queued++;
+}
+
+ta_frame_fate ta_envelope_offer(ta_envelope *e, const ta_frame *frame, uint32_t n, uint32_t fifo)
+{
+    ta_frame_fate fate = TA_FRAME_KEPT;
+    int32_t ahead = ta_distance(frame->position, n);
+    size_t at = 0;
+    if (ahead <= 0 || (e->ramping && ta_distance(frame->position, e->target.position) <= 0)) {
+        return TA_FRAME_LATE;
+    }
+    if (ahead >= (int32_t)fifo) {
+        return TA_FRAME_FUTURE;
+    }
+    while (at < e->queued && ta_distance(frame->position, e->queue[at].position) > 0) {
+        at++;
+    }
+    if (at < e->queued && e->queue[at].position == frame->position) {
+        return TA_FRAME_KEPT;
+    }
+    if (e->queued == TA_QUEUE) {
+        fate = TA_FRAME_FUTURE;
+        if (at == TA_QUEUE) {
+            return fate;
+        }
+        unqueue(e, TA_QUEUE - 1u);
+    }
+    enqueue(e, at, frame);
+    return fate;
+}
+
+bool ta_envelope_ready(const ta_envelope *e, uint32_t n, bool moved)
+{
+    bool ends = e->ramping && e->target.position == n;
+    if (e->queued > 0 || (e->ramping && !ends)) {
+        return true;
+    }
+    return ends ? e->target.valid > 0 : e->in_force > (moved ? 1u : 0u);
+}
+
+/* Step 2. */
+static void begin_ramp(ta_envelope *e, uint32_t n, uint8_t carriers)
+{
+    e->target = e->queue[0];
+    unqueue(e, 0);
+    e->ramping = true;
+    int32_t length = ta_distance(e->target.position, n);
+    for (size_t c = 0; c < carriers; c++) {
+        ta_phasor end = frame_at(&e->target, c);
+        e->step[c].i = (end.i - e->present[c].i) / length;
+        e->step[c].q = (end.q - e->present[c].q) / length;
+    }
+}
+
+/* Step 1. */
+static void end_ramp(ta_envelope *e, uint8_t carriers)
+{
+    for (size_t c = 0; c < carriers; c++) {
+        e->present[c] = frame_at(&e->target, c);
+    }
+    e->ramping = false;
+    e->in_force = e->target.valid;
+}
+
+void ta_envelope_advance(ta_envelope *e, uint32_t n, bool moved, uint8_t carriers)
+{
+    if (moved && e->in_force > 0) {
+        e->in_force--;
+    }
+    if (e->ramping && e->target.position == n) {
+        end_ramp(e, carriers);
+    } else if (e->ramping && moved) {
+        for (size_t c = 0; c < carriers; c++) {
+            e->present[c].i += e->step[c].i;
+            e->present[c].q += e->step[c].q;
+        }
+    }
+    if (!e->ramping && e->queued > 0) {
+        begin_ramp(e, n, carriers);
+    }
+}
+
+void ta_envelope_stop(ta_envelope *e, uint32_t n)
+{
+    e->ramping = false;
+    e->in_force = 0;
+    while (e->queued > 0 && ta_distance(e->queue[0].position, n) <= 0) {
+        unqueue(e, 0);
+    }
+}
+
+int16_t ta_envelope_value(const ta_envelope *e, const ta_phasor *turns, uint8_t carriers)
+{
+    int64_t sum = (int64_t)1 << 22;
+    for (size_t c = 0; c < carriers; c++) {
+        sum += (int64_t)e->present[c].i * turns[c].i - (int64_t)e->present[c].q * turns[c].q;
+    }
+    sum = ta_shift_right(sum, 23);
+    if (sum > (int32_t)TP_FULL_SCALE_CODE) {
+        return (int16_t)TP_FULL_SCALE_CODE;
+    }
+    return (int16_t)(sum < -(int32_t)TP_FULL_SCALE_CODE ? -(int32_t)TP_FULL_SCALE_CODE : sum);
+}

@@ -1,0 +1,98 @@
+/* What the fuzzers share: an amplifier whose HAL checks what section 14 promises of every instant. */
+#ifndef FUZZ_H
+#define FUZZ_H
+
+#include <stdlib.h>
+
+#include "../tactile_link.h"
+
+/* Not assert(): it must hold with NDEBUG too. */
+#define HOLDS(condition) ((condition) ? (void)0 : abort())
+
+#define FUZZ_SESSION 0x1234u
+
+typedef struct {
+    ta_amplifier amp;
+    ta_replies replies;
+    bool arming; /* a valid ARM is being fed */
+    bool plays;  /* the last codes are not all 0 */
+    int16_t codes[TA_CHANNELS];
+} fuzz_board;
+
+static inline bool fuzz_send(void *context, const uint8_t *packet, size_t size)
+{
+    fuzz_board *b = context;
+    ta_packet p;
+    HOLDS(size <= TA_REPLY_MAX && ta_packet_decode(&p, packet, size));
+    return ta_replies_push(&b->replies, packet, size);
+}
+
+/* Duties 1 and 2: bounds of value and slope, and nothing without high voltage. */
+static inline void fuzz_put_out(void *context, uint64_t tick, uint32_t position,
+                                const int16_t *codes)
+{
+    fuzz_board *b = context;
+    const ta_player *p = &b->amp.player;
+    (void)tick;
+    (void)position;
+    HOLDS(p->gain <= p->gain_full);
+    b->plays = false;
+    for (size_t c = 0; c < b->amp.config.channels; c++) {
+        HOLDS(ta_clamp(codes[c], p->limit) == codes[c]);
+        HOLDS(ta_clamp(codes[c] - b->codes[c], p->step) == codes[c] - b->codes[c]);
+        b->codes[c] = codes[c];
+        b->plays = b->plays || codes[c] != 0;
+    }
+    HOLDS(!b->plays || b->amp.high_voltage);
+}
+
+static inline void fuzz_after(void *context, uint64_t tick, uint8_t state, bool high_voltage)
+{
+    const fuzz_board *b = context;
+    (void)tick;
+    HOLDS(!b->plays || (state != TP_STATE_IDLE && state != TP_STATE_SAFE && state != TP_STATE_ARMED));
+    HOLDS(high_voltage || !b->plays);
+    HOLDS(!high_voltage || (state != TP_STATE_IDLE && state != TP_STATE_SAFE));
+}
+
+static inline void fuzz_high_voltage(void *context, bool on)
+{
+    const fuzz_board *b = context;
+    HOLDS(on ? b->arming : !b->plays);
+}
+
+static inline void fuzz_sense(void *context, uint8_t channel, int16_t *voltage, int16_t *current)
+{
+    const fuzz_board *b = context;
+    *voltage = b->codes[channel];
+    *current = 0;
+}
+
+static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
+{
+    ta_config config = {0};
+    ta_hal hal = {0};
+    memset(b, 0, sizeof *b);
+    config.node = 1;
+    config.channels = 4;
+    config.carriers = 3;
+    config.formats = 0x0F;
+    config.packet_limit = packet_limit;
+    config.fifo_samples = 100;
+    config.tick_hz = 1000000;
+    config.rate_min_hz = 2500;
+    config.rate_max_hz = 16000;
+    config.full_scale_uv = 100000000;
+    config.voltage_limit_uv = 90000000;
+    config.slew_limit_v_per_s = 700000;
+    config.fade_limit_us = 20000;
+    hal.context = b;
+    hal.send = fuzz_send;
+    hal.put_out = fuzz_put_out;
+    hal.after = fuzz_after;
+    hal.high_voltage = fuzz_high_voltage;
+    hal.sense = fuzz_sense;
+    HOLDS(ta_init(&b->amp, &config, &hal));
+}
+
+#endif

@@ -1,0 +1,231 @@
+/* The whole amplifier under arbitrary messages, frames and faults at arbitrary times. Its HAL aborts
+ * where the last stage breaks a promise (fuzz.h).
+ *
+ * A record is a byte of kind, one of time and one of length, then a payload. The high bits of kind say
+ * what the payload is: a message's, which gets a valid header and CRC-32 here, and the session, so that
+ * the fuzzer gets past the door; a few numbers, of which `made` makes a message that fits, so that it
+ * gets to play; bytes, a frame or a fault.
+ */
+#include "fuzz.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+typedef struct {
+    fuzz_board board;
+    ta_serial serial;
+    ta_can can;
+    uint64_t now;
+} bench;
+
+static bool no_bytes(void *context, const uint8_t *bytes, size_t size)
+{
+    (void)context;
+    (void)bytes;
+    (void)size;
+    return true;
+}
+
+static bool no_frame(void *context, const ta_can_frame *frame)
+{
+    (void)context;
+    (void)frame;
+    return true;
+}
+
+/* Where the payload of a type has the session; none: 255. */
+static size_t session_at(uint8_t type)
+{
+    switch (type) {
+    case TP_TIME:
+    case TP_SYNC:
+    case TP_ESTOP:
+    case TP_GET:
+    case TP_IDENTIFY:
+    case TP_POLL:
+        return 255;
+    case TP_PCM:
+    case TP_SPECTRUM:
+        return 4;
+    default:
+        return 0;
+    }
+}
+
+/* The low bit of `how` leaves the session as the fuzzer has it; the next chooses the serial link. */
+static void message(bench *b, uint8_t type, uint8_t how, const uint8_t *payload, size_t size)
+{
+    uint8_t bytes[TA_OVERHEAD + 255];
+    uint8_t coded[TA_COBS_MAX(sizeof bytes) + 1];
+    ta_packet p = {0};
+    size_t at = session_at(type);
+    p.type = type;
+    p.flags = 0x60;
+    p.node = 1;
+    p.size = size;
+    if (size > 0) {
+        memcpy(bytes + TA_HEADER, payload, size);
+    }
+    if ((how & 1u) == 0 && at + 2 <= size) {
+        tp_put_le(bytes + TA_HEADER + at, FUZZ_SESSION, 2);
+    }
+    size_t total = ta_packet_seal(bytes, &p);
+    b->board.arming = type == TP_ARM;
+    if ((how & 2u) == 0) {
+        ta_receive(&b->board.amp, bytes, total, b->now);
+    } else {
+        size_t length = ta_cobs_encode(bytes, total, coded);
+        coded[length] = 0;
+        ta_serial_feed(&b->serial, coded, length + 1, b->now);
+    }
+    b->board.arming = false;
+}
+
+/* Bytes of a body, of a seed: any will do. */
+static void fill(uint8_t *out, size_t size, uint32_t seed)
+{
+    for (size_t i = 0; i < size; i++) {
+        seed = seed * 1664525u + 1013904223u;
+        out[i] = (uint8_t)(seed >> 24);
+    }
+}
+
+static size_t made_pcm(const ta_player *p, const uint8_t *a, uint8_t *out)
+{
+    uint8_t first = a[2] % 4u;
+    uint8_t channels = (uint8_t)(1u + (unsigned)(a[2] >> 2) % (4u - first));
+    uint8_t samples = (uint8_t)(1u + a[1] % 20u);
+    uint8_t format = a[3] % 3u;
+    size_t size = ta_samples_size(format, channels, samples);
+    tp_put_le(out, p->position + a[0] - 16u, 4);
+    out[6] = first;
+    out[7] = channels;
+    out[8] = format;
+    out[9] = samples;
+    fill(out + TP_PCM_SIZE, size, a[4]);
+    return TP_PCM_SIZE + size;
+}
+
+static size_t made_frame(const ta_player *p, const uint8_t *a, uint8_t *out)
+{
+    uint8_t first = a[2] % 4u;
+    uint8_t channels = (uint8_t)(1u + (unsigned)(a[2] >> 2) % (4u - first));
+    size_t size = 2u * channels * p->carriers;
+    tp_put_le(out, p->position + a[0] - 16u, 4);
+    tp_put_le(out + 6, 4u * a[1], 2);
+    out[8] = first;
+    out[9] = channels;
+    out[10] = TP_SAMPLE_FORMAT_SPECTRUM8;
+    out[11] = p->carriers;
+    fill(out + TP_SPECTRUM_SIZE, size, a[4]);
+    for (size_t i = 0; i < size; i += 2) { /* loud */
+        out[TP_SPECTRUM_SIZE + i] |= a[3];
+    }
+    return TP_SPECTRUM_SIZE + size;
+}
+
+/* A payload that fits the type, of five numbers. */
+static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *out)
+{
+    switch (type) {
+    case TP_ARM:
+        out[2] = a[0] % 2u;
+        tp_put_le(out + 3, 2500u + 50u * (uint32_t)a[1], 4);
+        return TP_ARM_SIZE;
+    case TP_START:
+        tp_put_le(out + 2, a[0] * 0x01010101u, 4);
+        out[6] = a[1] % 16u;
+        return 7;
+    case TP_LIMITS:
+        tp_put_le(out + 2, a[0] * 400000u, 4);
+        tp_put_le(out + 6, a[1] * 3000u, 4);
+        tp_put_le(out + 10, a[2] * 80u, 4);
+        return TP_LIMITS_SIZE;
+    case TP_PCM:
+        return made_pcm(p, a, out);
+    case TP_CARRIERS:
+        out[2] = (uint8_t)(1u + a[0] % 3u);
+        fill(out + TP_CARRIERS_SIZE, 4u * out[2], a[1]);
+        return TP_CARRIERS_SIZE + 4u * out[2];
+    case TP_SPECTRUM:
+        return made_frame(p, a, out);
+    default:
+        memcpy(out + 2, a, 5);
+        return 7;
+    }
+}
+
+static void make_and_send(bench *b, uint8_t type, const uint8_t *payload, size_t size)
+{
+    uint8_t numbers[5] = {0};
+    uint8_t out[255] = {0};
+    memcpy(numbers, payload, size < 5 ? size : 5);
+    ta_run(&b->board.amp, b->now);
+    message(b, type, 0, out, made(&b->board.amp.player, type, numbers, out));
+}
+
+static void frame(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
+{
+    ta_can_frame f = {0};
+    f.id = (uint32_t)(kind & 7u) << 8 | 2u;
+    f.size = (uint8_t)(size < 64 ? size : 64);
+    memcpy(f.data, payload, f.size);
+    ta_can_feed(&b->can, &f, b->now);
+}
+
+static void feed(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
+{
+    uint8_t type = kind & 0x1Fu;
+    switch (kind >> 5) {
+    case 4:
+        ta_serial_feed(&b->serial, payload, size, b->now);
+        break;
+    case 5:
+        frame(b, kind, payload, size);
+        break;
+    case 6:
+        ta_fault(&b->board.amp, kind & 3u, b->now);
+        break;
+    case 7:
+        ta_run(&b->board.amp, b->now);
+        break;
+    case 2:
+    case 3:
+        make_and_send(b, type, payload, size);
+        break;
+    default:
+        message(b, type, (uint8_t)(kind >> 5 | (type & 0x10u) >> 3), payload, size);
+        break;
+    }
+}
+
+/* Duties 3 and 5: without a word from the host it is silent and without high voltage soon. */
+static void abandon(bench *b)
+{
+    ta_run(&b->board.amp, b->now + 200000u);
+    HOLDS(ta_player_silent(&b->board.amp.player) && !b->board.amp.high_voltage);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static bench b;
+    static const uint8_t hello[] = {0x34, 0x12, 1};
+    size_t at = 0;
+    fuzz_power_up(&b.board, 255);
+    b.now = 0;
+    ta_serial_init(&b.serial, &b.board.amp, no_bytes, NULL);
+    ta_can_init(&b.can, &b.board.amp, false, no_frame, NULL);
+    message(&b, TP_HELLO, 0, hello, sizeof hello);
+    while (size - at >= 3) {
+        uint8_t kind = data[at];
+        size_t length = data[at + 2];
+        b.now += (uint64_t)data[at + 1] * data[at + 1];
+        at += 3;
+        if (length > size - at) {
+            length = size - at;
+        }
+        feed(&b, kind, data + at, length);
+        at += length;
+    }
+    abandon(&b);
+    return 0;
+}

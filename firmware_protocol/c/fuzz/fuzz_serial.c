@@ -1,0 +1,42 @@
+/* Arbitrary bytes on the serial link; and COBS must give back what it was given. */
+#include "fuzz.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+static bool nowhere(void *context, const uint8_t *bytes, size_t size)
+{
+    (void)context;
+    HOLDS(bytes[size - 1] == 0);
+    return true;
+}
+
+static void round_trip(ta_cobs *cobs, const uint8_t *data, size_t size)
+{
+    static uint8_t coded[TA_COBS_MAX(TA_PACKET_MAX)];
+    if (size > TA_PACKET_MAX) {
+        return;
+    }
+    size_t length = ta_cobs_encode(data, size, coded);
+    HOLDS(length <= TA_COBS_MAX(size));
+    ta_cobs_init(cobs, TA_PACKET_MAX);
+    for (size_t i = 0; i < length; i++) {
+        HOLDS(coded[i] != 0);
+        HOLDS(ta_cobs_feed(cobs, coded[i]) == TA_COBS_MORE);
+    }
+    HOLDS(ta_cobs_feed(cobs, 0) == TA_COBS_FRAME);
+    HOLDS(cobs->frame == size && (size == 0 || memcmp(cobs->bytes, data, size) == 0));
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static fuzz_board board;
+    static ta_serial link;
+    fuzz_power_up(&board, 128);
+    ta_serial_init(&link, &board.amp, nowhere, NULL);
+    for (size_t i = 0; i < size; i++) {
+        ta_serial_feed(&link, data + i, 1, 10u * i);
+    }
+    HOLDS(ta_serial_send(&link, data, size < TA_REPLY_MAX ? size : TA_REPLY_MAX));
+    round_trip(&link.cobs, data, size);
+    return 0;
+}

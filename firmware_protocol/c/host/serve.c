@@ -1,0 +1,228 @@
+/* virtual-amplifier in real time: CLOCK_MONOTONIC, poll(), and a wire of bytes or datagrams. */
+#define _XOPEN_SOURCE 700
+
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "virtual_amplifier.h"
+
+#define POLL_MS 1
+#define FRAME_BYTES 72 /* struct canfd_frame: u32 id, u8 length, u8 flags, 2 reserved, 64 data */
+#define FRAME_FD 0x04  /* of flags */
+#define ID_EXTENDED 0x80000000u
+#define ID_REMOTE 0x40000000u
+
+static volatile sig_atomic_t stopped;
+
+static void on_signal(int number)
+{
+    (void)number;
+    stopped = 1;
+}
+
+static void catch_signals(void)
+{
+    struct sigaction action = {0};
+    action.sa_handler = on_signal;
+    sigaction(SIGTERM, &action, NULL);
+    sigaction(SIGINT, &action, NULL);
+}
+
+/* Time */
+
+static struct timespec power_up;
+
+static uint64_t ticks(const virtual_amplifier *v)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    uint64_t ns = (uint64_t)(t.tv_sec - power_up.tv_sec) * 1000000000u +
+                  (uint64_t)t.tv_nsec - (uint64_t)power_up.tv_nsec;
+    uint64_t hz = v->amp.config.tick_hz;
+    return ns / 1000000000u * hz + ns % 1000000000u * hz / 1000000000u;
+}
+
+static uint64_t hal_clock(void *context)
+{
+    return ticks(context);
+}
+
+/* The end: to 0 V at the slew limit, as at a fault, on ticks that have not come yet. */
+static void power_down(virtual_amplifier *v)
+{
+    uint64_t tick = ticks(v);
+    virtual_run(v, tick);
+    ta_fault(&v->amp, TP_FAULT_HARDWARE, tick);
+    do {
+        virtual_run(v, ta_next_instant(&v->amp));
+    } while (!ta_player_silent(&v->amp.player));
+}
+
+/* Runs the amplifier until a signal comes; `receive` takes what waits on the file descriptor. */
+static void serve(virtual_amplifier *v, int fd, void (*receive)(virtual_amplifier *v, int fd))
+{
+    struct pollfd wait = {0};
+    wait.fd = fd;
+    wait.events = POLLIN;
+    while (!stopped) {
+        int ready = poll(&wait, 1, POLL_MS);
+        virtual_run(v, ticks(v));
+        if (ready > 0) {
+            receive(v, fd);
+        }
+    }
+    power_down(v);
+}
+
+static bool failed(const char *what)
+{
+    perror(what);
+    return false;
+}
+
+static void begin(virtual_amplifier *v, uint8_t link, int *fd)
+{
+    clock_gettime(CLOCK_MONOTONIC, &power_up);
+    v->amp.hal.clock = hal_clock;
+    v->link = link;
+    v->amp.prompt_pulse = link == KIND_CAN;
+    v->wire = fd;
+    catch_signals();
+}
+
+/* Pseudo-terminal */
+
+static void receive_bytes(virtual_amplifier *v, int fd)
+{
+    uint8_t bytes[4096];
+    ssize_t got = read(fd, bytes, sizeof bytes);
+    if (got > 0) {
+        ta_serial_feed(&v->serial, bytes, (size_t)got, v->tick);
+    }
+}
+
+/* All or nothing is what the amplifier counts by: a frame that is cut off is lost, and the 0x00 of
+ * the next ends it. */
+static bool write_bytes(void *context, const uint8_t *bytes, size_t size)
+{
+    static bool cut_off;
+    const int *fd = context;
+    const uint8_t zero = 0;
+    if (cut_off && write(*fd, &zero, 1) != 1) {
+        return false;
+    }
+    cut_off = false;
+    ssize_t wrote = write(*fd, bytes, size);
+    cut_off = wrote > 0 && (size_t)wrote < size;
+    return wrote == (ssize_t)size;
+}
+
+/* As cfmakeraw, which POSIX lacks: bytes pass as they are. */
+static bool make_raw(int fd)
+{
+    struct termios t;
+    if (tcgetattr(fd, &t) != 0) {
+        return false;
+    }
+    t.c_iflag &= (tcflag_t) ~(IGNBRK | BRKINT | PARMRK | ISTRIP | INLCR | IGNCR | ICRNL | IXON);
+    t.c_oflag &= (tcflag_t)~OPOST;
+    t.c_lflag &= (tcflag_t) ~(ECHO | ECHONL | ICANON | ISIG | IEXTEN);
+    t.c_cflag = (t.c_cflag & (tcflag_t) ~(CSIZE | PARENB)) | CS8;
+    return tcsetattr(fd, TCSANOW, &t) == 0;
+}
+
+/* The slave stays open here, so that a host may come and go. */
+bool virtual_serve_pty(virtual_amplifier *v)
+{
+    int fd = posix_openpt(O_RDWR | O_NOCTTY);
+    if (fd < 0 || grantpt(fd) != 0 || unlockpt(fd) != 0) {
+        return failed("pseudo-terminal");
+    }
+    const char *path = ptsname(fd);
+    int slave = path != NULL ? open(path, O_RDWR | O_NOCTTY) : -1;
+    if (slave < 0 || !make_raw(slave) || fcntl(fd, F_SETFL, O_NONBLOCK) != 0) {
+        return failed("pseudo-terminal");
+    }
+    v->write_bytes = write_bytes;
+    begin(v, KIND_SERIAL, &fd);
+    printf("%s\n", path);
+    fflush(stdout);
+    serve(v, fd, receive_bytes);
+    close(slave);
+    close(fd);
+    return true;
+}
+
+/* CAN on a datagram socket */
+
+static struct sockaddr_un host; /* the last sender */
+static socklen_t host_size;
+
+static void receive_frames(virtual_amplifier *v, int fd)
+{
+    uint8_t bytes[FRAME_BYTES];
+    struct sockaddr_un from;
+    for (;;) {
+        socklen_t size = sizeof from;
+        ssize_t got = recvfrom(fd, bytes, sizeof bytes, MSG_DONTWAIT, (struct sockaddr *)&from,
+                               &size);
+        if (got < 0) {
+            return;
+        }
+        ta_can_frame frame = {0};
+        uint32_t id = (uint32_t)tp_get_le(bytes, sizeof bytes, 0, 4);
+        if (got != FRAME_BYTES || bytes[4] > sizeof frame.data || (id & ID_REMOTE) != 0) {
+            continue;
+        }
+        host = from;
+        host_size = size;
+        frame.id = id & 0x1FFFFFFFu;
+        frame.extended = (id & ID_EXTENDED) != 0;
+        frame.fd = (bytes[5] & FRAME_FD) != 0;
+        frame.size = bytes[4];
+        memcpy(frame.data, bytes + 8, sizeof frame.data);
+        ta_can_feed(&v->can, &frame, v->tick);
+    }
+}
+
+static bool write_frame(void *context, const ta_can_frame *frame)
+{
+    const int *fd = context;
+    uint8_t bytes[FRAME_BYTES] = {0};
+    tp_put_le(bytes, frame->id | (frame->extended ? ID_EXTENDED : 0u), 4);
+    bytes[4] = frame->size;
+    bytes[5] = frame->fd ? FRAME_FD : 0;
+    memcpy(bytes + 8, frame->data, frame->size);
+    return host_size > 0 && sendto(*fd, bytes, sizeof bytes, MSG_DONTWAIT,
+                                   (const struct sockaddr *)&host, host_size) == FRAME_BYTES;
+}
+
+bool virtual_serve_can(virtual_amplifier *v, const char *path)
+{
+    struct sockaddr_un address = {0};
+    int fd = socket(AF_UNIX, SOCK_DGRAM, 0);
+    address.sun_family = AF_UNIX;
+    if (strlen(path) >= sizeof address.sun_path) {
+        fprintf(stderr, "virtual-amplifier: %s: too long for a socket\n", path);
+        return false;
+    }
+    memcpy(address.sun_path, path, strlen(path));
+    if (fd < 0 || bind(fd, (const struct sockaddr *)&address, sizeof address) != 0) {
+        return failed(path);
+    }
+    v->write_frame = write_frame;
+    begin(v, KIND_CAN, &fd);
+    serve(v, fd, receive_frames);
+    unlink(path);
+    close(fd);
+    return true;
+}

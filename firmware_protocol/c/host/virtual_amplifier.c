@@ -1,0 +1,182 @@
+/* The program `virtual-amplifier`: the firmware's core on a computer, behind a pseudo-terminal, behind
+ * a socket that carries CAN frames, or fed from a file on a virtual clock. README.md shows how.
+ *
+ * This file holds the HAL, the files that are written, and main; options.c, replay.c and serve.c
+ * the rest.
+ */
+#include "virtual_amplifier.h"
+
+#include <stdlib.h>
+
+/* The HAL */
+
+static bool put_bytes(void *context, const uint8_t *bytes, size_t size)
+{
+    virtual_amplifier *v = context;
+    virtual_record(v, KIND_SERIAL, bytes, size);
+    return v->write_bytes == NULL || v->write_bytes(v->wire, bytes, size);
+}
+
+static bool put_frame(void *context, const ta_can_frame *frame)
+{
+    virtual_amplifier *v = context;
+    uint8_t bytes[4 + 64];
+    tp_put_le(bytes, frame->id | (frame->extended ? 0x80000000u : 0u), 4);
+    memcpy(bytes + 4, frame->data, frame->size);
+    virtual_record(v, KIND_CAN, bytes, 4u + frame->size);
+    return v->write_frame == NULL || v->write_frame(v->wire, frame);
+}
+
+static bool hal_send(void *context, const uint8_t *packet, size_t size)
+{
+    virtual_amplifier *v = context;
+    switch (v->link) {
+    case KIND_SERIAL:
+        return ta_serial_send(&v->serial, packet, size);
+    case KIND_CAN:
+        return ta_can_send(&v->can, packet, size);
+    case KIND_PACKET:
+        virtual_record(v, KIND_PACKET, packet, size);
+        return true;
+    default:
+        return ta_replies_push(&v->replies, packet, size);
+    }
+}
+
+static void hal_put_out(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
+{
+    virtual_amplifier *v = context;
+    tp_put_le(v->row, tick, 8);
+    tp_put_le(v->row + 8, position, 4);
+    for (size_t c = 0; c < v->amp.config.channels; c++) {
+        tp_put_le(v->row + 14 + 2 * c, (uint64_t)(uint16_t)codes[c], 2);
+    }
+}
+
+static void hal_after(void *context, uint64_t tick, uint8_t state, bool high_voltage)
+{
+    virtual_amplifier *v = context;
+    v->tick = tick;
+    v->row[12] = state;
+    v->row[13] = high_voltage ? 1 : 0;
+    if (v->out != NULL) {
+        fwrite(v->row, 1, 14u + 2u * v->amp.config.channels, v->out);
+    }
+}
+
+static void hal_high_voltage(void *context, bool on)
+{
+    (void)context;
+    (void)on;
+}
+
+static void hal_identify(void *context, uint8_t seconds)
+{
+    (void)context;
+    fprintf(stderr, "virtual-amplifier: here I am, for %u s\n", (unsigned)seconds);
+}
+
+/* What is measured is what was put out, at no current. */
+static void hal_sense(void *context, uint8_t channel, int16_t *voltage, int16_t *current_ua)
+{
+    const virtual_amplifier *v = context;
+    *voltage = v->amp.player.codes[channel];
+    *current_ua = 0;
+}
+
+/* Files */
+
+void virtual_record(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_t size)
+{
+    uint8_t head[13];
+    if (v->sent == NULL) {
+        return;
+    }
+    tp_put_le(head, v->tick, 8);
+    head[8] = kind;
+    tp_put_le(head + 9, size, 4);
+    fwrite(head, 1, sizeof head, v->sent);
+    if (size > 0) {
+        fwrite(bytes, 1, size, v->sent);
+    }
+}
+
+static bool open_file(FILE **file, const char *path)
+{
+    *file = path != NULL ? fopen(path, "wb") : NULL;
+    if (path != NULL && *file == NULL) {
+        perror(path);
+        return false;
+    }
+    return true;
+}
+
+static bool close_file(FILE *file)
+{
+    if (file == NULL) {
+        return true;
+    }
+    bool good = ferror(file) == 0;
+    return fclose(file) == 0 && good;
+}
+
+bool virtual_open(virtual_amplifier *v, const virtual_options *options)
+{
+    ta_hal hal = {0};
+    memset(v, 0, sizeof *v);
+    hal.context = v;
+    hal.send = hal_send;
+    hal.put_out = hal_put_out;
+    hal.high_voltage = hal_high_voltage;
+    hal.after = hal_after;
+    hal.identify = hal_identify;
+    hal.sense = options->senses ? hal_sense : NULL;
+    if (!ta_init(&v->amp, &options->config, &hal)) {
+        fprintf(stderr, "virtual-amplifier: the options contradict section 11.1 or the sizes\n");
+        return false;
+    }
+    ta_serial_init(&v->serial, &v->amp, put_bytes, v);
+    ta_can_init(&v->can, &v->amp, options->fd, put_frame, v);
+    ta_smbus_init(&v->smbus, &v->amp, &v->replies);
+    v->fixed_link = options->link >= 0;
+    v->link = v->fixed_link ? (uint8_t)options->link : (uint8_t)KIND_PACKET;
+    v->amp.prompt_pulse = v->link == KIND_CAN;
+    return open_file(&v->out, options->out) && open_file(&v->sent, options->sent);
+}
+
+bool virtual_close(virtual_amplifier *v)
+{
+    bool out = close_file(v->out);
+    bool sent = close_file(v->sent);
+    return out && sent;
+}
+
+/* Instants set v->tick on their way; what is sent between them is of `tick`. */
+void virtual_run(virtual_amplifier *v, uint64_t tick)
+{
+    while (ta_next_instant(&v->amp) <= tick) {
+        v->tick = ta_next_instant(&v->amp);
+        ta_run(&v->amp, v->tick);
+    }
+    v->tick = tick;
+    ta_reassembly_expire(&v->can.reassembly, tick);
+    ta_reassembly_expire(&v->smbus.reassembly, tick);
+}
+
+int main(int argc, char **argv)
+{
+    static virtual_amplifier v;
+    virtual_options options;
+    bool good;
+    if (!virtual_parse(&options, argc, argv) || !virtual_open(&v, &options)) {
+        return EXIT_FAILURE;
+    }
+    if (options.replay) {
+        good = virtual_replay(&v, stdin);
+    } else if (options.pty) {
+        good = virtual_serve_pty(&v);
+    } else {
+        good = virtual_serve_can(&v, options.can_path);
+    }
+    return virtual_close(&v) && good ? EXIT_SUCCESS : EXIT_FAILURE;
+}

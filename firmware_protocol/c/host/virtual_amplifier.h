@@ -1,0 +1,70 @@
+/* The amplifier on a computer: what the three ways to run it share. */
+#ifndef VIRTUAL_AMPLIFIER_H
+#define VIRTUAL_AMPLIFIER_H
+
+#include <stdio.h>
+
+#include "../tactile_link.h"
+
+/* Of records, of what was fed and what was sent. */
+enum {
+    KIND_SERIAL = 0,
+    KIND_CAN = 1,
+    KIND_I2C_WRITE = 2,
+    KIND_PACKET = 3,
+    KIND_NOTHING = 4,
+    KIND_FAULT = 5,
+    KIND_I2C_READ = 6,
+    KIND_SMBUS_WRITE = 7,
+    KIND_SMBUS_READ = 8
+};
+
+typedef struct {
+    ta_config config;
+    const char *out;
+    const char *sent;
+    const char *can_path;
+    int link; /* kind of record for answers, -1: as the last that was fed */
+    bool fd;
+    bool senses;
+    bool pty;
+    bool replay;
+} virtual_options;
+
+/* One struct of everything: there is one amplifier in the program. */
+typedef struct {
+    ta_amplifier amp;
+    ta_serial serial;
+    ta_can can;
+    ta_smbus smbus;
+    ta_replies replies;
+    uint64_t tick;
+    uint8_t link;
+    bool fixed_link;
+    FILE *out;
+    FILE *sent;
+    uint8_t row[16 + 2 * TA_CHANNELS]; /* the record of the instant under way */
+    /* Where real links write to; NULL: into `sent` only. */
+    bool (*write_bytes)(void *context, const uint8_t *bytes, size_t size);
+    bool (*write_frame)(void *context, const ta_can_frame *frame);
+    void *wire;
+} virtual_amplifier;
+
+/* Options of the command line; false, and a message, where one is wrong. */
+bool virtual_parse(virtual_options *options, int argc, char **argv);
+
+bool virtual_open(virtual_amplifier *v, const virtual_options *options);
+bool virtual_close(virtual_amplifier *v);
+void virtual_run(virtual_amplifier *v, uint64_t tick);
+
+/* Writes to the file of what is sent, if there is one. */
+void virtual_record(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_t size);
+
+/* Runs records from a file to its end; false where one is cut off or too long. */
+bool virtual_replay(virtual_amplifier *v, FILE *records);
+
+/* Serve until a signal comes; false where the link cannot be opened. */
+bool virtual_serve_pty(virtual_amplifier *v);
+bool virtual_serve_can(virtual_amplifier *v, const char *path);
+
+#endif

@@ -1,0 +1,342 @@
+/* Self-test of the core against closed forms: published examples, symmetries, edges. Prints nothing and
+ * exits 0, or says which line does not hold. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "../tactile_link.h"
+
+static int failures;
+
+#define CHECK(condition)                                                                          \
+    do {                                                                                          \
+        if (!(condition)) {                                                                       \
+            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);                       \
+            failures++;                                                                           \
+        }                                                                                         \
+    } while (0)
+
+/* The check value that catalogs of CRCs give for CRC-32. */
+static void test_crc(void)
+{
+    CHECK(ta_crc32((const uint8_t *)"123456789", 9) == 0xCBF43926u);
+    CHECK(ta_crc32((const uint8_t *)"", 0) == 0);
+}
+
+static void test_packet(void)
+{
+    uint8_t bytes[16] = {0, 0, 0, 0, 0xAA, 0xBB};
+    ta_packet sent = {0};
+    ta_packet got;
+    sent.type = 0x12;
+    sent.flags = 0x60;
+    sent.node = 127;
+    sent.seq = 255;
+    sent.size = 2;
+    CHECK(ta_packet_seal(bytes, &sent) == 10);
+    CHECK(ta_packet_decode(&got, bytes, 10));
+    CHECK(got.type == 0x12 && got.flags == 0x60 && got.node == 127 && got.seq == 255);
+    CHECK(got.size == 2 && got.payload == bytes + 4 && got.payload[1] == 0xBB);
+    CHECK(!ta_packet_decode(&got, bytes, 7));
+    for (size_t bit = 0; bit < 80; bit++) { /* CRC-32 finds every single bit */
+        bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+        CHECK(!ta_packet_decode(&got, bytes, 10));
+        bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+    }
+}
+
+static void cobs_case(const uint8_t *plain, size_t size, const uint8_t *coded, size_t length)
+{
+    static ta_cobs cobs;
+    uint8_t out[600];
+    CHECK(ta_cobs_encode(plain, size, out) == length);
+    CHECK(memcmp(out, coded, length) == 0);
+    ta_cobs_init(&cobs, 512);
+    for (size_t i = 0; i < length; i++) {
+        CHECK(ta_cobs_feed(&cobs, coded[i]) == TA_COBS_MORE);
+    }
+    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_FRAME);
+    CHECK(cobs.frame == size && memcmp(cobs.bytes, plain, size) == 0);
+}
+
+/* The example of Cheshire & Baker 1999, the start of an IP packet, and runs as long as the longest
+ * block. */
+static void test_cobs(void)
+{
+    static const uint8_t example[] = {0x45, 0x00, 0x00, 0x2C, 0x4C, 0x79, 0x00, 0x00,
+                                      0x40, 0x06, 0x4F, 0x37};
+    static const uint8_t coded[] = {0x02, 0x45, 0x01, 0x04, 0x2C, 0x4C, 0x79, 0x01,
+                                    0x05, 0x40, 0x06, 0x4F, 0x37};
+    static const uint8_t zeros[] = {0, 0};
+    static const uint8_t coded_zeros[] = {1, 1, 1};
+    uint8_t run[256];
+    uint8_t block[258];
+    cobs_case(example, sizeof example, coded, sizeof coded);
+    cobs_case(zeros, 0, coded_zeros, 1);
+    cobs_case(zeros, 1, coded_zeros, 2);
+    cobs_case(zeros, 2, coded_zeros, 3);
+    for (size_t i = 0; i < 255; i++) {
+        run[i] = (uint8_t)(i + 1);
+        block[i + 1] = (uint8_t)(i + 1);
+    }
+    block[0] = 254; /* 253 bytes */
+    cobs_case(run, 253, block, 254);
+    block[0] = 255; /* 254: the longest block stands for no zero */
+    cobs_case(run, 254, block, 255);
+    block[255] = 2; /* 255: another follows */
+    block[256] = 255;
+    cobs_case(run, 255, block, 257);
+    run[254] = 0; /* 254 and a zero: two empty blocks */
+    block[255] = 1;
+    block[256] = 1;
+    cobs_case(run, 255, block, 257);
+}
+
+static void test_cobs_errors(void)
+{
+    static ta_cobs cobs;
+    int oversized = 0;
+    ta_cobs_init(&cobs, 64);
+    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MORE); /* nothing between two zeros */
+    CHECK(ta_cobs_feed(&cobs, 3) == TA_COBS_MORE);
+    CHECK(ta_cobs_feed(&cobs, 1) == TA_COBS_MORE);
+    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MALFORMED); /* the block is one byte short */
+    for (size_t i = 0; i < 500; i++) {
+        oversized += ta_cobs_feed(&cobs, 9) == TA_COBS_OVERSIZED;
+    }
+    CHECK(oversized == 1);
+    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MORE);
+    CHECK(ta_cobs_feed(&cobs, 1) == TA_COBS_MORE);
+    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_FRAME && cobs.frame == 0); /* good again */
+}
+
+/* A packet cut for 8, 32 and 64 bytes comes together; every fragment but the last is full. */
+static void test_fragments(size_t size, size_t room)
+{
+    static ta_reassembly r;
+    uint8_t packet[255];
+    uint8_t part[64];
+    uint32_t dropped = 0;
+    ta_cutter cutter = {0};
+    const ta_transfer *whole = NULL;
+    for (size_t i = 0; i < size; i++) {
+        packet[i] = (uint8_t)(7 * i);
+    }
+    ta_reassembly_init(&r, 255, 1000000, &dropped);
+    cutter.packet = packet;
+    cutter.size = size;
+    cutter.id = 31;
+    for (size_t n = 0; whole == NULL; n++) {
+        size_t got = ta_cut(&cutter, part, room);
+        bool end = (part[0] & TA_FRAGMENT_END) != 0;
+        CHECK(got == room || end);
+        CHECK((part[0] & TA_FRAGMENT_START ? 1 : 0) == (n == 0));
+        CHECK((part[0] & TA_FRAGMENT_TOGGLE ? 1u : 0u) == n % 2);
+        whole = ta_reassembly_feed(&r, 0x302, part, got, false, 19999);
+        CHECK(end == (whole != NULL));
+    }
+    CHECK(whole->size == size && memcmp(whole->bytes, packet, size) == 0);
+    CHECK(ta_cut(&cutter, part, room) == 0 && dropped == 0);
+}
+
+/* Fragments that change places are found by their toggle, though all bytes come. */
+static void test_reordered(void)
+{
+    static ta_reassembly r;
+    static const size_t order[] = {0, 2, 1, 3};
+    uint8_t packet[26] = {0};
+    uint8_t parts[4][8];
+    size_t sizes[4];
+    uint32_t dropped = 0;
+    ta_cutter cutter = {0};
+    cutter.packet = packet;
+    cutter.size = sizeof packet;
+    for (size_t i = 0; i < 4; i++) {
+        sizes[i] = ta_cut(&cutter, parts[i], 8);
+    }
+    ta_reassembly_init(&r, 255, 1000000, &dropped);
+    for (size_t i = 0; i < 4; i++) {
+        size_t k = order[i];
+        CHECK(ta_reassembly_feed(&r, 0x402, parts[k], sizes[k], false, 0) == NULL);
+    }
+    CHECK(dropped == 3); /* the transfer, and two fragments that then belong to none */
+}
+
+static void test_fd_lengths(void)
+{
+    CHECK(ta_can_fd_length(0) == 0 && ta_can_fd_length(8) == 8 && ta_can_fd_length(9) == 12);
+    CHECK(ta_can_fd_length(25) == 32 && ta_can_fd_length(33) == 48);
+    CHECK(ta_can_fd_length(49) == 64 && ta_can_fd_length(64) == 64);
+}
+
+/* 10.1: odd about half a turn, even about a quarter, and at most 1 off in sin^2 + cos^2. */
+static void test_sine(void)
+{
+    CHECK(ta_sine(0) == 0 && ta_sine(1u << 30) == 32767);
+    CHECK(ta_sine(2u << 30) == 0 && ta_sine(3u << 30) == -32767);
+    CHECK(ta_cosine(0) == 32767 && ta_cosine(2u << 30) == -32767);
+    CHECK(ta_sine(1u << 21) == 101 && ta_sine(0u - (1u << 21)) == -100); /* 100.5 up */
+    CHECK(ta_sine(1u << 22) == 201 && ta_sine(128u << 22) == 23170); /* 32767 sin(pi/4) */
+    for (uint32_t k = 0; k < 1024; k++) {
+        uint32_t angle = k << 22;
+        CHECK(ta_sine(angle + (2u << 30)) == -ta_sine(angle));
+        CHECK(ta_sine((2u << 30) - angle) == ta_sine(angle));
+        CHECK(ta_cosine(angle) == ta_sine(angle + (1u << 30)));
+        int64_t square = (int64_t)ta_sine(angle) * ta_sine(angle) +
+                         (int64_t)ta_cosine(angle) * ta_cosine(angle);
+        CHECK(llabs(square - 32767LL * 32767LL) <= 32767 * 2);
+    }
+    for (uint32_t i = 0; i < 4096; i++) { /* rises through the first quarter, interpolated */
+        CHECK(ta_sine(i << 18) <= ta_sine((i + 1) << 18));
+    }
+}
+
+/* 10.2: 80 steps are a factor of 10, 0 is off, 255 full scale. */
+static void test_amplitudes(void)
+{
+    CHECK(ta_amplitude(0) == 0 && ta_amplitude(255) == 32767 * 256);
+    CHECK(ta_amplitude(175) == 838835 && ta_amplitude(95) == 83884 && ta_amplitude(15) == 8388);
+    for (int c = 2; c < 256; c++) {
+        CHECK(ta_amplitude((uint8_t)c) > ta_amplitude((uint8_t)(c - 1)));
+    }
+    ta_phasor p = ta_phasor_decode(255, 64); /* a quarter turn */
+    CHECK(p.i == 0 && p.q == (int32_t)((8388352LL * 32767 + 16384) >> 15));
+}
+
+/* A frame, its ramp, its end in force and the expiry after `valid` (10.3). */
+static void test_envelope(void)
+{
+    static ta_envelope e;
+    ta_frame frame = {0};
+    ta_phasor full = ta_phasor_decode(255, 0);
+    ta_envelope_clear(&e);
+    frame.position = 0xFFFFFFFFu; /* positions wrap */
+    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 100) == TA_FRAME_LATE);
+    frame.position = 3;
+    frame.valid = 2;
+    frame.codes[0] = 255;
+    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 4) == TA_FRAME_FUTURE);
+    CHECK(!ta_envelope_ready(&e, 0xFFFFFFFFu, false));
+    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 5) == TA_FRAME_KEPT);
+    for (uint32_t i = 0; i < 4; i++) {
+        CHECK(ta_envelope_ready(&e, 0xFFFFFFFFu + i, i > 0));
+        ta_envelope_advance(&e, 0xFFFFFFFFu + i, i > 0, 1);
+        CHECK(e.present[0].i == full.i / 4 * (int32_t)i);
+    }
+    CHECK(ta_envelope_offer(&e, &frame, 3, 5) == TA_FRAME_LATE); /* not after the ramp's end */
+    ta_envelope_advance(&e, 3, true, 1);
+    CHECK(!e.ramping && e.present[0].i == full.i && e.present[0].q == full.q);
+    CHECK(ta_envelope_ready(&e, 4, true));
+    ta_envelope_advance(&e, 4, true, 1);
+    CHECK(!ta_envelope_ready(&e, 5, true));
+}
+
+/* The queue holds the four next; a fifth is the last or drops the last. */
+static void test_queue(void)
+{
+    static ta_envelope e;
+    ta_frame frame = {0};
+    static const uint32_t order[] = {40, 20, 30, 50};
+    ta_envelope_clear(&e);
+    for (size_t i = 0; i < 4; i++) {
+        frame.position = order[i];
+        CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_KEPT);
+    }
+    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_KEPT && e.queued == 4);
+    frame.position = 60;
+    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_FUTURE);
+    frame.position = 10;
+    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_FUTURE);
+    for (uint32_t i = 0; i < 4; i++) {
+        CHECK(e.queue[i].position == 10 * (i + 1));
+    }
+}
+
+static int16_t through(int16_t code, uint8_t format)
+{
+    uint8_t data[3] = {0};
+    ta_samples s = {0};
+    s.format = format;
+    s.channels = 1;
+    s.samples = 1;
+    s.data = data;
+    ta_samples_encode(&code, format, 1, 1, data);
+    return ta_samples_get(&s, 0, 0);
+}
+
+/* Every code through every format is as near as the format can be; the edges of section 9. */
+static void test_samples(void)
+{
+    uint8_t pair[3];
+    static const int16_t two[] = {16, -16};
+    ta_samples s = {TP_SAMPLE_FORMAT_PCM16, 1, 1, pair};
+    for (int32_t code = -32767; code <= 32767; code++) {
+        int16_t c = (int16_t)code;
+        CHECK(through(c, TP_SAMPLE_FORMAT_PCM16) == c);
+        CHECK(abs(through(c, TP_SAMPLE_FORMAT_PCM12) - c) <= (abs(c) > 32752 ? 15 : 8));
+        CHECK(abs(through(c, TP_SAMPLE_FORMAT_BFP8) - c) <= (abs(c) > 32640 ? 255 : 128));
+        CHECK(abs(c) > 127 || through(c, TP_SAMPLE_FORMAT_BFP8) == c);
+    }
+    tp_put_le(pair, 0x8000, 2);
+    CHECK(ta_samples_get(&s, 0, 0) == -32767);
+    s.format = TP_SAMPLE_FORMAT_PCM12;
+    tp_put_le(pair, 0x800, 2);
+    CHECK(ta_samples_get(&s, 0, 0) == -2047 * 16);
+    ta_samples_encode(two, TP_SAMPLE_FORMAT_PCM12, 2, 1, pair); /* 001 and FFF */
+    CHECK(pair[0] == 0x01 && pair[1] == 0xF0 && pair[2] == 0xFF);
+}
+
+static void test_bfp8(void)
+{
+    uint8_t data[2] = {8, 0x80};
+    int16_t codes[33] = {0};
+    uint8_t out[35];
+    ta_samples s = {TP_SAMPLE_FORMAT_BFP8, 1, 1, data};
+    CHECK(ta_samples_get(&s, 0, 0) == -32767); /* -128 x 256, clamped */
+    data[0] = 255;                             /* reads as 8 */
+    data[1] = 127;
+    CHECK(ta_samples_get(&s, 0, 0) == 127 * 256);
+    CHECK(ta_samples_size(TP_SAMPLE_FORMAT_BFP8, 3, 32) == 99);
+    CHECK(ta_samples_size(TP_SAMPLE_FORMAT_BFP8, 3, 33) == 105);
+    codes[0] = 128; /* needs exponent 1; the block after it does not */
+    codes[32] = -127;
+    ta_samples_encode(codes, TP_SAMPLE_FORMAT_BFP8, 1, 33, out);
+    CHECK(out[0] == 1 && out[1] == 64 && out[33] == 0 && out[34] == 0x81);
+    codes[0] = 255; /* 127.5 rounds up to 128: exponent 2 */
+    codes[1] = -255;
+    ta_samples_encode(codes, TP_SAMPLE_FORMAT_BFP8, 2, 1, out);
+    CHECK(out[0] == 2 && out[2] == 1 && out[3] == 0x81); /* -127.5 rounds up to -127 */
+}
+
+static void test_arithmetic(void)
+{
+    CHECK(ta_distance(0, 0xFFFFFFFFu) == 1 && ta_distance(0xFFFFFFFFu, 0) == -1);
+    CHECK(ta_distance(0x80000000u, 0) == INT32_MIN && ta_distance(0x7FFFFFFFu, 0) == INT32_MAX);
+    CHECK(ta_shift_right(-1, 8) == -1 && ta_shift_right(-256, 8) == -1);
+    CHECK(ta_shift_right(-257, 8) == -2 && ta_shift_right(255, 8) == 0);
+    CHECK(ta_clamp(-5, 3) == -3 && ta_clamp(5, 3) == 3 && ta_clamp(2, 3) == 2);
+    CHECK(ta_elapsed(150000, 0, 150, 1000000) && !ta_elapsed(149999, 0, 150, 1000000));
+}
+
+int main(void)
+{
+    static const size_t rooms[] = {8, 32, 64};
+    test_arithmetic();
+    test_crc();
+    test_packet();
+    test_cobs();
+    test_cobs_errors();
+    for (size_t i = 0; i < 3; i++) {
+        for (size_t size = 8; size <= 255; size++) {
+            test_fragments(size, rooms[i]);
+        }
+    }
+    test_reordered();
+    test_fd_lengths();
+    test_sine();
+    test_amplitudes();
+    test_envelope();
+    test_queue();
+    test_samples();
+    test_bfp8();
+    return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+}

@@ -54,7 +54,8 @@ def encode_pcm16(codes: Codes) -> bytes:
 def encode_pcm12(codes: Codes) -> bytes:
     """Return codes / 16, rounded, two in three bytes."""
     short = ((codes.ravel() >> 3) + np.int16(1)) >> 1
-    np.clip(short, -2047, 2047, out=short)
+    np.maximum(short, -2047, out=short)
+    np.minimum(short, 2047, out=short)
     if len(short) % 2:
         short = np.append(short, np.int16(0))
     first, second = short[0::2], short[1::2]

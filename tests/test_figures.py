@@ -6,7 +6,9 @@ from tactile.bench import BENCHMARKS
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", ["matrix", "grating", "wood", "bands", "place", "memory"])
+@pytest.mark.parametrize(
+    "name", ["matrix", "grating", "wood", "bands", "place", "spectrum", "memory", "clock"]
+)
 def test_every_promised_figure_is_reached(name: str) -> None:
     figures = [f for f in BENCHMARKS[name]() if not f.name.startswith("matrix.speed")]
     assert any(f.reached is not None for f in figures)

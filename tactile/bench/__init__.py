@@ -1,0 +1,52 @@
+"""Every figure that the project promises, measured: accuracy, fidelity, speed and memory.
+
+Each benchmark is a function that returns figures; a figure has a goal, or none where it is there to
+compare with. Where another library does the same work it is measured in the same run. BLAS is held
+to one thread.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+
+from rich.progress import track
+from threadpoolctl import threadpool_limits
+
+from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
+from tactile.bench.clock import measure_clock
+from tactile.bench.faults import measure_faults
+from tactile.bench.figures import Figure, at_least, at_most
+from tactile.bench.fuzz import measure_fuzz
+from tactile.bench.protocol import measure_protocol
+from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
+from tactile.bench.resources import measure_memory, measure_soak, measure_speed
+from tactile.bench.spectrum import measure_spectrum
+
+__all__ = ["BENCHMARKS", "LONG", "Figure", "at_least", "at_most", "measure"]
+
+BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
+    "matrix": measure_matrix,
+    "response": measure_response,
+    "grating": measure_grating,
+    "wood": measure_wood,
+    "bands": measure_bands,
+    "place": measure_place,
+    "speed": measure_speed,
+    "spectrum": measure_spectrum,
+    "plant": measure_plant,
+    "memory": measure_memory,
+    "clock": measure_clock,
+    "protocol": measure_protocol,
+    "faults": measure_faults,
+}
+LONG: dict[str, Callable[[], Iterator[Figure]]] = {"soak": measure_soak, "fuzz": measure_fuzz}
+"""Those that take minutes."""
+
+
+def measure(names: list[str]) -> list[Figure]:
+    """Run benchmarks, with a progress bar on a terminal, and return their figures."""
+    figures: list[Figure] = []
+    known = BENCHMARKS | LONG
+    with threadpool_limits(1):
+        for name in track(names, "measuring", transient=True, disable=not sys.stdout.isatty()):
+            figures.extend(known[name]())
+    return figures

@@ -1,0 +1,58 @@
+"""A figure with its goal, and a stopwatch."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RATE = 8000.0
+"""Hz of every drive that is measured."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number.
+
+    Attributes
+    ----------
+    name, value, unit : what was measured
+    goal : as text; empty where there is none
+    reached : None where there is no goal
+    """
+
+    name: str
+    value: float
+    unit: str
+    goal: str = ""
+    reached: bool | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return asdict(self)
+
+
+def at_most(name: str, value: float, unit: str, limit: float) -> Figure:
+    """Return a figure that must not exceed a limit."""
+    return Figure(name, value, unit, f"≤ {limit:g}", bool(value <= limit))
+
+
+def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
+    """Return a figure that must reach a limit."""
+    return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
+
+
+def seconds(work: Callable[[], object], repeats: int = 5) -> float:
+    """Return the shortest of several timings [s]."""
+    work()
+    found = math.inf
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        work()
+        found = min(found, time.perf_counter() - begun)
+    return found

@@ -1,0 +1,249 @@
+"""The wire protocol: how fast the host codes, what links carry, what sample formats lose."""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from zlib import crc32
+
+import numpy as np
+from cobs import cobs
+from cobs.cobs import _cobs_py
+from numpy.typing import NDArray
+
+from firmware_protocol import samples
+from firmware_protocol.can_link import CanEncoder
+from firmware_protocol.fragments import Cutter
+from firmware_protocol.host import codes_of, pcm
+from firmware_protocol.i2c_link import SMBUS_BLOCK, WRITE_COMMAND
+from firmware_protocol.messages import Pcm, SampleFormat
+from firmware_protocol.packet import Packet, encode_packet
+from firmware_protocol.serial_link import SerialDecoder, encode_frame
+from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most, seconds
+from tactile.bench.wire import can_bits, fd_bits, i2c_bits, uart_bits
+from tactile.display import load_display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import render
+from tactile.texture.descriptor import textures
+from tactile.texture.surface import load_texture
+
+Codes = NDArray[np.int16]
+
+REPEATS = 2000
+BLOCK_SAMPLES, BLOCK_CHANNELS = 16, 8
+"""256 B of PCM16."""
+PACKETS = 200
+NOMINAL, FAST = 1e6, 5e6
+"""bit/s of CAN FD's two phases."""
+QUIETER = 10 ** (-30 / 20)
+LARGEST = 2047 * 16
+"""Code that all formats have, but for BFP8's last half step."""
+
+
+def oak_drive() -> Floats:
+    """Return the drive (S, C) [V] of a stroke over oak on the display of 24 contactors."""
+    stroke = Trajectory.line(speed=0.08, duration=1.0)
+    return render(load_display("reference-24"), load_texture("wood-oak"), stroke).drive
+
+
+def _of_peak(drive: Floats) -> Codes:
+    scale = LARGEST / float(np.abs(drive).max())
+    return np.rint(drive * scale).astype(np.int16)
+
+
+# Speed
+
+
+def measure_codec() -> Iterator[Figure]:
+    """Time 64 channels × 32 samples of PCM12 to a serial frame and back, others at parts of it."""
+    codes = np.resize(_of_peak(oak_drive()), (32, 64))
+    decoder = SerialDecoder()
+    (message,) = pcm(0, codes, session=1, sample_format=SampleFormat.PCM12, packet_limit=4096)
+    packet = encode_packet(Packet.of(message, node=1))
+    frame = encode_frame(packet)
+
+    def encode() -> bytes:
+        (one,) = pcm(0, codes, session=1, sample_format=SampleFormat.PCM12, packet_limit=4096)
+        return encode_frame(encode_packet(Packet.of(one, node=1)))
+
+    def decode() -> Codes:
+        (one,) = decoder.feed(frame)
+        found = Pcm.unpack(one.payload)
+        assert found is not None
+        return samples.decode(found.format, found.data, found.samples, found.channels)
+
+    assert encode() == frame
+    assert np.abs(decode() - codes.astype(int)).max() <= 8
+    yield at_most("protocol.encode_3_kB", seconds(encode, REPEATS) * 1e6, "µs", 40)
+    yield at_most("protocol.decode_3_kB", seconds(decode, REPEATS) * 1e6, "µs", 40)
+    for name, work in {**_own_parts(packet, codes), **_others(packet, codes)}.items():
+        yield Figure(f"protocol.3_kB.{name}", seconds(work, 5 if "." in name else 200) * 1e6, "µs")
+
+
+def _own_parts(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
+    """Return what takes the time."""
+    return {
+        "pcm12": lambda: samples.encode(SampleFormat.PCM12, codes),
+        "crc32": lambda: crc32(packet),
+        "cobs": lambda: cobs.encode(packet),
+        "can_fragments": lambda: list(Cutter(8).fragments(0, packet)),
+    }
+
+
+def _others(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
+    """Return the same parts by other libraries, of those that are installed."""
+    found: dict[str, Callable[[], object]] = {"cobs.in_python": lambda: _cobs_py.encode(packet)}
+    with suppress(ImportError):
+        from construct import Array, BitsInteger, Bitwise
+
+        bits = Bitwise(Array(codes.size, BitsInteger(12, signed=True)))
+        values = [int(v) for v in codes.ravel() // 16]
+        found["pcm12.construct"] = lambda: bits.build(values)
+    with suppress(ImportError):
+        from crccheck.crc import Crc32
+
+        found["crc32.crccheck"] = lambda: Crc32.calc(packet)
+    with suppress(ImportError):
+        from crcmod.predefined import mkPredefinedCrcFun
+
+        calculate = mkPredefinedCrcFun("crc-32")
+        found["crc32.crcmod"] = lambda: calculate(packet)
+    with suppress(ImportError):
+        found["can_fragments.can-isotp"] = _isotp(packet)
+    return found
+
+
+def _isotp(packet: bytes) -> Callable[[], object]:
+    """Return a transfer by ISO-TP, whose receiver must answer with flow control."""
+    from isotp import Address, CanMessage, TransportLayerLogic
+
+    queues: tuple[list[CanMessage], list[CanMessage]] = ([], [])
+
+    def layer(mine: int) -> TransportLayerLogic:
+        return TransportLayerLogic(
+            rxfn=lambda timeout=0.0: queues[mine].pop(0) if queues[mine] else None,
+            txfn=queues[1 - mine].append,
+            address=Address(rxid=mine, txid=1 - mine),
+            params={"max_frame_size": 4096},
+        )
+
+    sender, receiver = layer(0), layer(1)
+
+    def transfer() -> bytes:
+        sender.send(packet)
+        while not receiver.available():
+            sender.process()
+            receiver.process()
+        data = receiver.recv()
+        assert data == packet
+        return bytes(data)
+
+    return transfer
+
+
+# Links
+
+
+def measure_links() -> Iterator[Figure]:
+    """Compare 256 B of samples with all that is sent for them, in frames as our encoders make them.
+
+    Typical: the drive of oak, PCM16, stuffed as its own bits are. Worst: no zeros for COBS, and the
+    most stuff bits that there can be.
+    """
+    codes = codes_of(oak_drive()[800:], 100.0)
+    packets = []
+    for k in range(PACKETS):
+        part = codes[16 * k : 16 * (k + 1), 8 * (k % 3) :][:BLOCK_SAMPLES, :BLOCK_CHANNELS]
+        (message,) = pcm(16 * k, part, session=4711, sample_format=0, packet_limit=4096)
+        packets.append(Packet.of(message, node=1, seq=k))
+    yield from _uart(packets)
+    yield from _can(packets)
+    yield from _can_fd(packets)
+    yield from _i2c(packets)
+
+
+def _efficiency(bits: float, packets: int = PACKETS) -> float:
+    return 100 * 8 * 256 * packets / bits
+
+
+def _uart(packets: list[Packet]) -> Iterator[Figure]:
+    bits = sum(uart_bits(encode_frame(encode_packet(p))) for p in packets)
+    yield at_least("protocol.uart.efficiency", _efficiency(bits), "%", 74)
+    longest = uart_bits(encode_frame(b"\1" * len(encode_packet(packets[0]))))
+    yield Figure("protocol.uart.efficiency.worst", _efficiency(longest, 1), "%")
+
+
+def _can(packets: list[Packet]) -> Iterator[Figure]:
+    encoder = CanEncoder(from_amplifier=False, fd=False)
+    frames = [frame for p in packets for frame in encoder.frames(p)]
+    bits = {s: sum(can_bits(*f, stuffing=s) for f in frames) for s in ("none", "own", "most")}
+    yield at_least("protocol.can.efficiency.unstuffed", _efficiency(bits["none"]), "%", 46)
+    yield Figure("protocol.can.efficiency", _efficiency(bits["own"]), "%")
+    yield Figure("protocol.can.efficiency.worst", _efficiency(bits["most"]), "%")
+
+
+def _can_fd(packets: list[Packet]) -> Iterator[Figure]:
+    """Of 5 Mbit/s."""
+    encoder = CanEncoder(from_amplifier=False, fd=True)
+    frames = [frame for p in packets for frame in encoder.frames(p)]
+    bits = {}
+    for stuffing in ("none", "own", "most"):
+        times = [fd_bits(*frame, stuffing=stuffing).seconds(NOMINAL, FAST) for frame in frames]
+        bits[stuffing] = sum(times) * FAST
+    yield at_least("protocol.can_fd.efficiency.unstuffed", _efficiency(bits["none"]), "%", 62)
+    yield Figure("protocol.can_fd.efficiency", _efficiency(bits["own"]), "%")
+    yield Figure("protocol.can_fd.efficiency.worst", _efficiency(bits["most"]), "%")
+
+
+def _i2c(packets: list[Packet]) -> Iterator[Figure]:
+    bits = sum(i2c_bits(encode_packet(p)) for p in packets)
+    yield at_least("protocol.i2c.efficiency", _efficiency(bits), "%", 81)
+    cutter = Cutter(SMBUS_BLOCK)
+    smbus = 0
+    for packet in packets:
+        for block in cutter.fragments(WRITE_COMMAND, encode_packet(packet)):
+            smbus += i2c_bits(bytes([WRITE_COMMAND, len(block)]) + block)
+    yield Figure("protocol.smbus.efficiency", _efficiency(smbus), "%")
+
+
+# Sample formats
+
+
+def signal_to_error_db(signal: Floats, kind: SampleFormat) -> float:
+    """Return the signal-to-error ratio [dB] of a signal (S, C) in codes, sent in blocks of 32."""
+    error = power = 0.0
+    for k in range(0, len(signal) - 31, 32):
+        part = signal[k : k + 32]
+        codes = np.rint(part).astype(np.int16)
+        back = samples.decode(kind, samples.encode(kind, codes), *codes.shape)
+        error += float(np.sum((back - part) ** 2))
+        power += float(np.sum(part**2))
+    return float(10 * np.log10(power / error))
+
+
+def measure_formats() -> Iterator[Figure]:
+    """Send the drive of every texture, its peak at full scale and 30 dB down; the worst counts."""
+    goals = {
+        SampleFormat.PCM16: (80, 50),
+        SampleFormat.PCM12: (60, 30),
+        SampleFormat.BFP8: (43, 30),
+    }
+    found: dict[SampleFormat, list[tuple[float, float]]] = {kind: [] for kind in goals}
+    for name in textures():
+        stroke = Trajectory.line(speed=0.08, duration=1.0)
+        drive = render(load_display("reference-24"), load_texture(name), stroke).drive
+        full = drive[int(0.1 * RATE) :] * (LARGEST / np.abs(drive).max())
+        for kind, ratios in found.items():
+            pair = signal_to_error_db(full, kind), signal_to_error_db(full * QUIETER, kind)
+            ratios.append(pair)
+    for kind, ratios in found.items():
+        for label, which in (("full_drive", 0), ("30_dB_down", 1)):
+            name = f"protocol.{kind.name.lower()}.{label}"
+            values = [pair[which] for pair in ratios]
+            yield at_least(name, min(values), "dB", goals[kind][which])
+            yield Figure(f"{name}.median", float(np.median(values)), "dB")
+
+
+def measure_protocol() -> Iterator[Figure]:
+    """Measure all of it."""
+    yield from measure_codec()
+    yield from measure_links()
+    yield from measure_formats()

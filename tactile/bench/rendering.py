@@ -1,0 +1,221 @@
+"""Rendering: what the skin does against what is commanded, through the time-domain plant."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.plant import Plant
+from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
+from tactile.display import Display, load_display
+from tactile.rendering import equalizer
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer, Rendering, render
+from tactile.sim import Fidelity
+from tactile.texture.descriptor import Descriptor, Laws, Periodic, textures
+from tactile.texture.surface import Texture, band_levels, load_texture
+
+FINGERS = {"low": FingerLoad.low, "high": FingerLoad.high}
+GRATING = 1e-3
+"""m, the wavelength that is moved faster and faster."""
+
+
+def felt(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
+    """Return the skin's shear (S, N) [m] for a drive, through the plant, its delay taken off."""
+    finger = display.load_at(1.0) if load is None else load
+    plant = Plant(display.bimorph, finger, RATE, contactors=drive.shape[1])
+    rest = np.zeros((plant.delay, drive.shape[1]))
+    return plant.step(np.concatenate([drive, rest]))[0][plant.delay :]
+
+
+def grating_texture(amplitude_um: float) -> Texture:
+    """Return a sinusoidal grating of 1 mm wavelength, without laws."""
+    oak = load_texture("wood-oak")
+    grating = Periodic(wavelength_mm=GRATING * 1e3, harmonics_um=(amplitude_um,))
+    bare = Descriptor(
+        texture=oak.descriptor.texture,
+        reference=oak.descriptor.reference,
+        periodic=(grating,),
+        laws=Laws(),
+    )
+    none = np.zeros(0)
+    return replace(
+        oak, descriptor=bare, wave_vector=np.zeros((0, 2)), amplitude=none,
+        band_frequency=none, band_error_db=none,
+    )  # fmt: skip
+
+
+def one_contactor(load: FingerLoad) -> Display:
+    """Return a display of one contactor under a finger."""
+    whole = load_display("reference-24", load=load)
+    return replace(
+        whole, contactors=whole.contactors[:1], shear_direction=whole.shear_direction[:1],
+        polarity=whole.polarity[:1], channel=np.zeros(1, np.intp), kind=whole.kind[:1],
+    )  # fmt: skip
+
+
+def transfer(display: Display, frequency: float, finger: FingerLoad, *, equalize: bool) -> complex:
+    """Return played over commanded shear of the grating moved to give a frequency [Hz]."""
+    stroke = Trajectory.line(speed=frequency * GRATING, duration=0.3 + 4 / frequency)
+    r = render(display, grating_texture(5.0), stroke)
+    drive = r.drive if equalize else r.shear / _static(display)
+    played = felt(display, drive, finger)[:, 0]
+    late = r.time > r.time[-1] - 3 / frequency
+    turn = np.exp(-2j * np.pi * frequency * r.time[late])
+    window = np.hanning(late.sum())
+    return complex((played[late] * turn * window).sum() / (r.shear[late, 0] * turn * window).sum())
+
+
+def _static(display: Display) -> float:
+    """Return the shear per volt at rest [m/V]: what a display without equalizer goes by."""
+    return float(np.abs(display.responses(np.zeros(1), RATE)[0, 0, 0]))
+
+
+def measure_grating() -> Iterator[Figure]:
+    """Move a grating so that it gives 10 … 1000 Hz, through the time-domain plant."""
+    tones = np.geomspace(10, 1000, 25)
+    for name, other in (("low", "high"), ("high", "low")):
+        display, finger = one_contactor(FINGERS[name]()), FINGERS[name]()
+        cases = {
+            "equalized": (finger, True),
+            "not_equalized": (finger, False),
+            f"on_{other}_finger": (FINGERS[other](), True),
+            "in_air": (FingerLoad.none(), True),
+        }
+        for case, (on, equalize) in cases.items():
+            ratio = np.array([transfer(display, f, on, equalize=equalize) for f in tones])
+            level, angle = 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+            worst_db, worst_deg = float(np.abs(level).max()), float(np.abs(angle).max())
+            if case == "equalized":
+                yield at_most(f"grating.{name}.{case}.level", worst_db, "dB", 0.1)
+                yield at_most(f"grating.{name}.{case}.phase", worst_deg, "deg", 1.0)
+            else:
+                yield Figure(f"grating.{name}.{case}.level", worst_db, "dB")
+                yield Figure(f"grating.{name}.{case}.phase", worst_deg, "deg")
+
+
+def swing(acceleration: float = 1.0, duration: float = 4.0) -> Trajectory:
+    """Return a path that starts, stops and turns: 1 Hz back and forth, peak 1 m/s²."""
+    t = np.arange(0, duration, 1e-3)
+    x = acceleration / (2 * np.pi) ** 2 * np.sin(2 * np.pi * t)
+    return Trajectory(t, np.column_stack([x, 0 * x]), 0.5)
+
+
+def ratio_db(commanded: Floats, played: Floats, skip: int = 800) -> float:
+    """Return the signal-to-error ratio in 20–1000 Hz [dB], the first 0.1 s left out."""
+    judge = Fidelity(RATE)
+    judge.add(commanded[skip:], played[skip:])
+    return judge.signal_to_error_db
+
+
+def quasi_static(display: Display, texture: Texture, r: Rendering) -> Floats:
+    """Return the drive of the other way to equalize: G(f_m) on each partial, as it sounds now.
+
+    Exact for a steady stroke; laws, envelope and acceleration do not commute with it. Kept to
+    measure the FIR inverse against; waves only.
+    """
+    surface = texture.realize()
+    p = surface.partials
+    velocity = np.gradient(r.position, 1 / RATE, axis=0)
+    frequency = np.arange(0, equalizer.STOP_BAND + 1)
+    gain = equalizer.inverse(
+        display.responses(frequency, RATE)[0, 0], display.limits.voltage
+    ) * equalizer.roll_off(frequency)
+    signed = velocity @ p.wave_vector.T / (2 * np.pi)
+    table = np.interp(np.abs(signed), frequency, gain.real) + 1j * np.sign(signed) * np.interp(
+        np.abs(signed), frequency, gain.imag
+    )
+    turn = np.exp(1j * (r.position @ p.wave_vector.T)) * table
+    place = p.amplitude[:, None] * np.exp(
+        1j * (p.wave_vector @ display.contactors.T + p.phase[:, None])
+    )
+    waves = (turn @ place).real
+    plain = r.position[:, None] + display.contactors
+    envelope = np.exp(surface.envelope.at(plain) - (surface.envelope.amplitude**2).sum() / 2)
+    return np.asarray(waves * envelope * _law_of(texture, velocity))
+
+
+def _law_of(texture: Texture, velocity: Floats) -> Floats:
+    from tactile.rendering.shear import Law
+
+    squares = (velocity**2).sum(axis=1)
+    return Law(texture.descriptor)(squares, np.full(len(squares), 0.5))[:, None]
+
+
+def measure_wood() -> Iterator[Figure]:
+    """Play a wood under acceleration, stop and reversal, through the time-domain plant."""
+    texture, path = load_texture("wood-oak"), swing()
+    for name, other in (("low", "high"), ("high", "low")):
+        finger = FINGERS[name]()
+        display = load_display("reference-24", load=finger)
+        r = render(display, texture, path)
+        played = felt(display, r.drive)
+        yield at_least(f"wood.{name}.equalized", ratio_db(r.shear, played), "dB", 40)
+        plain = felt(display, r.shear / _static(display))
+        yield Figure(f"wood.{name}.not_equalized", ratio_db(r.shear, plain), "dB")
+        foreign = felt(display, r.drive, FINGERS[other]())
+        yield Figure(f"wood.{name}.on_{other}_finger", ratio_db(r.shear, foreign), "dB")
+        air = felt(display, r.drive, FingerLoad.none())
+        yield Figure(f"wood.{name}.in_air", ratio_db(r.shear, air), "dB")
+        waves = replace(texture, descriptor=without_events(texture.descriptor))
+        r = render(display, waves, path)
+        spectral = felt(display, quasi_static(display, waves, r))
+        yield Figure(f"wood.{name}.quasi_static_inverse_instead", ratio_db(r.shear, spectral), "dB")
+
+
+def without_events(descriptor: Descriptor) -> Descriptor:
+    """Return a descriptor whose textures are waves only."""
+    from msgspec.structs import replace as changed
+
+    return changed(descriptor, events=())
+
+
+def measure_bands() -> Iterator[Figure]:
+    """Compare line spectra of the realized surfaces with their descriptors."""
+    for name in textures():
+        t = load_texture(name)
+        s = t.descriptor.stochastic
+        if s is None:
+            continue
+        isotropic = s.direction_spread_deg is None
+        turn = np.arange(36) * np.pi / 36 if isotropic else np.radians([s.direction_deg])
+        error = band_levels(t.wave_vector, t.amplitude, s, turn) - np.asarray(s.level_db)
+        kind = "36_directions" if isotropic else "along_reference"
+        rms, worst = float(np.sqrt((error**2).mean())), float(np.abs(error).max())
+        yield at_most(f"bands.{name}.{kind}.rms", rms, "dB", 1.0)
+        yield at_most(f"bands.{name}.{kind}.worst", worst, "dB", 2.5)
+
+
+def _streamed(texture: Texture, place: Floats, sizes: int = 64) -> tuple[Floats, Floats]:
+    """Return drive and shear of one path of places along x, the delay taken off."""
+    renderer = Renderer(load_display("reference-24"), texture)
+    path = np.column_stack([place, 0 * place])
+    path = np.concatenate([path, np.repeat(path[-1:], renderer.delay, axis=0)])
+    parts = [
+        renderer.block(path[k : k + sizes], np.full(len(path[k : k + sizes]), 0.5), shear=True)
+        for k in range(0, len(path), sizes)
+    ]
+    drive = np.concatenate([p[0] for p in parts])[renderer.delay :]
+    return drive, np.concatenate([p[1] for p in parts])[renderer.delay :]
+
+
+def measure_place() -> Iterator[Figure]:
+    """See that the same place gives the same shear, and that block size changes nothing."""
+    texture = load_texture("wood-oak")
+    n = np.arange(8001)
+    _, shear = _streamed(texture, 0.08 / RATE * np.minimum(n, 8000 - n))
+    k = np.arange(20, 3980)
+    rms = float(np.sqrt(np.mean(shear**2)))
+    error = np.sqrt(np.mean((shear[k] - shear[8000 - k]) ** 2))
+    yield at_most("place.out_and_back_at_equal_speed", float(error) / rms, "of rms", 1e-6)
+    _, shear = _streamed(texture, 0.0127 * np.cos(2 * np.pi * n / RATE))
+    rms = float(np.sqrt(np.mean(shear**2)))
+    error = np.sqrt(np.mean((shear[k] - shear[8000 - k]) ** 2))
+    yield at_most("place.out_and_back_through_a_turn", float(error) / rms, "of rms", 3e-3)
+    path = 0.02 * np.sin(2 * np.pi * 1.3 * n / RATE)
+    whole, _ = _streamed(texture, path, 64)
+    for size in (1, 7, 16, 160):
+        other, _ = _streamed(texture, path, size)
+        level = 10 * np.log10(np.mean((other - whole) ** 2) / np.mean(whole**2))
+        yield at_most(f"place.blocks_of_{size}_against_64", float(level), "dB", -60)

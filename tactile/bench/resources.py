@@ -1,0 +1,96 @@
+"""Resources: how fast rendering is, and how much memory a long play takes."""
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
+from tactile.display import Display, load_display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer
+from tactile.texture.descriptor import textures
+from tactile.texture.surface import Texture, load_texture
+
+
+def _grid(count: int) -> Display:
+    """Return a square display of many contactors."""
+    side = round(math.sqrt(count))
+    base = load_display("reference-64")
+    at = (np.arange(side) - (side - 1) / 2) * 3e-3
+    places = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
+    none = np.zeros(count, np.intp)
+    return replace(
+        base, contactors=places, shear_direction=np.zeros(count), polarity=np.ones(count),
+        channel=np.arange(count), kind=none,
+    )  # fmt: skip
+
+
+def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -> float:
+    """Return how many times faster than real time a stroke at 80 mm/s is rendered."""
+    blocks = list(Trajectory.line(speed=0.08, duration=1.0).blocks(RATE, block))
+    renderer = Renderer(display, texture)
+
+    def stroke() -> None:
+        for position, force in blocks:
+            if shear:
+                renderer.block(position, force, shear=True)
+            else:
+                renderer.block(position, force)
+
+    return 1 / seconds(stroke, 7)
+
+
+def measure_speed() -> Iterator[Figure]:
+    """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
+
+    The plain surface is waves and laws; the textures as shipped have an envelope, and two of them
+    sparse events.
+    """
+    from msgspec.structs import replace as changed
+
+    suede = load_texture("leather-calf")
+    assert suede.descriptor.stochastic is not None
+    even = changed(suede.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
+    plain = replace(suede, descriptor=changed(suede.descriptor, stochastic=even))
+    many, more = _grid(64), _grid(1024)
+    yield at_least("speed.64.blocks_of_64", times_real(many, plain, 64, shear=False), "×", 30)
+    yield at_least("speed.64.blocks_of_16", times_real(many, plain, 16, shear=False), "×", 20)
+    yield at_least("speed.64.with_shear", times_real(many, plain, 64, shear=True), "×", 15)
+    yield at_least("speed.1024.blocks_of_64", times_real(more, plain, 64, shear=False), "×", 2)
+    yield Figure("speed.1024.blocks_of_16", times_real(more, plain, 16, shear=False), "×")
+    for name in textures():
+        as_shipped = times_real(many, load_texture(name), 64, shear=False)
+        yield Figure(f"speed.64.blocks_of_64.{name}", as_shipped, "×")
+
+
+def measure_memory(longest: int = 60) -> Iterator[Figure]:
+    """Compare resident memory of a long play with that of 10 s."""
+    if sys.platform == "win32":  # no accounting of a finished process there
+        return
+    peaks = []
+    for length in (10, longest):
+        command = [sys.executable, "-m", "tactile", "play", "wood-oak"]
+        command += ["--seconds", str(length), "--quiet"]
+        peaks.append(_peak_memory(command) / 2**20)
+    yield Figure("memory.play_10_s", peaks[0], "MiB")
+    yield at_most(f"memory.growth_10_to_{longest}_s", peaks[1] - peaks[0], "MiB", 2)
+
+
+def measure_soak() -> Iterator[Figure]:
+    """Compare resident memory of ten minutes of play with that of 10 s."""
+    yield from measure_memory(600)
+
+
+def _peak_memory(command: list[str]) -> int:
+    """Run a command and return the most memory it had resident [bytes]."""
+    process = subprocess.Popen(command)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)

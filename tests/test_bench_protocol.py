@@ -1,0 +1,126 @@
+"""How the figures of the protocol are measured: bit counts by hand, and faults that are seen."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from firmware_protocol.messages import SampleFormat
+from firmware_protocol.packet import Packet
+from tactile.bench import BENCHMARKS, LONG, Figure
+from tactile.bench.faults import (
+    HARMS,
+    SPOILERS,
+    Account,
+    harmed_frames,
+    measure_faults,
+    spoilt_stream,
+)
+from tactile.bench.protocol import measure_formats, measure_links, signal_to_error_db
+from tactile.bench.wire import can_bits, can_crc, fd_bits, i2c_bits, stuffed, uart_bits
+
+
+def test_the_crc_of_can_is_the_catalogued_one() -> None:
+    """CRC-15/CAN of "123456789" is 0x059E (Cook, Catalogue of parametrised CRC algorithms)."""
+    bits = [byte >> k & 1 for byte in b"123456789" for k in range(7, -1, -1)]
+    assert can_crc(bits) == 0x059E
+
+
+def test_a_stuff_bit_follows_five_of_a_kind_and_begins_the_next_five() -> None:
+    """ISO 11898-1, 10.5: 11111 0000 1111 0000 is the worst; six need one, ten need two."""
+    assert sum(stuffed([0] * 4)) == 0
+    assert sum(stuffed([0] * 6)) == 1
+    assert sum(stuffed([0] * 10)) == 2
+    assert sum(stuffed([1] * 5 + [0] * 4 + [1] * 4 + [0] * 4)) == 4
+    assert sum(stuffed([0, 1] * 20)) == 0
+
+
+@pytest.mark.parametrize(("size", "bits", "most"), [(0, 47, 8), (1, 55, 10), (8, 111, 24)])
+def test_a_can_frame_has_44_bits_8_a_byte_and_3_between(size: int, bits: int, most: int) -> None:
+    """135 bits at most for 8 bytes: Davis et al. 2007, equation 1."""
+    data = bytes(range(size))
+    assert can_bits(0x302, data, stuffing="none") == bits == 44 + 8 * size + 3
+    assert can_bits(0x302, data, stuffing="most") == bits + most
+    assert bits <= can_bits(0x302, data) <= bits + most
+
+
+@pytest.mark.parametrize(("size", "check"), [(8, 27), (16, 27), (20, 32), (64, 32)])
+def test_a_can_fd_frame_is_counted_by_its_two_phases(size: int, check: int) -> None:
+    """17 + 13 nominal; ESI, DLC, data, and 4 + 17 + 6 or 4 + 21 + 7 of checks."""
+    plain = fd_bits(0x302, bytes(size), stuffing="none")
+    assert plain == (30, 5 + 8 * size + check)
+    assert plain.seconds(1e6, 5e6) == pytest.approx(30e-6 + (5 + 8 * size + check) / 5e6)
+    own, most = (fd_bits(0x302, bytes(size), stuffing=s) for s in ("own", "most"))
+    assert plain.data < own.data <= most.data
+    assert plain.nominal < own.nominal <= most.nominal
+
+
+def test_bytes_take_10_bits_on_a_uart_and_9_on_i2c() -> None:
+    assert uart_bits(bytes(7)) == 70
+    assert i2c_bits(bytes(7)) == 1 + 9 * 8 + 1
+
+
+def test_links_carry_what_is_promised() -> None:
+    """256 B in 274: 276 bytes of 10 bits; 40 frames of CAN, 5 of CAN FD; 9 bits a byte on I²C."""
+    found = {f.name.removeprefix("protocol."): f for f in measure_links()}
+    assert [f for f in found.values() if f.reached is False] == []
+    by_hand = {
+        "uart.efficiency": 2048 / 2760,
+        "uart.efficiency.worst": 2048 / 2770,
+        "can.efficiency.unstuffed": 2048 / (39 * 111 + 79),
+        "can.efficiency.worst": 2048 / (39 * 135 + 79 + 16),
+        "can_fd.efficiency.unstuffed": 2048 / (5 * 5 * 30 + 4 * 549 + 293),
+        "i2c.efficiency": 2048 / (2 + 9 * 275),
+        "smbus.efficiency": 2048 / (9 * 2 + 9 * (9 * 3 + 276 + 9)),
+    }
+    for name, part in by_hand.items():
+        assert found[name].value == pytest.approx(100 * part, rel=1e-3), name
+
+
+@pytest.mark.parametrize("kind", SPOILERS)
+@pytest.mark.parametrize("longest", [1, 8])
+def test_a_spoilt_byte_costs_a_packet_and_makes_none(kind: str, longest: int) -> None:
+    account = spoilt_stream(SPOILERS[kind], 300, longest=longest, seed=1)
+    assert account.errors == 300
+    assert account.wrong == account.twice == 0
+    assert 270 <= account.lost <= 1.2 * 300
+
+
+@pytest.mark.parametrize("kind", HARMS)
+@pytest.mark.parametrize("fd", [False, True])
+def test_a_harmed_frame_costs_a_packet_and_makes_none(kind: str, fd: bool) -> None:
+    """A whole packet in one FD frame that comes twice is received twice; streams bear that."""
+    account = harmed_frames(HARMS[kind], 300, fd=fd, seed=1)
+    assert account.wrong == 0
+    assert 0 < account.lost <= 1.2 * 300
+    assert account.twice == 0 or (kind, fd) == ("repeated", True)
+
+
+def test_the_account_sees_what_is_lost_wrong_and_twice() -> None:
+    sent = [Packet(1, b"a"), Packet(1, b"b"), Packet(1, b"c")]
+    account = Account()
+    account.add(sent, [sent[0], sent[0], Packet(1, b"d")], 2)
+    assert account == Account(errors=2, lost=2, wrong=1, twice=1)
+    assert [f.reached for f in account.figures("")] == [True, False]
+
+
+def test_the_ratio_of_pcm12_on_noise_is_that_of_steps_of_16() -> None:
+    """Rounding errors of 16 codes have a power of 16² / 12; uniform noise ± A has A² / 3."""
+    noise = np.random.default_rng(0).uniform(-30_000, 30_000, (3200, 4))
+    expected = 10 * np.log10((30_000**2 / 3) / (16**2 / 12))
+    assert signal_to_error_db(noise, SampleFormat.PCM12) == pytest.approx(expected, abs=0.1)
+
+
+def test_the_benchmarks_are_registered() -> None:
+    assert {"protocol", "faults"} <= set(BENCHMARKS)
+    assert "fuzz" in LONG
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("measured", [measure_formats, measure_faults])
+def test_promised_figures_that_no_clock_decides_are_reached(
+    measured: Callable[[], Iterator[Figure]],
+) -> None:
+    figures = list(measured())
+    assert any(f.reached is not None for f in figures)
+    assert [f for f in figures if f.reached is False] == []

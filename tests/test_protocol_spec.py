@@ -1,0 +1,165 @@
+"""SPEC.md and schema.toml say the same: tables, codes, counters and numbers.
+
+SPEC.md is read as text; whoever changes one of the two and not the other fails here.
+"""
+
+import re
+from pathlib import Path
+
+from test_protocol_codec import slow_crc
+
+from firmware_protocol import generate
+from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC
+from firmware_protocol.packet import decode_packet
+
+SCHEMA = generate.load()
+SPEC = (Path(generate.__file__).parent / "SPEC.md").read_text("utf-8")
+
+
+def section(number: str) -> str:
+    """Return the text of a section of SPEC.md, subsections included."""
+    level = "#" * (2 + number.count("."))
+    to_next = rf".*?(?=^#{{2,{len(level)}}} |\Z)"
+    found = re.search(rf"^{level} {re.escape(number)} {to_next}", SPEC, re.M | re.S)
+    assert found, number
+    return found[0]
+
+
+def rows(text: str) -> list[list[str]]:
+    """Return the cells of all table rows in a text."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def counters_of_spec() -> list[str]:
+    listed = section("12").split("Of STATUS, in order: ")[1].split(" (that the link")[0]
+    return [name.strip() for name in listed.split(",")]
+
+
+def messages_of_spec() -> dict[int, tuple[str, str, list[list[str]], str | None]]:
+    """Return name, sender, fields and body by id, as the tables of section 4 give them."""
+    found: dict[int, tuple[str, str, list[list[str]], str | None]] = {}
+    for sender in ("host", "amplifier"):
+        text = section("4").split(f"### From the {sender}")[1].split("###")[0]
+        for cells in rows(text):
+            if not re.fullmatch("[0-9A-F]{2}", cells[0]):
+                continue
+            body = re.search(r"\*(\w+)\*", cells[2])
+            listed, *rest = cells[2].split("then a u32 for each counter of section 12")
+            fields = [list(pair) for pair in re.findall(r"(\w+) ([ui]\d+|char16)\b", listed)]
+            fields += [[name, "u32"] for name in counters_of_spec() if rest]
+            found[int(cells[0], 16)] = (cells[1], sender, fields, body[1] if body else None)
+    return found
+
+
+def test_the_message_tables_of_the_spec_are_the_schema() -> None:
+    schema = {
+        d["id"]: (generate._upper(d["name"]), d["from"], d["fields"], d.get("body"))
+        for d in SCHEMA["message"]
+    }
+    assert messages_of_spec() == schema
+
+
+def test_the_counters_of_the_spec_are_the_tail_of_status() -> None:
+    (status,) = (d for d in SCHEMA["message"] if d["name"] == "Status")
+    names = [name for name, _ in status["fields"]]
+    assert names[names.index("packets") :] == counters_of_spec()
+
+
+def test_the_state_table_of_the_spec_is_the_schema() -> None:
+    events = {
+        "HELLO of another session": "hello_other",
+        "fault of the hardware": "fault",
+        **{e.upper(): e for e in SCHEMA["table"]},
+        "watchdog": "watchdog",
+    }
+    table = section("6").split("| event |")[1]
+    states, *lines = rows("| event |" + table)
+    found = {events[cells[0]]: dict(zip(states[1:], cells[1:], strict=True)) for cells in lines[1:]}
+    assert found == SCHEMA["table"]
+
+
+def test_states_parameters_formats_and_classes_of_the_spec_are_the_schema() -> None:
+    """Number and name of each row, in the tables that list them."""
+
+    def named(text: str) -> dict[str, int]:
+        return {c[1]: int(c[0]) for c in rows(text) if c[0].isdigit()}
+
+    enums = SCHEMA["enum"]
+    assert named(section("6").split("What each event does")[0]) == enums["state"]
+    assert named(section("4").split("### Parameters")[1]) == enums["parameter"]
+    assert named(section("3.2").split("Other combinations")[0]) == enums["can_class"]
+    spectrum = {"SPECTRUM8": 3}
+    assert named(section("9")) | spectrum == enums["sample_format"]
+    phases = re.findall(r"\*\*([A-Z]+)\*\* \((\d)\)", section("8.2"))
+    still = re.search(r"([A-Z]+) \((0)\)", section("8.2"))
+    assert still
+    found = {name: int(number) for name, number in [(still[1], still[2]), *phases]}
+    assert found == enums["phase"]
+
+
+def test_every_code_that_the_spec_names_is_in_the_schema() -> None:
+    """NAK codes stand in the list of section 5, in its table of checks and in that of section 6."""
+    checks, values = section("5").split("Of 9, in this order:")
+    named = set(re.findall(r"[:.] ([A-Z_]{4,})(?: \(\w+\))?,", values))
+    named |= set(re.findall(r"!([A-Z_]{4,})", section("6")))
+    named |= set(re.findall(r"\| ([A-Z_]{4,}),", checks))
+    named |= set(re.findall(r"NAK ([A-Z_]{4,})", SPEC))
+    assert named == set(SCHEMA["enum"]["nak"])
+
+
+def test_every_counter_that_the_checks_name_is_one() -> None:
+    counted = {c[2].split(",")[0] for c in rows(section("5")) if c[0].isdigit()} - {"–", "as below"}
+    counted |= set(re.findall(r"\((?:counted )?((?:wrong_|mal)\w+)\)", section("5")))
+    assert counted <= set(counters_of_spec())
+    assert counted >= {"crc_errors", "wrong_version", "wrong_format", "wrong_channel", "malformed"}
+
+
+def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
+    limits = SCHEMA["limits"]
+    for number, text in (
+        (limits["PACKET_MAX"], r"A packet is 8 … (\d+) bytes"),
+        (limits["FRAGMENT_TIMEOUT_MS"], r"when (\d+) ms or more have passed since its start"),
+        (limits["WATCHDOG_MS"], r"first sample instant \(7\.1\) (\d+) ms or more"),
+        (limits["WATCHDOG_MS"], r"SAFE, and free, (\d+) ms after"),
+        (limits["HEARTBEAT_MS"], r"HEARTBEAT every (\d+) ms"),
+        (limits["START_AHEAD_MS"] // 1000, r"or more than (\d+) s after: TIME"),
+        (limits["FULL_SCALE_CODE"], r"integer −32767 … (\d+)"),
+        (limits["CARRIERS_MAX"], r"most that it synthesizes, up to (\d+)"),
+        (1000 // limits["VALID_MS"], r"at most ⌊rate / (\d+)⌋"),
+        (SCHEMA["protocol"]["major"], r"major version \((\d)\)"),
+    ):
+        found = re.search(text, SPEC)
+        assert found, text
+        assert number == int(found[1]), text
+    assert f"0x{limits['CAN_PREFIX']:X} + the 11-bit" in SPEC
+    assert SPEC.startswith(f"# The tactile amplifier protocol, version {MAJOR}.{MINOR}")
+
+
+def test_the_schema_crc_is_that_of_the_lines_of_section_13() -> None:
+    """Built from SPEC.md's own tables, with the bitwise CRC."""
+    titles = {d["id"]: d["name"] for d in SCHEMA["message"]}
+    lines = ""
+    for number, (_, _, fields, body) in sorted(messages_of_spec().items()):
+        parts = [f"{name}:{kind}" for name, kind in fields] + ([f"{body}:body"] if body else [])
+        lines += " ".join([titles[number], str(number), *parts]) + "\n"
+    assert slow_crc(lines.encode()) == SCHEMA_CRC
+
+
+def test_the_worked_packets_of_the_spec_are_of_the_messages_that_they_name() -> None:
+    """Types, bitwise CRC-32, and every field taken and given back; every message is among them."""
+    names = {number: name for number, (name, *_) in messages_of_spec().items()}
+    seen = set()
+    for cells in rows(section("15")):
+        if cells[0] not in names.values():
+            continue
+        data = bytes.fromhex(cells[2].strip("`"))
+        assert slow_crc(data[:-4]) == int.from_bytes(data[-4:], "little"), cells
+        packet = decode_packet(data)
+        assert packet is not None
+        assert names[packet.type] == cells[0]
+        message = MESSAGES[packet.type].unpack(packet.payload)
+        assert message is not None
+        assert message.pack() == packet.payload
+        seen.add(packet.type)
+    assert seen == set(names)

@@ -190,8 +190,6 @@ class Amplifier(Machine):
     def _lower(self, limits: m.Limits) -> Reply:
         if not self._player.silent:
             return Refusal(NakCode.STATE, 0)
-        if not self._player.silent:
-            return Refusal(NakCode.STATE, 0)
         lowered = self._limits.lowered(limits)
         if isinstance(lowered, int):
             return Refusal(NakCode.RANGE, lowered)

@@ -10,7 +10,7 @@ from struct import Struct
 from typing import Any, ClassVar, Self
 
 MAJOR, MINOR = 1, 0
-SCHEMA_CRC = 0x92740080
+SCHEMA_CRC = 0x25A0798E
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
 HEARTBEAT_MS = 50
@@ -340,16 +340,17 @@ class ClearFault(Message):
 
     TYPE = 0x09
     CAN = CanClass.REQUEST
-    HEAD = Struct("<H")
+    HEAD = Struct("<HI")
 
     session: int = 0
+    trips: int = 0
 
     def pack(self) -> bytes:
-        return self.HEAD.pack(self.session)
+        return self.HEAD.pack(self.session, self.trips)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
+        return cls(*cls.HEAD.unpack(payload[:6].ljust(6, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -689,7 +690,7 @@ class Status(Message):
 
     TYPE = 0x46
     CAN = CanClass.RESPONSE
-    HEAD = Struct("<BBBBHIQBQIIIIIIIIIIIIIIIIIIIIIII")
+    HEAD = Struct("<BBBBHIQBQIIIIIIIIIIIIIIIIIIIIIIII")
 
     state: int = 0
     phase: int = 0
@@ -723,13 +724,14 @@ class Status(Message):
     limited_samples: int = 0
     watchdogs: int = 0
     dropped_replies: int = 0
+    trips: int = 0
 
     def pack(self) -> bytes:
-        return self.HEAD.pack(self.state, self.phase, self.fault, self.estop_reason, self.session, self.position, self.time, self.sync_index, self.sync_time, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_us, self.packets, self.crc_errors, self.malformed, self.oversized, self.fragments_dropped, self.wrong_version, self.unsupported, self.unknown_type, self.foreign_session, self.refused, self.ignored, self.wrong_channel, self.wrong_format, self.late_samples, self.future_samples, self.lost_samples, self.underruns, self.limited_samples, self.watchdogs, self.dropped_replies)
+        return self.HEAD.pack(self.state, self.phase, self.fault, self.estop_reason, self.session, self.position, self.time, self.sync_index, self.sync_time, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_us, self.packets, self.crc_errors, self.malformed, self.oversized, self.fragments_dropped, self.wrong_version, self.unsupported, self.unknown_type, self.foreign_session, self.refused, self.ignored, self.wrong_channel, self.wrong_format, self.late_samples, self.future_samples, self.lost_samples, self.underruns, self.limited_samples, self.watchdogs, self.dropped_replies, self.trips)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:119].ljust(119, b'\0')))
+        return cls(*cls.HEAD.unpack(payload[:123].ljust(123, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@
 
 #define TP_MAJOR 1u
 #define TP_MINOR 0u
-#define TP_SCHEMA_CRC 0x92740080u
+#define TP_SCHEMA_CRC 0x25A0798Eu
 #define TP_TABLE_STAYS 0x40u
 #define TP_TABLE_REFUSED 0x80u
 #define TP_WATCHDOG_MS 150u
@@ -351,9 +351,10 @@ static inline bool tp_estop_decode(tp_estop *m, const uint8_t *in, size_t length
 }
 
 #define TP_CLEAR_FAULT 0x09u
-#define TP_CLEAR_FAULT_SIZE 2u
+#define TP_CLEAR_FAULT_SIZE 6u
 typedef struct {
     uint16_t session;
+    uint32_t trips;
 } tp_clear_fault;
 
 static inline size_t tp_clear_fault_encode(const tp_clear_fault *m, uint8_t *out, size_t room)
@@ -362,12 +363,14 @@ static inline size_t tp_clear_fault_encode(const tp_clear_fault *m, uint8_t *out
         return 0;
     }
     tp_put_le(out + 0, (uint64_t)m->session, 2);
-    return 2;
+    tp_put_le(out + 2, (uint64_t)m->trips, 4);
+    return 6;
 }
 
 static inline bool tp_clear_fault_decode(tp_clear_fault *m, const uint8_t *in, size_t length)
 {
     m->session = (uint16_t)tp_get_le(in, length, 0, 2);
+    m->trips = (uint32_t)tp_get_le(in, length, 2, 4);
     return true;
 }
 
@@ -862,7 +865,7 @@ static inline bool tp_pulse_decode(tp_pulse *m, const uint8_t *in, size_t length
 }
 
 #define TP_STATUS 0x46u
-#define TP_STATUS_SIZE 119u
+#define TP_STATUS_SIZE 123u
 typedef struct {
     uint8_t state;
     uint8_t phase;
@@ -896,6 +899,7 @@ typedef struct {
     uint32_t limited_samples;
     uint32_t watchdogs;
     uint32_t dropped_replies;
+    uint32_t trips;
 } tp_status;
 
 static inline size_t tp_status_encode(const tp_status *m, uint8_t *out, size_t room)
@@ -935,7 +939,8 @@ static inline size_t tp_status_encode(const tp_status *m, uint8_t *out, size_t r
     tp_put_le(out + 107, (uint64_t)m->limited_samples, 4);
     tp_put_le(out + 111, (uint64_t)m->watchdogs, 4);
     tp_put_le(out + 115, (uint64_t)m->dropped_replies, 4);
-    return 119;
+    tp_put_le(out + 119, (uint64_t)m->trips, 4);
+    return 123;
 }
 
 static inline bool tp_status_decode(tp_status *m, const uint8_t *in, size_t length)
@@ -972,6 +977,7 @@ static inline bool tp_status_decode(tp_status *m, const uint8_t *in, size_t leng
     m->limited_samples = (uint32_t)tp_get_le(in, length, 107, 4);
     m->watchdogs = (uint32_t)tp_get_le(in, length, 111, 4);
     m->dropped_replies = (uint32_t)tp_get_le(in, length, 115, 4);
+    m->trips = (uint32_t)tp_get_le(in, length, 119, 4);
     return true;
 }
 

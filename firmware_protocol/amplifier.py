@@ -33,6 +33,8 @@ from firmware_protocol.sources import TURN, PcmSource, Source, SpectrumSource
 
 SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
 STREAMED = (m.Pcm, m.Spectrum)
+SETTLED = (State.IDLE, State.SAFE)
+"""In which the node may change."""
 
 
 class Refusal(NamedTuple):
@@ -49,12 +51,16 @@ Reply = Message | Refusal | None
 class Amplifier(Machine):
     """A whole amplifier but for its link; parameters and attributes as of `Machine`."""
 
+    _addressed = True
+    """Whether the packet at hand came to this node alone."""
+
     def receive(self, packet: Packet, now: int) -> None:
         """Act on a packet that came at a tick."""
         self.run(now)
         if packet.node not in (self.node, 0):
             return
         node, before = self.node, self.state
+        self._addressed = packet.node != 0
         reply = self._checked(packet)
         asked = bool(packet.flags & Flag.ACK_REQUEST)
         if isinstance(reply, Refusal):
@@ -73,10 +79,11 @@ class Amplifier(Machine):
 
     def _checked(self, packet: Packet) -> Reply:
         """Check in the order of section 5, then act."""
-        if packet.flags >> 6 != MAJOR:
-            return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
-        if packet.flags & Flag.INCOMPATIBLE:
-            return Refusal(NakCode.UNSUPPORTED, packet.flags, "unsupported")
+        if packet.type != m.Estop.TYPE:
+            if packet.flags >> 6 != MAJOR:
+                return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
+            if packet.flags & Flag.INCOMPATIBLE:
+                return Refusal(NakCode.UNSUPPORTED, packet.flags, "unsupported")
         kind = m.MESSAGES.get(packet.type)
         if kind is None or kind not in HANDLERS:
             return Refusal(NakCode.UNKNOWN_TYPE, 0, "unknown_type")
@@ -97,13 +104,21 @@ class Amplifier(Machine):
 
     def _forbidden(self, event: str, message: Message) -> Refusal | None:
         cell = TABLE[event][self.state]
-        if not cell & REFUSED:
-            return None
-        if isinstance(message, m.Hello) and message.session in (0, self.session):
-            return None
-        if isinstance(message, m.Start) and self._repeated(message):
+        if isinstance(message, m.Hello):
+            if message.session in (0, self.session):
+                return None
+            if self._held:
+                return Refusal(NakCode.BUSY, 0)
+        if not cell & REFUSED or (isinstance(message, m.Start) and self._repeated(message)):
             return None
         return Refusal(NakCode(cell & ~REFUSED), 0)
+
+    @property
+    def _held(self) -> bool:
+        """Whether another host may not take over yet, whatever the state (6.1)."""
+        if not self._player.silent:
+            return True
+        return self._alive is not None and self._now < self._later(self._alive, m.WATCHDOG_MS)
 
     def _repeated(self, start: m.Start) -> bool:
         return self.state == State.RUNNING and start.position == self._begun
@@ -115,7 +130,7 @@ class Amplifier(Machine):
             self.session = hello.session
             self._limit(LimitsInForce.of(self.config))
             self._increments, self._sync = NO_CARRIERS, (0, 0)
-            self._pulsed = None
+            self._pulsed = self._alive = None
         c = self.config
         return m.Caps(
             self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats, 0,
@@ -136,11 +151,12 @@ class Amplifier(Machine):
         rate = arm.sample_rate_hz
         if not self.config.rate_min_hz <= rate <= self.config.rate_max_hz:
             return Refusal(NakCode.RANGE, 2)
-        if not self._limits.step(rate):
+        if not self._limits.in_time(rate):
             return Refusal(NakCode.RANGE, 2)
         if rate != self.rate:
             self._base, self._instant, self.rate = self._now, 0, rate
         self._mode, self._heartbeat = Mode(arm.mode), self._now
+        self._alive = self._now
         self._limit(self._limits)
         self._to(TABLE["arm"][self.state])
         return None
@@ -169,12 +185,15 @@ class Amplifier(Machine):
         return None
 
     def _estop(self, estop: m.Estop) -> Reply:
+        self.counters.trips += 1
         self._estop_reason = estop.reason
         self._to(TABLE["estop"][self.state])
         return None
 
     def _clear_fault(self, clear: m.ClearFault) -> Reply:
         if self.state in (State.FAULT, State.ESTOP):
+            if clear.trips != self.counters.trips % TURN:
+                return Refusal(NakCode.STATE, self.counters.trips % TURN)
             if not self._player.silent:
                 return Refusal(NakCode.STATE, 0)
             if self._fault_now:
@@ -184,7 +203,7 @@ class Amplifier(Machine):
         return None
 
     def _take_heartbeat(self, heartbeat: m.Heartbeat) -> Reply:
-        self._heartbeat = self._now
+        self._heartbeat = self._alive = self._now
         return None
 
     def _lower(self, limits: m.Limits) -> Reply:
@@ -193,7 +212,7 @@ class Amplifier(Machine):
         lowered = self._limits.lowered(limits)
         if isinstance(lowered, int):
             return Refusal(NakCode.RANGE, lowered)
-        if not lowered.step(self.rate):
+        if not lowered.in_time(self.rate):
             return Refusal(NakCode.RANGE, 2)
         self._limit(lowered)
         return None
@@ -211,6 +230,8 @@ class Amplifier(Machine):
             return Refusal(NakCode.READ_ONLY, key)
         if key not in self._settings:
             return Refusal(NakCode.PARAMETER, key)
+        if key == Parameter.NODE and (self.state not in SETTLED or not self._addressed):
+            return Refusal(NakCode.STATE, 0)
         low, high = SETTING_RANGES[Parameter(key)]
         if not low <= setting.value <= high:
             return Refusal(NakCode.RANGE, 2)

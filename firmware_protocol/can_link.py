@@ -3,10 +3,12 @@
 from firmware_protocol.fragments import Cutter, Reassembler
 from firmware_protocol.messages import (
     CAN_PREFIX,
+    FRAGMENT_TIMEOUT_MS,
     MESSAGES,
     PACKET_MAX,
     CanClass,
     Estop,
+    Flag,
     Heartbeat,
     Pulse,
     Start,
@@ -46,7 +48,8 @@ class CanEncoder:
     def frames(self, packet: Packet) -> list[Frame]:
         """Return a packet's frames."""
         kind = MESSAGES[packet.type].CAN
-        if packet.type == Start.TYPE and not any(packet.payload[PROMPT_START:]):
+        asks = packet.flags & Flag.ACK_REQUEST
+        if packet.type == Start.TYPE and not asks and not any(packet.payload[PROMPT_START:]):
             kind = CanClass.PROMPT
         identifier = self._prefix | kind << 8 | packet.node << 1 | self._direction
         if kind in (CanClass.ESTOP, CanClass.PULSE):
@@ -68,8 +71,10 @@ class CanDecoder:
     Parameters
     ----------
     from_amplifier : direction that is listened to
+    extended : 29-bit identifiers; those of the other length are the caller's to leave out
     limit : largest packet [bytes]
     counters : to count in
+    tick_hz : of the time of reception
 
     Attributes
     ----------
@@ -80,26 +85,30 @@ class CanDecoder:
         self,
         *,
         from_amplifier: bool,
+        extended: bool = False,
         limit: int = PACKET_MAX,
         counters: LinkCounters | None = None,
         node: int | None = None,
+        tick_hz: int = 1_000_000,
     ) -> None:
         self.counters = LinkCounters() if counters is None else counters
         self.node = node
         self._direction = int(from_amplifier)
         self._fragments = AMPLIFIER_FRAGMENTS if from_amplifier else HOST_FRAGMENTS
-        self._reassembler = Reassembler(limit, self.counters)
+        self._prefix = CAN_PREFIX if extended else 0
+        timeout = -(FRAGMENT_TIMEOUT_MS * tick_hz // -1000)
+        self._reassembler = Reassembler(limit, self.counters, timeout)
 
-    def feed(self, identifier: int, data: bytes, now_us: int) -> list[Packet]:
-        """Return the packet, if any, that a frame received at a time completes."""
-        if identifier & ~BASE not in (0, CAN_PREFIX):
+    def feed(self, identifier: int, data: bytes, now: int) -> list[Packet]:
+        """Return the packet, if any, that a frame received at a tick completes."""
+        if identifier & ~BASE != self._prefix:
             return []
         kind, node = (identifier & BASE) >> 8, identifier >> 1 & 0x7F
         if identifier & 1 != self._direction or (self.node not in (None, node) and node):
             return []
         if kind in self._fragments:
             padded = len(data) > CLASSIC
-            found = self._reassembler.feed(identifier, data, now_us, padded=padded)
+            found = self._reassembler.feed(identifier, data, now, padded=padded)
         else:
             found = self._prompt(kind, node, data)
         return [] if found is None else [found]

@@ -61,7 +61,11 @@ class LimitsInForce:
         for index, name in enumerate(("voltage_uv", "slew_v_per_s", "fade_us"), 1):
             if getattr(new, name) > getattr(self, name):
                 return index
-        return new if new.slew_v_per_s * FADE_MS * 1000 >= new.voltage_uv else 2
+        return new
+
+    def in_time(self, rate: int) -> bool:
+        """Return whether they reach 0 V in 20 ms."""
+        return self.code <= self.step(rate) * (rate * FADE_MS // 1000)
 
     @property
     def code(self) -> int:

@@ -9,14 +9,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from struct import Struct
 
-from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX
+from firmware_protocol.messages import PACKET_MAX
 from firmware_protocol.packet import SMALLEST, LinkCounters, Packet, decode_packet
 
 START, END, TOGGLE, TRANSFER = 0x80, 0x40, 0x20, 0x1F
 LENGTH = Struct("<H")
 TRANSFERS = 4
 """That are reassembled at a time."""
-TIMEOUT_US = FRAGMENT_TIMEOUT_MS * 1000
 
 
 class Cutter:
@@ -45,7 +44,7 @@ class Cutter:
 
 @dataclass
 class _Transfer:
-    begun_us: int
+    begun: int
     length: int
     toggle: int = 0
     data: bytearray = field(default_factory=bytearray)
@@ -58,24 +57,26 @@ class Reassembler:
     ----------
     limit : largest packet [bytes]
     counters : to count in
+    timeout : of a transfer, in the unit that ``now`` has
     """
 
-    def __init__(self, limit: int, counters: LinkCounters) -> None:
+    def __init__(self, limit: int, counters: LinkCounters, timeout: int) -> None:
         self._limit, self._counters = min(limit, PACKET_MAX), counters
+        self._timeout = timeout
         self._transfers: dict[tuple[int, int], _Transfer] = {}
 
     def feed(
-        self, identifier: int, fragment: bytes, now_us: int, *, padded: bool = False
+        self, identifier: int, fragment: bytes, now: int, *, padded: bool = False
     ) -> Packet | None:
         """Return the packet that a fragment completes, if any; one ``padded`` may hold more."""
-        self._forget_old(now_us)
+        self._forget_old(now)
         if not fragment:
             self._counters.fragments_dropped += 1
             return None
         head, key = fragment[0], (identifier, fragment[0] & TRANSFER)
         data = fragment[1:]
         if head & START:
-            if not self._begin(key, head, data, now_us):
+            if not self._begin(key, head, data, now):
                 return None
             data = data[LENGTH.size :]
         transfer = self._transfers.get(key)
@@ -97,7 +98,7 @@ class Reassembler:
             return decode_packet(packet, self._counters, self._limit)
         return None
 
-    def _begin(self, key: tuple[int, int], head: int, data: bytes, now_us: int) -> bool:
+    def _begin(self, key: tuple[int, int], head: int, data: bytes, now: int) -> bool:
         """Begin a transfer, if that is what a start fragment does."""
         if key in self._transfers:
             self._drop(key)
@@ -107,11 +108,11 @@ class Reassembler:
             return False
         if len(self._transfers) == TRANSFERS:
             self._drop(next(iter(self._transfers)))
-        self._transfers[key] = _Transfer(now_us, length)
+        self._transfers[key] = _Transfer(now, length)
         return True
 
-    def _forget_old(self, now_us: int) -> None:
-        for key in [k for k, t in self._transfers.items() if now_us - t.begun_us >= TIMEOUT_US]:
+    def _forget_old(self, now: int) -> None:
+        for key in [k for k, t in self._transfers.items() if now - t.begun >= self._timeout]:
             self._drop(key)
 
     def _drop(self, key: tuple[int, int]) -> None:

@@ -31,7 +31,7 @@ class Host:
     Attributes
     ----------
     caps, status, pulse : the latest of each; None before the first
-    unexpected : packets that no amplifier sends, or that are of another version
+    unexpected : packets that no amplifier sends, of another one or of another version
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -53,13 +53,15 @@ class Host:
 
     def _packet(self, message: Message, *, ask: bool) -> Packet:
         packet = Packet.of(message, node=self.node, seq=self._seq, ask=ask)
+        self._answers.pop((packet.type, packet.seq), None)
         self._seq = (self._seq + 1) & 0xFF
         return packet
 
     def receive(self, packet: Packet) -> Message | None:
         """Take a packet of the amplifier; return its message, None where it is none of its."""
         kind = m.MESSAGES.get(packet.type)
-        if packet.flags >> 6 != m.MAJOR or kind is None or packet.type < m.Ack.TYPE:
+        foreign = packet.node != self.node or packet.flags >> 6 != m.MAJOR
+        if foreign or kind is None or packet.type < m.Ack.TYPE:
             self.unexpected += 1
             return None
         message = kind.unpack(packet.payload)

@@ -6,7 +6,7 @@ The amplifier is the target. What it has to say waits in a queue until the host 
 from collections import deque
 
 from firmware_protocol.fragments import LENGTH, Cutter, Reassembler
-from firmware_protocol.messages import PACKET_MAX
+from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet
 
 DEFAULT_LIMIT = 255
@@ -62,17 +62,29 @@ def decode_read(data: bytes, counters: LinkCounters | None = None) -> Packet | N
 
 
 class SmbusTarget:
-    """The amplifier's end of block writes and block reads; parameters as of `I2cTarget`."""
+    """The amplifier's end of block writes and block reads.
 
-    def __init__(self, limit: int = DEFAULT_LIMIT, counters: LinkCounters | None = None) -> None:
+    Parameters
+    ----------
+    limit, counters : as of `I2cTarget`
+    tick_hz : of the time of reception
+    """
+
+    def __init__(
+        self,
+        limit: int = DEFAULT_LIMIT,
+        counters: LinkCounters | None = None,
+        tick_hz: int = 1_000_000,
+    ) -> None:
         self.counters = LinkCounters() if counters is None else counters
-        self._reassembler = Reassembler(min(limit, PACKET_MAX), self.counters)
+        timeout = -(FRAGMENT_TIMEOUT_MS * tick_hz // -1000)
+        self._reassembler = Reassembler(min(limit, PACKET_MAX), self.counters, timeout)
         self._cutter = Cutter(SMBUS_BLOCK)
         self._waiting: deque[list[bytes]] = deque()
 
-    def write(self, block: bytes, now_us: int) -> list[Packet]:
+    def write(self, block: bytes, now: int) -> list[Packet]:
         """Return the packet, if any, that a block write completes."""
-        found = self._reassembler.feed(WRITE_COMMAND, block, now_us)
+        found = self._reassembler.feed(WRITE_COMMAND, block, now)
         return [] if found is None else [found]
 
     def put(self, packet: bytes) -> bool:

@@ -54,6 +54,7 @@ class Counters(LinkCounters):
     limited_samples: int = 0
     watchdogs: int = 0
     dropped_replies: int = 0
+    trips: int = 0
 
 
 class Played(NamedTuple):
@@ -96,6 +97,7 @@ class Machine:
         self._start_tick: int | None = None
         self._begun = 0
         self._heartbeat: int | None = None
+        self._alive: int | None = None
         self._pulsed: int | None = None
         self._mode = Mode.PCM
         self._increments = NO_CARRIERS
@@ -120,7 +122,7 @@ class Machine:
         return sent
 
     def take_played(self) -> list[Played]:
-        """Return the runs of instants put out since the last call."""
+        """Return the runs of instants put out since the last call; they wait until it is made."""
         played, self._played = self._played, []
         return played
 
@@ -270,6 +272,7 @@ class Machine:
         self.run(now)
         self._fault_now = code
         if code:
+            self.counters.trips += 1
             self._fault = code
             if self._to(TABLE["fault"][self.state]):
                 self._send_pulse()
@@ -292,12 +295,12 @@ class Machine:
     # What is sent
 
     def _send(self, message: Message, node: int | None = None) -> None:
+        seq, self._seq = self._seq, (self._seq + 1) & 0xFF
         if len(self._sent) >= OUTBOX:
             self.counters.dropped_replies += 1
             return
         sender = self.node if node is None else node
-        self._sent.append(Packet.of(message, node=sender, seq=self._seq))
-        self._seq = (self._seq + 1) & 0xFF
+        self._sent.append(Packet.of(message, node=sender, seq=seq))
 
     def _send_pulse(self) -> None:
         if not self.session:

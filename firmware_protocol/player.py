@@ -10,6 +10,8 @@ import numpy as np
 from firmware_protocol.messages import Phase
 from firmware_protocol.sources import TURN, Ints, Source, truncated
 
+NOT_OVER = np.zeros((1, 1), np.bool_)
+
 
 def distance(position: int, other: int) -> int:
     """Return position − other of two that wrap."""
@@ -41,6 +43,7 @@ class Player:
         self.ramping = False
         self._quick = self._held = False
         self._gain = 0
+        self._over = NOT_OVER
         self.lost_samples = self.underruns = self.limited_samples = 0
 
     def start(self, source: Source, position: int) -> None:
@@ -159,10 +162,13 @@ class Player:
         return self._scaled(out, self._gain - 1 - np.arange(len(out)))
 
     def _scaled(self, codes: Ints, gains: Ints) -> Ints:
+        """Return codes times the gain, the limit before it, so that a fade falls all the way."""
         self._gain = max(int(gains[-1]), 0)
+        within = np.clip(codes, -self.limit, self.limit)
+        self._over = (within != codes) & (gains > 0)[:, None]
         if gains[0] == gains[-1] == self.fade:
-            return codes
-        return truncated(codes * np.maximum(gains, 0)[:, None], self.fade)
+            return within
+        return truncated(within * np.maximum(gains, 0)[:, None], self.fade)
 
     def _last_stage(self, wanted: Ints) -> Ints:
         """Return what is put out: within the limit, and no step larger than allowed."""
@@ -173,6 +179,7 @@ class Player:
             for k, want in enumerate(out):
                 last = out[k] = last + np.clip(want - last, -self.step, self.step)
         if self.phase != Phase.STILL or self.ramping:
-            self.limited_samples += int(np.count_nonzero(out != wanted))
+            self.limited_samples += int(np.count_nonzero((out != wanted) | self._over))
+        self._over = NOT_OVER
         self.output = out[-1].copy()
         return out

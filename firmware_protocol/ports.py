@@ -59,15 +59,19 @@ class CanPort:
     def __init__(self, amplifier: Amplifier, *, fd: bool, extended: bool = False) -> None:
         self.amplifier = amplifier
         self._encoder = CanEncoder(from_amplifier=True, fd=fd, extended=extended)
-        limit, counters = amplifier.config.packet_limit, amplifier.counters
-        self._decoder = CanDecoder(from_amplifier=False, limit=limit, counters=counters)
+        self._decoder = CanDecoder(
+            from_amplifier=False,
+            extended=extended,
+            limit=amplifier.config.packet_limit,
+            counters=amplifier.counters,
+            tick_hz=amplifier.config.tick_hz,
+        )
 
     def feed(self, identifier: int, data: bytes, now: int) -> None:
         """Let a frame arrive at a tick."""
         self.amplifier.run(now)
         self._decoder.node = self.amplifier.node
-        now_us = now * 1_000_000 // self.amplifier.config.tick_hz
-        for packet in self._decoder.feed(identifier, data, now_us):
+        for packet in self._decoder.feed(identifier, data, now):
             self.amplifier.receive(packet, now)
 
     def take(self) -> list[Frame]:
@@ -81,7 +85,8 @@ class I2cPort:
     def __init__(self, amplifier: Amplifier) -> None:
         self.amplifier = amplifier
         limit, counters = amplifier.config.packet_limit, amplifier.counters
-        self._raw, self._smbus = I2cTarget(limit, counters), SmbusTarget(limit, counters)
+        self._raw = I2cTarget(limit, counters)
+        self._smbus = SmbusTarget(limit, counters, amplifier.config.tick_hz)
 
     def write(self, data: bytes, now: int) -> None:
         """Let a write transfer arrive at a tick."""
@@ -97,8 +102,7 @@ class I2cPort:
     def write_block(self, block: bytes, now: int) -> None:
         """Let an SMBus block arrive at a tick."""
         self.amplifier.run(now)
-        now_us = now * 1_000_000 // self.amplifier.config.tick_hz
-        for packet in self._smbus.write(block, now_us):
+        for packet in self._smbus.write(block, now):
             self.amplifier.receive(packet, now)
 
     def read_block(self, now: int) -> bytes:

@@ -39,7 +39,7 @@ class Source(ABC):
 
     Attributes
     ----------
-    active : (C,) that were sent anything since START
+    active : (C,) of which anything was kept since START
     late, future : positions (frames) that were dropped
     newest : position after the newest that was kept
     """
@@ -106,9 +106,9 @@ class PcmSource(Source):
         self.future += beyond - turned
         kept = codes[early : count - beyond]
         channels = slice(first, first + codes.shape[1])
-        self.active[channels] = True
         if not len(kept):
             return
+        self.active[channels] = True
         at = n + ahead + early
         self.newest = max(self.newest, at + len(kept))
         start = at % self.fifo
@@ -227,7 +227,6 @@ class SpectrumSource(Source):
         """Queue a frame, ``ahead`` of position n, with (K, 2, P) I and Q of channels."""
         valid = min(valid, self._longest_valid)
         for c, envelope in enumerate(envelopes, first):
-            self.active[c] = True
             self._queue(c, n, _Frame(n + ahead, valid, envelope))
 
     def _queue(self, c: int, n: int, frame: _Frame) -> None:
@@ -237,6 +236,7 @@ class SpectrumSource(Source):
         elif frame.position - n >= self.fifo:
             self.future += 1
         elif all(frame.position != other.position for other in queue):
+            self.active[c] = True
             queue.append(frame)
             queue.sort(key=lambda other: other.position)
             self.newest = max(self.newest, queue[min(len(queue), QUEUE) - 1].position + 1)

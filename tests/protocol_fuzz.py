@@ -192,7 +192,7 @@ class CanWire:
     def __init__(self, amplifier: Amplifier) -> None:
         self.port = CanPort(amplifier, fd=self.FD, extended=self.EXTENDED)
         self.encoder = CanEncoder(from_amplifier=False, fd=self.FD, extended=self.EXTENDED)
-        self.decoder = CanDecoder(from_amplifier=True)
+        self.decoder = CanDecoder(from_amplifier=True, extended=self.EXTENDED)
 
     def send(self, packet: Packet, now: int) -> None:
         for identifier, data in self.encoder.frames(replace(packet, node=packet.node & 0x7F)):

@@ -298,7 +298,7 @@ STREAMED = st.builds(
 
 def can_pair(*, fd: bool, extended: bool = False) -> tuple[CanEncoder, CanDecoder]:
     encoder = CanEncoder(from_amplifier=False, fd=fd, extended=extended)
-    return encoder, CanDecoder(from_amplifier=False)
+    return encoder, CanDecoder(from_amplifier=False, extended=extended)
 
 
 def feed(decoder: CanDecoder, frames: list[Frame], step_us: int = 1) -> list[Packet]:

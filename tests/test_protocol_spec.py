@@ -32,8 +32,8 @@ def rows(text: str) -> list[list[str]]:
 
 
 def counters_of_spec() -> list[str]:
-    listed = section("12").split("Of STATUS, in order: ")[1].split(" (that the link")[0]
-    return [name.strip() for name in listed.split(",")]
+    listed = section("12").split("Of STATUS, in order: ")[1].split(". They")[0]
+    return [name.strip() for name in re.sub(r" \([^)]*\)", "", listed).split(",")]
 
 
 def messages_of_spec() -> dict[int, tuple[str, str, list[list[str]], str | None]]:

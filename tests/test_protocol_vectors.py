@@ -208,7 +208,7 @@ def test_can_transfer(vector: Vector) -> None:
     if vector["encode"]:
         encoder = CanEncoder(from_amplifier=end, fd=vector["fd"], extended=vector["extended"])
         assert [(i, bytes(d).hex()) for i, d in encoder.frames(decoded)] == framed(vector)
-    decoder = CanDecoder(from_amplifier=end)
+    decoder = CanDecoder(from_amplifier=end, extended=vector["extended"])
     found = [p for i, d in framed(vector) for p in decoder.feed(i, bytes.fromhex(d), 0)]
     assert found == [decoded]
 
@@ -229,13 +229,18 @@ def test_can_prompt(vector: Vector) -> None:
             (frame["id"], frame["data"])
         ]
     data = bytes.fromhex(frame["data"])
-    (found,) = CanDecoder(from_amplifier=end).feed(frame["id"], data, 0)
+    decoder = CanDecoder(from_amplifier=end, extended=vector["extended"])
+    (found,) = decoder.feed(frame["id"], data, 0)
     same_prompt(found, vector)
 
 
 @vectors("can", "sequence")
 def test_can_sequence(vector: Vector) -> None:
-    decoder = CanDecoder(from_amplifier=vector["from_amplifier"], limit=vector["limit"])
+    decoder = CanDecoder(
+        from_amplifier=vector["from_amplifier"],
+        extended=all(frame["id"] > 0x7FF for frame in vector["frames"]),
+        limit=vector["limit"],
+    )
     found = [
         p for f in vector["frames"] for p in decoder.feed(f["id"], bytes.fromhex(f["data"]), f["t"])
     ]

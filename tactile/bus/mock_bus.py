@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
+from firmware_protocol.config import Config, LimitsInForce
 from firmware_protocol.host import Host, codes_of, pcm, refusal
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, SampleFormat, State
@@ -30,6 +30,9 @@ CHUNK = 64
 """Samples that are sent before they are played."""
 SESSION = 1
 """Nobody else is on this line."""
+TURN = 1 << 32
+SKIPPED = 1 << 20
+"""Positions between what was sent before a START and what comes after it (SPEC.md, 8.1)."""
 STEEPEST = 10**8
 """V/s, the most that the protocol tells."""
 FORMATS = {f.name.lower(): f for f in (SampleFormat.PCM16, SampleFormat.PCM12, SampleFormat.BFP8)}
@@ -49,7 +52,7 @@ class Board:
         self.host = Host(SESSION, config.node)
         self._port, self._decoder = SerialPort(self.amplifier), SerialDecoder()
         self._format = sample_format
-        self._now = self._heartbeat = 0
+        self._now = self._heartbeat = self._offset = self._sent = 0
         self.request(m.Hello(SESSION, m.MAJOR, m.MINOR, m.SCHEMA_CRC))
 
     def _send(self, packet: Packet) -> None:
@@ -75,21 +78,24 @@ class Board:
         """Arm, and play from a position on, at once."""
         self.request(m.Arm(SESSION, m.Mode.PCM, rate))
         self._heartbeat = self._now
-        self.request(m.Start(SESSION, position % (1 << 32), time=self._now + 1))
+        self._offset = self._sent + SKIPPED - position
+        self.request(m.Start(SESSION, (self._sent + SKIPPED) % TURN, time=self._now + 1))
 
     def send(self, position: int, volts: Floats) -> None:
         """Send samples (S, C) [V]."""
         config = self.amplifier.config
         codes = codes_of(volts, config.full_scale_uv * 1e-6)
+        at = position + self._offset
+        self._sent = max(self._sent, at + len(codes))
         for message in pcm(
-            position, codes, session=SESSION,
+            at, codes, session=SESSION,
             sample_format=self._format, packet_limit=config.packet_limit,
         ):  # fmt: skip
             self._send(self.host.tell(message))
 
     def play(self, count: int) -> Floats:
         """Let the amplifier put out samples; return them (S, C) [V]."""
-        if self._now - self._heartbeat >= HEARTBEAT_MS * 1000 // 2:
+        if self._now - self._heartbeat >= HEARTBEAT_MS * self.amplifier.config.tick_hz // 2000:
             self._send(self.host.tell(m.Heartbeat(SESSION)))
             self._heartbeat = self._now
         return self._volts(self._run(count))
@@ -236,20 +242,20 @@ def config_of(wiring: Wiring, channels: int, node: int) -> Config:
     rate = round(wiring.sample_rate)
     if rate != wiring.sample_rate:
         raise InputError(f"sample_rate {wiring.sample_rate:g} Hz: the protocol tells whole Hz")
-    slew = int(min(wiring.slew, STEEPEST))
     voltage = int(wiring.voltage * 1e6)
-    if slew * FADE_MS * 1000 < voltage:
-        raise InputError(
-            f"slew limit {wiring.slew:g} V/s: takes "
-            f"{wiring.voltage / wiring.slew * 1e3:.0f} ms from "
-            f"{wiring.voltage:g} V to 0 V, {FADE_MS} ms are promised; lower the voltage limit"
-        )
-    return Config(
+    config = Config(
         channels=channels, node=node, rate_min_hz=rate, rate_max_hz=rate,
-        fifo=max(2 * CHUNK, rate * 64 // 1000 + 1), full_scale_uv=voltage,
-        voltage_limit_uv=voltage, slew_limit_v_per_s=slew,
+        tick_hz=max(1_000_000, 10 * rate), fifo=max(2 * CHUNK, rate * 64 // 1000 + 1),
+        full_scale_uv=voltage, voltage_limit_uv=voltage,
+        slew_limit_v_per_s=int(min(wiring.slew, STEEPEST)),
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
     )  # fmt: skip
+    if not LimitsInForce.of(config).in_time(rate):
+        raise InputError(
+            f"slew limit {wiring.slew:g} V/s: takes {wiring.voltage / wiring.slew * 1e3:.0f} ms "
+            f"from {wiring.voltage:g} V to 0 V, {FADE_MS} ms are promised; lower the voltage limit"
+        )
+    return config
 
 
 def options(address: Address) -> tuple[str, SampleFormat]:

@@ -2,7 +2,7 @@
 
 import io
 import re
-import time
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -421,16 +421,23 @@ def test_live_draws_it() -> None:
 
 
 def test_it_is_cheap() -> None:
-    """Update and render take about 3 ms of processor time; 5 ms is what they may."""
+    """Update and render of 64 contactors call 17,000 functions, about 3 ms; it must not be many more."""
     console = Console(
         file=io.StringIO(), force_terminal=True, width=100, height=40, color_system="truecolor"
     )
     rng, picture = np.random.default_rng(3), shown(LARGE)
-    took = []
-    for k in range(12):
-        shear, drive = rng.normal(size=(2, 533, 64)) * np.array([1e-6, 10.0])[:, None, None]
-        start = time.process_time()
-        picture.update(13 + k / 15, (0, 0), 0.08, 0.5, shear, drive, 0)
-        console.print(picture)
-        took.append(time.process_time() - start)
-    assert min(took) < 5e-3
+    shear, drive = rng.normal(size=(2, 533, 64)) * np.array([1e-6, 10.0])[:, None, None]
+    for k in range(2):  # the first time rich fills its caches
+        calls = 0
+
+        def count(frame: object, event: str, argument: object) -> None:
+            nonlocal calls
+            calls += event in ("call", "c_call")
+
+        sys.setprofile(count)
+        try:
+            picture.update(13 + k / 15, (0, 0), 0.08, 0.5, shear, drive, 0)
+            console.print(picture)
+        finally:
+            sys.setprofile(None)
+    assert calls < 20_000

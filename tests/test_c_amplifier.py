@@ -32,7 +32,7 @@ COUNTERS = (
     "packets", "crc_errors", "malformed", "oversized", "fragments_dropped", "wrong_version",
     "unsupported", "unknown_type", "foreign_session", "refused", "ignored", "wrong_channel",
     "wrong_format", "late_samples", "future_samples", "lost_samples", "underruns",
-    "limited_samples", "watchdogs", "dropped_replies",
+    "limited_samples", "watchdogs", "dropped_replies", "trips",
 )  # fmt: skip
 MS = 1000  # ticks
 PERIOD = 125  # ticks of a sample at 8 kHz
@@ -116,6 +116,14 @@ def arm(mode: int = 0, rate: int = 8000) -> bytes:
     return packet(ARM, struct.pack("<HBI", SESSION, mode, rate))
 
 
+def clear(trips: int) -> bytes:
+    return owned(CLEAR_FAULT, struct.pack("<I", trips))
+
+
+def limits(voltage_uv: int, slew_v_per_s: int = 0, fade_us: int = 0) -> bytes:
+    return owned(LIMITS, struct.pack("<III", voltage_uv, slew_v_per_s, fade_us))
+
+
 def start(position: int = 0, delay_ms: int = 0, time: int = 0) -> bytes:
     return packet(START, struct.pack("<HIBQ", SESSION, position, delay_ms, time))
 
@@ -186,7 +194,7 @@ class Run:
     def status(self) -> dict[str, int]:
         """Counters of the last STATUS."""
         payload = self.packets(STATUS)[-1][2]
-        return dict(zip(COUNTERS, struct.unpack("<20I", payload[39:]), strict=True))
+        return dict(zip(COUNTERS, struct.unpack("<21I", payload[39:]), strict=True))
 
 
 def playing(codes: list[int], position: int = 0) -> Run:
@@ -256,7 +264,7 @@ def test_worked_packets_of_the_specification(build: Path, tmp_path: Path) -> Non
     assert time_reply[2] == struct.pack("<3Q", 1000000, 501, 501)
     assert run.packets(NAK) == []
     counters = {k: v for k, v in run.status().items() if v}
-    assert counters == {"packets": 20, "wrong_format": 1}
+    assert counters == {"packets": 20, "wrong_format": 1, "trips": 1}
 
 
 def test_codes_come_out_at_their_positions(build: Path, tmp_path: Path) -> None:
@@ -303,7 +311,7 @@ def test_stop_before_its_tick_forgets_start(build: Path, tmp_path: Path) -> None
     assert due == [(77, 1060), (run.instants[-1].position + 1, 2125)]
 
 
-def test_frames_that_pass_in_waiting(build: Path, tmp_path: Path) -> None:
+def test_frames_that_come_too_late_or_too_early(build: Path, tmp_path: Path) -> None:
     def frame(channel: int, position: int) -> bytes:
         head = struct.pack("<IHHBBBB", position, SESSION, 80, channel, 1, 3, 1)
         return packet(SPECTRUM, head + b"\xff\x00")
@@ -315,17 +323,17 @@ def test_frames_that_pass_in_waiting(build: Path, tmp_path: Path) -> None:
     run.feed(1 * MS, start(0, 10))
     for position in (10, 20, 60, 70, 80):  # the fifth has no place
         run.feed(1 * MS, frame(0, position))
-    run.feed(1 * MS, frame(1, 0))  # late, but of a channel that is active by it
+    for position in (0, 1024):  # dropped: channel 1 is not active by them, and not waited for
+        run.feed(1 * MS, frame(1, position))
     run.feed(T0 + 29 * PERIOD, frame(1, 40))
     run.feed(T0 + 50 * PERIOD, packet(POLL))
     run.run(build, tmp_path, "--slew-v-per-s", "100000000")
     values = {x.position: x.codes for x in run.instants if x.tick >= T0}
-    assert all(values[n] == (0, 0) for n in range(31))
-    for n in range(30, 51):
-        assert abs(values[n][0] - 32766 * (n - 30) / 30) <= 2  # 10 and 20 have passed
-        assert abs(values[n][1] - 32766 * min(1, (n - 30) / 10)) <= 2
+    for n in range(51):
+        assert abs(values[n][0] - 32766 * min(1, n / 10)) <= 2
+        assert abs(values[n][1] - 32766 * max(0, min(1, (n - 30) / 10))) <= 2
     counters = run.status()
-    assert (counters["late_samples"], counters["future_samples"]) == (1, 1)
+    assert (counters["late_samples"], counters["future_samples"]) == (1, 2)
 
 
 def test_a_rate_that_does_not_divide_the_tick(build: Path, tmp_path: Path) -> None:
@@ -354,13 +362,13 @@ def test_stop_quick_goes_at_the_slew_limit(build: Path, tmp_path: Path) -> None:
     run = playing([20000] * 400)
     run.feed(T0 + 100 * PERIOD, owned(STOP, b"\1"))
     run.feed(T0 + 40 * MS, kind=NOTHING)
-    run.run(build, tmp_path, "--slew-v-per-s", "5000")
-    step = 5000 * 32767 * 10**6 // (10**8 * 8000)
+    run.run(build, tmp_path, "--slew-v-per-s", "5100")
+    step = 5100 * 32767 * 10**6 // (10**8 * 8000)
     first = next(i for i, x in enumerate(run.instants) if x.tick == T0)
     values = run.values()[first:]
     assert values[:3] == [step, 2 * step, 3 * step]
     down = values[101:]
-    assert down[: down.index(0) + 1] == [max(0, 20000 - step * k) for k in range(1, 100)]
+    assert down[: down.index(0) + 1] == [max(0, 20000 - step * k) for k in range(1, 98)]
     assert run.instants[first + 101 + down.index(0)].state == ARMED
 
 
@@ -385,10 +393,10 @@ def test_estop_latches_until_cleared(build: Path, tmp_path: Path) -> None:
     run = playing([30000] * 400)
     tick = T0 + 100 * PERIOD
     run.feed(tick, packet(ESTOP, b"\5"))
-    run.feed(tick, owned(CLEAR_FAULT))  # not yet at 0 V
+    run.feed(tick, clear(1))  # not yet at 0 V
     run.feed(tick + 5 * MS, arm())
     run.feed(tick + 5 * MS, hello())
-    run.feed(tick + 6 * MS, owned(CLEAR_FAULT))
+    run.feed(tick + 6 * MS, clear(1))
     run.feed(tick + 7 * MS, packet(POLL))
     run.run(build, tmp_path)
     after = [x for x in run.instants if x.tick > tick]
@@ -402,14 +410,56 @@ def test_estop_latches_until_cleared(build: Path, tmp_path: Path) -> None:
     assert run.packets(STATUS)[-1][2][:4] == bytes([IDLE, 0, 0, 5])
 
 
+def test_clear_fault_names_the_trips_that_it_clears(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    run.feed(0, hello())
+    run.feed(0, clear(9))  # nothing to clear
+    run.feed(1 * MS, packet(ESTOP, b"\1", flags=0x40))
+    run.feed(1 * MS, packet(ESTOP, b"\1", flags=0x40))
+    run.feed(1 * MS, clear(1))  # sent before the second was known of
+    run.feed(2 * MS, b"\3", FAULTY)  # counts in ESTOP too, where it changes no state
+    run.feed(2 * MS, clear(2))
+    run.feed(2 * MS, clear(3))  # the fault persists
+    run.feed(3 * MS, b"\0", FAULTY)  # over: not another
+    run.feed(3 * MS, packet(POLL))
+    run.feed(3 * MS, clear(3))
+    run.feed(4 * MS, b"\3", FAULTY)
+    run.feed(4 * MS, b"\3", FAULTY)
+    run.feed(4 * MS, b"\0", FAULTY)
+    run.feed(4 * MS, clear(4))
+    run.feed(4 * MS, clear(5))
+    run.feed(5 * MS, packet(POLL))
+    run.run(build, tmp_path)
+    naks = [(*n[2:4], *struct.unpack("<I", n[4:])) for n in run.naks(CLEAR_FAULT)]
+    assert naks == [
+        (7, ESTOPPED, 2), (7, ESTOPPED, 3), (9, ESTOPPED, 3), (7, FAULT, 5),
+    ]  # fmt: skip
+    acks = [p for _, _, p in run.packets(ACK) if p[0] == CLEAR_FAULT]
+    assert len(acks) == 3
+    before, after = (p for _, _, p in run.packets(STATUS))
+    assert (before[0], before[-4:]) == (ESTOPPED, struct.pack("<I", 3))
+    assert (after[0], after[-4:]) == (IDLE, struct.pack("<I", 5))
+
+
+def test_estop_is_taken_whatever_its_flags(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    for flags in (0x00, 0x80, 0xC0, 0x58, 0xFF):  # versions 0, 2, 3; INCOMPATIBLE; all
+        run.feed(0, packet(ESTOP, bytes([flags]), flags=flags))
+    run.feed(0, packet(POLL))
+    run.run(build, tmp_path)
+    assert [kind for _, kind, _ in run.packets()] == [ACK, STATUS]  # 0xFF asks for an answer
+    assert run.packets(STATUS)[0][2][:4] == bytes([ESTOPPED, 0, 0, 0xFF])
+    assert {k: v for k, v in run.status().items() if v} == {"packets": 6, "trips": 5}
+
+
 def test_limits_do_not_slow_a_way_to_zero_that_has_begun(build: Path, tmp_path: Path) -> None:
     run = playing([20000] * 200)
     tick = T0 + 110 * PERIOD
     run.feed(tick, packet(ESTOP))
-    run.feed(tick, owned(LIMITS, struct.pack("<III", 1, 25, 0)))  # would be 1 code a sample
-    run.feed(tick + 20 * MS, owned(LIMITS, struct.pack("<III", 1, 25, 0)))
+    run.feed(tick, limits(1, 25))  # would be 1 code a sample
+    run.feed(tick + 20 * MS, limits(1, 25))
     run.feed(tick + 20 * MS, packet(POLL))
-    run.run(build, tmp_path, "--slew-v-per-s", "5000")
+    run.run(build, tmp_path, "--slew-v-per-s", "5100")
     assert [n[2:4] for n in run.naks(LIMITS)] == [bytes([7, ESTOPPED])]
     assert max(run.values()) == 20000
     assert run.instants[-1].codes == (0, 0)
@@ -436,8 +486,8 @@ def test_last_stage_bounds_value_and_slope(build: Path, tmp_path: Path) -> None:
     square = ([32767] * 20 + [-32767] * 20) * 10
     run = Run()
     run.feed(0, hello())
-    run.feed(0, owned(LIMITS, struct.pack("<III", 50_000_000, 60_000, 0)))
-    run.feed(0, owned(LIMITS, struct.pack("<III", 60_000_000, 0, 0)))  # no way up
+    run.feed(0, limits(50_000_000, 60_000))
+    run.feed(0, limits(60_000_000))  # no way up
     run.feed(0, arm())
     run.feed(1 * MS, start(0, 10))
     run.feed(1 * MS, pcm(0, square[:200]))
@@ -451,6 +501,123 @@ def test_last_stage_bounds_value_and_slope(build: Path, tmp_path: Path) -> None:
     assert max(abs(b - a) for a, b in pairwise(values)) == step
     assert [(n[0], n[2], n[4]) for _, _, n in run.packets(NAK)] == [(LIMITS, 11, 1)]
     assert run.status()["limited_samples"] == sum(x.tick >= T0 for x in run.instants)
+
+
+def test_the_clamp_comes_before_the_gain(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    run.feed(0, hello())
+    run.feed(0, limits(50_000_000))
+    run.feed(0, arm())
+    run.feed(1 * MS, start(0, 10))
+    run.feed(1 * MS, pcm(0, [32767] * 200))
+    run.feed(T0 + 10 * PERIOD, owned(STOP))
+    run.feed(T0 + 175 * PERIOD, packet(POLL))
+    run.run(build, tmp_path)
+    values = [x.codes[0] for x in run.instants if x.tick >= T0]
+    fade = [16383 * g // 160 for g in range(159, -1, -1)]
+    assert values == [16383] * 11 + fade + [0] * 5
+    assert run.status()["limited_samples"] == 11 + 159  # at gain 0 there is nothing to clamp
+
+
+def test_limits_reach_zero_in_20_ms(build: Path, tmp_path: Path) -> None:
+    """Refused are those that would have taken 188 ms from the last heartbeat."""
+    rate, period = 16000, 63
+    run = Run()
+    run.feed(0, hello())
+    run.feed(0, arm(rate=rate))
+    run.feed(0, limits(10_000_000, 500, 20_000))  # 3276 codes at 10 a sample: 328 samples
+    run.feed(0, limits(9_768_000, 500, 20_000))  # 3200 codes: 320
+    run.feed(0, start(0))
+    square = ([32767] * 700 + [-32767] * 700) * 2
+    for i in range(0, len(square), 200):
+        run.feed(i * 50, pcm(i, square[i : i + 200]))
+    run.feed(200 * MS, packet(POLL))
+    run.run(build, tmp_path)
+    assert [(n[0], n[2], n[4]) for _, _, n in run.packets(NAK)] == [(LIMITS, 11, 2)]
+    assert max(run.values()) == 3200
+    assert run.packets(STATUS)[0][2][27:35] == struct.pack("<II", 9_768_000, 500)
+    silent = [x for x in run.instants if x.tick >= 170 * MS + period]
+    assert silent
+    assert {(x.codes, x.high_voltage) for x in silent} == {((0, 0), 0)}
+    assert any(x.codes[0] for x in run.instants if x.tick > 160 * MS)
+
+
+def test_arm_checks_the_limits_at_its_own_rate(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    run.feed(0, hello())
+    run.feed(0, arm(rate=2500))
+    run.feed(0, limits(9_860_000, 500))  # 3230 codes: 65 x 50 reach, 10 x 320 do not
+    run.feed(0, arm(rate=16000))
+    run.feed(0, arm(rate=2500))
+    run.run(build, tmp_path)
+    assert [(n[0], n[2], n[4]) for _, _, n in run.packets(NAK)] == [(ARM, 11, 2)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--slew-v-per-s", "5003"],  # enough at 20 000 a second, but not in whole codes
+        ["--fade-us", "20001"],
+        ["--packet-limit", "135"],
+    ],
+)
+def test_hardware_that_section_11_1_forbids(build: Path, options: list[str]) -> None:
+    command = [str(build / "virtual-amplifier"), "--replay", *options]
+    done = subprocess.run(command, input=b"", capture_output=True, check=False)
+    assert done.returncode == 1
+    assert b"11.1" in done.stderr
+
+
+def test_who_lives_is_not_taken_over(build: Path, tmp_path: Path) -> None:
+    other, third = 0x4321, 0x5555
+    run = Run()
+    run.feed(0, hello())
+    run.feed(1, hello(other))  # its owner never was heard
+    run.feed(2, hello())
+    run.feed(10 * MS, owned(HEARTBEAT))
+    run.feed(20 * MS, hello(0))  # only asks
+    run.feed(20 * MS, hello())  # its own
+    run.feed(160 * MS - 1, hello(other))
+    run.feed(160 * MS, hello(other))
+    run.feed(160 * MS, hello(third))  # the other was not heard either
+    run.feed(160 * MS, packet(POLL))
+    run.run(build, tmp_path)
+    naks = [(tick, n[0], n[2], n[4:]) for tick, _, n in run.packets(NAK)]
+    assert naks == [(160 * MS - 1, HELLO, 6, bytes(4))]
+    sessions = [struct.unpack_from("<H", p)[0] for _, _, p in run.packets(CAPS)]
+    assert sessions == [SESSION, other, SESSION, SESSION, SESSION, other, third]
+    assert run.status()["refused"] == 1
+
+
+def test_an_output_that_moves_is_not_taken_over(build: Path, tmp_path: Path) -> None:
+    run = playing([30000] * 1184)
+    run.feed(149 * MS, packet(ESTOP))
+    run.feed(155 * MS, hello(0))
+    run.feed(155 * MS, hello(0x4321))
+    run.feed(170 * MS, hello(0x4321))
+    run.run(build, tmp_path, "--slew-v-per-s", "5100")
+    assert next(x.codes[0] for x in run.instants if x.tick >= 155 * MS) > 0
+    assert [(tick, n[2], n[3]) for tick, _, n in run.packets(NAK)] == [(155 * MS, 6, ESTOPPED)]
+    sessions = [struct.unpack_from("<H", p)[0] for _, _, p in run.packets(CAPS)]
+    assert sessions == [SESSION, SESSION, 0x4321]
+
+
+def test_node_is_set_at_rest_and_of_one_only(build: Path, tmp_path: Path) -> None:
+    def node(value: int, to: int = 1) -> bytes:
+        return packet(SET, struct.pack("<HHI", SESSION, 1, value), node=to)
+
+    run = Run()
+    run.feed(0, hello())
+    run.feed(0, node(5, to=0))
+    run.feed(0, node(128))
+    run.feed(0, arm())
+    run.feed(0, node(128))  # STATE comes before RANGE
+    run.feed(0, owned(DISARM))
+    run.feed(0, node(9))
+    run.feed(0, packet(POLL, node=9))
+    run.run(build, tmp_path)
+    assert [(n[2], n[3], n[4]) for n in run.naks(SET)] == [(11, IDLE, 2), (7, ARMED, 0)]
+    assert run.status()["refused"] == 3
 
 
 # Streams
@@ -481,10 +648,12 @@ def test_samples_too_late_and_too_early_are_counted(build: Path, tmp_path: Path)
     run = playing([1000] * 200)
     run.feed(T0 + 100 * PERIOD, pcm(91, [5] * 20, channels=2))  # 91 ... 100: put out
     run.feed(T0 + 100 * PERIOD, pcm(1115, [5] * 20))  # 101 + 1024 is the first that has no place
-    run.feed(T0 + 101 * PERIOD, packet(POLL))
+    run.feed(T0 + 100 * PERIOD, pcm(1125, [5] * 4, channels=2))
+    run.feed(T0 + 110 * PERIOD, packet(POLL))
     run.run(build, tmp_path)
     counters = run.status()
-    assert (counters["late_samples"], counters["future_samples"]) == (10, 10)
+    assert (counters["late_samples"], counters["future_samples"]) == (10, 12)
+    assert counters["underruns"] == 0  # nothing was kept of channel 1: it is not active
     assert counters["ignored"] == 0
 
 
@@ -565,9 +734,9 @@ def test_fault_of_the_hardware(build: Path, tmp_path: Path) -> None:
     run = playing([16000] * 400)
     tick = T0 + 100 * PERIOD
     run.feed(tick, b"\2", FAULTY)
-    run.feed(tick + 5 * MS, owned(CLEAR_FAULT))
+    run.feed(tick + 5 * MS, clear(1))
     run.feed(tick + 6 * MS, b"\0", FAULTY)
-    run.feed(tick + 6 * MS, owned(CLEAR_FAULT))
+    run.feed(tick + 6 * MS, clear(1))
     run.run(build, tmp_path)
     assert [x.codes[0] for x in run.instants if x.tick > tick][:2] == [0, 0]
     (nak,) = run.naks(CLEAR_FAULT)
@@ -626,14 +795,14 @@ def test_sense_tells_what_was_put_out(build: Path, tmp_path: Path) -> None:
     run.feed(1 * MS, owned(SET, struct.pack("<HI", 3, 9)))
     run.feed(1 * MS, owned(SET, struct.pack("<HI", 3, 20)))
     run.feed(25 * MS, kind=NOTHING)
-    run.run(build, tmp_path, "--sense", "--packet-limit", "64", channels=15)
+    run.run(build, tmp_path, "--sense", "--packet-limit", "136", channels=33)
     assert [n[2] for n in run.naks(SET)] == [11]
-    senses = run.packets(SENSE)  # of 12 channels and of 3, which the packet limit asks for
+    senses = run.packets(SENSE)  # of 30 channels and of 3, which the packet limit asks for
     assert [(tick, p[4], p[5], len(p)) for tick, _, p in senses] == [
-        (at, *part) for at in (1125, 21125) for part in ((0, 12, 54), (12, 3, 18))
+        (at, *part) for at in (1125, 21125) for part in ((0, 30, 126), (30, 3, 18))
     ]
     put_out = next(x for x in run.instants if x.tick == 21000)
-    assert senses[2][2][:10] == struct.pack("<IBBhh", put_out.position, 0, 12, 3000, 0)
+    assert senses[2][2][:10] == struct.pack("<IBBhh", put_out.position, 0, 30, 3000, 0)
 
 
 def test_nothing_is_told_before_a_session(build: Path, tmp_path: Path) -> None:
@@ -654,7 +823,7 @@ def test_serial_finds_its_way_back(build: Path, tmp_path: Path) -> None:
     run.run(build, tmp_path)
     answers = [parse(uncobs(data[:-1])) for _, link, data in run.sent if link == SERIAL]
     assert [kind for kind, _ in answers] == [CAPS, STATUS]
-    counters = struct.unpack("<20I", answers[1][1][39:])
+    counters = struct.unpack("<21I", answers[1][1][39:])
     assert counters[:4] == (2, 0, 2, 1)
 
 
@@ -693,10 +862,44 @@ def test_can(build: Path, tmp_path: Path, room: int, options: list[str]) -> None
     answers = [parse(join(t)) for t in transfers]
     assert [kind for kind, _ in answers] == [CAPS, ACK, STATUS, STATUS]
     assert answers[2][1][:4] == bytes([ESTOPPED, 0, 0, 7])
-    assert struct.unpack_from("<20I", answers[3][1], 39)[4] == 1
+    assert struct.unpack_from("<21I", answers[3][1], 39)[4] == 1
     pulses = [d for f, d in frames if f == 0x203]
     assert [p[4] for p in pulses][:4] == [ARMED, RUNNING, RUNNING, RUNNING]
     assert all(len(p) == 8 for p in pulses)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_can_identifiers_are_of_one_length(build: Path, tmp_path: Path, *, extended: bool) -> None:
+    short, long, foreign = 0, 0x80000000 | 0x1D0B0000, 0x80000000 | 0x1D0A0000
+    own, others = (long, (short, foreign)) if extended else (short, (long, foreign))
+    run = Run()
+    run.feed(0, struct.pack("<IB", own, 1), CAN)
+    for prefix in others:
+        run.feed(0, struct.pack("<IB", prefix, 2), CAN)  # ESTOP of all nodes
+    for kind in (2, 5, 6, 7):  # none of the host's classes
+        run.feed(0, struct.pack("<IB8s", own | kind << 8 | 2, 0xC0, bytes(8)), CAN)
+    run.feed(0, struct.pack("<IB", own | 1, 3), CAN)  # of an amplifier
+    for piece in fragments(packet(POLL), 0, 8):
+        run.feed(0, struct.pack("<I", own | 0x402) + piece, CAN)
+    run.feed(0, struct.pack("<IB", others[0], 2), CAN)  # does not switch the form of what follows
+    run.feed(0, packet(POLL))
+    run.run(build, tmp_path, *["--extended"] * extended)
+    frames = [(struct.unpack("<I", d[:4])[0], d[4:]) for _, link, d in run.sent if link == CAN]
+    assert {identifier for identifier, _ in frames} == {own | 0x503}
+    assert parse(join([data for _, data in frames]))[1][:4] == bytes([ESTOPPED, 0, 0, 1])
+    assert {k: v for k, v in run.status().items() if v} == {"packets": 3, "trips": 1}
+
+
+def test_prompt_pulses_use_up_their_seq(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    for i, tick in enumerate((0, 25 * MS)):
+        for piece in fragments(hello(), i, 8):
+            run.feed(tick, struct.pack("<I", 0x402) + piece, CAN)
+    run.run(build, tmp_path)
+    frames = [(*struct.unpack("<I", d[:4]), d[4:]) for _, link, d in run.sent if link == CAN]
+    answers = [d for identifier, d in frames if identifier == 0x503 and d[0] & 0x80]
+    assert sum(identifier == 0x203 for identifier, _ in frames) == 3
+    assert [d[6] for d in answers] == [0, 4]
 
 
 def test_fragments_wait_20_ms(build: Path, tmp_path: Path) -> None:
@@ -800,7 +1003,7 @@ def test_can_socket(build: Path, tmp_path: Path) -> None:
         return struct.pack("<IBB2x64s", identifier, len(data), 0, data)
 
     path, own = tmp_path / "can", tmp_path / "host"
-    process = subprocess.Popen([build / "virtual-amplifier", "--can", str(path)])
+    process = subprocess.Popen([build / "virtual-amplifier", "--can", str(path), "--extended"])
     host = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     host.bind(str(own))
     host.settimeout(20)

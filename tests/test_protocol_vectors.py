@@ -555,7 +555,8 @@ def test_serial_in_c(vector: Vector, core: Core) -> None:
 
 def feed(frames: list[Vector], node: int = 1, limit: int = 4096) -> str:
     words = (f"{f.get('t', 0)} {f['id']} {dash(f['data'])}" for f in frames)
-    return f"can {limit} {node or 1} {' '.join(words)}"
+    extended = all(frame["id"] > 0x7FF for frame in frames)
+    return f"can {limit} {node or 1} {extended:d} {' '.join(words)}"
 
 
 @vectors("can", "transfer")

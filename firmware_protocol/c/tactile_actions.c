@@ -15,7 +15,16 @@ static void take_session(ta_amplifier *amp, uint16_t session)
     amp->player.carriers = 0;
     amp->sync_index = 0;
     amp->sync_tick = 0;
+    amp->heard = false;
     amp->pulse_now = true;
+}
+
+/* Section 6.1: who lives is not taken over, nor an output that moves. */
+static bool busy(const ta_amplifier *amp, uint64_t now)
+{
+    bool lives = amp->heard &&
+                 !ta_elapsed(now, amp->heartbeat, TP_WATCHDOG_MS, amp->config.tick_hz);
+    return lives || !ta_player_silent(&amp->player);
 }
 
 ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r)
@@ -27,6 +36,9 @@ ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r)
         ta_verdict v = ta_by_table(amp, on_hello_other);
         if (v.code != 0) {
             return v;
+        }
+        if (busy(amp, r->now)) {
+            return ta_refuse(amp, TP_NAK_BUSY, 0);
         }
     }
     if (m.major != TP_MAJOR) {
@@ -65,10 +77,17 @@ ta_verdict ta_act_sync(ta_amplifier *amp, const ta_request *r)
     return ta_done();
 }
 
-ta_verdict ta_act_heartbeat(ta_amplifier *amp, const ta_request *r)
+/* HEARTBEAT or ARM of the owner. */
+static void hear(ta_amplifier *amp, uint64_t now)
 {
     amp->watched = true;
-    amp->heartbeat = r->now;
+    amp->heard = true;
+    amp->heartbeat = now;
+}
+
+ta_verdict ta_act_heartbeat(ta_amplifier *amp, const ta_request *r)
+{
+    hear(amp, r->now);
     return ta_done();
 }
 
@@ -83,13 +102,12 @@ ta_verdict ta_act_arm(ta_amplifier *amp, const ta_request *r)
         return ta_refuse(amp, TP_NAK_RANGE, 1);
     }
     if (m.sample_rate_hz < c->rate_min_hz || m.sample_rate_hz > c->rate_max_hz ||
-        ta_step(amp, amp->slew_v_per_s, m.sample_rate_hz) < 1) {
+        !ta_reach_zero(c, amp->voltage_uv, amp->slew_v_per_s, m.sample_rate_hz)) {
         return ta_refuse(amp, TP_NAK_RANGE, 2);
     }
     amp->player.mode = m.mode;
     ta_set_rate(amp, m.sample_rate_hz, r->now);
-    amp->watched = true;
-    amp->heartbeat = r->now;
+    hear(amp, r->now);
     ta_apply(amp, ta_on_arm[amp->state]);
     return ta_done();
 }
@@ -144,6 +162,7 @@ ta_verdict ta_act_estop(ta_amplifier *amp, const ta_request *r)
     tp_estop m;
     (void)tp_estop_decode(&m, r->packet.payload, r->packet.size);
     amp->estop_reason = m.reason;
+    amp->counters.trips++;
     ta_apply(amp, ta_on_estop[amp->state]);
     return ta_done();
 }
@@ -156,10 +175,14 @@ static bool latched(const ta_amplifier *amp)
 
 ta_verdict ta_act_clear_fault(ta_amplifier *amp, const ta_request *r)
 {
-    (void)r;
+    tp_clear_fault m;
+    (void)tp_clear_fault_decode(&m, r->packet.payload, r->packet.size);
     if (latched(amp)) {
         uint8_t fault = amp->hal.fault != NULL ? amp->hal.fault(amp->hal.context)
                                                : amp->hardware_fault;
+        if (m.trips != amp->counters.trips) {
+            return ta_refuse(amp, TP_NAK_STATE, amp->counters.trips);
+        }
         if (!ta_player_silent(&amp->player)) {
             return ta_refuse(amp, TP_NAK_STATE, 0);
         }
@@ -188,6 +211,12 @@ static ta_verdict check_stream(ta_amplifier *amp, bool format_known, uint8_t for
     return ta_done();
 }
 
+/* Whether a known format is in CAPS. */
+static bool has_format(const ta_amplifier *amp, uint8_t format)
+{
+    return ((uint32_t)amp->config.formats >> format & 1u) != 0;
+}
+
 static ta_verdict not_running(ta_amplifier *amp)
 {
     return ta_refuse_as(&amp->counters.ignored, TP_NAK_STATE, 0);
@@ -195,16 +224,14 @@ static ta_verdict not_running(ta_amplifier *amp)
 
 ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r)
 {
-    tp_pcm m;
+    tp_pcm m = {0};
     ta_samples samples;
     if (amp->state != TP_STATE_RUNNING) {
         return not_running(amp);
     }
-    if (!tp_pcm_decode(&m, r->packet.payload, r->packet.size)) {
-        return ta_malformed(amp, r);
-    }
+    (void)tp_pcm_decode(&m, r->packet.payload, r->packet.size);
     bool known = amp->player.mode == TP_MODE_PCM && m.format <= TP_SAMPLE_FORMAT_BFP8 &&
-                 ((uint32_t)amp->config.formats >> m.format & 1u) != 0;
+                 has_format(amp, m.format);
     ta_verdict v = check_stream(amp, known, m.format, m.first_channel, m.channels);
     if (v.code != 0) {
         return v;
@@ -222,10 +249,8 @@ ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r)
 
 ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r)
 {
-    tp_carriers m;
-    if (!tp_carriers_decode(&m, r->packet.payload, r->packet.size)) {
-        return ta_malformed(amp, r);
-    }
+    tp_carriers m = {0};
+    (void)tp_carriers_decode(&m, r->packet.payload, r->packet.size);
     if (m.count == 0 || m.count > amp->config.carriers) {
         return ta_refuse(amp, TP_NAK_RANGE, 1);
     }
@@ -242,15 +267,14 @@ ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r)
 
 ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r)
 {
-    tp_spectrum m;
+    tp_spectrum m = {0};
     if (amp->state != TP_STATE_RUNNING) {
         return not_running(amp);
     }
-    if (!tp_spectrum_decode(&m, r->packet.payload, r->packet.size)) {
-        return ta_malformed(amp, r);
-    }
+    (void)tp_spectrum_decode(&m, r->packet.payload, r->packet.size);
     bool known = amp->player.mode == TP_MODE_SPECTRUM &&
-                 m.format == TP_SAMPLE_FORMAT_SPECTRUM8 && m.carriers == amp->player.carriers;
+                 m.format == TP_SAMPLE_FORMAT_SPECTRUM8 && has_format(amp, m.format) &&
+                 m.carriers == amp->player.carriers;
     ta_verdict v = check_stream(amp, known, m.format, m.first_channel, m.channels);
     if (v.code != 0) {
         return v;

@@ -11,16 +11,23 @@ static const uint8_t on_fault[] = TP_TABLE_FAULT;
 
 /* Power-up */
 
+/* The hardware's own limits; ARM checks them at the rates between. */
+static bool limits_allowed(const ta_config *c)
+{
+    return c->full_scale_uv > 0 && c->slew_limit_v_per_s <= SLEW_MAX &&
+           c->fade_limit_us <= 1000u * TP_FADE_MS &&
+           ta_reach_zero(c, c->voltage_limit_uv, c->slew_limit_v_per_s, c->rate_min_hz) &&
+           ta_reach_zero(c, c->voltage_limit_uv, c->slew_limit_v_per_s, c->rate_max_hz);
+}
+
 /* Section 11.1, and the sizes that the arrays have. */
 static bool allowed(const ta_config *c)
 {
     return c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
            c->carriers <= TA_CARRIERS && c->fifo_samples >= 2 && c->fifo_samples <= TA_FIFO &&
-           c->packet_limit >= 64 && c->packet_limit <= TA_PACKET_MAX && c->tick_hz > 0 &&
-           c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz && c->rate_max_hz <= RATE_MAX &&
-           c->full_scale_uv > 0 && c->slew_limit_v_per_s <= SLEW_MAX &&
-           c->fade_limit_us <= 1000u * TP_FADE_MS &&
-           (uint64_t)c->slew_limit_v_per_s * 20000u >= c->voltage_limit_uv;
+           c->packet_limit >= TA_PACKET_LEAST && c->packet_limit <= TA_PACKET_MAX &&
+           c->tick_hz > 0 && c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz &&
+           c->rate_max_hz <= RATE_MAX && limits_allowed(c);
 }
 
 static uint32_t power_up_rate(const ta_config *c)
@@ -51,21 +58,32 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
 
 /* Limits, section 11.1 */
 
-int32_t ta_step(const ta_amplifier *amp, uint32_t slew_v_per_s, uint32_t rate)
+static int32_t limit_codes(const ta_config *c, uint32_t voltage_uv)
+{
+    uint64_t limit = (uint64_t)voltage_uv * TP_FULL_SCALE_CODE / c->full_scale_uv;
+    return (int32_t)(limit < TP_FULL_SCALE_CODE ? limit : TP_FULL_SCALE_CODE);
+}
+
+static int32_t step_codes(const ta_config *c, uint32_t slew_v_per_s, uint32_t rate)
 {
     uint64_t codes = (uint64_t)slew_v_per_s * TP_FULL_SCALE_CODE * 1000000u;
-    uint64_t step = codes / ((uint64_t)amp->config.full_scale_uv * rate);
+    uint64_t step = codes / ((uint64_t)c->full_scale_uv * rate);
     return step < 2u * TP_FULL_SCALE_CODE ? (int32_t)step : 2 * (int32_t)TP_FULL_SCALE_CODE;
+}
+
+bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t rate)
+{
+    int64_t reach = (int64_t)step_codes(c, slew_v_per_s, rate) * (int64_t)(rate / 50u);
+    return limit_codes(c, voltage_uv) <= reach;
 }
 
 /* What limits and rate make of the player's numbers. */
 static void derive(ta_amplifier *amp)
 {
     ta_player *p = &amp->player;
-    uint64_t limit = (uint64_t)amp->voltage_uv * TP_FULL_SCALE_CODE / amp->config.full_scale_uv;
     uint64_t gain = ((uint64_t)amp->fade_us * p->rate + 500000u) / 1000000u;
-    p->limit = (int32_t)(limit < TP_FULL_SCALE_CODE ? limit : TP_FULL_SCALE_CODE);
-    p->step = ta_step(amp, amp->slew_v_per_s, p->rate);
+    p->limit = limit_codes(&amp->config, amp->voltage_uv);
+    p->step = step_codes(&amp->config, amp->slew_v_per_s, p->rate);
     p->gain_full = gain > 0 ? (uint32_t)gain : 1u;
 }
 
@@ -85,12 +103,9 @@ void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_si
     p.type = type;
     p.flags = (uint8_t)(TP_MAJOR << 6);
     p.node = amp->node;
-    p.seq = amp->seq;
+    p.seq = amp->seq++;
     p.size = payload_size;
     p.payload = NULL;
-    if (type != TP_PULSE || !amp->prompt_pulse) {
-        amp->seq++;
-    }
     if (!amp->hal.send(amp->hal.context, packet, ta_packet_seal(packet, &p))) {
         amp->counters.dropped_replies++;
     }
@@ -227,6 +242,7 @@ void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now)
         return;
     }
     amp->fault = code;
+    amp->counters.trips++;
     ta_apply(amp, on_fault[amp->state]);
     if (!amp->announce) {
         return;

@@ -55,6 +55,7 @@ typedef struct {
     /* Watchdog, section 6.2. */
     bool watched;
     uint64_t heartbeat; /* tick of the last, or of ARM */
+    bool heard;         /* there was one in this session (6.1) */
 
     /* Sample clock, section 7.1: the next instant and the remainder of k x tick_hz / rate. */
     uint64_t next;
@@ -69,7 +70,6 @@ typedef struct {
     uint64_t pulse_tick;
     bool sense_now;
     uint64_t sense_tick;
-    bool prompt_pulse; /* the link sends PULSE without a header: it takes no seq */
     uint8_t seq;
 
     /* Parameters, and what SYNC left. */

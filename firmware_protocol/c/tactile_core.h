@@ -38,6 +38,7 @@
 #define TA_HEADER 4u
 #define TA_OVERHEAD 8u
 #define TA_LOG_MAX 200u
+#define TA_PACKET_LEAST 136 /* that packet_limit may be: STATUS is 131 bytes */
 #define TA_REPLY_BODY (4u * TA_CHANNELS > TA_LOG_MAX ? 4u * TA_CHANNELS : TA_LOG_MAX)
 #define TA_REPLY_MAX (TA_OVERHEAD + TP_SENSE_SIZE + TA_REPLY_BODY)
 
@@ -47,10 +48,10 @@
 TA_ASSERT(channels, TA_CHANNELS >= 1 && TA_CHANNELS <= 255);
 TA_ASSERT(fifo, TA_FIFO >= 2 && TA_FIFO <= 65535);
 TA_ASSERT(carriers, TA_CARRIERS >= 1 && TA_CARRIERS <= (int)TP_CARRIERS_MAX);
-TA_ASSERT(packet, TA_PACKET_MAX >= 64 && TA_PACKET_MAX <= (int)TP_PACKET_MAX);
+TA_ASSERT(packet, TA_PACKET_MAX >= TA_PACKET_LEAST && TA_PACKET_MAX <= (int)TP_PACKET_MAX);
 TA_ASSERT(queue, TA_QUEUE >= 1 && TA_QUEUE <= 255);
 TA_ASSERT(transfers, TA_TRANSFERS >= 1);
-TA_ASSERT(replies, TA_REPLIES >= 2 + TP_STATUS_SIZE + TA_OVERHEAD && TA_REPLIES <= 65535);
+TA_ASSERT(replies, TA_REPLIES >= 4 * (2 + TP_STATUS_SIZE + TA_OVERHEAD) && TA_REPLIES <= 65535);
 
 /* Section 12, in the order of STATUS. */
 typedef struct {
@@ -74,6 +75,7 @@ typedef struct {
     uint32_t limited_samples;
     uint32_t watchdogs;
     uint32_t dropped_replies;
+    uint32_t trips;
 } ta_counters;
 
 /* The distance a - b of two positions, which wrap (section 1). */

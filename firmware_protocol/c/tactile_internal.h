@@ -11,8 +11,8 @@ void ta_apply(ta_amplifier *amp, uint8_t entry);
 /* Puts limits in force, and what follows from them for the player. */
 void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t fade_us);
 
-/* The step of section 11.1 of a slew limit at a rate, in sample codes. */
-int32_t ta_step(const ta_amplifier *amp, uint32_t slew_v_per_s, uint32_t rate);
+/* Whether limits reach 0 V in 20 ms at a rate (11.1). */
+bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t rate);
 
 /* ARM's part of the sample clock: another rate begins at `now`. */
 void ta_set_rate(ta_amplifier *amp, uint32_t rate, uint64_t now);

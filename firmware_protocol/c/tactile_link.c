@@ -45,17 +45,23 @@ bool ta_serial_send(ta_serial *link, const uint8_t *packet, size_t size)
 #define CAN_ID_MASK 0x7FFu
 #define START_PROMPT 7u /* bytes of START that a prompt frame has */
 
-void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd,
+void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd, bool extended,
                  bool (*write)(void *context, const ta_can_frame *frame), void *context)
 {
     memset(link, 0, sizeof *link);
     link->amp = amp;
     link->fd = fd;
+    link->extended = extended;
     link->write = write;
     link->context = context;
-    amp->prompt_pulse = true;
     ta_reassembly_init(&link->reassembly, amp->config.packet_limit, amp->config.tick_hz,
                        &amp->counters.fragments_dropped);
+}
+
+/* What identifiers begin with. */
+static uint32_t prefix(const ta_can *link)
+{
+    return link->extended ? TP_CAN_PREFIX : 0u;
 }
 
 /* SYNC, START and HEARTBEAT; any other type is unknown here. */
@@ -91,13 +97,11 @@ void ta_can_feed(ta_can *link, const ta_can_frame *frame, uint64_t now)
 {
     ta_amplifier *amp = link->amp;
     uint32_t node = frame->id >> 1 & 0x7Fu;
-    uint32_t prefix = frame->extended ? TP_CAN_PREFIX : 0u;
     bool from_host = (frame->id & 1u) == 0;
-    if ((frame->id & ~CAN_ID_MASK) != prefix || !from_host ||
-        (node != 0 && node != amp->node)) {
+    if (frame->extended != link->extended || (frame->id & ~CAN_ID_MASK) != prefix(link) ||
+        !from_host || (node != 0 && node != amp->node)) {
         return;
     }
-    link->extended = frame->extended;
     switch (frame->id >> 8 & 7u) {
     case TP_CAN_CLASS_ESTOP:
         ta_receive_prompt(amp, TP_ESTOP, frame->data, frame->size, now);
@@ -118,8 +122,7 @@ void ta_can_feed(ta_can *link, const ta_can_frame *frame, uint64_t now)
 static bool can_write(ta_can *link, uint8_t kind, ta_can_frame *frame, size_t size)
 {
     size_t length = link->fd ? ta_can_fd_length(size) : size;
-    frame->id = (link->extended ? TP_CAN_PREFIX : 0u) | (uint32_t)kind << 8 |
-                (uint32_t)link->amp->node << 1 | 1u;
+    frame->id = prefix(link) | (uint32_t)kind << 8 | (uint32_t)link->amp->node << 1 | 1u;
     frame->extended = link->extended;
     frame->fd = link->fd;
     frame->size = (uint8_t)length;

@@ -35,14 +35,15 @@ typedef struct {
 typedef struct {
     ta_amplifier *amp;
     bool fd;       /* send FD frames */
-    bool extended; /* send 29-bit identifiers; as the last frame that came for this node */
+    bool extended; /* identifiers have 29 bits */
     bool (*write)(void *context, const ta_can_frame *frame);
     void *context;
     uint8_t ids[2]; /* of the next transfer, by class: RESPONSE, BULK */
     ta_reassembly reassembly;
 } ta_can;
 
-void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd,
+/* Frames whose identifiers are of the other length than `extended` says are ignored. */
+void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd, bool extended,
                  bool (*write)(void *context, const ta_can_frame *frame), void *context);
 void ta_can_feed(ta_can *link, const ta_can_frame *frame, uint64_t now);
 bool ta_can_send(ta_can *link, const uint8_t *packet, size_t size);

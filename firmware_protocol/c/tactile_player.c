@@ -19,7 +19,7 @@ static void clear_row(ta_player *p, uint32_t ahead)
 
 static void clear_buffer(ta_player *p)
 {
-    for (uint32_t i = 0; i < p->fifo; i++) {
+    for (uint32_t i = 0; i < p->fill; i++) {
         clear_row(p, i);
     }
     p->fill = 0;
@@ -31,6 +31,7 @@ void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint1
     p->counters = counters;
     p->channels = channels;
     p->fifo = fifo;
+    p->fill = fifo; /* that START clears all */
     ta_player_start(p, 0);
     p->moved = true;
 }
@@ -67,12 +68,10 @@ void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samp
             int16_t *to = row(p, (uint32_t)ahead) + first;
             for (uint8_t c = 0; c < samples->channels; c++) {
                 to[c] = ta_samples_get(samples, c, i);
+                p->lines[first + c].active = true;
             }
             note_newest(p, ahead);
         }
-    }
-    for (size_t c = 0; c < samples->channels; c++) {
-        p->lines[first + c].active = true;
     }
 }
 
@@ -95,9 +94,9 @@ void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t fi
             break;
         default:
             note_newest(p, ta_distance(position, p->position));
+            p->lines[first + c].active = true;
             break;
         }
-        p->lines[first + c].active = true;
     }
 }
 
@@ -134,7 +133,7 @@ static bool begin_bridge(ta_player *p, size_t channel)
 {
     ta_line *line = &p->lines[channel];
     uint32_t reach = p->rate / 50u;
-    for (uint32_t ahead = 1; ahead <= reach && ahead < p->fifo; ahead++) {
+    for (uint32_t ahead = 1; ahead <= reach && ahead < p->fill; ahead++) {
         int16_t sample = row(p, ahead)[channel];
         if (sample != TA_NOTHING) {
             line->from = line->value;
@@ -312,19 +311,16 @@ static void play(ta_player *p, uint8_t state, bool come)
 
 /* The last stage, section 11.2: nothing reaches the output but through here. */
 
-static int32_t wanted(const ta_player *p, size_t channel)
-{
-    return p->lines[channel].value * (int32_t)p->gain / (int32_t)p->gain_full;
-}
-
 static void last_stage(ta_player *p, bool plays)
 {
     for (size_t c = 0; c < p->channels; c++) {
-        int32_t want = plays ? wanted(p, c) : 0;
+        int32_t value = plays ? p->lines[c].value : 0;
+        int32_t bounded = ta_clamp(value, p->limit);
+        int32_t want = bounded * (int32_t)p->gain / (int32_t)p->gain_full;
         int32_t last = p->codes[c];
-        int32_t next = last + ta_clamp(ta_clamp(want, p->limit) - last, p->step);
+        int32_t next = last + ta_clamp(want - last, p->step);
         p->codes[c] = (int16_t)next;
-        if (plays && next != want) {
+        if (plays && ((bounded != value && p->gain > 0) || next != want)) {
             p->counters->limited_samples++;
         }
     }

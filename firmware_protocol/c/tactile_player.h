@@ -33,7 +33,7 @@ typedef struct {
     bool moved; /* the position is another than at the last instant */
     uint16_t fifo;
     uint16_t head; /* row of the buffer where `position` is */
-    uint16_t fill; /* positions from `position` to the newest sample or frame */
+    uint16_t fill; /* positions from `position` to the newest sample or frame; nothing is beyond */
     uint32_t rate;
     uint32_t position;  /* that is put out next */
     uint32_t gain;      /* g */

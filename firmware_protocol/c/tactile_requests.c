@@ -87,10 +87,11 @@ static bool owns(const ta_amplifier *amp, const ta_request *r, size_t at)
 static ta_verdict judge(ta_amplifier *amp, const ta_request *r)
 {
     const ta_packet *p = &r->packet;
-    if (p->flags >> 6 != TP_MAJOR) {
+    bool any_flags = p->type == TP_ESTOP; /* its id and layout never change */
+    if (!any_flags && p->flags >> 6 != TP_MAJOR) {
         return ta_refuse_as(&amp->counters.wrong_version, TP_NAK_VERSION, TP_MAJOR);
     }
-    if ((p->flags & TP_FLAG_INCOMPATIBLE) != 0) {
+    if (!any_flags && (p->flags & TP_FLAG_INCOMPATIBLE) != 0) {
         return ta_refuse_as(&amp->counters.unsupported, TP_NAK_UNSUPPORTED, p->flags);
     }
     if (p->type >= sizeof rules / sizeof rules[0] || rules[p->type].act == NULL) {

@@ -53,7 +53,7 @@ ta_verdict ta_act_limits(ta_amplifier *amp, const ta_request *r)
     }
     uint32_t voltage = lower(m.voltage_uv, amp->voltage_uv);
     uint32_t slew = lower(m.slew_v_per_s, amp->slew_v_per_s);
-    if ((uint64_t)slew * 20000u < voltage || ta_step(amp, slew, amp->player.rate) < 1) {
+    if (!ta_reach_zero(&amp->config, voltage, slew, amp->player.rate)) {
         return ta_refuse(amp, TP_NAK_RANGE, 2);
     }
     ta_limit(amp, voltage, slew, lower(m.fade_us, amp->fade_us));
@@ -139,6 +139,12 @@ ta_verdict ta_act_get(ta_amplifier *amp, const ta_request *r)
     return ta_done();
 }
 
+/* Whether NODE may be set: not while something can play, nor of all amplifiers at once. */
+static bool may_move(const ta_amplifier *amp, const ta_request *r)
+{
+    return !r->to_all && (amp->state == TP_STATE_IDLE || amp->state == TP_STATE_SAFE);
+}
+
 ta_verdict ta_act_set(ta_amplifier *amp, const ta_request *r)
 {
     uint32_t present;
@@ -149,6 +155,9 @@ ta_verdict ta_act_set(ta_amplifier *amp, const ta_request *r)
     }
     if (m.parameter >= TP_PARAMETER_UPTIME_S) {
         return ta_refuse(amp, TP_NAK_READ_ONLY, m.parameter);
+    }
+    if (m.parameter == TP_PARAMETER_NODE && !may_move(amp, r)) {
+        return ta_refuse(amp, TP_NAK_STATE, 0);
     }
     if (!parameter_set(amp, m.parameter, m.value)) {
         return ta_refuse(amp, TP_NAK_RANGE, 2);
@@ -189,6 +198,7 @@ static void copy_counters(tp_status *m, const ta_counters *c)
     m->limited_samples = c->limited_samples;
     m->watchdogs = c->watchdogs;
     m->dropped_replies = c->dropped_replies;
+    m->trips = c->trips;
 }
 
 ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r)

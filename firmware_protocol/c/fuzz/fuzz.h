@@ -35,7 +35,8 @@ static inline void fuzz_put_out(void *context, uint64_t tick, uint32_t position,
     const ta_player *p = &b->amp.player;
     (void)tick;
     (void)position;
-    HOLDS(p->gain <= p->gain_full);
+    bool fades = b->amp.state == TP_STATE_RUNNING || b->amp.state == TP_STATE_RAMPDOWN;
+    HOLDS(!fades || p->gain <= p->gain_full); /* elsewhere it is what the last START left */
     b->plays = false;
     for (size_t c = 0; c < b->amp.config.channels; c++) {
         HOLDS(ta_clamp(codes[c], p->limit) == codes[c]);
@@ -46,10 +47,16 @@ static inline void fuzz_put_out(void *context, uint64_t tick, uint32_t position,
     HOLDS(!b->plays || b->amp.high_voltage);
 }
 
+/* Duty 3: 170 ms and a sample after the last heartbeat. */
+static inline uint64_t fuzz_deadline(const ta_amplifier *amp)
+{
+    return amp->heartbeat + 170000u + amp->config.tick_hz / amp->player.rate + 1u;
+}
+
 static inline void fuzz_after(void *context, uint64_t tick, uint8_t state, bool high_voltage)
 {
     const fuzz_board *b = context;
-    (void)tick;
+    HOLDS(!b->plays || tick < fuzz_deadline(&b->amp));
     HOLDS(!b->plays || (state != TP_STATE_IDLE && state != TP_STATE_SAFE && state != TP_STATE_ARMED));
     HOLDS(high_voltage || !b->plays);
     HOLDS(!high_voltage || (state != TP_STATE_IDLE && state != TP_STATE_SAFE));

@@ -19,7 +19,7 @@ static bool cross(void *context, const ta_can_frame *frame)
 static void round_trip(ta_can *link, const uint8_t *data, size_t size)
 {
     const ta_transfer *whole = NULL;
-    if (size < TA_OVERHEAD || size > 128 || data[0] == TP_PULSE) {
+    if (size < TA_OVERHEAD || size > 136 || data[0] == TP_PULSE) {
         return;
     }
     link->context = &whole;
@@ -34,10 +34,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     static ta_can receiver;
     uint64_t now = 0;
     size_t at = 0;
-    fuzz_power_up(&board, 128);
+    fuzz_power_up(&board, 136);
     board.arming = false;
-    ta_can_init(&link, &board.amp, size % 2 != 0, cross, NULL);
-    ta_can_init(&receiver, &board.amp, true, cross, NULL);
+    ta_can_init(&link, &board.amp, size % 2 != 0, size % 4 > 1, cross, NULL);
+    ta_can_init(&receiver, &board.amp, true, size % 4 > 1, cross, NULL);
     other = &receiver;
     while (size - at >= 4) {
         ta_can_frame frame = {0};

@@ -135,6 +135,9 @@ static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *
         tp_put_le(out + 2, a[0] * 0x01010101u, 4);
         out[6] = a[1] % 16u;
         return 7;
+    case TP_CLEAR_FAULT:
+        tp_put_le(out + 2, p->counters->trips, 4);
+        return TP_CLEAR_FAULT_SIZE;
     case TP_LIMITS:
         tp_put_le(out + 2, a[0] * 400000u, 4);
         tp_put_le(out + 6, a[1] * 3000u, 4);
@@ -198,11 +201,20 @@ static void feed(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
     }
 }
 
-/* Duties 3 and 5: without a word from the host it is silent and without high voltage soon. */
-static void abandon(bench *b)
+/* Duties 3 and 4: it is at 0 V and without high voltage 170 ms and a sample after the last heartbeat,
+ * and 20 ms and a sample after ESTOP. */
+static void abandon(bench *b, bool estop)
 {
-    ta_run(&b->board.amp, b->now + 200000u);
-    HOLDS(ta_player_silent(&b->board.amp.player) && !b->board.amp.high_voltage);
+    ta_amplifier *amp = &b->board.amp;
+    const uint8_t reason = 1;
+    ta_run(amp, b->now);
+    uint64_t end = fuzz_deadline(amp);
+    if (estop) {
+        end = b->now + 20000u + amp->config.tick_hz / amp->player.rate + 1u;
+        message(b, TP_ESTOP, 0, &reason, 1);
+    }
+    ta_run(amp, end > b->now ? end : b->now);
+    HOLDS(ta_player_silent(&amp->player) && !amp->high_voltage);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -213,7 +225,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     fuzz_power_up(&b.board, 255);
     b.now = 0;
     ta_serial_init(&b.serial, &b.board.amp, no_bytes, NULL);
-    ta_can_init(&b.can, &b.board.amp, false, no_frame, NULL);
+    ta_can_init(&b.can, &b.board.amp, false, false, no_frame, NULL);
     message(&b, TP_HELLO, 0, hello, sizeof hello);
     while (size - at >= 3) {
         uint8_t kind = data[at];
@@ -226,6 +238,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         feed(&b, kind, data + at, length);
         at += length;
     }
-    abandon(&b);
+    abandon(&b, size % 2 != 0);
     return 0;
 }

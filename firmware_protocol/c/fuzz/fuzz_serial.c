@@ -31,7 +31,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static fuzz_board board;
     static ta_serial link;
-    fuzz_power_up(&board, 128);
+    fuzz_power_up(&board, 136);
     ta_serial_init(&link, &board.amp, nowhere, NULL);
     for (size_t i = 0; i < size; i++) {
         ta_serial_feed(&link, data + i, 1, 10u * i);

@@ -13,6 +13,7 @@ static const char usage[] =
     "  --full-scale-uv N  --voltage-limit-uv N                 --slew-v-per-s N  --fade-us N\n"
     "  --rate-min HZ      --rate-max HZ       --tick-hz N      --fifo N  --packet-limit N\n"
     "  --fd               send CAN FD frames\n"
+    "  --extended         29-bit identifiers on CAN\n"
     "  --sense            measure: SENSE gives what was put out\n"
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
@@ -117,11 +118,12 @@ static bool take_link(virtual_options *o, const char *text)
 
 static bool take_flag(virtual_options *o, const char *name)
 {
-    bool *flag = strcmp(name, "--pty") == 0      ? &o->pty
-                 : strcmp(name, "--replay") == 0 ? &o->replay
-                 : strcmp(name, "--fd") == 0     ? &o->fd
-                 : strcmp(name, "--sense") == 0  ? &o->senses
-                                                 : NULL;
+    bool *flag = strcmp(name, "--pty") == 0        ? &o->pty
+                 : strcmp(name, "--replay") == 0   ? &o->replay
+                 : strcmp(name, "--fd") == 0       ? &o->fd
+                 : strcmp(name, "--extended") == 0 ? &o->extended
+                 : strcmp(name, "--sense") == 0    ? &o->senses
+                                                   : NULL;
     if (flag != NULL) {
         *flag = true;
     }

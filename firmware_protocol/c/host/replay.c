@@ -14,7 +14,6 @@ static void choose_link(virtual_amplifier *v, uint8_t kind)
         return;
     }
     v->link = kind;
-    v->amp.prompt_pulse = kind == KIND_CAN;
 }
 
 static void feed_frame(virtual_amplifier *v, const uint8_t *bytes, size_t size)

@@ -94,7 +94,6 @@ static void begin(virtual_amplifier *v, uint8_t link, int *fd)
     clock_gettime(CLOCK_MONOTONIC, &power_up);
     v->amp.hal.clock = hal_clock;
     v->link = link;
-    v->amp.prompt_pulse = link == KIND_CAN;
     v->wire = fd;
     catch_signals();
 }

@@ -136,11 +136,10 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
         return false;
     }
     ta_serial_init(&v->serial, &v->amp, put_bytes, v);
-    ta_can_init(&v->can, &v->amp, options->fd, put_frame, v);
+    ta_can_init(&v->can, &v->amp, options->fd, options->extended, put_frame, v);
     ta_smbus_init(&v->smbus, &v->amp, &v->replies);
     v->fixed_link = options->link >= 0;
     v->link = v->fixed_link ? (uint8_t)options->link : (uint8_t)KIND_PACKET;
-    v->amp.prompt_pulse = v->link == KIND_CAN;
     return open_file(&v->out, options->out) && open_file(&v->sent, options->sent);
 }
 

@@ -26,6 +26,7 @@ typedef struct {
     const char *can_path;
     int link; /* kind of record for answers, -1: as the last that was fed */
     bool fd;
+    bool extended;
     bool senses;
     bool pty;
     bool replay;

@@ -5,7 +5,8 @@
  *   seal TYPE FLAGS NODE SEQ HEX        the packet
  *   cobs HEX                            the coded packet and its delimiter
  *   serial LIMIT HEX ...                what came out of the chunks: "packet HEX" ... "counters ..."
- *   can LIMIT NODE T ID HEX ...         the same of frames, "prompt TYPE HEX" among them
+ *   can LIMIT NODE EXTENDED T ID HEX ...
+ *                                       the same of frames, "prompt TYPE HEX" among them
  *   send FD EXTENDED NODE HEX           frames of a packet of the amplifier: ID HEX ...
  *   cut ROOM PADDED ID HEX              fragments of a packet
  *   i2c-write LIMIT HEX ...             as serial, of transfers
@@ -209,7 +210,7 @@ static void do_can(void)
     const char *time;
     size_t limit = number();
     power_up((uint8_t)number(), limit);
-    ta_can_init(&link, &amp, false, show_frame, NULL);
+    ta_can_init(&link, &amp, false, number() != 0, show_frame, NULL);
     while ((time = word()) != NULL) {
         ta_can_frame frame = {0};
         uint64_t now = strtoull(time, NULL, 0);
@@ -230,8 +231,7 @@ static void do_send(void)
     bool fd = number() != 0;
     bool extended = number() != 0;
     power_up((uint8_t)number(), TA_PACKET_MAX);
-    ta_can_init(&link, &amp, fd, show_frame, NULL);
-    link.extended = extended;
+    ta_can_init(&link, &amp, fd, extended, show_frame, NULL);
     size_t size = hex(word());
     ta_can_send(&link, bytes, size);
 }

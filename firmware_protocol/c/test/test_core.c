@@ -317,6 +317,75 @@ static void test_arithmetic(void)
     CHECK(ta_elapsed(150000, 0, 150, 1000000) && !ta_elapsed(149999, 0, 150, 1000000));
 }
 
+/* 11.2: the clamp comes before the gain. 8.2: only what is kept makes a channel active. START leaves
+ * nothing of what was kept, wherever the head of the buffer is. */
+static void test_player(void)
+{
+    static ta_player p;
+    ta_counters counters = {0};
+    static const uint8_t data[] = {0xA0, 0x0F, 0xA0, 0x0F, 0x60, 0xF0}; /* 4000, 4000, -4000 */
+    static const int16_t fade[] = {750, -500, -250, 0};
+    ta_samples s = {TP_SAMPLE_FORMAT_PCM16, 1, 3, data};
+    ta_player_init(&p, &counters, 2, 8);
+    p.rate = 8000;
+    p.limit = 1000;
+    p.step = 65534;
+    p.gain_full = 4;
+    ta_player_start(&p, 100);
+    ta_player_pcm(&p, 97, 1, &s);
+    ta_player_pcm(&p, 108, 1, &s);
+    CHECK(!p.lines[1].active && p.fill == 0);
+    CHECK(counters.late_samples == 3 && counters.future_samples == 3);
+    ta_player_pcm(&p, 101, 0, &s);
+    CHECK(p.lines[0].active && p.fill == 4);
+    ta_player_pcm(&p, 100, 0, &s); /* 4000, 4000, -4000, -4000 */
+    ta_player_instant(&p, TP_STATE_RUNNING, true);
+    CHECK(p.codes[0] == 1000 && p.codes[1] == 0);
+    for (size_t i = 0; i < 4; i++) {
+        ta_player_move(&p, false);
+        ta_player_instant(&p, TP_STATE_RAMPDOWN, true);
+        CHECK(p.codes[0] == fade[i]);
+    }
+    CHECK(counters.limited_samples == 4); /* not at gain 0 */
+    ta_player_pcm(&p, 109, 0, &s);
+    ta_player_start(&p, 7);
+    for (size_t i = 0; i < 8; i++) {
+        CHECK(p.buffer[i][0] == TA_NOTHING && p.buffer[i][1] == TA_NOTHING);
+    }
+}
+
+/* What ta_init allows: 20 ms to 0 V in whole codes at the lowest and the highest rate (11.1). */
+static void test_configuration(void)
+{
+    static ta_amplifier amp;
+    ta_hal hal = {0};
+    ta_config good = {0};
+    good.node = 1;
+    good.channels = 1;
+    good.packet_limit = 136;
+    good.fifo_samples = 512;
+    good.tick_hz = 1000000;
+    good.rate_min_hz = 2500; /* 656 codes a sample, 50 samples */
+    good.rate_max_hz = 8000; /* 205 codes, 160 samples */
+    good.full_scale_uv = 100000000;
+    good.voltage_limit_uv = 100000000;
+    good.slew_limit_v_per_s = 5006;
+    good.fade_limit_us = 20000;
+    CHECK(ta_init(&amp, &good, &hal));
+    ta_config bad = good;
+    bad.packet_limit = 135;
+    CHECK(!ta_init(&amp, &bad, &hal));
+    bad = good;
+    bad.fade_limit_us = 20001;
+    CHECK(!ta_init(&amp, &bad, &hal));
+    bad = good;
+    bad.slew_limit_v_per_s = 5003; /* 655 at 2500 Hz */
+    CHECK(!ta_init(&amp, &bad, &hal));
+    bad = good;
+    bad.rate_max_hz = 16000; /* 102 codes, 320 samples */
+    CHECK(!ta_init(&amp, &bad, &hal));
+}
+
 int main(void)
 {
     static const size_t rooms[] = {8, 32, 64};
@@ -338,5 +407,7 @@ int main(void)
     test_queue();
     test_samples();
     test_bfp8();
+    test_player();
+    test_configuration();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }

@@ -100,10 +100,13 @@ class Reassembler:
 
     def _begin(self, key: tuple[int, int], head: int, data: bytes, now: int) -> bool:
         """Begin a transfer, if that is what a start fragment does."""
+        if head & TOGGLE or len(data) < LENGTH.size:
+            self._counters.fragments_dropped += 1
+            return False
         if key in self._transfers:
             self._drop(key)
-        length = LENGTH.unpack_from(data)[0] if len(data) >= LENGTH.size else 0
-        if head & TOGGLE or not SMALLEST <= length <= self._limit:
+        length = LENGTH.unpack_from(data)[0]
+        if not SMALLEST <= length <= self._limit:
             self._counters.fragments_dropped += 1
             return False
         if len(self._transfers) == TRANSFERS:

@@ -113,7 +113,7 @@ def bus(url: str, display: Display) -> Iterator[Bus]:
 
 @pytest.fixture
 def slow(display: Display) -> Display:
-    """The same, with a slew limit that ramps can be seen in."""
+    """Give the same with a slew limit that ramps can be seen in."""
     return replace(display, limits=replace(display.limits, slew=SLOW))
 
 

@@ -141,6 +141,7 @@ def test_limits_hold_over_blocks_longer_than_it_takes_at_a_time(over: float) -> 
     assert_within(limiter(channels=2)(volts), 100.0, 40.0)
 
 
+@pytest.mark.ci
 def test_limits_hold_over_a_minute_and_a_half_at_once() -> None:
     """Over 700000 samples the release falls below what double precision can hold."""
     volts = np.random.default_rng(2).normal(0, 20, (700_000, 1))
@@ -333,6 +334,7 @@ def test_a_jump_is_reached_within_the_look_ahead_and_not_smeared() -> None:
 # How the stream is cut
 
 
+@pytest.mark.ci
 @settings(ANYTHING, max_examples=30)
 @given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(0, 700), min_size=1, max_size=8))
 @example(seed=0, sizes=[1])

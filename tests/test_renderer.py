@@ -340,6 +340,7 @@ def test_bad_positions_forces_and_waveforms_are_counted_and_harm_nothing(
     assert drive[2000:] == pytest.approx(clean[2000:], abs=1e-3)
 
 
+@pytest.mark.ci
 @settings(deadline=None, max_examples=25, derandomize=True)
 @given(data=st.data())
 def test_limits_hold_whatever_the_finger_does(data: st.DataObject) -> None:

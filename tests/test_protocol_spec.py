@@ -13,7 +13,12 @@ from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC
 from firmware_protocol.packet import decode_packet
 
 SCHEMA = generate.load()
-SPEC = (Path(generate.__file__).parent / "SPEC.md").read_text("utf-8")
+SPEC = re.sub(
+    r"(?<=[^|\n])\n(?![|#\n]|- |\d\. |```) *",
+    " ",
+    (Path(generate.__file__).parent / "SPEC.md").read_text("utf-8"),
+)
+"""Its paragraphs and items in a line each."""
 
 
 def section(number: str) -> str:

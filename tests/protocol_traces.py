@@ -1,0 +1,243 @@
+"""Traces: what was told to an amplifier and when, with what it put out and sent.
+
+A `Rig` plays a trace on the Python amplifier while it is made, and keeps it; `replay` plays it on
+the one in C.
+"""
+
+import pickle
+import subprocess
+from collections.abc import Iterable
+from dataclasses import astuple
+from pathlib import Path
+from struct import Struct
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+from protocol_judge import LAYOUTS, TURN, Judge
+
+from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.config import Config
+from firmware_protocol.machine import Played
+from firmware_protocol.messages import State
+from firmware_protocol.ports import PacketPort
+
+PACKET, RUN, FAULT = 3, 4, 5
+RECORD = Struct("<QBI")
+KINDS = {name: (kind, layout) for kind, (name, layout, _) in LAYOUTS.items()}
+RAMPING = (State.RUNNING, State.RAMPDOWN)
+AFTER_RAMP = (State.IDLE, State.ARMED, State.SAFE)
+POWERED = (State.ARMED, State.RUNNING, State.RAMPDOWN)
+CONFIGS = {
+    "as shipped": Config(channels=2),
+    "slow ticks": Config(
+        channels=1, tick_hz=32768, rate_min_hz=1000, rate_max_hz=1049, fifo=68, packet_limit=255,
+        formats=0b0111,
+    ),
+    "fast ticks": Config(
+        channels=5, tick_hz=48_000_000, rate_min_hz=1000, rate_max_hz=4411, fifo=300, carriers=3,
+        full_scale_uv=150_000_000, slew_limit_v_per_s=40_000, fade_limit_us=12_345,
+    ),
+    "low slew": Config(
+        channels=3, rate_min_hz=1000, rate_max_hz=1600, fifo=103, carriers=2, node=127,
+        full_scale_uv=200_000_000, voltage_limit_uv=60_000_000, slew_limit_v_per_s=3_151,
+    ),
+    "few formats": Config(
+        channels=4, tick_hz=999_983, rate_min_hz=1000, rate_max_hz=2000, fifo=128, carriers=1,
+        formats=0b1010, packet_limit=136, fade_limit_us=0, slew_limit_v_per_s=6_000,
+    ),
+}  # fmt: skip
+
+
+class Record(NamedTuple):
+    """What happened: a packet came, a fault, or time passed."""
+
+    tick: int
+    kind: int
+    data: bytes = b""
+
+
+def saved(records: Iterable[Record]) -> bytes:
+    """Return a trace as `virtual-amplifier --replay` reads it."""
+    return b"".join(RECORD.pack(r.tick, r.kind, len(r.data)) + r.data for r in records)
+
+
+def packet(name: str, *fields: int, body: bytes = b"", node: int = 1, **head: int) -> bytes:
+    """Return a packet by the name of its message; ``flags`` and ``seq`` go into its header."""
+    kind, layout = KINDS[name]
+    return sealed(kind, layout.pack(*fields) + body, node=node, **head)
+
+
+def sealed(kind: int, payload: bytes, *, node: int, flags: int = 0x60, seq: int = 0) -> bytes:
+    data = bytes([kind, flags, node, seq]) + payload
+    return data + crc32(data).to_bytes(4, "little")
+
+
+FIELDS = ("tick", "position", "state", "high_voltage", "codes")
+
+
+def row_type(channels: int) -> np.dtype[Any]:
+    return np.dtype(
+        [("tick", "<u8"), ("position", "<u4"), ("state", "u1"), ("high_voltage", "u1"),
+         ("codes", "<i2", (channels,))]
+    )  # fmt: skip
+
+
+class Rig:
+    """A Python amplifier under trial.
+
+    Parameters
+    ----------
+    config : of it
+    judged : hold everything against a `Judge`
+    singly : put out instant by instant, not in runs
+    """
+
+    def __init__(self, config: Config, *, judged: bool = True, singly: bool = False) -> None:
+        self.config, self.singly, self.now = config, singly, 0
+        self.amplifier = Amplifier(config)
+        self.port = PacketPort(self.amplifier)
+        self.judge = Judge(config) if judged else None
+        self.records: list[Record] = []
+        self.sent: list[bytes] = []
+        self.rows: list[NDArray[Any]] = []
+        self._state, self._high_voltage = State.IDLE, False
+        self._counters = astuple(self.amplifier.counters)
+
+    def run(self, now: int) -> None:
+        """Let time pass up to a tick, in pieces so that packets sent never wait long."""
+        while self.now < now:
+            due = self.amplifier.due()
+            piece = due if self.singly else max(due, self.now + self.config.tick_hz // 10)
+            self.now = min(now, piece)
+            self.amplifier.run(self.now)
+            self._take()
+
+    def end(self) -> None:
+        self.records.append(Record(self.now, RUN))
+
+    def _settle(self) -> None:
+        """Put out the instants up to now: a START may have set one."""
+        self.amplifier.run(self.now)
+        self._take()
+
+    def packet(self, data: bytes) -> None:
+        self._settle()
+        self.records.append(Record(self.now, PACKET, data))
+        beyond = self.judge.packet(self.now, data) if self.judge else True
+        future = self.amplifier.counters.future_samples
+        self.port.feed(data, self.now)
+        assert beyond or self.amplifier.counters.future_samples == future
+        self._take()
+
+    def fault(self, code: int) -> None:
+        self._settle()
+        self.records.append(Record(self.now, FAULT, bytes([code])))
+        if self.judge:
+            self.judge.fault(code)
+        self.amplifier.fault(code, self.now)
+        self._take()
+
+    def _take(self) -> None:
+        """Take what was put out and sent, and judge it."""
+        played = self.amplifier.take_played()
+        follow = [*(run.position for run in played[1:]), self.amplifier.position]
+        rows = [self._expanded(run, at) for run, at in zip(played, follow, strict=False)]
+        self._state = self.amplifier.state
+        sent = self.port.take()
+        self.rows += rows
+        self.sent += sent
+        assert len(sent) <= 256
+        if self.judge is None:
+            return
+        for run in rows:
+            for row in zip(*(run[name].tolist() for name in FIELDS), strict=True):
+                self.judge.instant(*row)
+        for data in sent:
+            self.judge.sent(data, sum(map(len, rows)))
+        self._compare(self.judge)
+
+    def _compare(self, judge: Judge) -> None:
+        a, counters = self.amplifier, astuple(self.amplifier.counters)
+        assert (a.state.name, a.session, a.node) == (judge.state, judge.session, judge.node)
+        assert (a.position, a.due()) == (judge.position % TURN, judge.due)
+        assert all(new >= old for new, old in zip(counters, self._counters, strict=True))
+        self._counters = counters
+
+    def _expanded(self, run: Played, following: int) -> NDArray[Any]:
+        """Return a run with state and high voltage of each instant, not of the last alone.
+
+        The position that follows tells whether it was held.
+        """
+        rows = np.zeros(len(run.codes), row_type(self.config.channels))
+        rows["tick"], rows["codes"] = run.ticks, run.codes
+        steps = 0 if following == run.position else np.arange(len(run.codes), dtype=np.int64)
+        rows["position"] = (run.position + steps) % TURN
+        rows["state"] = run.state
+        if self._state in RAMPING and run.state in AFTER_RAMP:
+            rows["state"][:-1] = State.RAMPDOWN
+        powered = np.isin(rows["state"], POWERED)
+        falling = (run.codes != 0).any(axis=1) & (self._high_voltage or self._state in POWERED)
+        rows["high_voltage"] = powered | falling
+        assert bool(rows["high_voltage"][-1]) == run.high_voltage
+        self._state, self._high_voltage = run.state, run.high_voltage
+        return rows
+
+    def out(self) -> bytes:
+        """Return what was put out, as `virtual-amplifier --out` writes it."""
+        return np.concatenate(self.rows).tobytes()
+
+    def memory(self) -> int:
+        """Return the bytes that the amplifier's state takes."""
+        return len(pickle.dumps(self.amplifier))
+
+
+def play(
+    config: Config, records: Iterable[Record], *, judged: bool = True, singly: bool = False
+) -> Rig:
+    """Return a rig after a trace."""
+    rig = Rig(config, judged=judged, singly=singly)
+    for record in records:
+        rig.run(record.tick)
+        if record.kind == PACKET:
+            rig.packet(record.data)
+        elif record.kind == FAULT:
+            rig.fault(record.data[0])
+    rig.end()
+    return rig
+
+
+# The amplifier in C
+
+
+def replay(
+    program: Path, config: Config, records: Iterable[Record], at: Path
+) -> tuple[bytes, list[bytes]]:
+    """Return what the amplifier in C puts out and sends on a trace; files go to a directory."""
+    c = config
+    options = {
+        "channels": c.channels, "carriers": c.carriers, "formats": c.formats, "node": c.node,
+        "packet-limit": c.packet_limit, "fifo": c.fifo, "tick-hz": c.tick_hz,
+        "rate-min": c.rate_min_hz, "rate-max": c.rate_max_hz, "full-scale-uv": c.full_scale_uv,
+        "voltage-limit-uv": c.voltage_limit_uv, "slew-v-per-s": c.slew_limit_v_per_s,
+        "fade-us": c.fade_limit_us,
+    }  # fmt: skip
+    arguments = [str(a) for name, value in options.items() for a in (f"--{name}", value)]
+    out, sent = at / "out", at / "sent"
+    files = ["--out", str(out), "--sent", str(sent)]
+    subprocess.run(
+        [str(program), "--replay", *files, *arguments], input=saved(records), check=True, timeout=60
+    )
+    return out.read_bytes(), [r.data for r in loaded(sent.read_bytes())]
+
+
+def loaded(data: bytes) -> list[Record]:
+    """Return the records of a file."""
+    records, at = [], 0
+    while at < len(data):
+        tick, kind, size = RECORD.unpack_from(data, at)
+        at += RECORD.size
+        records.append(Record(tick, kind, data[at : at + size]))
+        at += size
+    return records

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from firmware_protocol import messages as m
 from firmware_protocol.config import Config, LimitsInForce
 from firmware_protocol.messages import (
+    FADE_MS,
     REFUSED,
     STAYS,
     TABLE,
@@ -82,6 +83,11 @@ class Machine:
     ----------
     config : what it is
 
+    Raises
+    ------
+    ValueError
+        Where the limits of its hardware break the promise to be at 0 V in 20 ms.
+
     Attributes
     ----------
     state, session, node, counters : as in STATUS
@@ -111,7 +117,13 @@ class Machine:
         self._played: list[Played] = []
         self._now = 0
         self._player = Player(self._source())
-        self._limit(LimitsInForce.of(config))
+        own = LimitsInForce.of(config)
+        if not (own.in_time(config.rate_min_hz) and own.in_time(config.rate_max_hz)):
+            raise ValueError(
+                f"slew_limit_v_per_s {config.slew_limit_v_per_s}: does not reach 0 V from "
+                f"{config.voltage_limit_uv} µV in {FADE_MS} ms"
+            )
+        self._limit(own)
 
     # What comes out
 

@@ -98,7 +98,7 @@ class Counters:
     Attributes
     ----------
     blocks, samples : taken
-    lost_samples : positions that no block carried; the output was held at what it had
+    lost_samples : positions that no block carried; bridged by a straight line, or a fade out and in
     repeated_samples : positions that were sent before, dropped
     invalid_samples : values that were not finite, played as 0 V
     clipped_samples : values beyond the amplifier's own voltage limit
@@ -257,7 +257,8 @@ def open_bus(url: str, rig: Rig, *, sample_rate: float = 8000.0) -> Bus:
 
     Parameters
     ----------
-    url : ``mock:``, ``mock:?keep=all``, ``sim:``, ``sim:?plant=package.module:factory``
+    url : ``mock:``, ``mock:?keep=all``, ``sim:``, ``sim:?format=bfp8``,
+        ``sim:?plant=package.module:factory``
     rig : the display
     sample_rate : of the drive [Hz]
 

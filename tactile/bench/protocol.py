@@ -27,7 +27,8 @@ from tactile.texture.surface import load_texture
 
 Codes = NDArray[np.int16]
 
-REPEATS = 2000
+REPEATS, ROUNDS = 200, 100
+"""Of what is timed: short rounds in turn, so that no busy moment of the machine meets one alone."""
 BLOCK_SAMPLES, BLOCK_CHANNELS = 16, 8
 """256 B of PCM16."""
 PACKETS = 200
@@ -72,8 +73,10 @@ def measure_codec() -> Iterator[Figure]:
 
     assert encode() == frame
     assert np.abs(decode() - codes.astype(int)).max() <= 8
-    yield at_most("protocol.encode_3_kB", seconds(encode, REPEATS) * 1e6, "µs", 40)
-    yield at_most("protocol.decode_3_kB", seconds(decode, REPEATS) * 1e6, "µs", 40)
+    rounds = np.array([(seconds(encode, REPEATS), seconds(decode, REPEATS)) for _ in range(ROUNDS)])
+    encoding, decoding = rounds.min(axis=0) * 1e6
+    yield at_most("protocol.encode_3_kB", float(encoding), "µs", 40)
+    yield at_most("protocol.decode_3_kB", float(decoding), "µs", 40)
     for name, work in {**_own_parts(packet, codes), **_others(packet, codes)}.items():
         yield Figure(f"protocol.3_kB.{name}", seconds(work, 5 if "." in name else 200) * 1e6, "µs")
 

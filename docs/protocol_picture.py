@@ -21,15 +21,10 @@ BLUE, RED, GRAY = "#0072B2", "#D55E00", "#666666"
 
 
 class Scene:
-    """A host that streams a sine of 60 V to one amplifier, as far as it is told to.
+    """A host that streams a sine of 60 V to one amplifier, as far as it is told to."""
 
-    Parameters
-    ----------
-    slew : limit [V/s]
-    """
-
-    def __init__(self, slew: int = 700_000) -> None:
-        self.amplifier = Amplifier(Config(channels=1, slew_limit_v_per_s=slew))
+    def __init__(self) -> None:
+        self.amplifier = Amplifier(Config(channels=1))
         self.host = Host(SESSION, 1)
         self.now = 0
         for message in (
@@ -100,9 +95,7 @@ def draw() -> None:
     figure, axes = plt.subplots(1, 4, figsize=(14, 3.2), sharey=True)
     for place, (title, (scene, about, end)) in zip(axes, scenes().items(), strict=True):
         time, volts, off = scene.traces()
-        shown = (
-            (time > min(20, about - 1)) & (time < end) if end > 70 else (time > 57) & (time < end)
-        )
+        shown = (time > about - (end - about)) & (time > 20) & (time < end)
         place.plot(time[shown], volts[shown], color=BLUE, lw=1.4)
         place.axvline(about, color=RED, lw=0.9, ls="--")
         if off is not None:

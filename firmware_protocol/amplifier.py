@@ -27,9 +27,9 @@ from firmware_protocol.messages import (
     SampleFormat,
     State,
 )
-from firmware_protocol.packet import Packet
+from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
-from firmware_protocol.sources import TURN, PcmSource, Source, SpectrumSource
+from firmware_protocol.sources import PcmSource, Source, SpectrumSource
 
 SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
 STREAMED = (m.Pcm, m.Spectrum)

@@ -83,10 +83,11 @@ def python_text(schema: Schema) -> str:
         "tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than",
         'the head of a message with a body."""',
         "",
+        "from collections.abc import Callable",
         "from dataclasses import dataclass",
         "from enum import IntEnum",
         "from struct import Struct",
-        "from typing import Any, ClassVar, Self",
+        "from typing import ClassVar, Self, cast",
         "",
         f"MAJOR, MINOR = {schema['protocol']['major']}, {schema['protocol']['minor']}",
         f"SCHEMA_CRC = 0x{schema_crc(schema):08X}",
@@ -132,26 +133,35 @@ def _section(name: str) -> str:
 
 PYTHON_BASE = '''\
 class Message:
-    """Any message.
+    """Any message; its fields are those of its layout, then its body.
 
     Attributes
     ----------
-    TYPE, CAN, HEAD : id, class on CAN, and layout of the fixed part
+    TYPE, CAN, HEAD, BODY : id, class on CAN, layout of the fixed part, whether a body follows
     """
 
     __slots__ = ()
+    __match_args__: ClassVar[tuple[str, ...]]
     TYPE: ClassVar[int]
     CAN: ClassVar[CanClass]
     HEAD: ClassVar[Struct]
+    BODY: ClassVar[bool] = False
 
     def pack(self) -> bytes:
         """Return the payload."""
-        raise NotImplementedError
+        values = [getattr(self, name) for name in self.__match_args__]
+        body: bytes = values.pop() if self.BODY else b""
+        return self.HEAD.pack(*values) + body
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
         """Return the message of a payload."""
-        raise NotImplementedError'''
+        size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
+        if not cls.BODY:
+            return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\\0")))
+        if len(payload) < size:
+            return None
+        return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))'''
 
 
 def _python_message(message: Message) -> list[str]:
@@ -164,7 +174,8 @@ def _python_message(message: Message) -> list[str]:
         f"    TYPE = 0x{message['id']:02X}",
         f"    CAN = CanClass.{message['can']}",
         f'    HEAD = Struct("{code}")',
-        "",
+        *(["    BODY = True"] if body else []),
+        *([""] if fields else []),
     ]
     lines += [
         f"    {name}: {types.get(kind, 'int')} = {'b' + chr(34) * 2 if kind == 'char16' else 0}"
@@ -172,22 +183,6 @@ def _python_message(message: Message) -> list[str]:
     ]
     if body:
         lines.append(f'    {body}: bytes = b""')
-    values = ", ".join(f"self.{name}" for name, _ in fields)
-    packed = f"self.HEAD.pack({values})"
-    lines += ["", "    def pack(self) -> bytes:"]
-    lines += [f"        return {packed} + self.{body}" if body else f"        return {packed}"]
-    lines += ["", "    @classmethod", "    def unpack(cls, payload: bytes) -> Self | None:"]
-    size = sum(SIZES[kind] for _, kind in fields)
-    if body:
-        lines += [
-            f"        if len(payload) < {size}:",
-            "            return None",
-            f"        body = bytes(payload[{size}:])",
-            "        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]",
-            "        return cls(*fields)",
-        ]
-    else:
-        lines += [f"        return cls(*cls.HEAD.unpack(payload[:{size}].ljust({size}, b'\\0')))"]
     return lines
 
 

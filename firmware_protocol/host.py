@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from firmware_protocol import messages as m
 from firmware_protocol import samples
 from firmware_protocol.messages import FULL_SCALE_CODE, Message, NakCode, State
-from firmware_protocol.packet import SMALLEST, Packet
+from firmware_protocol.packet import SMALLEST, TURN, Packet
 
 MOST_SAMPLES = 255
 """Of a packet, per channel."""
@@ -120,5 +120,5 @@ def pcm(
         for first in range(0, channels, group):
             part = codes[start : start + count, first : first + group]
             data = samples.encode(sample_format, part)
-            at = (position + start) % (1 << 32)
+            at = (position + start) % TURN
             yield m.Pcm(at, session, first, part.shape[1], sample_format, len(part), data)

@@ -26,9 +26,9 @@ from firmware_protocol.messages import (
     Phase,
     State,
 )
-from firmware_protocol.packet import LinkCounters, Packet
+from firmware_protocol.packet import TURN, LinkCounters, Packet
 from firmware_protocol.player import Player
-from firmware_protocol.sources import TURN, Ints, PcmSource, Source, SpectrumSource
+from firmware_protocol.sources import Ints, PcmSource, Source, SpectrumSource
 
 DEFAULT_RATE = 8000
 OUTBOX = 256

@@ -4,10 +4,11 @@ SPEC.md says what they mean. ``pack`` gives a payload, ``unpack`` takes one: a m
 tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than
 the head of a message with a body."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self, cast
 
 MAJOR, MINOR = 1, 0
 SCHEMA_CRC = 0x25A0798E
@@ -159,26 +160,35 @@ TABLE: dict[str, tuple[int, ...]] = {
 
 
 class Message:
-    """Any message.
+    """Any message; its fields are those of its layout, then its body.
 
     Attributes
     ----------
-    TYPE, CAN, HEAD : id, class on CAN, and layout of the fixed part
+    TYPE, CAN, HEAD, BODY : id, class on CAN, layout of the fixed part, whether a body follows
     """
 
     __slots__ = ()
+    __match_args__: ClassVar[tuple[str, ...]]
     TYPE: ClassVar[int]
     CAN: ClassVar[CanClass]
     HEAD: ClassVar[Struct]
+    BODY: ClassVar[bool] = False
 
     def pack(self) -> bytes:
         """Return the payload."""
-        raise NotImplementedError
+        values = [getattr(self, name) for name in self.__match_args__]
+        body: bytes = values.pop() if self.BODY else b""
+        return self.HEAD.pack(*values) + body
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
         """Return the message of a payload."""
-        raise NotImplementedError
+        size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
+        if not cls.BODY:
+            return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\0")))
+        if len(payload) < size:
+            return None
+        return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,13 +204,6 @@ class Hello(Message):
     minor: int = 0
     schema: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.major, self.minor, self.schema)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Time(Message):
@@ -212,13 +215,6 @@ class Time(Message):
 
     host_time: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.host_time)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Sync(Message):
@@ -229,13 +225,6 @@ class Sync(Message):
     HEAD = Struct("<B")
 
     index: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.index)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,13 +240,6 @@ class Start(Message):
     delay_ms: int = 0
     time: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.position, self.delay_ms, self.time)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:15].ljust(15, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Stop(Message):
@@ -269,13 +251,6 @@ class Stop(Message):
 
     session: int = 0
     quick: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.quick)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:3].ljust(3, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,13 +265,6 @@ class Arm(Message):
     mode: int = 0
     sample_rate_hz: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.mode, self.sample_rate_hz)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:7].ljust(7, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Disarm(Message):
@@ -308,13 +276,6 @@ class Disarm(Message):
 
     session: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Estop(Message):
@@ -325,13 +286,6 @@ class Estop(Message):
     HEAD = Struct("<B")
 
     reason: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.reason)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,13 +299,6 @@ class ClearFault(Message):
     session: int = 0
     trips: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.trips)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:6].ljust(6, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat(Message):
@@ -362,13 +309,6 @@ class Heartbeat(Message):
     HEAD = Struct("<H")
 
     session: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -384,13 +324,6 @@ class Limits(Message):
     slew_v_per_s: int = 0
     fade_us: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.voltage_uv, self.slew_v_per_s, self.fade_us)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:14].ljust(14, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Get(Message):
@@ -401,13 +334,6 @@ class Get(Message):
     HEAD = Struct("<H")
 
     parameter: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.parameter)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,13 +348,6 @@ class Set(Message):
     parameter: int = 0
     value: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.parameter, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Identify(Message):
@@ -440,13 +359,6 @@ class Identify(Message):
 
     seconds: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.seconds)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:1].ljust(1, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Poll(Message):
@@ -457,14 +369,6 @@ class Poll(Message):
     HEAD = Struct("<")
 
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack()
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:0].ljust(0, b'\0')))
-
-
 @dataclass(frozen=True, slots=True)
 class Pcm(Message):
     """PCM, from the host."""
@@ -472,6 +376,7 @@ class Pcm(Message):
     TYPE = 0x10
     CAN = CanClass.STREAM
     HEAD = Struct("<IHBBBB")
+    BODY = True
 
     position: int = 0
     session: int = 0
@@ -481,17 +386,6 @@ class Pcm(Message):
     samples: int = 0
     data: bytes = b""
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.position, self.session, self.first_channel, self.channels, self.format, self.samples) + self.data
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        if len(payload) < 10:
-            return None
-        body = bytes(payload[10:])
-        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
-        return cls(*fields)
-
 
 @dataclass(frozen=True, slots=True)
 class Carriers(Message):
@@ -500,21 +394,11 @@ class Carriers(Message):
     TYPE = 0x11
     CAN = CanClass.REQUEST
     HEAD = Struct("<HB")
+    BODY = True
 
     session: int = 0
     count: int = 0
     increments: bytes = b""
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.count) + self.increments
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        if len(payload) < 3:
-            return None
-        body = bytes(payload[3:])
-        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
-        return cls(*fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -524,6 +408,7 @@ class Spectrum(Message):
     TYPE = 0x12
     CAN = CanClass.STREAM
     HEAD = Struct("<IHHBBBB")
+    BODY = True
 
     position: int = 0
     session: int = 0
@@ -533,17 +418,6 @@ class Spectrum(Message):
     format: int = 0
     carriers: int = 0
     envelopes: bytes = b""
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.position, self.session, self.valid, self.first_channel, self.channels, self.format, self.carriers) + self.envelopes
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        if len(payload) < 12:
-            return None
-        body = bytes(payload[12:])
-        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
-        return cls(*fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -556,13 +430,6 @@ class Ack(Message):
 
     type: int = 0
     seq: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.type, self.seq)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:2].ljust(2, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -578,13 +445,6 @@ class Nak(Message):
     code: int = 0
     state: int = 0
     detail: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.type, self.seq, self.code, self.state, self.detail)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -615,13 +475,6 @@ class Caps(Message):
     firmware: int = 0
     name: bytes = b""
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.session, self.major, self.minor, self.schema, self.channels, self.carriers, self.formats, self.features, self.packet_limit, self.fifo_samples, self.tick_hz, self.rate_min_hz, self.rate_max_hz, self.full_scale_uv, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_limit_us, self.firmware, self.name)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:66].ljust(66, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class TimeReply(Message):
@@ -635,13 +488,6 @@ class TimeReply(Message):
     received: int = 0
     sent: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.host_time, self.received, self.sent)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:24].ljust(24, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Value(Message):
@@ -653,13 +499,6 @@ class Value(Message):
 
     parameter: int = 0
     value: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.parameter, self.value)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:6].ljust(6, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -675,13 +514,6 @@ class Pulse(Message):
     phase: int = 0
     underruns: int = 0
     fill_ms: int = 0
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.credit_position, self.state, self.phase, self.underruns, self.fill_ms)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:8].ljust(8, b'\0')))
 
 
 @dataclass(frozen=True, slots=True)
@@ -726,13 +558,6 @@ class Status(Message):
     dropped_replies: int = 0
     trips: int = 0
 
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.state, self.phase, self.fault, self.estop_reason, self.session, self.position, self.time, self.sync_index, self.sync_time, self.voltage_limit_uv, self.slew_limit_v_per_s, self.fade_us, self.packets, self.crc_errors, self.malformed, self.oversized, self.fragments_dropped, self.wrong_version, self.unsupported, self.unknown_type, self.foreign_session, self.refused, self.ignored, self.wrong_channel, self.wrong_format, self.late_samples, self.future_samples, self.lost_samples, self.underruns, self.limited_samples, self.watchdogs, self.dropped_replies, self.trips)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        return cls(*cls.HEAD.unpack(payload[:123].ljust(123, b'\0')))
-
 
 @dataclass(frozen=True, slots=True)
 class Sense(Message):
@@ -741,22 +566,12 @@ class Sense(Message):
     TYPE = 0x47
     CAN = CanClass.BULK
     HEAD = Struct("<IBB")
+    BODY = True
 
     position: int = 0
     first_channel: int = 0
     channels: int = 0
     readings: bytes = b""
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.position, self.first_channel, self.channels) + self.readings
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        if len(payload) < 6:
-            return None
-        body = bytes(payload[6:])
-        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
-        return cls(*fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -766,20 +581,10 @@ class Log(Message):
     TYPE = 0x48
     CAN = CanClass.BULK
     HEAD = Struct("<B")
+    BODY = True
 
     level: int = 0
     text: bytes = b""
-
-    def pack(self) -> bytes:
-        return self.HEAD.pack(self.level) + self.text
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        if len(payload) < 1:
-            return None
-        body = bytes(payload[1:])
-        fields: list[Any] = [*cls.HEAD.unpack_from(payload), body]
-        return cls(*fields)
 
 
 MESSAGES: dict[int, type[Message]] = {

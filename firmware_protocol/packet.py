@@ -13,6 +13,8 @@ HEADER = Struct("<4B")
 CRC = Struct("<I")
 SMALLEST = HEADER.size + CRC.size
 VERSION_FLAGS = MAJOR << 6
+TURN = 1 << 32
+"""At which a u32 wraps: positions and counters."""
 
 
 @dataclass(frozen=True, slots=True)

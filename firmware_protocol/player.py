@@ -8,7 +8,8 @@ ends it and the next begins.
 import numpy as np
 
 from firmware_protocol.messages import Phase
-from firmware_protocol.sources import TURN, Ints, Source, truncated
+from firmware_protocol.packet import TURN
+from firmware_protocol.sources import Ints, Source, truncated
 
 NOT_OVER = np.zeros((1, 1), np.bool_)
 
@@ -31,7 +32,7 @@ class Player:
     ----------
     output : (C,) last codes put out
     phase : `Phase`, STILL unless RUNNING
-    ramping : in RAMPDOWN; `ramped` once it has ended
+    ramping : in RAMPDOWN
     """
 
     def __init__(self, source: Source) -> None:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from firmware_protocol import spectrum
 from firmware_protocol.messages import FADE_MS, VALID_MS
+from firmware_protocol.packet import TURN
 
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-TURN = 1 << 32
 QUEUE = 4
 """Frames that wait per channel."""
 

@@ -17,7 +17,7 @@ from firmware_protocol.config import Config, LimitsInForce
 from firmware_protocol.host import Host, codes_of, pcm, refusal
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, SampleFormat, State
-from firmware_protocol.packet import Packet, encode_packet
+from firmware_protocol.packet import TURN, Packet, encode_packet
 from firmware_protocol.ports import SerialPort
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.bus.base import Address, Bus, DriveBlock, Floats, Rig, Wiring, register_bus
@@ -30,7 +30,6 @@ CHUNK = 64
 """Samples that are sent before they are played."""
 SESSION = 1
 """Nobody else is on this line."""
-TURN = 1 << 32
 SKIPPED = 1 << 20
 """Positions between what was sent before a START and what comes after it (SPEC.md, 8.1)."""
 STEEPEST = 10**8

@@ -2,6 +2,6 @@
 
 from tactile import sim
 from tactile.bus import mock_bus
-from tactile.bus.base import open_bus
+from tactile.bus.base import find_devices, open_bus
 
-__all__ = ["mock_bus", "open_bus", "sim"]
+__all__ = ["find_devices", "mock_bus", "open_bus", "sim"]

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
-from tactile.bus.base import Address, Bus, Floats, Rig, Wiring, register_bus
+from tactile.bus.base import RATE, Address, Bus, Floats, Rig, Wiring, register_bus
 from tactile.bus.mock_bus import MockBus, options
 from tactile.display import Display
 from tactile.errors import InputError
@@ -162,10 +162,11 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     return plant  # type: ignore[no-any-return]
 
 
-def _open(address: Address, rig: Rig, sample_rate: float) -> Bus:
+def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
     address.only("keep", "plant", "format")
     if not isinstance(rig, Display):
         raise InputError("sim: needs a Display, not only its wiring")
+    sample_rate = sample_rate or RATE
     name = address.options.get("plant")
     plant = None if name is None else _foreign(name, rig, sample_rate)
     keep, sample_format = options(address)

@@ -7,7 +7,7 @@ out (or decoded from what it sent), at least the last second of them.
 import math
 import sys
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -305,6 +305,40 @@ class TestEveryBus:
             bus.abort()
             assert_slews(assert_rests(bus, len(line)), start, SLOW / rate)
 
+    def test_estop_goes_to_0_volts_at_the_slew_limit_and_only_clear_ends_it(
+        self, url: str, slow: Display
+    ) -> None:
+        start = np.array([80.0, -60, 10])
+        with open_bus(url, slow, sample_rate=RATE) as bus:
+            line = climb(start, SLOW / RATE)
+            bus.start()
+            bus.write(DriveBlock(0, line))
+            bus.estop()
+            assert_slews(assert_rests(bus, len(line)), start, SLOW / RATE)
+            assert bus.state == bus.status.state == "estopped"
+            for end in (bus.stop, bus.abort, bus.estop):
+                end()
+                assert bus.state == "estopped"
+            with pytest.raises(BusStateError, match="write: the bus is estopped"):
+                bus.write(DriveBlock(0, line))
+            with pytest.raises(BusStateError, match=r"start: the bus is estopped.*; clear it"):
+                bus.start()
+            bus.clear()
+            bus.clear()
+            bus.start()
+            bus.write(DriveBlock(0, level(1, 2, 3)))
+            np.testing.assert_allclose(put_out(bus)[-10:], level(1, 2, 3), rtol=0, atol=WIRE)
+
+    def test_estop_holds_where_nothing_played(self, bus: Bus) -> None:
+        bus.estop()
+        with pytest.raises(BusStateError, match="start: the bus is estopped"):
+            bus.start()
+        bus.clear()
+        bus.start()
+        bus.close()
+        bus.estop()
+        assert bus.state == "closed"
+
     @pytest.mark.parametrize("fade", [1e-5, 62.5e-6, 125e-6, 1e-3])
     def test_stop_ends_at_0_volts_however_short_the_fade(
         self, url: str, display: Display, fade: float
@@ -600,6 +634,12 @@ class TestEveryBus:
 class TestEveryScheme:
     """What holds for any kind of device URL."""
 
+    def test_the_driver_says_of_host_death_what_its_buses_say(
+        self, scheme: str, display: Display
+    ) -> None:
+        with open_bus(f"{scheme}:", display) as bus:
+            assert base._drivers[scheme].on_host_death == bus.on_host_death
+
     def test_an_unknown_option_is_one_line_with_the_nearest(
         self, scheme: str, display: Display
     ) -> None:
@@ -668,12 +708,12 @@ class TestRegisteredBus:
 
     @pytest.fixture(autouse=True)
     def _own_factories(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(base, "_factories", dict(base._factories))
+        monkeypatch.setattr(base, "_drivers", dict(base._drivers))
 
     def test_an_operating_system_error_becomes_a_bus_error_that_names_the_device(
         self, display: Display
     ) -> None:
-        def absent(address: Address, rig: Rig, sample_rate: float) -> Bus:
+        def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             raise FileNotFoundError(2, "No such file or directory", address.path)
 
         base.register_bus("absent", absent)
@@ -684,7 +724,7 @@ class TestRegisteredBus:
     def test_a_bus_error_passes_as_it_is(self, display: Display) -> None:
         error = BusError("the amplifier does not answer")
 
-        def silent(address: Address, rig: Rig, sample_rate: float) -> Bus:
+        def silent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             raise error
 
         base.register_bus("silent", silent)
@@ -692,10 +732,36 @@ class TestRegisteredBus:
             open_bus("silent:", display)
         assert found.value is error
 
-    def test_a_factory_is_given_path_options_display_and_rate(self, display: Display) -> None:
-        given: list[tuple[Address, Rig, float]] = []
+    @pytest.mark.parametrize("death", ["holds", "unknown"])
+    def test_what_does_not_go_to_0_volts_by_itself_is_refused_unless_accepted(
+        self, display: Display, death: HostDeath
+    ) -> None:
+        def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+            opened.append(address.scheme)
+            return open_bus("mock:", rig)
 
-        def factory(address: Address, rig: Rig, sample_rate: float) -> Bus:
+        opened: list[str] = []
+        base.register_bus("own", factory, on_host_death=death)
+        with pytest.raises(InputError, match=r"when the host dies.*--accept-unsafe-hold") as found:
+            open_bus("own:", display)
+        assert "\n" not in str(found.value)
+        assert opened == []
+        open_bus("own:", display, accept_unsafe_hold=True).close()
+        assert opened == ["own"]
+
+    def test_found_devices_are_those_of_every_kind(self) -> None:
+        def finder(scheme: str) -> Callable[[], list[base.Found]]:
+            return lambda: [base.Found(f"{scheme}:{k}", "a device") for k in range(2)]
+
+        for scheme in ("one", "two"):
+            base.register_bus(scheme, base._drivers["mock"].factory, find=finder(scheme))
+        urls = [found.url for found in base.find_devices()]
+        assert [u for u in urls if u[:3] in ("one", "two")] == ["one:0", "one:1", "two:0", "two:1"]
+
+    def test_a_factory_is_given_path_options_display_and_rate(self, display: Display) -> None:
+        given: list[tuple[Address, Rig, float | None]] = []
+
+        def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             given.append((address, rig, sample_rate))
             return open_bus("mock:", rig, sample_rate=sample_rate)
 

@@ -687,10 +687,10 @@ def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
 def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def absent(address: Address, rig: Rig, sample_rate: float) -> Bus:
+    def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
         raise BusError("absent: the amplifier does not answer")
 
-    monkeypatch.setattr(base, "_factories", base._factories | {"absent": absent})
+    monkeypatch.setitem(base._drivers, "absent", base.Driver(absent, "ramps", tuple))
     before = content(folder)
     result = command("play", "wood-oak", *SHORT, "--device", "absent:", "--record", "new.npz")
     assert result.err == "tactile: absent: the amplifier does not answer\n"

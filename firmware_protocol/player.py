@@ -37,7 +37,7 @@ class Player:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.position = 0
+        self.position = self._first = 0
         self.output = np.zeros(source.channels, np.int64)
         self.limit, self.step, self.fade = 0, 0, 1
         self.phase = Phase.STILL
@@ -49,7 +49,7 @@ class Player:
 
     def start(self, source: Source, position: int) -> None:
         """Play from a position on."""
-        self.source, self.position = source, position
+        self.source, self.position, self._first = source, position, position
         source.newest = position
         self.phase, self._gain = Phase.WAITING, 0
 
@@ -100,7 +100,7 @@ class Player:
         if self.phase == Phase.WAITING:
             out = self._waiting(n, count)
         elif self.phase == Phase.PLAYING:
-            out = self._playing(n, count, 1)
+            out = self._playing(n, count)
         elif self.phase == Phase.STARVED:
             out = self._starved(n, count)
         elif self.ramping:
@@ -116,11 +116,12 @@ class Player:
         silence = self.source.ready(n, count)
         if silence:
             return np.zeros((silence, self.source.channels), np.int64)
-        self.phase, self._gain = Phase.PLAYING, self.fade
-        return self._playing(n, count, 0)
+        self.phase = Phase.PLAYING
+        if n == self._first:
+            self._gain = self.fade
+        return self._playing(n, count)
 
-    def _playing(self, n: int, count: int, rise: int) -> Ints:
-        """Play; ``rise`` is by how much the gain grows at the first instant."""
+    def _playing(self, n: int, count: int) -> Ints:
         if not self.source.begin(n):
             self.phase = Phase.STARVED
             self.underruns += 1
@@ -129,7 +130,7 @@ class Player:
         out, bridged = self.source.run(n, count)
         if bridged:
             self.lost_samples += len(out)
-        gains = np.minimum(self.fade, self._gain + rise + np.arange(len(out)))
+        gains = np.minimum(self.fade, self._gain + 1 + np.arange(len(out)))
         return self._scaled(out, gains)
 
     def _starved(self, n: int, count: int) -> Ints:
@@ -141,7 +142,7 @@ class Player:
             return np.zeros((silence, self.source.channels), np.int64)
         self.phase = Phase.PLAYING
         self.source.resume(n)
-        return self._playing(n, count, 1)
+        return self._playing(n, count)
 
     def _falling(self, n: int, count: int) -> Ints:
         """Hold while the gain falls to nothing."""

@@ -115,6 +115,7 @@ class Judge:
     alive : the same of the owner, which a new session forgets
     trips : ESTOPs and faults of the hardware so far
     instants : how many were judged
+    gain : of `fade` instants, the most that may have been reached since START
     """
 
     def __init__(self, config: Config) -> None:
@@ -130,6 +131,9 @@ class Judge:
         self.alive: int | None = None
         self.high_voltage, self.quick = False, False
         self.fed = [False] * c.channels
+        self.kept: dict[int, int] = {}
+        self.newest = [0] * c.channels
+        self.joined, self.gain = False, 0
         self.fault_now = self.ramped = self.bound = self.trips = 0
         self.answer: tuple[int, int] | None = None
         self.seq: int | None = None
@@ -232,6 +236,8 @@ class Judge:
         self.start_tick = time or tick + delay_ms * hz // 1000
         self.start_position = self.position = position
         self.fed, self.credit = [False] * self.config.channels, None
+        self.kept, self.newest = {}, [position] * self.config.channels
+        self.joined, self.gain = False, 0
 
     def _stop(self, tick: int, fields: tuple[int, ...], body: int) -> None:
         self._follow("STOP")
@@ -280,21 +286,29 @@ class Judge:
         size = (2 * count, (3 * count + 1) // 2, channels * (samples - samples // -32))[kind]
         ahead = distance(position, self.position)
         kept = ahead < self.config.fifo and ahead + samples > 0
-        if body == size and kept:
-            self._feed(kind, first, channels)
+        if body == size and kept and self._feed(kind, first, channels):
+            bits = (1 << channels) - 1 << first
+            for at in range(max(ahead, 0), min(ahead + samples, self.config.fifo)):
+                self.kept[self.position + at] = self.kept.get(self.position + at, 0) | bits
 
     def _spectrum(self, tick: int, fields: tuple[int, ...], body: int) -> None:
         position, _, _, first, channels, kind, carriers = fields
-        kept = 0 < distance(position, self.position) < self.config.fifo
+        ahead = distance(position, self.position)
         right = self.mode == 1 and kind == 3 and carriers == self.carriers
-        if right and body == 2 * channels * carriers and kept:
-            self._feed(kind, first, channels)
+        kept = 0 < ahead < self.config.fifo
+        if right and body == 2 * channels * carriers and kept and self._feed(kind, first, channels):
+            for channel in range(first, first + channels):
+                self.newest[channel] = max(self.newest[channel], self.position + ahead)
 
-    def _feed(self, kind: int, first: int, channels: int) -> None:
-        """Let channels be active (8.2): something for them may have been kept."""
+    def _feed(self, kind: int, first: int, channels: int) -> bool:
+        """Let channels be active (8.2), and return whether: something may have been kept."""
         c = self.config
-        if self.state == "RUNNING" and c.formats >> kind & 1 and first + channels <= c.channels:
-            self.fed[first : first + channels] = [True] * channels
+        if not (self.state == "RUNNING" and c.formats >> kind & 1):
+            return False
+        if first + channels > c.channels:
+            return False
+        self.fed[first : first + channels] = [True] * channels
+        return True
 
     def _carriers(self, tick: int, fields: tuple[int, ...], body: int) -> None:
         _, count = fields
@@ -330,6 +344,7 @@ class Judge:
         if self.watched and silent and self.state in POWERED:
             self.watched = False
             self._follow("watchdog")
+        self._move_gain(waiting)
         self._judge_codes(codes, waiting)
         self._judge_state(STATES[state], codes)
         self.codes = codes
@@ -338,6 +353,25 @@ class Judge:
         assert high_voltage == self.high_voltage
         self._judge_deadline(tick)
         self.instants += 1
+
+    def _move_gain(self, waiting: bool) -> None:
+        """Foresee the most that the gain may be (8.3): who joins late fades in."""
+        if self.state != "RUNNING" or waiting:
+            return
+        n = self.position - 1
+        late = n != self.start_position
+        if not self.joined and self._may_join(n):
+            self.joined, self.gain = True, 0 if late else self.limits.fade(self.rate)
+        self.gain = min(self.gain + self.joined, self.limits.fade(self.rate))
+        self.kept.pop(n, None)
+
+    def _may_join(self, n: int) -> bool:
+        """Whether WAITING may end at a position; that a queue was full is not foreseen."""
+        if self.mode:
+            ready = [newest > n for newest in self.newest]
+        else:
+            ready = [bool(self.kept.get(n, 0) >> c & 1) for c in range(self.config.channels)]
+        return any(self.fed) and all(r or not f for r, f in zip(ready, self.fed, strict=True))
 
     def _judge_codes(self, codes: list[int], waiting: bool) -> None:
         limit = self.limits.code(self.config.full_scale_uv)
@@ -348,6 +382,8 @@ class Judge:
             if self.state in LATCHED:
                 assert code == max(abs(last) - step, 0) * (1 if last > 0 else -1)
             assert fed or not code
+            if self.state == "RUNNING":
+                assert abs(code) <= limit * self.gain // self.limits.fade(self.rate)
         if self.state not in (*LATCHED, "RUNNING", "RAMPDOWN") or waiting:
             assert not any(codes)
         if self.state == "RAMPDOWN":

@@ -416,10 +416,11 @@ class TestEveryBus:
         assert bus.counters.faults() == {"lost_samples": 15}
         assert bus.counters.samples == 20
 
-    def test_a_gap_at_the_beginning_is_silent(self, bus: Bus) -> None:
+    def test_a_gap_at_the_beginning_is_silent_and_what_follows_fades_in(self, bus: Bus) -> None:
         bus.start(100)
-        bus.write(DriveBlock(104, level(10, 20, -30)))
-        expected = np.concatenate([level(0, 0, 0, count=4), level(10, 20, -30)])
+        bus.write(DriveBlock(104, level(10, 20, -30, count=FADE + 10)))
+        rise = np.minimum(np.arange(1, FADE + 11) / FADE, 1)[:, None] * [10.0, 20, -30]
+        expected = np.concatenate([level(0, 0, 0, count=4), rise])
         np.testing.assert_allclose(put_out(bus), expected, rtol=0, atol=WIRE)
         assert bus.counters.faults() == {"lost_samples": 4}
 

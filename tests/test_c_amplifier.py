@@ -12,6 +12,7 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -996,6 +997,56 @@ def test_pty(terminal: tuple[int, "subprocess.Popen[bytes]"], tmp_path: Path) ->
     rows = list(struct.iter_unpack("<QIBB2h", (tmp_path / "out").read_bytes()))
     assert [b[0] > a[0] for a, b in pairwise(rows)] == [True] * (len(rows) - 1)
     assert rows[-1][3:] == (0, 0, 0)  # high voltage off, 0 V
+
+
+def test_out_has_whole_records_while_it_runs(
+    terminal: tuple[int, "subprocess.Popen[bytes]"], tmp_path: Path
+) -> None:
+    _, process = terminal
+    out, size, seen = tmp_path / "out", struct.calcsize("<QIBB2h"), [0]
+    while len(seen) < 5:
+        assert process.poll() is None
+        if out.stat().st_size > seen[-1]:
+            seen.append(out.stat().st_size)
+        select.select([], [], [], 0.005)
+    assert [n % size for n in seen] == [0] * 5
+    ticks = [row[0] for row in struct.iter_unpack("<QIBB2h", out.read_bytes()[: seen[-1]])]
+    assert ticks == [PERIOD * k for k in range(1, len(ticks) + 1)]
+
+
+def refused(build: Path, *options: str) -> str:
+    """Return what virtual-amplifier says to options that it does not take."""
+    done = subprocess.run(
+        [build / "virtual-amplifier", *options], capture_output=True, text=True, check=False,
+        timeout=20,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    return done.stderr
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--pty", "--replay"], ["--socketcan", "none0", "--can", "x"]]
+)
+def test_it_serves_one_link(build: Path, options: list[str]) -> None:
+    first, *_ = refused(build, *options).splitlines()
+    assert first == "virtual-amplifier: one of --pty, --can, --socketcan and --replay"
+
+
+def test_socketcan_without_its_interface(build: Path) -> None:
+    why = "No such device" if sys.platform == "linux" else "only on Linux"
+    said = refused(build, "--socketcan", "none0")
+    assert said == f"virtual-amplifier: --socketcan none0: {why}\n"
+    assert refused(build, "--socketcan").startswith("virtual-amplifier: --socketcan: unknown, or ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no SocketCAN")
+def test_socketcan_on_what_is_no_can_interface(build: Path) -> None:
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+        why = "No such device"
+    except OSError:
+        why = "no CAN in this kernel"
+    assert refused(build, "--socketcan", "lo") == f"virtual-amplifier: --socketcan lo: {why}\n"
 
 
 def test_can_socket(build: Path, tmp_path: Path) -> None:

@@ -313,6 +313,20 @@ def test_what_bounds_the_fall_is_reached(fade_us: int, step: int, fade: int, ins
     assert (fall[-2] > 0, fall[-1]) == (True, 0)
 
 
+@pytest.mark.parametrize(("delay_ms", "fade"), [(0, 50), (1, 1)])
+def test_who_is_late_for_its_start_fades_in(delay_ms: int, fade: int) -> None:
+    """Samples sent right after START are in time for a delay, else late by an instant."""
+    rig = Rig(CONFIGS["as shipped"])
+    for name, fields in (("HELLO", (1, 0, 0)), ("ARM", (0, 2500)), ("START", (0, delay_ms, 0))):
+        rig.packet(packet(name, OWNER, *fields))
+    stream(rig, 40, beating=OWNER)
+    rows = np.concatenate(rig.rows)
+    first = int(rows["codes"][:, 0].nonzero()[0][0])
+    assert rows["position"][first] == (1 if fade > 1 else 0)
+    rise = [32767 * min(k, fade) // fade for k in range(1, 61)]
+    assert rows["codes"][first : first + 60, 0].tolist() == rise
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
     """And are the least: "low slew" could not be armed at all rates with 1 V/s less."""

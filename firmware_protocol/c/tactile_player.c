@@ -187,7 +187,8 @@ static bool all_go_on(ta_player *p)
     return all;
 }
 
-/* RUNNING: the phase of this instant, and with it the gain where it begins at full. */
+/* RUNNING: the phase of this instant, and with it the gain where it begins at full: at the position of
+ * START, which none has followed yet. */
 static void settle(ta_player *p, bool come)
 {
     switch (p->phase) {
@@ -195,7 +196,7 @@ static void settle(ta_player *p, bool come)
         stop_envelopes(p);
         if (come && all_ready(p)) {
             p->phase = TP_PHASE_PLAYING;
-            p->gain = p->gain_full;
+            p->gain = p->moved ? 0 : p->gain_full;
         }
         break;
     case TP_PHASE_PLAYING:

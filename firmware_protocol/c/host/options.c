@@ -5,9 +5,10 @@
 #include "virtual_amplifier.h"
 
 static const char usage[] =
-    "usage: virtual-amplifier --pty | --can PATH | --replay [options]\n"
+    "usage: virtual-amplifier --pty | --can PATH | --socketcan IFACE | --replay [options]\n"
     "  --pty              serve the serial link on a pseudo-terminal; its path is the first line\n"
     "  --can PATH         serve CAN frames, 72 bytes each, on a Unix datagram socket\n"
+    "  --socketcan IFACE  serve CAN frames on an interface of Linux, such as vcan0\n"
     "  --replay           run records from standard input on a virtual clock\n"
     "  --channels N       --carriers N        --formats MASK   --node N\n"
     "  --full-scale-uv N  --voltage-limit-uv N                 --slew-v-per-s N  --fade-us N\n"
@@ -140,15 +141,16 @@ static bool take_value(virtual_options *o, const char *name, const char *value)
     if (strcmp(name, "--link") == 0) {
         return take_link(o, value);
     }
-    const char **path = strcmp(name, "--out") == 0    ? &o->out
-                        : strcmp(name, "--sent") == 0 ? &o->sent
-                        : strcmp(name, "--can") == 0  ? &o->can_path
-                                                      : NULL;
-    if (path == NULL) {
+    const char **text = strcmp(name, "--out") == 0         ? &o->out
+                        : strcmp(name, "--sent") == 0      ? &o->sent
+                        : strcmp(name, "--can") == 0       ? &o->can_path
+                        : strcmp(name, "--socketcan") == 0 ? &o->can_interface
+                                                           : NULL;
+    if (text == NULL) {
         fprintf(stderr, "virtual-amplifier: unknown option %s\n%s", name, usage);
         return false;
     }
-    *path = value;
+    *text = value;
     return true;
 }
 
@@ -173,8 +175,11 @@ bool virtual_parse(virtual_options *o, int argc, char **argv)
         }
         i++;
     }
-    if ((o->pty ? 1 : 0) + (o->replay ? 1 : 0) + (o->can_path != NULL ? 1 : 0) != 1) {
-        fprintf(stderr, "virtual-amplifier: one of --pty, --can and --replay\n%s", usage);
+    if ((o->pty ? 1 : 0) + (o->replay ? 1 : 0) + (o->can_path != NULL ? 1 : 0) +
+            (o->can_interface != NULL ? 1 : 0) !=
+        1) {
+        fprintf(stderr, "virtual-amplifier: one of --pty, --can, --socketcan and --replay\n%s",
+                usage);
         return false;
     }
     return true;

@@ -18,17 +18,10 @@ static void choose_link(virtual_amplifier *v, uint8_t kind)
 
 static void feed_frame(virtual_amplifier *v, const uint8_t *bytes, size_t size)
 {
-    ta_can_frame frame = {0};
     uint32_t id = (uint32_t)tp_get_le(bytes, size, 0, 4);
-    if (size < 4u || size > 4u + sizeof frame.data) {
-        return;
+    if (size >= 4u) {
+        (void)virtual_feed_frame(v, id, size > 4u + 8u, bytes + 4, size - 4u);
     }
-    frame.id = id & 0x1FFFFFFFu;
-    frame.extended = (id & 0x80000000u) != 0;
-    frame.size = (uint8_t)(size - 4u);
-    frame.fd = frame.size > 8u;
-    memcpy(frame.data, bytes + 4, frame.size);
-    ta_can_feed(&v->can, &frame, v->tick);
 }
 
 static void feed_read(virtual_amplifier *v, const uint8_t *bytes, size_t size)

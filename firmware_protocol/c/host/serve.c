@@ -1,4 +1,5 @@
-/* virtual-amplifier in real time: CLOCK_MONOTONIC, poll(), and a wire of bytes or datagrams. */
+/* virtual-amplifier in real time: CLOCK_MONOTONIC, poll(), and a wire of bytes or datagrams. What is
+ * Linux only is in socketcan.c. */
 #define _XOPEN_SOURCE 700
 
 #include <errno.h>
@@ -18,8 +19,6 @@
 #define POLL_MS 1
 #define FRAME_BYTES 72 /* struct canfd_frame: u32 id, u8 length, u8 flags, 2 reserved, 64 data */
 #define FRAME_FD 0x04  /* of flags */
-#define ID_EXTENDED 0x80000000u
-#define ID_REMOTE 0x40000000u
 
 static volatile sig_atomic_t stopped;
 
@@ -67,28 +66,6 @@ static void power_down(virtual_amplifier *v)
     } while (!ta_player_silent(&v->amp.player));
 }
 
-/* Runs the amplifier until a signal comes; `receive` takes what waits on the file descriptor. */
-static void serve(virtual_amplifier *v, int fd, void (*receive)(virtual_amplifier *v, int fd))
-{
-    struct pollfd wait = {0};
-    wait.fd = fd;
-    wait.events = POLLIN;
-    while (!stopped) {
-        int ready = poll(&wait, 1, POLL_MS);
-        virtual_run(v, ticks(v));
-        if (ready > 0) {
-            receive(v, fd);
-        }
-    }
-    power_down(v);
-}
-
-static bool failed(const char *what)
-{
-    perror(what);
-    return false;
-}
-
 static void begin(virtual_amplifier *v, uint8_t link, int *fd)
 {
     clock_gettime(CLOCK_MONOTONIC, &power_up);
@@ -98,12 +75,42 @@ static void begin(virtual_amplifier *v, uint8_t link, int *fd)
     catch_signals();
 }
 
+static void serve(virtual_amplifier *v, void (*receive)(virtual_amplifier *v))
+{
+    struct pollfd wait = {0};
+    const int *fd = v->wire;
+    wait.events = POLLIN;
+    while (!stopped) {
+        wait.fd = *fd;
+        int ready = poll(&wait, 1, POLL_MS);
+        virtual_run(v, ticks(v));
+        if (ready > 0 || *fd < 0) {
+            receive(v);
+        }
+    }
+    power_down(v);
+}
+
+void virtual_serve(virtual_amplifier *v, uint8_t link, int *fd,
+                   void (*receive)(virtual_amplifier *v))
+{
+    begin(v, link, fd);
+    serve(v, receive);
+}
+
+static bool failed(const char *what)
+{
+    perror(what);
+    return false;
+}
+
 /* Pseudo-terminal */
 
-static void receive_bytes(virtual_amplifier *v, int fd)
+static void receive_bytes(virtual_amplifier *v)
 {
     uint8_t bytes[4096];
-    ssize_t got = read(fd, bytes, sizeof bytes);
+    const int *fd = v->wire;
+    ssize_t got = read(*fd, bytes, sizeof bytes);
     if (got > 0) {
         ta_serial_feed(&v->serial, bytes, (size_t)got, v->tick);
     }
@@ -155,7 +162,7 @@ bool virtual_serve_pty(virtual_amplifier *v)
     begin(v, KIND_SERIAL, &fd);
     printf("%s\n", path);
     fflush(stdout);
-    serve(v, fd, receive_bytes);
+    serve(v, receive_bytes);
     close(slave);
     close(fd);
     return true;
@@ -166,30 +173,24 @@ bool virtual_serve_pty(virtual_amplifier *v)
 static struct sockaddr_un host; /* the last sender */
 static socklen_t host_size;
 
-static void receive_frames(virtual_amplifier *v, int fd)
+static void receive_frames(virtual_amplifier *v)
 {
     uint8_t bytes[FRAME_BYTES];
+    const int *fd = v->wire;
     struct sockaddr_un from;
     for (;;) {
         socklen_t size = sizeof from;
-        ssize_t got = recvfrom(fd, bytes, sizeof bytes, MSG_DONTWAIT, (struct sockaddr *)&from,
+        ssize_t got = recvfrom(*fd, bytes, sizeof bytes, MSG_DONTWAIT, (struct sockaddr *)&from,
                                &size);
         if (got < 0) {
             return;
         }
-        ta_can_frame frame = {0};
         uint32_t id = (uint32_t)tp_get_le(bytes, sizeof bytes, 0, 4);
-        if (got != FRAME_BYTES || bytes[4] > sizeof frame.data || (id & ID_REMOTE) != 0) {
-            continue;
+        bool fd_frame = (bytes[5] & FRAME_FD) != 0;
+        if (got == FRAME_BYTES && virtual_feed_frame(v, id, fd_frame, bytes + 8, bytes[4])) {
+            host = from;
+            host_size = size;
         }
-        host = from;
-        host_size = size;
-        frame.id = id & 0x1FFFFFFFu;
-        frame.extended = (id & ID_EXTENDED) != 0;
-        frame.fd = (bytes[5] & FRAME_FD) != 0;
-        frame.size = bytes[4];
-        memcpy(frame.data, bytes + 8, sizeof frame.data);
-        ta_can_feed(&v->can, &frame, v->tick);
     }
 }
 
@@ -197,7 +198,7 @@ static bool write_frame(void *context, const ta_can_frame *frame)
 {
     const int *fd = context;
     uint8_t bytes[FRAME_BYTES] = {0};
-    tp_put_le(bytes, frame->id | (frame->extended ? ID_EXTENDED : 0u), 4);
+    tp_put_le(bytes, frame->id | (frame->extended ? VIRTUAL_ID_EXTENDED : 0u), 4);
     bytes[4] = frame->size;
     bytes[5] = frame->fd ? FRAME_FD : 0;
     memcpy(bytes + 8, frame->data, frame->size);
@@ -219,8 +220,7 @@ bool virtual_serve_can(virtual_amplifier *v, const char *path)
         return failed(path);
     }
     v->write_frame = write_frame;
-    begin(v, KIND_CAN, &fd);
-    serve(v, fd, receive_frames);
+    virtual_serve(v, KIND_CAN, &fd, receive_frames);
     unlink(path);
     close(fd);
     return true;

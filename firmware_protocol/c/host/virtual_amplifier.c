@@ -1,12 +1,14 @@
 /* The program `virtual-amplifier`: the firmware's core on a computer, behind a pseudo-terminal, behind
  * a socket that carries CAN frames, or fed from a file on a virtual clock. README.md shows how.
  *
- * This file holds the HAL, the files that are written, and main; options.c, replay.c and serve.c
- * the rest.
+ * This file holds the HAL, the files that are written, and main; options.c, replay.c, serve.c and
+ * socketcan.c the rest.
  */
 #include "virtual_amplifier.h"
 
 #include <stdlib.h>
+
+#define FLUSHES_PER_S 50u
 
 /* The HAL */
 
@@ -21,7 +23,7 @@ static bool put_frame(void *context, const ta_can_frame *frame)
 {
     virtual_amplifier *v = context;
     uint8_t bytes[4 + 64];
-    tp_put_le(bytes, frame->id | (frame->extended ? 0x80000000u : 0u), 4);
+    tp_put_le(bytes, frame->id | (frame->extended ? VIRTUAL_ID_EXTENDED : 0u), 4);
     memcpy(bytes + 4, frame->data, frame->size);
     virtual_record(v, KIND_CAN, bytes, 4u + frame->size);
     return v->write_frame == NULL || v->write_frame(v->wire, frame);
@@ -53,6 +55,25 @@ static void hal_put_out(void *context, uint64_t tick, uint32_t position, const i
     }
 }
 
+static void flush_out(virtual_amplifier *v)
+{
+    fflush(v->out);
+    v->unflushed = 0;
+    v->flushed = v->tick;
+}
+
+/* Whole records are flushed, and none waits for long: somebody may read while it runs. */
+static void write_row(virtual_amplifier *v, size_t size)
+{
+    if (v->unflushed + size > VIRTUAL_OUT_BYTES) {
+        flush_out(v);
+    }
+    v->unflushed += fwrite(v->row, 1, size, v->out);
+    if (v->tick - v->flushed >= v->amp.config.tick_hz / FLUSHES_PER_S) {
+        flush_out(v);
+    }
+}
+
 static void hal_after(void *context, uint64_t tick, uint8_t state, bool high_voltage)
 {
     virtual_amplifier *v = context;
@@ -60,7 +81,7 @@ static void hal_after(void *context, uint64_t tick, uint8_t state, bool high_vol
     v->row[12] = state;
     v->row[13] = high_voltage ? 1 : 0;
     if (v->out != NULL) {
-        fwrite(v->row, 1, 14u + 2u * v->amp.config.channels, v->out);
+        write_row(v, 14u + 2u * v->amp.config.channels);
     }
 }
 
@@ -140,7 +161,8 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     ta_smbus_init(&v->smbus, &v->amp, &v->replies);
     v->fixed_link = options->link >= 0;
     v->link = v->fixed_link ? (uint8_t)options->link : (uint8_t)KIND_PACKET;
-    return open_file(&v->out, options->out) && open_file(&v->sent, options->sent);
+    return open_file(&v->out, options->out) && open_file(&v->sent, options->sent) &&
+           (v->out == NULL || setvbuf(v->out, v->waiting, _IOFBF, sizeof v->waiting) == 0);
 }
 
 bool virtual_close(virtual_amplifier *v)
@@ -162,6 +184,22 @@ void virtual_run(virtual_amplifier *v, uint64_t tick)
     ta_reassembly_expire(&v->smbus.reassembly, tick);
 }
 
+bool virtual_feed_frame(virtual_amplifier *v, uint32_t id, bool fd, const uint8_t *data,
+                        size_t size)
+{
+    ta_can_frame frame = {0};
+    if (size > sizeof frame.data || (id & VIRTUAL_ID_REMOTE) != 0) {
+        return false;
+    }
+    frame.id = id & 0x1FFFFFFFu;
+    frame.extended = (id & VIRTUAL_ID_EXTENDED) != 0;
+    frame.fd = fd;
+    frame.size = (uint8_t)size;
+    memcpy(frame.data, data, size);
+    ta_can_feed(&v->can, &frame, v->tick);
+    return true;
+}
+
 int main(int argc, char **argv)
 {
     static virtual_amplifier v;
@@ -174,6 +212,8 @@ int main(int argc, char **argv)
         good = virtual_replay(&v, stdin);
     } else if (options.pty) {
         good = virtual_serve_pty(&v);
+    } else if (options.can_interface != NULL) {
+        good = virtual_serve_socketcan(&v, options.can_interface);
     } else {
         good = virtual_serve_can(&v, options.can_path);
     }

@@ -6,6 +6,10 @@
 
 #include "../tactile_link.h"
 
+#define VIRTUAL_OUT_BYTES 65536u /* of records that wait to be written, at most */
+#define VIRTUAL_ID_EXTENDED 0x80000000u /* of identifiers, as SocketCAN has them */
+#define VIRTUAL_ID_REMOTE 0x40000000u
+
 /* Of records, of what was fed and what was sent. */
 enum {
     KIND_SERIAL = 0,
@@ -24,6 +28,7 @@ typedef struct {
     const char *out;
     const char *sent;
     const char *can_path;
+    const char *can_interface;
     int link; /* kind of record for answers, -1: as the last that was fed */
     bool fd;
     bool extended;
@@ -44,6 +49,9 @@ typedef struct {
     bool fixed_link;
     FILE *out;
     FILE *sent;
+    size_t unflushed; /* bytes that wait for `out`, and the tick of the last that did not */
+    uint64_t flushed;
+    char waiting[VIRTUAL_OUT_BYTES];
     uint8_t row[16 + 2 * TA_CHANNELS]; /* the record of the instant under way */
     /* Where real links write to; NULL: into `sent` only. */
     bool (*write_bytes)(void *context, const uint8_t *bytes, size_t size);
@@ -58,6 +66,10 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options);
 bool virtual_close(virtual_amplifier *v);
 void virtual_run(virtual_amplifier *v, uint64_t tick);
 
+/* Hands a CAN frame to the amplifier; false where it is remote or longer than frames can be. */
+bool virtual_feed_frame(virtual_amplifier *v, uint32_t id, bool fd, const uint8_t *data,
+                        size_t size);
+
 /* Writes to the file of what is sent, if there is one. */
 void virtual_record(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_t size);
 
@@ -67,5 +79,11 @@ bool virtual_replay(virtual_amplifier *v, FILE *records);
 /* Serve until a signal comes; false where the link cannot be opened. */
 bool virtual_serve_pty(virtual_amplifier *v);
 bool virtual_serve_can(virtual_amplifier *v, const char *path);
+bool virtual_serve_socketcan(virtual_amplifier *v, const char *interface);
+
+/* What they share: runs the amplifier in real time until a signal comes. `receive` takes what waits on
+ * the file descriptor; while that is -1 it is called each round, and may open it. */
+void virtual_serve(virtual_amplifier *v, uint8_t link, int *fd,
+                   void (*receive)(virtual_amplifier *v));
 
 #endif

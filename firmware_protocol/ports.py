@@ -68,8 +68,7 @@ class CanPort:
         )
 
     def feed(self, identifier: int, data: bytes, now: int) -> None:
-        """Let a frame arrive at a tick."""
-        self.amplifier.run(now)
+        """Let a frame arrive at a tick; the amplifier runs up to it when it ends a packet."""
         self._decoder.node = self.amplifier.node
         for packet in self._decoder.feed(identifier, data, now):
             self.amplifier.receive(packet, now)

@@ -1,7 +1,7 @@
 """The devices that a URL can name, all kinds registered: `open_bus`."""
 
 from tactile import sim
-from tactile.bus import mock_bus
-from tactile.bus.base import find_devices, open_bus
+from tactile.bus import can_bus, i2c_bus, mock_bus, serial_bus
+from tactile.bus.registry import find_devices, open_bus
 
-__all__ = ["find_devices", "mock_bus", "open_bus", "sim"]
+__all__ = ["can_bus", "find_devices", "i2c_bus", "mock_bus", "open_bus", "serial_bus", "sim"]

@@ -14,8 +14,9 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
-from tactile.bus.base import RATE, Address, Bus, Floats, Rig, Wiring, register_bus
-from tactile.bus.mock_bus import MockBus, options
+from tactile.bus.base import RATE, Bus, Floats, Rig, Wiring
+from tactile.bus.mock_bus import MockBus, kept_and_format
+from tactile.bus.registry import Address, register_bus
 from tactile.display import Display
 from tactile.errors import InputError
 
@@ -169,7 +170,7 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
     sample_rate = sample_rate or RATE
     name = address.options.get("plant")
     plant = None if name is None else _foreign(name, rig, sample_rate)
-    keep, sample_format = options(address)
+    keep, sample_format = kept_and_format(address)
     return SimulatedDisplay(rig, sample_rate, plant=plant, keep=keep, sample_format=sample_format)
 
 

@@ -38,7 +38,7 @@ MAP: dict[str, set[str]] = {
     "study": {"actuator"},
     "plots": {"actuator", "display", "errors"},
     "terminal": {"display"},
-    "bench": {"actuator", "display", "rendering", "sim", "texture"},
+    "bench": {"actuator", "bus", "display", "rendering", "sim", "texture"},
     "cli": {"bench", "daemon", "errors", "files", "plots", "study", "terminal"},
     "__main__": {"cli"},
 }
@@ -49,6 +49,8 @@ AT_HOME = {"matplotlib": {"plots"}, "rich": {"bench.__init__", "cli", "terminal"
 """Libraries that only some modules may import."""
 COMPARED = {"construct", "crccheck", "crcmod", "isotp"}
 """Libraries that the benchmarks measure beside ours where they are installed; none is needed."""
+PACKAGED = {"serial": "pyserial", "can": "python-can"}
+"""Libraries whose package has another name."""
 BY_NAME = {"__init__", "sim"}
 """Modules that may import by a name made at run time: lazily, and a user's plant."""
 
@@ -213,7 +215,8 @@ def test_every_library_is_a_declared_dependency() -> None:
     declared = [*project["dependencies"], *extras["plot"]]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
     used = {name for module in SOURCES for name in foreign_imports(module)} | {"cobs"}
-    assert used - set(sys.stdlib_module_names) - {"firmware_protocol"} - COMPARED == names
+    used -= set(sys.stdlib_module_names) | {"firmware_protocol"} | COMPARED
+    assert {PACKAGED.get(name, name) for name in used} == names
 
 
 # The front door

@@ -1,4 +1,4 @@
-"""How the figures of the protocol are measured: bit counts by hand, and faults that are seen."""
+"""How the figures of the protocol are measured: by hand what links carry, faults that are seen."""
 
 from collections.abc import Callable, Iterator
 
@@ -17,47 +17,6 @@ from tactile.bench.faults import (
     spoilt_stream,
 )
 from tactile.bench.protocol import measure_formats, measure_links, signal_to_error_db
-from tactile.bench.wire import can_bits, can_crc, fd_bits, i2c_bits, stuffed, uart_bits
-
-
-def test_the_crc_of_can_is_the_catalogued_one() -> None:
-    """CRC-15/CAN of "123456789" is 0x059E (Cook, Catalogue of parametrised CRC algorithms)."""
-    bits = [byte >> k & 1 for byte in b"123456789" for k in range(7, -1, -1)]
-    assert can_crc(bits) == 0x059E
-
-
-def test_a_stuff_bit_follows_five_of_a_kind_and_begins_the_next_five() -> None:
-    """ISO 11898-1, 10.5: 11111 0000 1111 0000 is the worst; six need one, ten need two."""
-    assert sum(stuffed([0] * 4)) == 0
-    assert sum(stuffed([0] * 6)) == 1
-    assert sum(stuffed([0] * 10)) == 2
-    assert sum(stuffed([1] * 5 + [0] * 4 + [1] * 4 + [0] * 4)) == 4
-    assert sum(stuffed([0, 1] * 20)) == 0
-
-
-@pytest.mark.parametrize(("size", "bits", "most"), [(0, 47, 8), (1, 55, 10), (8, 111, 24)])
-def test_a_can_frame_has_44_bits_8_a_byte_and_3_between(size: int, bits: int, most: int) -> None:
-    """135 bits at most for 8 bytes: Davis et al. 2007, equation 1."""
-    data = bytes(range(size))
-    assert can_bits(0x302, data, stuffing="none") == bits == 44 + 8 * size + 3
-    assert can_bits(0x302, data, stuffing="most") == bits + most
-    assert bits <= can_bits(0x302, data) <= bits + most
-
-
-@pytest.mark.parametrize(("size", "check"), [(8, 27), (16, 27), (20, 32), (64, 32)])
-def test_a_can_fd_frame_is_counted_by_its_two_phases(size: int, check: int) -> None:
-    """17 + 13 nominal; ESI, DLC, data, and 4 + 17 + 6 or 4 + 21 + 7 of checks."""
-    plain = fd_bits(0x302, bytes(size), stuffing="none")
-    assert plain == (30, 5 + 8 * size + check)
-    assert plain.seconds(1e6, 5e6) == pytest.approx(30e-6 + (5 + 8 * size + check) / 5e6)
-    own, most = (fd_bits(0x302, bytes(size), stuffing=s) for s in ("own", "most"))
-    assert plain.data < own.data <= most.data
-    assert plain.nominal < own.nominal <= most.nominal
-
-
-def test_bytes_take_10_bits_on_a_uart_and_9_on_i2c() -> None:
-    assert uart_bits(bytes(7)) == 70
-    assert i2c_bits(bytes(7)) == 1 + 9 * 8 + 1
 
 
 def test_links_carry_what_is_promised() -> None:

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile.bus import base
-from tactile.bus.base import Address, Bus, DriveBlock, HostDeath, Rig, Wiring
+from tactile.bus import base, registry
+from tactile.bus.base import Bus, DriveBlock, HostDeath, Rig, Wiring
+from tactile.bus.registry import Address
 from tactile.devices import open_bus
 from tactile.display import Display, load_display
 from tactile.errors import BusError, BusStateError, InputError
@@ -639,7 +640,7 @@ class TestEveryScheme:
         self, scheme: str, display: Display
     ) -> None:
         with open_bus(f"{scheme}:", display) as bus:
-            assert base._drivers[scheme].on_host_death == bus.on_host_death
+            assert registry._drivers[scheme].on_host_death == bus.on_host_death
 
     def test_an_unknown_option_is_one_line_with_the_nearest(
         self, scheme: str, display: Display
@@ -709,7 +710,7 @@ class TestRegisteredBus:
 
     @pytest.fixture(autouse=True)
     def _own_factories(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(base, "_drivers", dict(base._drivers))
+        monkeypatch.setattr(registry, "_drivers", dict(registry._drivers))
 
     def test_an_operating_system_error_becomes_a_bus_error_that_names_the_device(
         self, display: Display
@@ -717,7 +718,7 @@ class TestRegisteredBus:
         def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             raise FileNotFoundError(2, "No such file or directory", address.path)
 
-        base.register_bus("absent", absent)
+        registry.register_bus("absent", absent)
         with pytest.raises(BusError, match=r"device 'absent:/dev/ttyX': .*No such file") as found:
             open_bus("absent:/dev/ttyX", display)
         assert isinstance(found.value.__cause__, FileNotFoundError)
@@ -728,7 +729,7 @@ class TestRegisteredBus:
         def silent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             raise error
 
-        base.register_bus("silent", silent)
+        registry.register_bus("silent", silent)
         with pytest.raises(BusError) as found:
             open_bus("silent:", display)
         assert found.value is error
@@ -742,7 +743,7 @@ class TestRegisteredBus:
             return open_bus("mock:", rig)
 
         opened: list[str] = []
-        base.register_bus("own", factory, on_host_death=death)
+        registry.register_bus("own", factory, on_host_death=death)
         with pytest.raises(InputError, match=r"when the host dies.*--accept-unsafe-hold") as found:
             open_bus("own:", display)
         assert "\n" not in str(found.value)
@@ -751,12 +752,12 @@ class TestRegisteredBus:
         assert opened == ["own"]
 
     def test_found_devices_are_those_of_every_kind(self) -> None:
-        def finder(scheme: str) -> Callable[[], list[base.Found]]:
-            return lambda: [base.Found(f"{scheme}:{k}", "a device") for k in range(2)]
+        def finder(scheme: str) -> Callable[[], list[registry.Found]]:
+            return lambda: [registry.Found(f"{scheme}:{k}", "a device") for k in range(2)]
 
         for scheme in ("one", "two"):
-            base.register_bus(scheme, base._drivers["mock"].factory, find=finder(scheme))
-        urls = [found.url for found in base.find_devices()]
+            registry.register_bus(scheme, registry._drivers["mock"].factory, find=finder(scheme))
+        urls = [found.url for found in registry.find_devices()]
         assert [u for u in urls if u[:3] in ("one", "two")] == ["one:0", "one:1", "two:0", "two:1"]
 
     def test_a_factory_is_given_path_options_display_and_rate(self, display: Display) -> None:
@@ -766,7 +767,7 @@ class TestRegisteredBus:
             given.append((address, rig, sample_rate))
             return open_bus("mock:", rig, sample_rate=sample_rate)
 
-        base.register_bus("own", factory)
+        registry.register_bus("own", factory)
         open_bus("own://host:12/dev/x?a=1&b=%20", display, sample_rate=4000.0)
         address = Address("own", "host:12/dev/x", {"a": "1", "b": " "})
         assert given == [(address, display, 4000.0)]

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 import tactile
 from tactile import bench, cli
-from tactile.bus import base
-from tactile.bus.base import Address, Bus, Rig
+from tactile.bus import base, registry
+from tactile.bus.base import Bus, Rig
+from tactile.bus.registry import Address
 from tactile.daemon.session import Summary
 from tactile.errors import BusError
 from tactile.files import shipped
@@ -690,7 +691,7 @@ def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
     def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
         raise BusError("absent: the amplifier does not answer")
 
-    monkeypatch.setitem(base._drivers, "absent", base.Driver(absent, "ramps", tuple))
+    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, "ramps", tuple))
     before = content(folder)
     result = command("play", "wood-oak", *SHORT, "--device", "absent:", "--record", "new.npz")
     assert result.err == "tactile: absent: the amplifier does not answer\n"

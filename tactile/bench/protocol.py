@@ -18,7 +18,16 @@ from firmware_protocol.messages import Pcm, SampleFormat
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most, seconds
-from tactile.bench.wire import can_bits, fd_bits, i2c_bits, uart_bits
+from tactile.bus.wire_time import (
+    Stuffing,
+    can_bits,
+    can_estimate,
+    fd_bits,
+    fd_estimate,
+    i2c_bits,
+    smbus_write_bits,
+    uart_bits,
+)
 from tactile.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
@@ -168,42 +177,48 @@ def _efficiency(bits: float, packets: int = PACKETS) -> float:
 
 
 def _uart(packets: list[Packet]) -> Iterator[Figure]:
-    bits = sum(uart_bits(encode_frame(encode_packet(p))) for p in packets)
+    bits = sum(uart_bits(len(encode_frame(encode_packet(p)))) for p in packets)
     yield at_least("protocol.uart.efficiency", _efficiency(bits), "%", 74)
-    longest = uart_bits(encode_frame(b"\1" * len(encode_packet(packets[0]))))
+    longest = uart_bits(len(encode_frame(b"\1" * len(encode_packet(packets[0])))))
     yield Figure("protocol.uart.efficiency.worst", _efficiency(longest, 1), "%")
 
 
 def _can(packets: list[Packet]) -> Iterator[Figure]:
     encoder = CanEncoder(from_amplifier=False, fd=False)
     frames = [frame for p in packets for frame in encoder.frames(p)]
-    bits = {s: sum(can_bits(*f, stuffing=s) for f in frames) for s in ("none", "own", "most")}
-    yield at_least("protocol.can.efficiency.unstuffed", _efficiency(bits["none"]), "%", 46)
-    yield Figure("protocol.can.efficiency", _efficiency(bits["own"]), "%")
-    yield Figure("protocol.can.efficiency.worst", _efficiency(bits["most"]), "%")
+
+    def estimate(stuffing: Stuffing) -> float:
+        return sum(can_estimate(len(data), stuffing) for _, data in frames)
+
+    own = sum(can_bits(*frame) for frame in frames)
+    yield at_least("protocol.can.efficiency.unstuffed", _efficiency(estimate("none")), "%", 46)
+    yield Figure("protocol.can.efficiency", _efficiency(own), "%")
+    yield Figure("protocol.can.efficiency.worst", _efficiency(estimate("most")), "%")
 
 
 def _can_fd(packets: list[Packet]) -> Iterator[Figure]:
     """Of 5 Mbit/s."""
     encoder = CanEncoder(from_amplifier=False, fd=True)
     frames = [frame for p in packets for frame in encoder.frames(p)]
-    bits = {}
-    for stuffing in ("none", "own", "most"):
-        times = [fd_bits(*frame, stuffing=stuffing).seconds(NOMINAL, FAST) for frame in frames]
-        bits[stuffing] = sum(times) * FAST
-    yield at_least("protocol.can_fd.efficiency.unstuffed", _efficiency(bits["none"]), "%", 62)
-    yield Figure("protocol.can_fd.efficiency", _efficiency(bits["own"]), "%")
-    yield Figure("protocol.can_fd.efficiency.worst", _efficiency(bits["most"]), "%")
+
+    def estimate(stuffing: Stuffing) -> float:
+        times = (fd_estimate(len(data), stuffing) for _, data in frames)
+        return FAST * sum(time.seconds(NOMINAL, FAST) for time in times)
+
+    own = FAST * sum(fd_bits(*frame).seconds(NOMINAL, FAST) for frame in frames)
+    yield at_least("protocol.can_fd.efficiency.unstuffed", _efficiency(estimate("none")), "%", 62)
+    yield Figure("protocol.can_fd.efficiency", _efficiency(own), "%")
+    yield Figure("protocol.can_fd.efficiency.worst", _efficiency(estimate("most")), "%")
 
 
 def _i2c(packets: list[Packet]) -> Iterator[Figure]:
-    bits = sum(i2c_bits(encode_packet(p)) for p in packets)
+    bits = sum(i2c_bits(len(encode_packet(p))) for p in packets)
     yield at_least("protocol.i2c.efficiency", _efficiency(bits), "%", 81)
     cutter = Cutter(SMBUS_BLOCK)
     smbus = 0
     for packet in packets:
         for block in cutter.fragments(WRITE_COMMAND, encode_packet(packet)):
-            smbus += i2c_bits(bytes([WRITE_COMMAND, len(block)]) + block)
+            smbus += smbus_write_bits(len(block))
     yield Figure("protocol.smbus.efficiency", _efficiency(smbus), "%")
 
 

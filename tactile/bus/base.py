@@ -1,4 +1,4 @@
-"""The contract that every bus keeps, and the door through which one is opened.
+"""The contract that every bus keeps.
 
 A bus is opened idle. `start` tells the sample position that playing begins with, `write` hands on
 blocks that each carry their position, `stop` ramps to 0 V within the fade, `abort` goes there at
@@ -13,27 +13,19 @@ connects again.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from types import TracebackType
 from typing import ClassVar, Literal, Protocol
-from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import BusError, BusStateError, InputError
-from tactile.files import nearest
+from tactile.errors import BusStateError, InputError
 
 Floats = NDArray[np.float64]
 HostDeath = Literal["ramps", "zero", "holds", "unknown"]
 BusState = Literal["idle", "running", "estopped", "closed"]
 
-UNSAFE: dict[HostDeath, str] = {
-    "holds": "when the host dies it holds its last voltage on the finger;",
-    "unknown": "what it does when the host dies nobody knows;",
-}
-ACCEPT = "accept that with --accept-unsafe-hold (accept_unsafe_hold=True)"
 RATE = 8000.0
 """Hz, of the drive where neither caller nor link asks for another."""
 
@@ -52,6 +44,29 @@ class DriveBlock:
     volts: Floats
 
 
+@dataclass(frozen=True)
+class DriveFrame:
+    """The drive at one position, as envelopes of carriers.
+
+    Attributes
+    ----------
+    position : counted from the start of playing
+    volts : (C, P) complex [V], a row per channel; the drive is Re Σ_p Z_p exp 2πj f_p t with t the
+        time of the position
+    """
+
+    position: int
+    volts: NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a bus takes in place of blocks: ``carriers`` at most, at ``rate`` frames a second."""
+
+    carriers: int
+    rate: float
+
+
 class RigLimits(Protocol):
     """What a display may never exceed, in SI units."""
 
@@ -59,6 +74,15 @@ class RigLimits(Protocol):
     def voltage(self) -> float: ...  # noqa: D102
     @property
     def fade(self) -> float: ...  # noqa: D102
+
+
+class RigAmplifier(Protocol):
+    """How an audio card's outputs are wired to it; no other bus asks."""
+
+    @property
+    def audio_full_scale(self) -> float | None: ...  # noqa: D102
+    @property
+    def ac_coupling(self) -> float: ...  # noqa: D102
 
 
 class Rig(Protocol):
@@ -70,6 +94,8 @@ class Rig(Protocol):
     def slew(self) -> float: ...  # noqa: D102
     @property
     def limits(self) -> RigLimits: ...  # noqa: D102
+    @property
+    def amplifier(self) -> RigAmplifier: ...  # noqa: D102
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +188,12 @@ class Bus(ABC):
     wiring : the `Wiring` it was opened for
     counters : the `Counters`
     state : "idle", "running", "estopped" or "closed"
+    frames : what it takes in place of blocks; None where it takes blocks
     on_host_death : what the amplifier does when the host goes silent
     """
 
     on_host_death: ClassVar[HostDeath]
+    frames: Frames | None = None
 
     def __init__(self, wiring: Wiring) -> None:
         self.wiring = wiring
@@ -199,10 +227,12 @@ class Bus(ABC):
         Raises
         ------
         BusStateError
-            Unless running.
+            Unless running, and a bus that takes blocks.
         InputError
             Where the block does not have a column per channel.
         """
+        if self.frames is not None:
+            raise BusStateError("write: the bus takes frames; write_frame")
         if self.state != "running":
             raise BusStateError(f"write: the bus is {self.state}, not running; start it first")
         if block.volts.ndim != 2 or block.volts.shape[1] != self.wiring.channels:
@@ -220,6 +250,54 @@ class Bus(ABC):
         self._next += gap + len(volts)
         if len(volts):
             self._write(DriveBlock(self._next - len(volts), self._allowed(volts)))
+
+    def tune(self, carriers: Floats) -> None:
+        """Set the carriers (P,) [Hz] of the frames to come.
+
+        Raises
+        ------
+        BusStateError
+            Unless idle, and a bus that takes frames.
+        """
+        if self.frames is None or self.state != "idle":
+            raise BusStateError(f"tune: the bus is {self.state} and takes {self._takes}")
+        self._tune(carriers)
+
+    def write_frame(self, frame: DriveFrame) -> None:
+        """Play a frame: from the last one to it the envelopes run straight.
+
+        Raises
+        ------
+        BusStateError
+            Unless running, and a bus that takes frames.
+        InputError
+            Where it does not have a row per channel.
+        """
+        if self.frames is None or self.state != "running":
+            raise BusStateError(f"write_frame: the bus is {self.state} and takes {self._takes}")
+        if frame.volts.ndim != 2 or len(frame.volts) != self.wiring.channels:
+            raise InputError(
+                f"write_frame: shape {frame.volts.shape}, needs ({self.wiring.channels}, P)"
+            )
+        if frame.position < self._next:
+            self.counters.repeated_samples += 1
+            return
+        self.counters.blocks += 1
+        self.counters.samples += 1
+        self._next = frame.position + 1
+        bad = ~np.isfinite(frame.volts)
+        self.counters.invalid_samples += int(bad.sum())
+        self._write_frame(DriveFrame(frame.position, np.where(bad, 0.0, frame.volts)))
+
+    @property
+    def _takes(self) -> str:
+        return "blocks" if self.frames is None else "frames"
+
+    def _tune(self, carriers: Floats) -> None:
+        raise NotImplementedError
+
+    def _write_frame(self, frame: DriveFrame) -> None:
+        raise NotImplementedError
 
     def _allowed(self, volts: Floats) -> Floats:
         limit = self.wiring.voltage
@@ -307,132 +385,3 @@ class Bus(ABC):
 
     def _close(self) -> None:  # noqa: B027
         """Let go of the device."""
-
-
-@dataclass(frozen=True)
-class Address:
-    """A device URL taken apart: ``scheme:path?option=value``.
-
-    Attributes
-    ----------
-    scheme, path : the parts before and after the first colon
-    options : by name
-    """
-
-    scheme: str
-    path: str
-    options: dict[str, str]
-
-    def only(self, *known: str, path: bool = False) -> None:
-        """Raise InputError for an option that is none of the known, or an unwanted path."""
-        if self.path and not path:
-            raise InputError(f"{self.scheme}: takes no path; what does {self.path!r} mean?")
-        for name in self.options:
-            if name not in known:
-                raise InputError(
-                    f"{self.scheme}: unknown option {name!r}; {nearest(name, list(known))}"
-                )
-
-
-Factory = Callable[[Address, Rig, float | None], Bus]
-
-
-@dataclass(frozen=True)
-class Found:
-    """A device that is there.
-
-    Attributes
-    ----------
-    url : that opens it
-    about : what it is, one line
-    """
-
-    url: str
-    about: str
-
-
-@dataclass(frozen=True)
-class Driver:
-    """A kind of bus: how one is opened, what it does when the host dies, which there are."""
-
-    factory: Factory
-    on_host_death: HostDeath
-    find: Callable[[], Iterable[Found]]
-
-
-_drivers: dict[str, Driver] = {}
-
-
-def register_bus(
-    scheme: str,
-    factory: Factory,
-    *,
-    on_host_death: HostDeath = "ramps",
-    find: Callable[[], Iterable[Found]] = tuple,
-) -> None:
-    """Make ``scheme:`` open buses of a kind; an earlier one of that name is replaced."""
-    _drivers[scheme] = Driver(factory, on_host_death, find)
-
-
-def find_devices() -> Iterator[Found]:
-    """Yield the devices that are there, of all kinds."""
-    for driver in _drivers.values():
-        yield from driver.find()
-
-
-def parse(url: str) -> Address:
-    """Take a device URL apart.
-
-    Raises
-    ------
-    InputError
-        For a scheme that does not exist, with the nearest one, or options that are none.
-    """
-    try:
-        parts = urlsplit(url)
-    except ValueError as error:
-        raise InputError(f"device {url!r}: {error}") from error
-    scheme = parts.scheme or url.partition(":")[0]
-    if ":" not in url or scheme not in _drivers:
-        raise InputError(
-            f"device {url!r}: no such kind; {nearest(scheme + ':', [f'{k}:' for k in _drivers])}"
-        )
-    try:
-        given = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
-    except ValueError as error:
-        raise InputError(f"device {url!r}: {error}; options are name=value") from error
-    return Address(scheme, parts.netloc + parts.path, dict(given))
-
-
-def open_bus(
-    url: str, rig: Rig, *, sample_rate: float | None = None, accept_unsafe_hold: bool = False
-) -> Bus:
-    """Open the device at a URL for a display.
-
-    Parameters
-    ----------
-    url : such as ``mock:``, ``sim:?format=bfp8``, ``serial:///dev/ttyACM0``,
-        ``can:socketcan/can0?fd=true``, ``i2c:1?address=0x42``, ``audio:NAME?channels=24``
-    rig : the display
-    sample_rate : of the drive [Hz]; by default the bus's choice, told by its `wiring`
-    accept_unsafe_hold : open also what holds its last voltage, or does nobody knows what, when
-        the host dies
-
-    Raises
-    ------
-    InputError
-        For a scheme or option that does not exist, with the nearest one; for an amplifier that
-        does not go to 0 V by itself, unless that is accepted.
-    BusError
-        For a device that cannot be opened.
-    """
-    address = parse(url)
-    driver = _drivers[address.scheme]
-    if driver.on_host_death in UNSAFE and not accept_unsafe_hold:
-        raise InputError(f"device {url!r}: {UNSAFE[driver.on_host_death]} {ACCEPT}")
-    try:
-        return driver.factory(address, rig, sample_rate)
-    except OSError as error:
-        if isinstance(error, BusError):
-            raise
-        raise BusError(f"device {url!r}: {error}") from error

@@ -137,20 +137,40 @@ class Board:
         return codes * (self.amplifier.config.full_scale_uv * 1e-6 / FULL_SCALE_CODE)
 
 
-def config_of(wiring: Wiring, channels: int, node: int) -> Config:
-    """Return the amplifier that drives some channels of a display, its limits the display's."""
+def config_of(
+    wiring: Wiring,
+    channels: int,
+    node: int,
+    *,
+    rates: tuple[int, int] | None = None,
+    fifo_ms: float = 64.0,
+) -> Config:
+    """Return the amplifier that drives some channels of a display, its limits the display's.
+
+    It plays the display's sample rate, or ``rates`` from the one to the other [Hz], and keeps
+    ``fifo_ms`` of the highest.
+
+    Raises
+    ------
+    InputError
+        Where the protocol cannot carry the sample rate, or its promise to be at 0 V in time not
+        be kept within the slew limit.
+    """
     rate = round(wiring.sample_rate)
     if rate != wiring.sample_rate:
         raise InputError(f"sample_rate {wiring.sample_rate:g} Hz: the protocol tells whole Hz")
+    lowest, highest = rates or (rate, rate)
     voltage = int(wiring.voltage * 1e6)
     config = Config(
-        channels=channels, node=node, rate_min_hz=rate, rate_max_hz=rate,
-        tick_hz=max(1_000_000, 10 * rate), fifo=max(2 * CHUNK, rate * 64 // 1000 + 1),
+        channels=channels, node=node, rate_min_hz=lowest, rate_max_hz=highest,
+        tick_hz=max(1_000_000, 10 * highest),
+        fifo=max(2 * CHUNK, int(highest * fifo_ms) // 1000 + 1),
         full_scale_uv=voltage, voltage_limit_uv=voltage,
         slew_limit_v_per_s=int(min(wiring.slew, STEEPEST)),
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
     )  # fmt: skip
-    if not LimitsInForce.of(config).in_time(rate):
+    limits = LimitsInForce.of(config)
+    if not all(limits.in_time(one) for one in (lowest, rate, highest)):
         raise InputError(
             f"slew limit {wiring.slew:g} V/s: takes {wiring.voltage / wiring.slew * 1e3:.0f} ms "
             f"from {wiring.voltage:g} V to 0 V, {FADE_MS} ms are promised; lower the voltage limit"

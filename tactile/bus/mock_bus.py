@@ -12,12 +12,12 @@ from collections import deque
 import numpy as np
 
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
-from tactile.bus.base import RATE, Address, Bus, DriveBlock, Floats, Rig, Wiring, register_bus
+from tactile.bus.base import RATE, Bus, DriveBlock, Floats, Rig, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
+from tactile.bus.modeled_bus import open_modeled
+from tactile.bus.options import sample_format
+from tactile.bus.registry import Address, register_bus
 from tactile.errors import InputError
-from tactile.files import nearest
-
-FORMATS = {f.name.lower(): f for f in (SampleFormat.PCM16, SampleFormat.PCM12, SampleFormat.BFP8)}
 
 
 class MockBus(Bus):
@@ -125,7 +125,7 @@ class MockBus(Bus):
             self._kept_samples -= len(self._kept.popleft())
 
 
-def options(address: Address) -> tuple[str, SampleFormat]:
+def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
     """Return the ``keep`` and ``format`` options of an address.
 
     Raises
@@ -136,16 +136,16 @@ def options(address: Address) -> tuple[str, SampleFormat]:
     keep = address.options.get("keep", "second")
     if keep not in ("second", "all"):
         raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
-    name = address.options.get("format", "pcm16")
-    if name not in FORMATS:
-        raise InputError(f"{address.scheme}: format = {name!r}: {nearest(name, list(FORMATS))}")
-    return keep, FORMATS[name]
+    asked = sample_format(address)
+    return keep, SampleFormat.PCM16 if asked is None else asked
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> MockBus:
+def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+    if "link" in address.options:
+        return open_modeled(address, rig, sample_rate)
     address.only("keep", "format")
-    keep, sample_format = options(address)
-    return MockBus(Wiring.of(rig, sample_rate or RATE), keep=keep, sample_format=sample_format)
+    keep, kind = kept_and_format(address)
+    return MockBus(Wiring.of(rig, sample_rate or RATE), keep=keep, sample_format=kind)
 
 
 register_bus("mock", _open)

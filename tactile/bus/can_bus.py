@@ -1,0 +1,342 @@
+"""``can:``, amplifiers on CAN or CAN FD, by any interface of python-can.
+
+``can:socketcan/can0?fd=true``, ``can:slcan//dev/ttyACM0?bitrate=1000000``, ``can:virtual/name``.
+All amplifiers that answer are one display, in the order of their nodes, or of ``nodes=3,1``.
+``bitrate`` and ``data_bitrate`` (by default 1 and 5 Mbit/s) say how fast the bus is: socketcan's is
+set by ``ip link``, other interfaces are told. What the kernel has no room for waits here, and
+nothing more is sent until it is gone: a bus on which nobody acknowledges is broken. With socketcan
+an e-stop has a socket of its own, whose priority takes it past what waits in the kernel.
+"""
+
+import errno
+import os
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
+from firmware_protocol.packet import Packet, encode_packet
+from tactile.bus.base import Rig
+from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, Monotonic, open_link
+from tactile.bus.options import flag, number, wholes
+from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.wire import STALL, Clock, Wire, WireError
+from tactile.bus.wire_time import Can
+
+TICK_HZ = 1_000_000
+"""Of the time of reception, for the time-out of fragments."""
+NOMINAL, DATA = 1e6, 5e6
+"""bit/s, where nothing else is said."""
+PRIORITY = 7
+"""Of the socket for e-stops: the first band of the kernel's queue (tc-prio, TC_PRIO_CONTROL)."""
+RETRY = 1e-3
+"""s between tries to send what the kernel has no room for."""
+FULL = (errno.ENOBUFS, errno.EAGAIN)
+BUS_OFF, PASSIVE = 0x40, 0x30
+"""Of error frames: the class bus-off, and in the second byte error-passive (linux/can/error.h)."""
+
+
+class Channel(ABC):
+    """CAN frames both ways; the driver below a `CanWire`. Its errors are OSErrors."""
+
+    @abstractmethod
+    def send(self, frame: Frame) -> bool:
+        """Take a frame without waiting; False where there is no room."""
+
+    @abstractmethod
+    def urge(self, frame: Frame) -> None:
+        """Send a frame before those that wait."""
+
+    @abstractmethod
+    def receive(self, until: float) -> list[Frame]:
+        """Return what came; wait for it until a host time [s] or until woken."""
+
+    @abstractmethod
+    def wake(self) -> None:
+        """Let `receive` return."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class CanWire(Wire):
+    """Packets on CAN.
+
+    Parameters
+    ----------
+    channel : of frames
+    link : `Can`
+    clock : host time
+    """
+
+    def __init__(self, channel: Channel, link: Can, clock: Clock) -> None:
+        super().__init__(link)
+        self._channel, self._clock = channel, clock
+        self._encoder = CanEncoder(
+            from_amplifier=False, fd=link.data is not None, extended=link.extended
+        )
+        self._decoder = CanDecoder(
+            from_amplifier=True, extended=link.extended, counters=self.counters, tick_hz=TICK_HZ
+        )
+        self._rest: deque[Frame] = deque()
+        self._since = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames wait for room."""
+        return bool(self._rest)
+
+    def send(self, packet: Packet) -> float:
+        """Send a packet's frames; return how long they take."""
+        if not self._rest:
+            self._since = self._clock.now()
+        self._rest += self._encoder.frames(packet)
+        self._flush()
+        return self.link.seconds(encode_packet(packet))
+
+    def urge(self, packet: Packet) -> None:
+        """Drop what waits here, and pass what waits in the kernel."""
+        self._rest.clear()
+        for frame in self._encoder.frames(packet):
+            self._channel.urge(frame)
+
+    def _flush(self) -> None:
+        while self._rest and self._channel.send(self._rest[0]):
+            self._rest.popleft()
+            self._since = self._clock.now()
+
+    def receive(self, until: float) -> list[Packet]:
+        """Return what came."""
+        if self._rest:
+            self._flush()
+        now = self._clock.now()
+        if self._rest and now - self._since > STALL:
+            raise WireError("the bus takes nothing more: no other node acknowledges")
+        frames = self._channel.receive(min(until, now + RETRY) if self._rest else until)
+        ticks = int(self._clock.now() * TICK_HZ)
+        return [
+            p for identifier, data in frames for p in self._decoder.feed(identifier, data, ticks)
+        ]
+
+    def wake(self) -> None:
+        """Let `receive` return."""
+        self._channel.wake()
+
+    def close(self) -> None:
+        """Close the channel."""
+        self._channel.close()
+
+
+class PythonCan(Channel):
+    """A bus of python-can.
+
+    Parameters
+    ----------
+    bus : opened
+    urgent : another one of the same channel, for e-stops; or the same
+    link : whether frames are FD and identifiers have 29 bits
+    """
+
+    STEP = 1e-3
+    """s between looks at what was asked, of interfaces without a file descriptor."""
+
+    def __init__(self, bus: Any, urgent: Any, link: Can) -> None:
+        self._bus, self._urgent, self._link = bus, urgent, link
+        self._woken, self._waker = os.pipe()
+        os.set_blocking(self._woken, False)
+        os.set_blocking(self._waker, False)
+        self._awake = False
+        self._file = _descriptor(bus)
+        bus.set_filters([{"can_id": 1, "can_mask": 1, "extended": link.extended}])
+
+    def _message(self, frame: Frame) -> Any:
+        import can
+
+        identifier, data = frame
+        return can.Message(
+            arbitration_id=identifier, data=data, is_extended_id=self._link.extended,
+            is_fd=self._link.data is not None, bitrate_switch=self._link.data is not None,
+            check=False,
+        )  # fmt: skip
+
+    def send(self, frame: Frame) -> bool:
+        """Take a frame."""
+        return self._put(self._bus, frame)
+
+    def urge(self, frame: Frame) -> None:
+        """Send by the socket with priority."""
+        if not self._put(self._urgent, frame):
+            raise WireError("the bus has no room for an e-stop: no other node acknowledges")
+
+    def _put(self, bus: Any, frame: Frame) -> bool:
+        import can
+
+        try:
+            bus.send(self._message(frame), timeout=0)
+        except can.CanError as error:
+            code = error.error_code or getattr(error.__cause__, "errno", None)
+            if code in FULL or "buffer full" in str(error).lower():
+                return False
+            raise WireError(_gone(code, error)) from error
+        return True
+
+    def receive(self, until: float) -> list[Frame]:
+        """Return what came, all of it."""
+        import can
+
+        found: list[Frame] = []
+        try:
+            message = self._first(until)
+            while message is not None:
+                if message.is_error_frame:
+                    _look(message)
+                elif message.is_extended_id == self._link.extended and not message.is_remote_frame:
+                    found.append((message.arbitration_id, bytes(message.data)))
+                message = self._bus.recv(0)
+        except can.CanError as error:
+            code = error.error_code or getattr(error.__cause__, "errno", None)
+            raise WireError(_gone(code, error)) from error
+        except ValueError:  # slcan: a line that is no frame
+            self._awake = False
+        return found
+
+    def _first(self, until: float) -> Any:
+        """Return the first message, None where none came in time."""
+        while (left := until - time.monotonic()) > 0 and not self._awake:
+            if self._file is not None:
+                ready, _, _ = select.select([self._file, self._woken], [], [], left)
+                if ready:
+                    break
+            elif (message := self._bus.recv(min(left, self.STEP))) is not None:
+                return message
+        self._awake = False
+        with suppress(BlockingIOError):
+            os.read(self._woken, 4096)
+        return self._bus.recv(0)
+
+    def wake(self) -> None:
+        """Let `receive` return."""
+        self._awake = True
+        with suppress(OSError):
+            os.write(self._waker, b"\0")
+
+    def close(self) -> None:
+        """Shut the bus down."""
+        if self._bus is None:
+            return
+        for bus in {id(b): b for b in (self._bus, self._urgent)}.values():
+            with suppress(Exception):
+                bus.shutdown()
+        self._bus = None
+        os.close(self._woken)
+        os.close(self._waker)
+
+
+def _descriptor(bus: Any) -> int | None:
+    """Return what can be waited for, None where python-can has none for this interface."""
+    try:
+        number = bus.fileno()
+    except NotImplementedError:
+        return None
+    return number if isinstance(number, int) and number >= 0 else None
+
+
+def _look(message: Any) -> None:
+    """Raise WireError for an error frame that ends all traffic."""
+    if message.arbitration_id & BUS_OFF:
+        raise WireError("bus-off: too many errors; check wiring, termination and bit rate")
+
+
+def _gone(code: int | None, error: Exception) -> str:
+    """Return what became of an interface."""
+    known = {
+        errno.ENETDOWN: "the interface is down: bus-off, or not set up (ip link set … up)",
+        errno.ENODEV: "the interface is gone",
+        errno.ENXIO: "the interface is gone",
+    }
+    return known.get(code or 0, str(error))
+
+
+# Opening
+
+
+def link_of(address: Address) -> Can:
+    """Return how long packets take on the bus of an address."""
+    nominal = number(address, "bitrate", 10e3, 1e6) or NOMINAL
+    data = number(address, "data_bitrate", 10e3, 10e6)
+    fd = flag(address, "fd") or data is not None
+    return Can(nominal, (data or DATA) if fd else None, flag(address, "extended"))
+
+
+def connect(address: Address, link: Can, clock: Clock) -> CanWire:
+    """Open the bus of an address.
+
+    Raises
+    ------
+    BusError
+        With what to do about it.
+    """
+    import can
+
+    interface, _, channel = address.path.partition("/")
+    arguments: dict[str, Any] = {"interface": interface, "channel": channel or None}
+    if link.data is not None:
+        arguments["fd"] = True
+    if interface not in ("socketcan", "virtual", "udp_multicast"):
+        arguments["bitrate"] = round(link.nominal)
+        if link.data is not None:
+            arguments["data_bitrate"] = round(link.data)
+    try:
+        bus = can.Bus(**arguments)
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        raise WireError(f"can: {address.path}: {_reason(interface, channel, error)}") from error
+    urgent: Any = bus
+    if interface == "socketcan":
+        urgent = can.Bus(**arguments, receive_own_messages=False)
+        urgent.set_filters([{"can_id": 0, "can_mask": 0x7FF, "extended": False}])
+        urgent.socket.setsockopt(socket.SOL_SOCKET, socket.SO_PRIORITY, PRIORITY)
+    return CanWire(PythonCan(bus, urgent, link), link, clock)
+
+
+def _reason(interface: str, channel: str, error: Exception) -> str:
+    """Return why a bus does not open, and what would do."""
+    import can
+
+    code = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    if code == errno.ENODEV:
+        there = ", ".join(found.url for found in find()) or "none is there"
+        return f"no such interface; there are: {there}"
+    if code == errno.EAFNOSUPPORT:
+        return "this kernel has no CAN"
+    if code == errno.EACCES:
+        return "permission denied"
+    if interface not in can.VALID_INTERFACES:
+        return f"python-can has no interface {interface!r}"
+    return " ".join(str(error).split())
+
+
+def find() -> Iterator[Found]:
+    """Yield the CAN interfaces of the kernel."""
+    with suppress(OSError):
+        for name in sorted(os.listdir("/sys/class/net")):
+            with suppress(OSError), open(f"/sys/class/net/{name}/type", encoding="ascii") as kind:
+                if kind.read().strip() == "280":  # ARPHRD_CAN
+                    yield Found(f"can:socketcan/{name}", "CAN interface")
+
+
+def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
+    address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
+    link, clock = link_of(address), Monotonic()
+    return open_link(
+        address, rig, sample_rate, link, lambda: connect(address, link, clock),
+        nodes=wholes(address, "nodes", 1, 127),
+    )  # fmt: skip
+
+
+register_bus("can", _open, find=find)

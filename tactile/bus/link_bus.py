@@ -1,0 +1,413 @@
+"""A bus whose amplifiers speak the protocol: a session on a wire, kept alive by one thread.
+
+The thread waits for what comes, sends what is due at absolute host times, and connects again, with
+back-off, when the wire breaks. Whoever writes is held back until the samples' time has come less
+the lead; that loop, and no other, feeds the watchdog. On a modeled wire there is no thread: who
+waits turns the model's clock.
+"""
+
+import math
+import secrets
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from firmware_protocol import messages as m
+from tactile.bus.base import RATE, Bus, DriveBlock, DriveFrame, Floats, Frames, Rig, Status, Wiring
+from tactile.bus.board import config_of
+from tactile.bus.budget import Ability, Plan, plan
+from tactile.bus.options import flag, sample_format
+from tactile.bus.registry import Address
+from tactile.bus.session import Phase, Session
+from tactile.bus.wire import Clock, Wire, WireError
+from tactile.bus.wire_time import Link
+from tactile.errors import BusError, BusStateError, InputError
+
+LINK_OPTIONS = ("format", "rearm")
+"""Of every device whose amplifiers speak the protocol."""
+OPENING = 2.0
+"""s in which an amplifier must have answered, and its clock be known."""
+STARTING, ENDING = 2.0, 0.5
+"""s that start and stop take at most."""
+IDLE = 20e-3
+"""s that the thread sleeps at most: how late a silent amplifier may be noticed."""
+SLICE = 20e-3
+"""s that who writes sleeps at most, between signs of life."""
+FIRST_RETRY, LONGEST_RETRY = 0.05, 1.0
+"""s after which a broken wire is connected again; doubled each time in vain."""
+
+
+class Monotonic:
+    """The host's clock."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
+
+
+class LinkBus(Bus):
+    """Amplifiers on a link.
+
+    Parameters
+    ----------
+    wiring : what they drive; its sample rate is replaced by the plan's
+    connect : opens the wire, also when it broke
+    choose : makes the plan from the amplifiers' CAPS; may raise InputError
+    nodes : of the amplifiers, in the order of channels; all that answer, if not given
+    rearm : whether to arm again what went to 0 V because the link broke
+    clock : of a modeled wire, which turns when its `receive` waits; None for real time
+
+    Attributes
+    ----------
+    plan : what is sent
+
+    Raises
+    ------
+    InputError
+        Where the display asks for more than amplifiers or link can give.
+    BusError
+        Where nothing answers as an amplifier should.
+    """
+
+    on_host_death = "ramps"
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        connect: Callable[[], Wire],
+        choose: Callable[[Sequence[m.Caps]], Plan],
+        *,
+        nodes: Sequence[int] = (),
+        rearm: bool = False,
+        clock: Clock | None = None,
+    ) -> None:
+        super().__init__(wiring)
+        self._connect = connect
+        self._clock: Clock = Monotonic() if clock is None else clock
+        self._changed = threading.Condition()
+        self._wire: Wire | None = connect()
+        self._retry, self._retry_at = FIRST_RETRY, math.inf
+        self._broken = self._ending = False
+        self._failure = ""
+        self._session = Session(
+            wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
+            nodes=nodes, rearm=rearm,
+        )  # fmt: skip
+        self._session.connected(self._clock.now())
+        self._thread: threading.Thread | None = None
+        if clock is None:
+            self._thread = threading.Thread(target=self._run, name="tactile-link", daemon=True)
+            self._thread.start()
+        try:
+            self._open()
+        except BaseException:
+            self._let_go()
+            raise
+
+    def _open(self) -> None:
+        session = self._session
+        ready = self._wait(lambda: session.phase is Phase.READY or session.refusal, OPENING)
+        if session.plan is None or not ready or session.refusal:
+            reason = session.refusal or session.trouble or self._silence()
+            kind = InputError if session.plan is None and session.phase is Phase.GONE else BusError
+            raise kind(reason)
+        self.plan = session.plan
+        self.wiring = session.wiring
+        if self.plan.carriers:
+            self.frames = Frames(self.plan.carriers, self.plan.frame_rate)
+
+    def _silence(self) -> str:
+        """Return what to make of no answer."""
+        counters = self._wire.counters if self._wire is not None else m.Status()
+        strange = getattr(counters, "malformed", 0) + getattr(counters, "crc_errors", 0)
+        if strange:
+            return (
+                f"what comes is no packet of the protocol ({strange} so far): another bit rate, "
+                "or another device"
+            )
+        return "nothing answers HELLO: is the amplifier powered, and is this its link?"
+
+    @property
+    def status(self) -> Status:
+        """How it stands now."""
+        session = self._session
+        up = self._wire is not None and session.phase.value > Phase.CLOCK.value
+        return Status(self.state, "up" if up else "down", session.trouble)
+
+    @property
+    def lead(self) -> float:
+        """By which samples are sent before they are put out [s]."""
+        return self._session.stream.lead if self._session.stream is not None else 0.0
+
+    # The thread
+
+    def _run(self) -> None:
+        try:
+            while not self._ending:
+                self._turn(self._clock.now() + IDLE)
+        except BaseException as error:
+            self._break(f"internal error: {error!r}")
+            raise
+
+    def _turn(self, until: float) -> None:
+        """Wait for what comes until a host time at the latest, and do what is to be done."""
+        try:
+            wire = self._wire
+            if wire is None:
+                self._connect_again(until)
+                return
+            if not wire.busy:
+                until = min(until, self._session.deadline)
+            packets = wire.receive(until)
+            with self._changed:
+                phase, now = self._session.phase, self._clock.now()
+                self._session.receive(packets, now)
+                self._pump()
+                why = self._failure or self._session.lost(now)
+                if self._session.phase is not phase:
+                    self._noticed()
+            if why:
+                raise WireError(why)
+        except OSError as error:
+            self._break(str(error))
+
+    def _pump(self) -> None:
+        """Send what is to be sent; the lock is held.
+
+        Where that fails the thread is told, which alone may let go of a wire.
+        """
+        wire = self._wire
+        if wire is not None and not wire.busy:
+            try:
+                self._session.poll(self._clock.now(), wire.send)
+            except OSError as error:
+                self._failure = str(error)
+
+    def _noticed(self) -> None:
+        """Act on a new phase; the lock is held."""
+        if self._session.tripped and self.state != "closed":
+            self.state = "estopped"
+        if self._broken and self._session.phase.value >= Phase.READY.value:
+            self._broken, self._retry = False, FIRST_RETRY
+            self.counters.reconnects += 1
+        self._changed.notify_all()
+
+    def _break(self, why: str) -> None:
+        """Let go of a wire that broke."""
+        with self._changed:
+            wire, self._wire = self._wire, None
+            if wire is None:
+                return
+            now, self._failure = self._clock.now(), ""
+            wire.close()
+            self.counters.disconnects += not self._broken
+            self._broken = True
+            self._retry_at = now + self._retry
+            self._retry = min(2 * self._retry, LONGEST_RETRY)
+            self._session.disconnected(now, why)
+            self._changed.notify_all()
+
+    def _connect_again(self, until: float) -> None:
+        now = self._clock.now()
+        if now < self._retry_at:
+            self._rest(min(until, self._retry_at) - now)
+            return
+        try:
+            wire = self._connect()
+        except OSError as error:
+            self._session.trouble = str(error)
+            self._retry_at = self._clock.now() + self._retry
+            self._retry = min(2 * self._retry, LONGEST_RETRY)
+            return
+        with self._changed:
+            self._wire = wire
+            self._session.connected(self._clock.now())
+
+    def _rest(self, seconds: float) -> None:
+        """Let time pass without a wire."""
+        if self._thread is None:
+            self._clock.sleep(seconds)
+        else:
+            with self._changed:
+                self._changed.wait(seconds)
+
+    # Who calls
+
+    def _wait(self, ready: Callable[[], object], seconds: float) -> bool:
+        """Wait until something is so; tell whether it is, within so many seconds."""
+        end = self._clock.now() + seconds
+        while not ready():
+            left = end - self._clock.now()
+            if left <= 0:
+                return False
+            if self._thread is None:
+                self._turn(end)
+            else:
+                with self._changed:
+                    if not ready():
+                        self._changed.wait(min(left, IDLE))
+        return True
+
+    def _sleep(self, until: float) -> None:
+        """Wait until a host time, with signs of life."""
+        while (left := until - self._clock.now()) > 0:
+            if self._thread is None:
+                self._turn(min(until, self._clock.now() + SLICE))
+            else:
+                time.sleep(min(left, SLICE))
+            with self._changed:
+                self._session.alive(self._clock.now())
+
+    def _start(self, position: int) -> None:
+        if self.frames is not None and not len(self._session.carriers):
+            raise BusStateError("start: the bus takes frames; tune it to their carriers first")
+        with self._changed:
+            if self._wire is None:
+                raise BusError(f"start: the link is down: {self._session.trouble}")
+            self._session.run(position)
+            self._pump()
+        session = self._session
+        if not self._wait(lambda: session.phase is Phase.RUN or session.refusal, STARTING):
+            session.end(self._clock.now(), quick=True)
+            raise BusError(f"start: the amplifier does not start; {session.trouble}")
+        if session.refusal:
+            raise BusError(f"start: {session.refusal}")
+
+    def _write(self, block: DriveBlock) -> None:
+        stream, size = self._session.stream, self.plan.packet_samples
+        assert stream is not None
+        for k in range(0, len(block.volts), size):
+            position, volts = block.position + k, block.volts[k : k + size]
+            self._sleep(stream.due(position) - stream.lead)
+            with self._changed:
+                self._session.alive(self._clock.now())
+                if self._session.phase is Phase.RUN:
+                    stream.add(position, volts)
+                    self._pump()
+                else:
+                    self.counters.dropped_samples += len(volts)
+            self._wake()
+
+    def _tune(self, carriers: Floats) -> None:
+        if not 0 < len(carriers) <= self.plan.carriers:
+            raise InputError(f"tune: {len(carriers)} carriers; 1 … {self.plan.carriers}")
+        self._session.carriers = carriers.copy()
+
+    def _write_frame(self, frame: DriveFrame) -> None:
+        stream = self._session.stream
+        assert stream is not None
+        carriers = self._session.carriers
+        if frame.volts.shape[1] != len(carriers):
+            raise InputError(f"write_frame: {frame.volts.shape[1]} carriers, not {len(carriers)}")
+        self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.lead)
+        with self._changed:
+            self._session.alive(self._clock.now())
+            if self._session.phase is Phase.RUN:
+                stream.add_frame(frame.position, frame.volts, carriers)
+                self._pump()
+            else:
+                self.counters.dropped_samples += 1
+        self._wake()
+
+    def _wake(self) -> None:
+        """Let the thread look at what has changed, if there is more than was sent at once."""
+        wire = self._wire
+        if wire is not None and self._session.deadline < self._clock.now() + IDLE:
+            wire.wake()
+
+    def _stop(self) -> None:
+        stream = self._session.stream
+        if stream is not None and self._session.phase is Phase.RUN:
+            with self._changed:
+                end = stream.hold()
+                self._pump()
+            self._wake()
+            self._sleep(stream.due(end))
+        self._end(quick=False)
+
+    def _abort(self) -> None:
+        self._end(quick=True)
+
+    def _end(self, *, quick: bool) -> None:
+        with self._changed:
+            self._session.end(self._clock.now(), quick=quick)
+            self._pump()
+        self._wait(lambda: self._session.phase in RESTING, ENDING)
+
+    def _estop(self) -> None:
+        with self._changed:
+            packet = self._session.estop(self._clock.now())
+            wire = self._wire
+            if wire is not None:
+                try:
+                    wire.urge(packet)
+                except OSError as error:
+                    self._failure = str(error)
+                self._pump()
+
+    def _clear(self) -> None:
+        session = self._session
+        with self._changed:
+            if self._wire is None:
+                raise BusError(f"clear: the link is down: {session.trouble}")
+            session.clear(self._clock.now())
+            self._pump()
+        done = self._wait(lambda: session.phase is Phase.READY or session.refusal, STARTING)
+        if session.refusal or not done:
+            raise BusError(f"clear: {session.refusal or session.trouble or 'no answer'}")
+
+    def _close(self) -> None:
+        with self._changed:
+            self._session.leave()
+        self._wake()
+        self._wait(lambda: self._session.phase in (Phase.GONE, Phase.DOWN), ENDING)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        self._ending = True
+        wire = self._wire
+        if wire is not None:
+            wire.wake()
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+        if self._wire is not None:
+            self._wire.close()
+            self._wire = None
+
+
+RESTING = (Phase.READY, Phase.DOWN, Phase.GONE, Phase.ESTOP)
+
+
+def open_link(
+    address: Address,
+    rig: Rig,
+    sample_rate: float | None,
+    link: Link,
+    connect: Callable[[], Wire],
+    *,
+    nodes: Sequence[int] = (),
+) -> LinkBus:
+    """Open a bus for an address, which sends what fits its link, or what it asks for."""
+    wiring = Wiring.of(rig, sample_rate or RATE)
+    config_of(wiring, 1, 1)
+    choose = planner(address, rig, sample_rate, link)
+    return LinkBus(wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"))
+
+
+def planner(
+    address: Address, rig: Rig, sample_rate: float | None, link: Link
+) -> Callable[[Sequence[m.Caps]], Plan]:
+    """Return what makes the plan of what amplifiers say that they can."""
+    wanted = sample_format(address, spectrum=True)
+
+    def choose(caps: Sequence[m.Caps]) -> Plan:
+        ability = Ability.of(caps)
+        return plan(link, rig.channels, ability, sample_rate=sample_rate, sample_format=wanted)
+
+    return choose

@@ -1,0 +1,219 @@
+"""``mock:?link=…``, a link in memory that takes its time and fails as its URL says.
+
+``mock:?link=serial&bit_rate=3000000&loss=0.001``, ``link=can``, ``canfd`` or ``i2c``. Everything
+but the device is what real links use. What the amplifiers put out is remembered as `mock_bus` does,
+without the instants before a start and those in which the last sample was held before the ramp.
+"""
+
+import math
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol.machine import Played
+from firmware_protocol.messages import FULL_SCALE_CODE, State
+from firmware_protocol.player import distance
+from tactile.bus.base import RATE, Floats, Rig, Wiring
+from tactile.bus.board import config_of
+from tactile.bus.can_bus import DATA, NOMINAL, CanWire
+from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
+from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, ModelClock, Party, SerialModel
+from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, planner
+from tactile.bus.options import flag, number, whole
+from tactile.bus.registry import Address
+from tactile.bus.serial_bus import SerialWire
+from tactile.bus.wire import Wire
+from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
+from tactile.errors import InputError
+from tactile.files import nearest
+
+LINKS = ("serial", "can", "canfd", "i2c")
+OPTIONS = (
+    "link", "bit_rate", "data_bit_rate", "loss", "corrupt", "reorder", "delay_ms",
+    "arbitration_us", "fifo_ms", "disconnect_s", "power_s", "stall_s", "drift_ppm", "boards",
+    "seed", "keep", *LINK_OPTIONS,
+)  # fmt: skip
+RATES = (2500, 16000)
+"""Hz that the amplifiers play."""
+MOVING = (State.RUNNING, State.RAMPDOWN)
+
+
+class Heard:
+    """What one amplifier put out between starts and ends.
+
+    Parameters
+    ----------
+    scale : volts per code
+    channels : C
+    kept : samples that are remembered; infinite for all
+    """
+
+    def __init__(self, scale: float, channels: int, kept: float) -> None:
+        self._scale, self._channels, self._most = scale, channels, kept
+        self._kept: deque[Floats] = deque()
+        self._count = 0
+        self._last = State.IDLE
+
+    def add(self, run: Played, begun: int, end: int | None) -> None:
+        """Take a run of instants.
+
+        ``begun`` is the tick of the latest START, ``end`` the wire position after what was written
+        before its STOP.
+        """
+        ending = run.state == State.ARMED and self._last in MOVING
+        state = State.RAMPDOWN if ending else run.state
+        self._last = run.state
+        if state == State.RUNNING:
+            keep = run.ticks >= begun
+            if end is not None:
+                before = distance(end, run.position)
+                keep &= np.arange(len(run.codes)) < before
+        elif state == State.RAMPDOWN:
+            keep = np.ones(len(run.codes), bool)
+        else:
+            sounding = np.flatnonzero(run.codes.any(axis=1))
+            keep = np.arange(len(run.codes)) < (sounding[-1] + 2 if len(sounding) else 0)
+        self._keep(run.codes[keep].astype(np.float64) * self._scale)
+
+    def _keep(self, volts: Floats) -> None:
+        self._kept.append(volts)
+        self._count += len(volts)
+        while self._count - len(self._kept[0]) >= self._most:
+            self._count -= len(self._kept.popleft())
+
+    @property
+    def volts(self) -> Floats:
+        """What is kept (S, C) [V]."""
+        return np.concatenate([np.zeros((0, self._channels)), *self._kept])
+
+
+class ModeledBus(LinkBus):
+    """Amplifiers on a link in memory.
+
+    Attributes
+    ----------
+    model : of the link
+    """
+
+    def __init__(self, wiring: Wiring, model: Model, *arguments: Any, **named: Any) -> None:
+        self.model = model
+        self._ends: list[int | None] = [None] * len(model.configs)
+        kept = math.inf if named.pop("keep") == "all" else wiring.sample_rate
+        self._heard = [
+            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, kept) for c in model.configs
+        ]
+        super().__init__(wiring, *arguments, clock=model.clock, **named)
+
+    @property
+    def output(self) -> Floats:
+        """Volts put out (S, C), what is kept of them [V]."""
+        self._listen()
+        volts = [heard.volts for heard in self._heard]
+        shortest = min(len(one) for one in volts)
+        return np.hstack([one[:shortest] for one in volts])[:, : self.wiring.channels]
+
+    def _listen(self) -> None:
+        peers = {peer.host.node: peer for peer in self._session.peers}
+        for k, (amplifier, heard) in enumerate(
+            zip(self.model.amplifiers, self._heard, strict=True)
+        ):
+            peer = peers.get(amplifier.config.node)
+            for run in amplifier.take_played():
+                heard.add(run, 0 if peer is None else peer.begun, self._ends[k])
+
+    def _turn(self, until: float) -> None:
+        super()._turn(until)
+        self._listen()
+
+    def _start(self, position: int) -> None:
+        self._ends = [None] * len(self._ends)
+        super()._start(position)
+
+    def _stop(self) -> None:
+        self._listen()
+        stream = self._session.stream
+        if stream is not None:
+            self._ends = [peer.wire_end(stream.end) for peer in self._session.peers]
+        super()._stop()
+
+
+def open_modeled(address: Address, rig: Rig, sample_rate: float | None) -> ModeledBus:
+    """Open a link as its URL says."""
+    address.only(*OPTIONS)
+    keep = address.options.get("keep", "second")
+    if keep not in ("second", "all"):
+        raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
+    name = address.options["link"]
+    if name not in LINKS:
+        raise InputError(f"{address.scheme}: link = {name!r}: {nearest(name, list(LINKS))}")
+    wiring = Wiring.of(rig, sample_rate or RATE)
+    clock, link = ModelClock(), _link(address, name)
+    model = _model(address, wiring, link, clock)
+
+    def connect() -> Wire:
+        model.require()
+        if isinstance(model, CanModel):
+            assert isinstance(link, Can)
+            return CanWire(model, link, clock)
+        if isinstance(model, I2cModel):
+            assert isinstance(link, I2c)
+            return I2cWire(model, [ADDRESS + k for k in range(len(model.configs))], link, clock)
+        assert isinstance(model, SerialModel)
+        return SerialWire(model, link, clock)
+
+    return ModeledBus(
+        wiring, model, connect, planner(address, rig, sample_rate, link),
+        keep=keep, rearm=flag(address, "rearm"),
+    )  # fmt: skip
+
+
+def _link(address: Address, name: str) -> Link:
+    rate = number(address, "bit_rate", 1e3, 1e9)
+    if name == "serial":
+        return Unlimited() if rate is None else Uart(rate)
+    if name == "i2c":
+        return I2c(rate or CLOCK)
+    data = number(address, "data_bit_rate", 1e4, 1e8) or DATA
+    return Can(rate or NOMINAL, data if name == "canfd" else None)
+
+
+def _model(address: Address, wiring: Wiring, link: Link, clock: ModelClock) -> Model:
+    boards = whole(address, "boards", 1, 16) or 1
+    drift = (number(address, "drift_ppm", -20000, 20000) or 0.0) * 1e-6
+    width = -(wiring.channels // -boards)
+    fifo = number(address, "fifo_ms", 1, 10000) or 64.0
+    configs = [
+        config_of(wiring, width, node, rates=RATES, fifo_ms=fifo) for node in range(1, boards + 1)
+    ]
+    party = Party(
+        configs, _faults(address), clock,
+        drift=[drift * k for k in range(1, boards + 1)],
+        seed=whole(address, "seed", 0, 2**31) or 0,
+    )  # fmt: skip
+    if isinstance(link, Can):
+        return CanModel(link, party)
+    if isinstance(link, I2c):
+        return I2cModel(link, ADDRESS, party)
+    if boards > 1:
+        raise InputError(f"{address.scheme}: boards = {boards}: one on a serial line")
+    return SerialModel(link, party)
+
+
+def _faults(address: Address) -> Faults:
+    def share(name: str) -> float:
+        return number(address, name, 0.0, 1.0) or 0.0
+
+    def interval(name: str) -> float:
+        return number(address, name, 0.01, 1e9) or math.inf
+
+    return Faults(
+        loss=share("loss"),
+        corrupt=share("corrupt"),
+        reorder=share("reorder"),
+        delay=(number(address, "delay_ms", 0.0, 1000.0) or 0.0) * 1e-3,
+        arbitration=(number(address, "arbitration_us", 0.0, 1e6) or 0.0) * 1e-6,
+        disconnect=interval("disconnect_s"),
+        power=interval("power_s"),
+        stall=interval("stall_s"),
+    )

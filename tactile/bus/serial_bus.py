@@ -1,0 +1,300 @@
+"""``serial:``, amplifiers on a serial line: UART, USB CDC, or one far away by RFC 2217.
+
+``serial:///dev/ttyACM0?baud=3000000`` or ``serial:rfc2217://host:port?baud=115200``. Without
+``baud`` the line is taken for USB, which has no bit rate of its own. Written is never waited for:
+what the kernel does not take stays here, and nothing more is sent until it is gone. A line that
+takes nothing for a tenth of a second is broken (its reader has stalled), and is opened anew.
+"""
+
+import errno
+import os
+import select
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+from firmware_protocol.packet import Packet, encode_packet
+from firmware_protocol.serial_link import DELIMITER, SerialDecoder, encode_frame
+from tactile.bus.base import Rig
+from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, Monotonic, open_link
+from tactile.bus.options import number
+from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.wire import STALL, Clock, Wire, WireError
+from tactile.bus.wire_time import Link, Uart, Usb
+
+LARGEST_READ = 65536
+NO_RATE = 115200
+"""baud that is set where the line has none."""
+
+
+class Line(ABC):
+    """Bytes both ways; the driver below a `SerialWire`. Its errors are OSErrors."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> int:
+        """Take bytes without waiting; return how many."""
+
+    @abstractmethod
+    def read(self) -> bytes:
+        """Return what has come."""
+
+    @abstractmethod
+    def wait(self, until: float, *, writable: bool) -> None:
+        """Wait for bytes, until a host time [s], until woken or, if asked, until it takes more."""
+
+    @abstractmethod
+    def wake(self) -> None:
+        """Let `wait` return."""
+
+    @abstractmethod
+    def discard(self) -> None:
+        """Drop what was written and is not on the wire yet."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class SerialWire(Wire):
+    """Packets on a line.
+
+    Parameters
+    ----------
+    line : of bytes
+    link : how long they take
+    clock : host time
+    """
+
+    def __init__(self, line: Line, link: Link, clock: Clock) -> None:
+        super().__init__(link)
+        self._line, self._clock = line, clock
+        self._decoder = SerialDecoder(counters=self.counters)
+        self._rest = b""
+        self._since = 0.0
+        self._write(DELIMITER)
+
+    @property
+    def busy(self) -> bool:
+        """Whether the kernel has not taken all."""
+        return bool(self._rest)
+
+    def send(self, packet: Packet) -> float:
+        """Write a packet; return how long it takes."""
+        data = encode_packet(packet)
+        self._write(encode_frame(data))
+        return self.link.seconds(data)
+
+    def urge(self, packet: Packet) -> None:
+        """Drop what waits here and in the kernel, end the frame that was cut, and write."""
+        self._rest = b""
+        self._line.discard()
+        self._write(DELIMITER + encode_frame(encode_packet(packet)))
+
+    def _write(self, data: bytes) -> None:
+        if not self._rest:
+            self._since = self._clock.now()
+        self._rest += data
+        self._flush()
+
+    def _flush(self) -> None:
+        taken = self._line.write(self._rest)
+        if taken:
+            self._rest, self._since = self._rest[taken:], self._clock.now()
+
+    def receive(self, until: float) -> list[Packet]:
+        """Return what came."""
+        self._line.wait(until, writable=self.busy)
+        if self._rest:
+            self._flush()
+            if self._rest and self._clock.now() - self._since > STALL:
+                raise WireError(f"the line takes nothing more; {len(self._rest)} bytes wait")
+        return self._decoder.feed(self._line.read())
+
+    def wake(self) -> None:
+        """Let `receive` return."""
+        self._line.wake()
+
+    def close(self) -> None:
+        """Close the line."""
+        self._line.close()
+
+
+class PosixLine(Line):
+    """A tty by its file descriptor."""
+
+    def __init__(self, port: Any) -> None:
+        self._port, self._fd = port, port.fileno()
+        os.set_blocking(self._fd, False)
+        self._woken, self._waker = os.pipe()
+        os.set_blocking(self._woken, False)
+        os.set_blocking(self._waker, False)
+        self._poll = select.poll()
+        self._poll.register(self._woken, select.POLLIN)
+        self._poll.register(self._fd, select.POLLIN)
+
+    def write(self, data: bytes) -> int:
+        """Take bytes."""
+        try:
+            return os.write(self._fd, data) if data else 0
+        except BlockingIOError:
+            return 0
+
+    def read(self) -> bytes:
+        """Return what has come."""
+        try:
+            return os.read(self._fd, LARGEST_READ)
+        except BlockingIOError:
+            return b""
+
+    def wait(self, until: float, *, writable: bool) -> None:
+        """Wait, with the resolution of poll, rounded up."""
+        self._poll.modify(self._fd, select.POLLIN | (select.POLLOUT if writable else 0))
+        seconds = until - time.monotonic()
+        events = dict(self._poll.poll(max(0.0, seconds) * 1000))
+        if self._woken in events:
+            with suppress(BlockingIOError):
+                os.read(self._woken, 4096)
+        if events.get(self._fd, 0) & (select.POLLERR | select.POLLHUP | select.POLLNVAL):
+            raise WireError("the port is gone")
+
+    def wake(self) -> None:
+        """Let `wait` return."""
+        with suppress(OSError):
+            os.write(self._waker, b"\0")
+
+    def discard(self) -> None:
+        """Drop the kernel's output buffer."""
+        self._port.reset_output_buffer()
+
+    def close(self) -> None:
+        """Close everything."""
+        if self._fd < 0:
+            return
+        self._fd = -1
+        with suppress(OSError):
+            self._port.close()
+        os.close(self._woken)
+        os.close(self._waker)
+
+
+class PortLine(Line):
+    """A port of pyserial that has no file descriptor: RFC 2217, or another system's."""
+
+    STEP = 2e-3
+    """s between looks at what has come."""
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
+        self._woken = False
+
+    def write(self, data: bytes) -> int:
+        """Take bytes."""
+        return int(self._port.write(data) or 0) if data else 0
+
+    def read(self) -> bytes:
+        """Return what has come."""
+        return bytes(self._port.read(max(1, self._port.in_waiting)))
+
+    def wait(self, until: float, *, writable: bool) -> None:
+        """Look now and then."""
+        while not (self._woken or self._port.in_waiting or time.monotonic() >= until):
+            time.sleep(self.STEP)
+        self._woken = False
+
+    def wake(self) -> None:
+        """Let `wait` return."""
+        self._woken = True
+
+    def discard(self) -> None:
+        """Drop what waits."""
+        self._port.reset_output_buffer()
+
+    def close(self) -> None:
+        """Close the port."""
+        with suppress(OSError):
+            self._port.close()
+
+
+# Opening
+
+
+def link_of(address: Address) -> Link:
+    """Return how long packets take on the line of an address."""
+    rate = number(address, "baud", 1200, 100e6)
+    return Usb() if rate is None else Uart(rate)
+
+
+def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
+    """Open the line of an address.
+
+    Raises
+    ------
+    BusError
+        With what to do about it.
+    """
+    import serial
+
+    rate = round(link.bit_rate) if isinstance(link, Uart) else NO_RATE
+    own: dict[str, Any] = {} if "://" in address.path else {"exclusive": True}
+    try:
+        port = serial.serial_for_url(
+            address.path, baudrate=rate, timeout=0, write_timeout=STALL, **own
+        )
+    except (OSError, ValueError) as error:
+        raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
+    with suppress(Exception):
+        port.set_low_latency_mode(True)
+    line: Line = PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
+    try:
+        return SerialWire(line, link, clock)
+    except OSError:
+        line.close()
+        raise
+
+
+def _reason(path: str, error: Exception) -> str:
+    """Return why a port does not open, and what would do."""
+    number = getattr(error, "errno", None)
+    if number == errno.EACCES:
+        return f"permission denied; {_group(path)}"
+    if number == errno.ENOENT:
+        ports = ", ".join(found.url for found in find()) or "none is there"
+        return f"no such port; there are: {ports}"
+    if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error):
+        return "another program holds the port; close it"
+    return str(error).removeprefix(f"could not open port {path}: ")
+
+
+def _group(path: str) -> str:
+    """Return how to be allowed to open a port."""
+    import grp
+
+    try:
+        group = grp.getgrgid(os.stat(path).st_gid).gr_name
+    except (OSError, KeyError):
+        return "ask the administrator"
+    return f"sudo usermod -aG {group} $USER, then log in again"
+
+
+def find() -> Iterator[Found]:
+    """Yield the serial ports that are there, with what USB says of them."""
+    from serial.tools import list_ports
+
+    for port in sorted(list_ports.comports()):
+        about = port.description or "serial port"
+        if port.vid is not None:
+            about += f", USB {port.vid:04x}:{port.pid:04x}"
+        if port.serial_number:
+            about += f", serial {port.serial_number}"
+        yield Found(f"serial://{port.device}", about)
+
+
+def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
+    address.only("baud", *LINK_OPTIONS, path=True)
+    link, clock = link_of(address), Monotonic()
+    return open_link(address, rig, sample_rate, link, lambda: connect(address, link, clock))
+
+
+register_bus("serial", _open, find=find)

@@ -1,0 +1,470 @@
+"""A session with the amplifiers of one link, from HELLO to DISARM: what to say, and when.
+
+No I/O and no clock: whoever holds the wire hands over what came to `receive` and sends what `poll`
+returns. It goes from phase to phase toward what is wanted of it; a phase ends when all amplifiers
+have answered what it asked. What goes wrong is told by `trouble` and, where it ends what was
+wanted, by `refusal`; nothing raises.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import Enum, auto
+
+import numpy as np
+
+from firmware_protocol import messages as m
+from firmware_protocol import spectrum
+from firmware_protocol.host import refusal
+from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Fault, Message, Mode, NakCode, State
+from firmware_protocol.packet import Packet
+from tactile.bus.base import Counters, Floats, Wiring
+from tactile.bus.budget import Plan
+from tactile.bus.peer import RETRY, Peer
+from tactile.bus.stream import Stream
+from tactile.errors import InputError
+
+SEARCH = 0.06
+"""s in which amplifiers answer a HELLO to all; asked again while none did."""
+AHEAD = 30e-3
+"""s from START to the first sample."""
+SILENCE = 0.25
+"""s without a word from an amplifier, which sends PULSE every 10 ms, after which it is lost."""
+QUEUED = 50e-3
+"""s of packets on their way to the wire, beyond which no HEARTBEAT is sent (SPEC.md, 14)."""
+HELD = 2e-3
+"""s of packets that may wait for the wire while another is given to it."""
+REASON = 1
+"""Of an ESTOP, as STATUS tells it: a host's."""
+LATCHED = (State.ESTOP, State.FAULT)
+MOVING = (State.RUNNING, State.RAMPDOWN)
+
+
+class Phase(Enum):
+    """How far a session is."""
+
+    DOWN = auto()
+    SEARCH = auto()
+    GREET = auto()
+    CLOCK = auto()
+    HALT = auto()
+    LIMIT = auto()
+    READY = auto()
+    ARM = auto()
+    START = auto()
+    RUN = auto()
+    END = auto()
+    ESTOP = auto()
+    TRIPS = auto()
+    CLEAR = auto()
+    DISARM = auto()
+    GONE = auto()
+
+
+class Want(Enum):
+    """What a session is to come to."""
+
+    READY = auto()
+    RUN = auto()
+    ESTOP = auto()
+    GONE = auto()
+
+
+class Session:
+    """What is said on one link.
+
+    Parameters
+    ----------
+    wiring : what the amplifiers drive; its sample rate is replaced by the plan's
+    token : session on the wire, 1 … 65535
+    choose : makes the plan from the amplifiers' CAPS, once; may raise InputError
+    counters : of the bus
+    nodes : of the amplifiers, in the order of channels; all that answer, if not given
+    rearm : whether it may arm again what went to 0 V by itself
+
+    Attributes
+    ----------
+    phase, want, peers, plan : as they are now
+    stream : there once the plan is
+    trouble : one line on what is wrong; empty where nothing is
+    refusal : why what was wanted last cannot be; empty where it can
+    tripped : an amplifier is in ESTOP or FAULT though nobody here asked for it
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        *,
+        token: int,
+        choose: Callable[[Sequence[m.Caps]], Plan],
+        counters: Counters,
+        nodes: Sequence[int] = (),
+        rearm: bool = False,
+    ) -> None:
+        self.wiring, self.token, self.rearm = wiring, token, rearm
+        self.peers = [Peer(token, node) for node in nodes]
+        self.plan: Plan | None = None
+        self.stream: Stream | None = None
+        self.phase, self.want = Phase.DOWN, Want.READY
+        self.trouble = self.refusal = ""
+        self.tripped = False
+        self.carriers: Floats = np.zeros(0)
+        self._choose, self._counters = choose, counters
+        self._found: dict[int, m.Caps] = {}
+        self._until = self._wire_free = -math.inf
+        self._first: int | None = None
+        self._quick = self._owes_heartbeat = False
+        self._heartbeat = -math.inf
+        self._seq = 0
+
+    # What is wanted
+
+    def connected(self, now: float) -> None:
+        """Begin anew on a wire that was just opened."""
+        self._wire_free = now
+        self._found.clear()
+        self._enter(Phase.GREET if self.peers else Phase.SEARCH, now)
+
+    def disconnected(self, now: float, why: str) -> None:
+        """Take the wire as gone."""
+        self.trouble = why
+        if self.stream is not None:
+            self.stream.freeze(now)
+        self.phase = Phase.DOWN
+        if self.want is Want.RUN and self._first is not None:
+            self.want, self.refusal = Want.READY, why
+
+    def run(self, position: int) -> None:
+        """Play from a position on."""
+        self._first, self.want, self.refusal, self.trouble = position, Want.RUN, "", ""
+
+    def end(self, now: float, *, quick: bool) -> None:
+        """Ramp to 0 V."""
+        self.want, self._quick = Want.READY, quick
+        if self.stream is not None:
+            self.stream.clear()
+        if self.phase in (Phase.ARM, Phase.START, Phase.RUN):
+            self._enter(Phase.END, now)
+
+    def estop(self, now: float) -> Packet:
+        """Stop for good; return the packet that is to overtake all others."""
+        self.want, self.refusal = Want.ESTOP, ""
+        if self.stream is not None:
+            self.stream.clear()
+        if self.phase not in (Phase.DOWN, Phase.SEARCH):
+            self._enter(Phase.ESTOP, now)
+        return self._to_all(m.Estop(REASON))
+
+    def clear(self, now: float) -> None:
+        """End an e-stop or a fault."""
+        self.want, self.refusal, self.tripped = Want.READY, "", False
+        if self.phase is not Phase.DOWN:
+            self._enter(Phase.TRIPS, now)
+
+    def leave(self) -> None:
+        """Disarm, once ready."""
+        self.want = Want.GONE
+
+    def alive(self, now: float) -> None:
+        """Tell that the loop that renders is alive: it is who feeds the watchdog."""
+        self._owes_heartbeat |= now - self._heartbeat >= HEARTBEAT_MS * 1e-3
+
+    # What comes and goes
+
+    def receive(self, packets: list[Packet], now: float) -> None:
+        """Take what came."""
+        known = {peer.host.node: peer for peer in self.peers}
+        for packet in packets:
+            if packet.flags >> 6 != MAJOR:
+                self.refusal = (
+                    f"node {packet.node} speaks version {packet.flags >> 6} of the protocol, "
+                    f"this host {MAJOR}; update the older of the two"
+                )
+            elif packet.node in known:
+                known[packet.node].receive(packet, now)
+            elif self.phase is Phase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
+                caps = m.Caps.unpack(packet.payload)
+                if caps is not None:
+                    self._found[packet.node] = caps
+        if self.stream is not None and self.phase is Phase.RUN:
+            self.stream.control(now)
+
+    def poll(self, now: float, send: Callable[[Packet], float]) -> None:
+        """Send what is to be sent now.
+
+        ``send`` hands a packet to the wire and returns the seconds that it takes there.
+        """
+        self._advance(now)
+        out = []
+        if self.phase is Phase.SEARCH and self._due(now, SEARCH):
+            out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
+        if self._owes_heartbeat and self._wire_free - now < QUEUED:
+            self._owes_heartbeat, self._heartbeat = False, now
+            out.append(self._to_all(m.Heartbeat(self.token)))
+        for peer in self.peers:
+            out += peer.poll(now)
+        self._send(out, now, send)
+        if self.phase is Phase.RUN and self.stream is not None:
+            while self._wire_free - now <= HELD and (part := self.stream.take(now)):
+                self._send(part, now, send)
+
+    def _send(self, packets: list[Packet], now: float, send: Callable[[Packet], float]) -> None:
+        for packet in packets:
+            self._wire_free = max(self._wire_free, now) + send(packet)
+
+    @property
+    def deadline(self) -> float:
+        """Host time at which `poll` is next to be called, if nothing comes before [s]."""
+        stream = math.inf
+        if self.phase is Phase.RUN and self.stream is not None:
+            stream = max(self.stream.deadline, self._wire_free - HELD)
+        return min([peer.deadline for peer in self.peers] + [self._until, stream])
+
+    def lost(self, now: float) -> str:
+        """Return why the link is to be taken as broken; empty where it is not."""
+        if any(peer.lost for peer in self.peers):
+            return "the amplifier does not answer"
+        if self.phase.value > Phase.GREET.value and self.phase is not Phase.GONE:
+            silent = [peer.host.node for peer in self.peers if now - peer.heard > SILENCE]
+            if silent:
+                return f"node {silent[0]} has been silent for {SILENCE * 1e3:.0f} ms"
+        return ""
+
+    def _to_all(self, message: Message) -> Packet:
+        self._seq = (self._seq + 1) & 0xFF
+        return Packet.of(message, seq=self._seq)
+
+    def _due(self, now: float, interval: float) -> bool:
+        """Tell whether it is time, and set the next."""
+        if now < self._until:
+            return False
+        self._until = now + interval
+        return True
+
+    # Phases
+
+    def _enter(self, phase: Phase, now: float) -> None:
+        """Begin a phase: ask what it asks."""
+        self.phase, self._until = phase, math.inf
+        if phase is Phase.SEARCH:
+            self._until = now
+        requests: dict[Phase, Callable[[], list[Message]]] = {
+            Phase.GREET: self._greeting,
+            Phase.HALT: lambda: [m.Stop(self.token, 1)],
+            Phase.ARM: self._arming,
+            Phase.END: lambda: [m.Stop(self.token, int(self._quick))],
+            Phase.ESTOP: lambda: [m.Estop(REASON)],
+            Phase.TRIPS: lambda: [m.Poll()],
+            Phase.DISARM: lambda: [m.Disarm(self.token)],
+        }
+        asked = requests.get(phase)
+        for peer in self.peers:
+            if phase is Phase.LIMIT:
+                peer.ask(self._limits(peer.caps))
+            elif phase is Phase.CLEAR:
+                status = peer.host.status or m.Status()
+                peer.ask(m.ClearFault(self.token, status.trips))
+            else:
+                peer.ask(*(asked() if asked is not None else []))
+        if phase is Phase.START:
+            self._starting(now)
+
+    def _greeting(self) -> list[Message]:
+        hello = m.Hello(self.token, m.MAJOR, m.MINOR, m.SCHEMA_CRC)
+        return [*([m.Estop(REASON)] if self.want is Want.ESTOP else []), hello, m.Poll()]
+
+    def _arming(self) -> list[Message]:
+        assert self.plan is not None
+        rate = round(self.plan.sample_rate)
+        if not self.plan.carriers:
+            return [m.Arm(self.token, Mode.PCM, rate)]
+        increments = spectrum.increments(self.carriers, rate)
+        carriers = m.Carriers(self.token, len(increments), increments.astype("<u4").tobytes())
+        return [carriers, m.Arm(self.token, Mode.SPECTRUM, rate)]
+
+    def _limits(self, caps: m.Caps) -> m.Limits:
+        """Return the display's limits: no more than the amplifier's, which `_fits` has seen to."""
+        w = self.wiring
+        return m.Limits(
+            self.token,
+            min(int(w.voltage * 1e6), caps.voltage_limit_uv),
+            min(int(w.slew), caps.slew_limit_v_per_s),
+            min(max(round(w.fade * 1e6), 1), caps.fade_limit_us),
+        )
+
+    def _starting(self, now: float) -> None:
+        assert self.stream is not None
+        time = now + AHEAD
+        position = self.stream.position_at(time) if self._first is None else self._first
+        if self._first is None:
+            time = self.stream.due(position)
+        for peer, start in zip(self.peers, self.stream.begin(position, time), strict=True):
+            peer.ask(start)
+
+    def _advance(self, now: float) -> None:
+        """Leave the phases whose time has come."""
+        before = None
+        while before is not self.phase:
+            before = self.phase
+            if self.phase is Phase.SEARCH:
+                if self._found and now >= self._until:
+                    self.peers = [Peer(self.token, node) for node in sorted(self._found)]
+                    self._enter(Phase.GREET, now)
+            elif self.phase not in (Phase.DOWN, Phase.GONE) and all(p.idle for p in self.peers):
+                refused = [p.refused for p in self.peers if p.refused is not None]
+                if refused:
+                    self._refused(refused[0], now)
+                else:
+                    getattr(self, f"_after_{self.phase.name.lower()}")(now)
+
+    def _refused(self, nak: m.Nak, now: float) -> None:
+        """Act on what an amplifier would not do."""
+        if self.phase is Phase.GREET and nak.code == NakCode.BUSY:
+            self.trouble = "another host holds the amplifier"
+            self._wait(Phase.GREET, now)
+        elif self.phase is Phase.START and nak.code == NakCode.TIME:
+            self._enter(Phase.START, now)
+        elif self.phase is Phase.CLEAR and nak.code == NakCode.STATE:
+            self._wait(Phase.TRIPS, now)
+        else:
+            self.refusal = refusal(nak)
+            if self.want is not Want.GONE:
+                self.want = Want.READY
+            self._enter(Phase.DISARM if self.want is Want.GONE else Phase.READY, now)
+
+    def _wait(self, phase: Phase, now: float) -> None:
+        """Enter a phase again after a while."""
+        if self._until == math.inf:
+            self._until = now + RETRY
+        elif now >= self._until:
+            self._enter(phase, now)
+
+    def _after_greet(self, now: float) -> None:
+        for peer in self.peers:
+            peer.greeted()
+        if self.plan is None:
+            try:
+                self._fit([peer.caps for peer in self.peers])
+            except InputError as error:
+                self.refusal = str(error)
+                self._enter(Phase.GONE, now)
+                return
+        self._enter(Phase.CLOCK, now)
+
+    def _fit(self, caps: Sequence[m.Caps]) -> None:
+        """See that the display's demands are within what the amplifiers can; make the plan."""
+        w, have = self.wiring, sum(c.channels for c in caps)
+        if have < w.channels:
+            raise InputError(f"the display has {w.channels} channels, the amplifiers {have}")
+        for name, wanted, limit, scale, unit in (
+            ("voltage_v", w.voltage, min(c.voltage_limit_uv for c in caps), 1e-6, "V"),
+            ("slew_v_per_us", w.slew, min(c.slew_limit_v_per_s for c in caps), 1.0, "V/s"),
+        ):
+            if wanted > limit * scale * (1 + 1e-6):
+                raise InputError(
+                    f"limits.{name}: the display's {wanted:g} {unit} is more than the amplifier's "
+                    f"{limit * scale:g} {unit}; lower it in the display file"
+                )
+        self.plan = self._choose(caps)
+        self.wiring = replace(w, sample_rate=float(self.plan.sample_rate))
+        self.stream = Stream(self.peers, self.plan, w.channels, self._counters)
+
+    def _after_clock(self, now: float) -> None:
+        if not all(peer.locked for peer in self.peers):
+            return
+        states = [peer.state for peer in self.peers]
+        resumed = self.want is Want.RUN and self._first is None
+        if resumed and self.stream is not None and set(states) == {State.RUNNING}:
+            self.stream.resume()
+            self._enter(Phase.RUN, now)
+        elif any(state in MOVING for state in states):
+            self._enter(Phase.HALT, now)
+        else:
+            self._enter(Phase.LIMIT, now)
+
+    def _after_halt(self, now: float) -> None:
+        if not self._moving:
+            self._enter(Phase.LIMIT, now)
+
+    def _after_limit(self, now: float) -> None:
+        self.trouble = ""
+        if self.want is Want.RUN and self._first is None and not self.rearm:
+            self._give_up("the link was lost and is back")
+        self._enter(Phase.READY, now)
+
+    def _after_ready(self, now: float) -> None:
+        latched = [peer for peer in self.peers if peer.state in LATCHED]
+        if self.want is Want.ESTOP:
+            self._enter(Phase.ESTOP, now)
+        elif self.want is Want.GONE:
+            self._enter(Phase.DISARM, now)
+        elif latched:
+            if not self.tripped:
+                self.tripped, self.trouble = True, _why(latched[0])
+            if self.want is Want.RUN:
+                self.want, self.refusal = Want.READY, self.trouble
+        elif self.want is Want.RUN:
+            self._enter(Phase.ARM, now)
+
+    def _after_arm(self, now: float) -> None:
+        self._enter(Phase.START, now)
+
+    def _after_start(self, now: float) -> None:
+        for peer in self.peers:
+            peer.assume(State.RUNNING)
+        self._first, self.trouble = None, ""
+        self._enter(Phase.RUN, now)
+
+    def _after_run(self, now: float) -> None:
+        fallen = [peer for peer in self.peers if peer.state is not State.RUNNING]
+        if not fallen:
+            return
+        if self.stream is not None:
+            self.stream.freeze(now)
+        self.trouble = _why(fallen[0])
+        if not self.rearm:
+            self._give_up(self.trouble)
+        self._quick = False
+        self._enter(Phase.END, now)
+
+    def _give_up(self, why: str) -> None:
+        self.want = Want.READY
+        self.trouble = f"{why}; not armed again, since nobody said so: start again, or rearm=true"
+
+    def _after_end(self, now: float) -> None:
+        if not self._moving:
+            if self.stream is not None:
+                self.stream.freeze(now)
+            self._enter(Phase.READY, now)
+
+    def _after_estop(self, now: float) -> None:
+        if self.want is Want.GONE:
+            self._enter(Phase.DISARM, now)
+
+    def _after_trips(self, now: float) -> None:
+        self._enter(Phase.CLEAR, now)
+
+    def _after_clear(self, now: float) -> None:
+        for peer in self.peers:
+            peer.assume(State.IDLE)
+        self._enter(Phase.READY, now)
+
+    def _after_disarm(self, now: float) -> None:
+        if not self._moving:
+            self._enter(Phase.GONE, now)
+
+    @property
+    def _moving(self) -> bool:
+        return any(peer.state in MOVING for peer in self.peers)
+
+
+def _why(peer: Peer) -> str:
+    """Return why an amplifier does not run, as one line."""
+    node, state, status = peer.host.node, peer.state, peer.host.status
+    if state is State.FAULT and status is not None and status.fault in set(Fault):
+        return f"node {node} reports a fault: {Fault(status.fault).name.lower()}"
+    if state is State.ESTOP:
+        return f"node {node} was e-stopped by another"
+    if state is State.SAFE:
+        return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
+    return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"

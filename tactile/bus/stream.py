@@ -1,0 +1,242 @@
+"""The stream of a session: positions put out at the same time by all amplifiers of a link.
+
+Samples are packed as they are written and go out, a little ahead of their time (`lead`), as fast as
+the wire takes them. What is late already is not sent: the amplifiers go on at what is due by now.
+While the link is down positions pass as they did, so that playing goes on in step when it is back.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import messages as m
+from firmware_protocol import spectrum
+from firmware_protocol.host import codes_of, pcm
+from firmware_protocol.messages import VALID_MS, Message, SampleFormat
+from firmware_protocol.packet import TURN, Packet
+from tactile.bus.base import Counters, Floats
+from tactile.bus.budget import Plan, spectrum_group
+from tactile.bus.peer import Peer
+
+Complex = NDArray[np.complex128]
+
+LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
+"""s that samples are sent before they are put out: at first, and between what (SPEC.md, 8.1)."""
+RAISE, LOWER = 1.5, 0.1e-3
+"""By which the lead grows at an underrun, and s by which it falls in a second."""
+
+LATEST = 4e-3
+"""s before its time at which samples go that wait for others to fill their packet."""
+HOLD = 10e-3
+"""s for which the last sample is held at the end, in which STOP comes: the ramp begins there."""
+
+
+class Part(NamedTuple):
+    """Positions from ``start`` to before ``end`` that wait to be sent.
+
+    ``packets`` are an amplifier's, with the wire position after them.
+    """
+
+    start: int
+    end: int
+    packets: list[tuple[Peer, int, list[Packet]]]
+
+
+class Stream:
+    """What waits, and when it is due.
+
+    Parameters
+    ----------
+    peers : the amplifiers, each with as many channels as its CAPS says, in order
+    plan : how samples are packed
+    channels : C of what is written
+    counters : to count in what is late and what is dropped
+
+    Attributes
+    ----------
+    lead : [s]
+    end : position after what was written
+    """
+
+    def __init__(
+        self, peers: Sequence[Peer], plan: Plan, channels: int, counters: Counters
+    ) -> None:
+        self.lead = LEAD
+        self._plan, self._counters = plan, counters
+        ends = np.minimum(np.cumsum([peer.caps.channels for peer in peers]), channels).tolist()
+        starts = [0, *ends[:-1]]
+        self._spans = [slice(a, b) for a, b in zip(starts, ends, strict=True) if a < b]
+        self._peers = peers[: len(self._spans)]
+        self._parts: deque[Part] = deque()
+        self._partial: list[Floats] = []
+        self._partial_start = self.end = 0
+        self._last: Floats | None = None
+        self._playing = self._blocked = False
+        self._anchor = (0, 0.0)
+        self._underruns, self._lowered = 0, math.inf
+
+    # Time
+
+    def begin(self, position: int, time: float) -> list[m.Start]:
+        """Return each amplifier's START that plays a position at a host time [s]."""
+        self.clear()
+        self._anchor, self._playing, self.end = (position, time), True, position
+        self._underruns, self._lowered = self.underruns, time
+        return [peer.start(position, time) for peer in self._peers]
+
+    def due(self, position: int) -> float:
+        """Return the host time at which a position is put out [s]."""
+        rate = self._plan.sample_rate
+        if self._playing:
+            return self._peers[0].due(position, rate)
+        return self._anchor[1] + (position - self._anchor[0]) / rate
+
+    def position_at(self, time: float) -> int:
+        """Return the first position that is due at a host time [s] or later."""
+        at, when = self._anchor
+        at += math.ceil((time - when) * self._plan.sample_rate - 1e-9)
+        return at + math.ceil((time - self.due(at)) * self._plan.sample_rate - 1e-9)
+
+    def freeze(self, now: float) -> None:
+        """Let positions pass by the host's clock, since the amplifiers' is out of reach."""
+        if self._playing:
+            at = self.position_at(now)
+            self._anchor = (at, self.due(at))
+            self._playing = False
+        self.clear()
+
+    def resume(self) -> None:
+        """Go on by the amplifiers' clock, after a freeze that they have played through."""
+        self._playing = True
+
+    @property
+    def underruns(self) -> int:
+        """Of all amplifiers."""
+        return sum(peer.underruns for peer in self._peers)
+
+    def control(self, now: float) -> None:
+        """Adapt the lead to what the amplifiers tell."""
+        self._blocked = False
+        underruns = self.underruns
+        if underruns > self._underruns:
+            self._counters.underruns += underruns - self._underruns
+            self._underruns = underruns
+            self.lead = min(self.lead * RAISE, MOST_LEAD)
+        elif now > self._lowered:
+            self.lead = max(self.lead - LOWER * (now - self._lowered), LEAST_LEAD)
+        self._lowered = now
+
+    # What waits
+
+    def add(self, position: int, volts: Floats) -> None:
+        """Let samples (S, C) [V] wait, in packets of as many as the plan says."""
+        if self._partial and position != self.end:
+            self._flush()
+        if not self._partial:
+            self._partial_start = position
+        self._partial.append(volts)
+        self.end = position + len(volts)
+        size = self._plan.packet_samples
+        if self.end - self._partial_start >= size:
+            together = np.concatenate(self._partial)
+            whole = len(together) // size * size
+            for k in range(0, whole, size):
+                self._pack(self._partial_start + k, together[k : k + size])
+            self._partial = [together[whole:]] if whole < len(together) else []
+            self._partial_start += whole
+
+    def hold(self) -> int:
+        """Let the last sample go on for `HOLD`; return the position after what was written."""
+        end = self.end
+        self._flush()
+        if self._last is not None:
+            count = math.ceil(HOLD * self._plan.sample_rate)
+            self._pack(end, np.tile(self._last, (count, 1)))
+        return end
+
+    def _flush(self) -> None:
+        if self._partial:
+            volts, self._partial = np.concatenate(self._partial), []
+            self._pack(self._partial_start, volts)
+
+    def _pack(self, position: int, volts: Floats) -> None:
+        kind = self._plan.sample_format
+        assert kind is not None
+        self._last = volts[-1]
+        packets = []
+        for peer, span in zip(self._peers, self._spans, strict=True):
+            at = peer.wire_position(position, len(volts))
+            codes = codes_of(volts[:, span], peer.caps.full_scale_uv * 1e-6)
+            messages = pcm(
+                at, codes, session=peer.host.session,
+                sample_format=kind, packet_limit=self._plan.packet_limit,
+            )  # fmt: skip
+            packets.append((peer, at + len(volts), self._told(peer, messages)))
+        self._parts.append(Part(position, position + len(volts), packets))
+
+    def add_frame(self, position: int, volts: Complex, carriers: Floats) -> None:
+        """Let a frame (C, P) [V] wait."""
+        plan, packets = self._plan, []
+        increment = spectrum.increments(carriers, plan.sample_rate).astype(np.int64)
+        spacing = plan.packet_samples
+        valid = min(2 * spacing, int(plan.sample_rate) * VALID_MS // 1000)
+        self.end = position
+        for peer, span in zip(self._peers, self._spans, strict=True):
+            at = peer.wire_position(position, 1)
+            turns = increment * ((at - position) % TURN) % TURN / TURN
+            codes = spectrum.encode(
+                volts[span] * np.exp(-2j * np.pi * turns) / (peer.caps.full_scale_uv * 1e-6)
+            )
+            group = spectrum_group(len(carriers), len(codes), plan.packet_limit)
+            messages = (
+                m.Spectrum(
+                    at % TURN, peer.host.session, valid, first, len(part),
+                    SampleFormat.SPECTRUM8, len(carriers), part.tobytes(),
+                )
+                for first in range(0, len(codes), group)
+                for part in [codes[first : first + group]]
+            )  # fmt: skip
+            packets.append((peer, at, self._told(peer, messages)))
+        self._parts.append(Part(position - spacing, position, packets))
+
+    @staticmethod
+    def _told(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
+        return [peer.host.tell(message) for message in messages]
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._flush()
+        for part in self._parts:
+            self._drop(part)
+        self._parts.clear()
+        self._last = None
+
+    def _drop(self, part: Part) -> None:
+        self._counters.dropped_samples += max(min(part.end, self.end) - part.start, 0)
+
+    @property
+    def deadline(self) -> float:
+        """Host time at which something has to go at the latest [s]."""
+        if self._parts:
+            return math.inf if self._blocked else -math.inf
+        return self.due(self._partial_start) - LATEST if self._partial else math.inf
+
+    def take(self, now: float) -> list[Packet]:
+        """Return the packets that are next, if the amplifiers have room for them."""
+        if self._partial and self.due(self._partial_start) - now <= LATEST:
+            self._flush()
+        while self._parts:
+            part = self._parts[0]
+            self._blocked = not all(peer.has_credit(end) for peer, end, _ in part.packets)
+            if self._blocked:
+                return []
+            self._parts.popleft()
+            self._counters.late_blocks += self.due(part.start) < now
+            if self.due(part.end) > now:
+                return [packet for _, _, packets in part.packets for packet in packets]
+            self._drop(part)
+        return []

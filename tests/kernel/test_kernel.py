@@ -1,0 +1,156 @@
+"""The kernel's own drivers: runs the checks of `in_*.py` inside kernels that have them.
+
+Every check is a line of its own here, so that one that was not run counts as failed.
+"""
+
+import ast
+import ctypes.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+HERE = Path(__file__).parent
+PROJECT = HERE.parents[1]
+FETCHING = ("apt-get", "dpkg-deb", "depmod")
+RESULT = re.compile(r"^([A-Z]+) \S*?(\w+\.py)::(\w+)", re.MULTILINE)
+TITLE = re.compile(r"^(?:_{3,}|={3,}) (.+) (?:_{3,}|={3,})$", re.MULTILINE)
+
+pytestmark = pytest.mark.ci
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A guest: what starts it, what that needs, and the checks that run in it."""
+
+    script: str
+    scripts: tuple[str, ...]
+    modules: str
+    seconds: int
+    tools: tuple[str, ...]
+
+    def checks(self) -> list[str]:
+        """Return the names of the checks, as "in_uml.py::test_classic_frames"."""
+        found = []
+        for script in self.scripts:
+            for node in ast.parse((HERE / script).read_text("utf-8")).body:
+                if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                    found.append(f"{script}::{node.name}")
+        return found
+
+
+UML = Machine(
+    script="uml.sh",
+    scripts=("in_uml.py", "in_i2c.py"),
+    modules="vcan can-raw i2c-dev i2c-stub:chip_addr=0x48 cuse",
+    seconds=180,
+    tools=("ip", "busybox", "modprobe"),
+)
+QEMU = Machine(
+    script="guest.sh",
+    scripts=("in_guest.py",),
+    modules="can-raw gs_usb vhci-hcd dummy_hcd libcomposite cdc-acm snd-aloop",
+    seconds=400,
+    tools=("ip", "busybox", "modprobe", "cpio", "qemu-system-x86_64"),
+)
+
+
+def missing(what: str) -> NoReturn:
+    """Skip; where CI promises it its absence is a failure."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(what)
+    pytest.skip(what)
+
+
+def need(tools: tuple[str, ...]) -> None:
+    """Skip or fail unless all tools are there."""
+    path = f"{os.environ['PATH']}:/usr/sbin:/sbin"
+    if lacking := [tool for tool in tools if not shutil.which(tool, path=path)]:
+        missing(f"not on PATH: {', '.join(lacking)}")
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment of the guests, after the kernels were fetched and the amplifier was built."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    kernels = os.environ.get("TACTILE_KERNELS") or str(cache / "tactile" / "kernels")
+    need(FETCHING)
+    fetched = subprocess.run(
+        [HERE / "kernels.sh", kernels], capture_output=True, text=True, check=False
+    )
+    if fetched.returncode:
+        missing(f"no kernels: {fetched.stderr}")
+    need(("make", "cc"))
+    build = tmp_path_factory.mktemp("amplifier")
+    source = PROJECT / "firmware_protocol" / "c"
+    subprocess.run(["make", "--silent", "-C", source, f"BUILD={build}"], check=True)
+    own = {
+        "TACTILE_KERNELS": kernels,
+        "TACTILE_VIRTUAL_AMPLIFIER": str(build / "virtual-amplifier"),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+    }
+    return os.environ | own
+
+
+Results = tuple[dict[str, set[str]], str]
+"""What came of each check, and all that was written."""
+
+
+def run(machine: Machine, environment: dict[str, str]) -> Results:
+    """Boot a machine and run its checks."""
+    need(machine.tools)
+    boot = [str(HERE / machine.script), "--seconds", str(machine.seconds)]
+    boot += ["--modules", machine.modules]
+    boot += ["--", sys.executable, "-m", "pytest", "-rA", "--color=no", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*boot, *(str(HERE / script) for script in machine.scripts)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        env=environment,
+        cwd=PROJECT,
+        check=False,
+    )
+    results: dict[str, set[str]] = defaultdict(set)
+    for outcome, script, check in RESULT.findall(done.stdout):
+        results[f"{script}::{check}"].add(outcome)
+    assert results, done.stdout
+    return results, done.stdout
+
+
+@pytest.fixture(scope="module")
+def uml(environment: dict[str, str]) -> Results:
+    return run(UML, environment)
+
+
+@pytest.fixture(scope="module")
+def qemu(environment: dict[str, str]) -> Results:
+    if not ctypes.util.find_library("portaudio"):
+        missing("no PortAudio")
+    return run(QEMU, environment)
+
+
+def judge(results: Results, check: str) -> None:
+    outcomes, output = results
+    titled = TITLE.split(output)[1:]
+    name = check.partition("::")[2]
+    about = [text for title, text in zip(titled[::2], titled[1::2], strict=True) if name in title]
+    assert outcomes[check] == {"PASSED"}, "".join(about) or output
+
+
+@pytest.mark.parametrize("check", UML.checks())
+def test_in_user_mode_linux(uml: Results, check: str) -> None:
+    judge(uml, check)
+
+
+@pytest.mark.parametrize("check", QEMU.checks())
+def test_in_qemu(qemu: Results, check: str) -> None:
+    judge(qemu, check)

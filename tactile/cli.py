@@ -3,7 +3,8 @@
 import json
 import math
 import sys
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,6 +47,14 @@ STROKE = {
 DisplayOption = Annotated[
     str, typer.Option("--display", help="reference-24, reference-64, or a TOML file.")
 ]
+AcceptHold = Annotated[
+    bool,
+    typer.Option(
+        "--accept-unsafe-hold",
+        help="Also on an amplifier that holds its last voltage when the host dies, or does nobody "
+        "knows what.",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures for machines.")]
 
 
@@ -79,7 +88,10 @@ def play(
     device: Annotated[str, typer.Option(help="sim:, mock:, or another device's URL.")] = "sim:",
     record: Annotated[Path | None, typer.Option(help="Write an .npz of what was played.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the surface.")] = 0,
-    sample_rate_hz: Annotated[float, typer.Option(help="Of the drive.")] = 8000.0,
+    sample_rate_hz: Annotated[
+        float | None, typer.Option(help="Of the drive; by default the device's choice.")
+    ] = None,
+    accept_unsafe_hold: AcceptHold = False,
     as_json: AsJson = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No picture and no report.")] = False,
 ) -> None:
@@ -96,15 +108,17 @@ def play(
         "--normal-force-n": normal_force_n,
     }
     trajectory = _trajectory(path, stroke)
-    _within("--sample-rate-hz", sample_rate_hz, 4000, 200000, 8000)
+    _within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
     shown, felt = tactile.load_display(display), tactile.load_texture(texture)
     watched = sys.stdout.isatty() and not (quiet or as_json)
-    live, watch = _live(shown, texture, sample_rate_hz) if watched else (nullcontext(), None)
+    live, watch = (
+        _live(shown, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
+    )
     with live:
         summary = run(
             shown, felt, trajectory,
             device=device, sample_rate=sample_rate_hz, seed=seed, record=record,
-            watch=watch, realtime=watched,
+            watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(summary.as_dict()))
@@ -154,8 +168,28 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
 
 def _report(s: dict[str, Any]) -> dict[str, str]:
     rows = {
-        "on": f"{s['display']} at {s['device']}",
+        "on": f"{s['display']} at {s['device']}, {s['sample_rate_hz']:g} Hz",
         "length": f"{s['seconds']:.3f} s, {s['samples']} samples",
+    }
+    rows |= _frames(s) if s["frames"] else _samples(s)
+    if s["faults"] or s["invalid_samples"]:
+        counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}
+        rows["faults"] = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
+    if s["status"]:
+        rows["link"] = s["status"]
+    if s["recording"]:
+        rows["recorded"] = s["recording"]
+    return rows
+
+
+def _frames(s: dict[str, Any]) -> dict[str, str]:
+    return {
+        "frames": f"{s['frames']} of the spectrum, {s['limited_samples']} limited; without events",
+    }
+
+
+def _samples(s: dict[str, Any]) -> dict[str, str]:
+    rows = {
         "shear": f"{s['rms_shear_um']:.2f} µm rms, {s['peak_shear_um']:.2f} µm peak; "
         f"full drive attains {s['attainable_um']:.1f} µm up to 1 kHz",
         "drive": f"{s['peak_drive_v']:.1f} V peak of {s['voltage_limit_v']:.0f} V, "
@@ -169,12 +203,84 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
         )
     if s["peak_current_ma"] is not None:
         rows["current"] = f"{s['peak_current_ma']:.2f} mA peak per contactor"
-    if s["faults"] or s["invalid_samples"]:
-        counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}
-        rows["faults"] = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
-    if s["recording"]:
-        rows["recorded"] = s["recording"]
     return rows
+
+
+@app.command("devices")
+def list_devices(as_json: AsJson = False) -> None:
+    """List the devices that are there, each with the URL that opens it.
+
+    Example: tactile devices
+    """
+    from tactile.devices import find_devices
+
+    found = list(find_devices())
+    if as_json:
+        typer.echo(json.dumps([{"url": one.url, "about": one.about} for one in found]))
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("device", no_wrap=True)
+    table.add_column("what it is")
+    for one in found:
+        table.add_row(one.url, one.about)
+    if found:
+        Console().print(table)
+    else:
+        typer.echo("no device found; sim: and mock: are always there")
+
+
+@app.command("budget")
+def tell_budget(
+    display: Annotated[str, typer.Argument(help="reference-24, reference-64, or a TOML file.")],
+    url: Annotated[str, typer.Argument(help="Of the device; it is not opened.")],
+    band_hz: Annotated[float, typer.Option(help="Highest frequency that is needed.")] = 1000.0,
+    as_json: AsJson = False,
+) -> None:
+    """Tell what fits the link to a device: format, sample rate, spectrum frames.
+
+    Example: tactile budget reference-24 "can:socketcan/can0?fd=true"
+    """
+    from tactile.bus.budget import BudgetError, plan, table
+    from tactile.devices import link_at
+
+    shown, link = tactile.load_display(display), link_at(url)
+    chosen = None
+    with suppress(BudgetError):
+        chosen = plan(link, shown.channels, band=band_hz)
+    rows = table(link, shown.channels, band=band_hz)
+    if as_json:
+        typer.echo(
+            json.dumps(
+                {
+                    "link": link.name,
+                    "channels": shown.channels,
+                    "cap": link.cap,
+                    "plan": None if chosen is None else asdict(chosen),
+                    "rows": [asdict(row) | {"fits": row.fits} for row in rows],
+                }
+            )
+        )
+        return
+    title = f"{shown.channels} channels on {link.name}, {link.cap:.0%} of which may be used"
+    _print_budget(rows, title, first=chosen is not None)
+
+
+def _print_budget(
+    rows: list[Any], title: str, *, first: bool = False, console: Console | None = None
+) -> None:
+    """Print what fits; the ``first`` that does is what will be sent."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column("sent as")
+    for heading in ("Hz", "of the wire", "channels that fit"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    for row in rows:
+        verdict = "too much" if row.why_not.startswith("takes ") else row.why_not
+        if row.fits:
+            verdict, first = "chosen" if first else "fits", False
+        use = f"{row.use:.0%}"
+        table.add_row(row.what, f"{row.sample_rate:g}", use, str(row.most), verdict)
+    (console or Console()).print(table)
 
 
 @app.command()
@@ -330,6 +436,8 @@ def main() -> None:
         status = 130
     except (TactileError, OSError) as error:
         status = _complain(f"tactile: {error}")
+        if rows := getattr(error, "rows", None):
+            _print_budget(rows, "", console=Console(stderr=True))
     except Exception as error:
         if not hasattr(error, "format_message"):  # the parser's own kind; typer does not export it
             raise

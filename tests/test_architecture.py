@@ -39,7 +39,7 @@ MAP: dict[str, set[str]] = {
     "plots": {"actuator", "display", "errors"},
     "terminal": {"display"},
     "bench": {"actuator", "bus", "display", "rendering", "sim", "texture"},
-    "cli": {"bench", "daemon", "errors", "files", "plots", "study", "terminal"},
+    "cli": {"bench", "bus", "daemon", "devices", "errors", "files", "plots", "study", "terminal"},
     "__main__": {"cli"},
 }
 """What a room may import besides itself; `tactile/__init__.py` only names where things live."""

@@ -544,8 +544,8 @@ class Failing:
         self.bus: MockBus | None = None
         monkeypatch.setattr(session, "open_bus", self._open)
 
-    def _open(self, url: str, display: Display, *, sample_rate: float) -> Bus:
-        bus = open_bus("mock:?keep=all", display, sample_rate=sample_rate)
+    def _open(self, url: str, display: Display, **_: object) -> Bus:
+        bus = open_bus("mock:?keep=all", display)
         assert isinstance(bus, MockBus)
         self.bus = bus
         return bus

@@ -14,7 +14,7 @@ import numpy as np
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.bus.base import RATE, Bus, DriveBlock, Floats, Rig, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
-from tactile.bus.modeled_bus import open_modeled
+from tactile.bus.modeled_bus import link_of, open_modeled
 from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus
 from tactile.errors import InputError
@@ -148,4 +148,4 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
     return MockBus(Wiring.of(rig, sample_rate or RATE), keep=keep, sample_format=kind)
 
 
-register_bus("mock", _open)
+register_bus("mock", _open, link=link_of)

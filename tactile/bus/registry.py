@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlsplit
 
 from tactile.bus.base import Bus, HostDeath, Rig
+from tactile.bus.wire_time import Link
 from tactile.errors import BusError, InputError
 from tactile.files import nearest
 
@@ -63,11 +64,15 @@ class Found:
 
 @dataclass(frozen=True)
 class Driver:
-    """A kind of bus: how one is opened, what it does when the host dies, which there are."""
+    """A kind of bus: how one is opened, what it does when the host dies, which there are.
+
+    ``link`` tells how long packets take, of a kind that carries the protocol.
+    """
 
     factory: Factory
     on_host_death: HostDeath
     find: Callable[[], Iterable[Found]]
+    link: Callable[[Address], Link] | None = None
 
 
 _drivers: dict[str, Driver] = {}
@@ -79,9 +84,10 @@ def register_bus(
     *,
     on_host_death: HostDeath = "ramps",
     find: Callable[[], Iterable[Found]] = tuple,
+    link: Callable[[Address], Link] | None = None,
 ) -> None:
     """Make ``scheme:`` open buses of a kind; an earlier one of that name is replaced."""
-    _drivers[scheme] = Driver(factory, on_host_death, find)
+    _drivers[scheme] = Driver(factory, on_host_death, find, link)
 
 
 def find_devices() -> Iterator[Found]:
@@ -112,6 +118,22 @@ def parse(url: str) -> Address:
     except ValueError as error:
         raise InputError(f"device {url!r}: {error}; options are name=value") from error
     return Address(scheme, parts.netloc + parts.path, dict(given))
+
+
+def link_at(url: str) -> Link:
+    """Return how long packets take on the link of a device, without opening it.
+
+    Raises
+    ------
+    InputError
+        For a device that does not carry the protocol.
+    """
+    address = parse(url)
+    link = _drivers[address.scheme].link
+    if link is None:
+        carrying = ", ".join(f"{name}:" for name, driver in _drivers.items() if driver.link)
+        raise InputError(f"device {url!r}: carries no packets; {carrying} do")
+    return link(address)
 
 
 def open_bus(

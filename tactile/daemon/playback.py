@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile.bus.base import Bus, DriveBlock, Floats
+from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
 from tactile.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
+from tactile.rendering.spectrum import SpectrumRenderer
 
 BLOCK = 64
 
@@ -80,6 +81,43 @@ def play(
         if realtime:
             time.sleep(max(0.0, begun + sent / sample_rate - time.monotonic()))
     bus.stop()
+
+
+def play_frames(
+    display: Display,
+    renderer: SpectrumRenderer,
+    trajectory: Trajectory,
+    bus: Bus,
+    *,
+    sample_rate: float,
+) -> int:
+    """Play a trajectory as spectrum frames, on a bus that takes them; return how many.
+
+    The first frame rises from 0 V, and the last falls to it.
+
+    Parameters
+    ----------
+    display, renderer, trajectory, bus, sample_rate : as of `play`
+
+    Raises
+    ------
+    BusError
+        Where the bus fails.
+    """
+    bus.tune(renderer.carriers)
+    bus.start()
+    spacing = renderer.spacing
+    renderer.sample = spacing
+    count = max(int(trajectory.duration * sample_rate / spacing), 1)
+    lines = np.zeros((display.channels, len(renderer.carriers)), np.complex128)
+    for k in range(1, count + 1):
+        time = trajectory.time[0] + k * spacing / sample_rate
+        place, force = trajectory.at(time)
+        lines[display.channel] = renderer.frame(place, trajectory.velocity(time), float(force))
+        bus.write_frame(DriveFrame(k * spacing, lines.copy()))
+    bus.write_frame(DriveFrame((count + 1) * spacing, np.zeros_like(lines)))
+    bus.stop()
+    return count
 
 
 def _blocks(

@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from tactile.bus.base import Floats
-from tactile.daemon.playback import PlayedBlock, play
+from tactile.bus.base import Bus, Floats
+from tactile.daemon.playback import PlayedBlock, play, play_frames
 from tactile.devices import open_bus
 from tactile.display import Display
+from tactile.errors import InputError
 from tactile.recording import Recorder
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
+from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.sim import Fidelity, SimulatedDisplay
 from tactile.texture.surface import Texture
 
@@ -26,13 +28,17 @@ class Summary:
 
     ``signal_to_error_db`` is played against commanded shear in 20–1000 Hz, on a simulated display;
     ``attainable_um`` the peak shear that full drive attains at the worst frequency to 1000 Hz.
+    ``frames`` counts those of a link that takes spectrum frames; what samples would tell is then not
+    known, and limited and invalid are frames. ``status`` says what is wrong with the link.
     """
 
     texture: str
     display: str
     device: str
+    sample_rate_hz: float = 0.0
     seconds: float = 0.0
     samples: int = 0
+    frames: int = 0
     peak_drive_v: float = 0.0
     voltage_limit_v: float = 0.0
     rms_shear_um: float = 0.0
@@ -43,6 +49,7 @@ class Summary:
     invalid_samples: int = 0
     signal_to_error_db: float | None = None
     peak_current_ma: float | None = None
+    status: str = ""
     faults: dict[str, int] = field(default_factory=dict)
     recording: str | None = None
 
@@ -55,9 +62,22 @@ class _Run:
     """Takes the blocks as they are played and keeps account of them."""
 
     def __init__(
-        self, summary: Summary, simulated: SimulatedDisplay | None, rate: float, delay: int
+        self,
+        summary: Summary,
+        bus: Bus,
+        rate: float,
+        delay: int,
+        record: Path | None,
+        display: Display,
     ) -> None:
-        self.summary, self._simulated = summary, simulated
+        self.summary, self._bus, self._rate = summary, bus, rate
+        self._simulated = bus if isinstance(bus, SimulatedDisplay) else None
+        self._recorder: Recorder | None = None
+        if record is not None:
+            self._recorder = Recorder(
+                record, sample_rate_hz=rate, contactors_mm=display.contactors * 1e3
+            )
+            summary.recording = str(record)
         self._fidelity = Fidelity(rate)
         self._preroll = delay
         self._waiting: list[PlayedBlock] = []
@@ -91,10 +111,42 @@ class _Run:
             self._felt = self._felt[count:]
         return pairs
 
-    def finish(self, renderer: Renderer, rate: float) -> None:
+    def play(
+        self,
+        display: Display,
+        renderer: Renderer,
+        trajectory: Trajectory,
+        watch: Callable[[PlayedBlock, Renderer], None] | None,
+        *,
+        realtime: bool,
+    ) -> None:
+        """Play to the end, and account for it."""
+
+        def listen(block: PlayedBlock) -> None:
+            self.account(block)
+            self._write(block)
+            if watch is not None:
+                watch(block, renderer)
+
+        with self._recorder if self._recorder is not None else nullcontext():
+            play(
+                display, renderer, trajectory, self._bus,
+                sample_rate=self._rate, listen=listen, realtime=realtime,
+            )  # fmt: skip
+            if self._simulated is not None:
+                self._simulated.settle()
+            self._write(None)
+        self._finish(renderer)
+
+    def _write(self, block: PlayedBlock | None) -> None:
+        for done, felt in self.paired(block):
+            if self._recorder is not None:
+                self._recorder.add(**_rows(done, felt))
+
+    def _finish(self, renderer: Renderer) -> None:
         """Complete the summary."""
         s = self.summary
-        s.seconds = s.samples / rate
+        s.seconds = s.samples / self._rate
         s.rms_shear_um = float(np.sqrt(self._square / max(s.samples, 1))) * 1e6
         s.limited_samples = renderer.limiter.limited_samples
         s.invalid_samples = renderer.invalid_samples + renderer.limiter.invalid_samples
@@ -113,11 +165,12 @@ def run(
     trajectory: Trajectory,
     *,
     device: str = "sim:",
-    sample_rate: float = 8000.0,
+    sample_rate: float | None = None,
     seed: int = 0,
     record: Path | None = None,
     watch: Callable[[PlayedBlock, Renderer], None] | None = None,
     realtime: bool = False,
+    accept_unsafe_hold: bool = False,
 ) -> Summary:
     """Play a texture along a trajectory on a device.
 
@@ -125,52 +178,56 @@ def run(
     ----------
     display, texture, trajectory : what plays what, where
     device : URL of the bus
-    sample_rate : of the drive [Hz]
+    sample_rate : of the drive [Hz]; by default what the device chooses
     seed : of the surface's realization
     record : ``.npz`` to write: drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
         contactors_mm and, from a simulated display, shear_played_m
-    watch : called after each block
+    watch : called after each block; never, where the device takes spectrum frames
     realtime : play in step with the clock
+    accept_unsafe_hold : as of `open_bus`
 
     Raises
     ------
     TactileError
         For a device or file that cannot be used.
     """
-    renderer = Renderer(display, texture, sample_rate=sample_rate, seed=seed)
     summary = Summary(texture.name, display.name, device, voltage_limit_v=display.limits.voltage)
-    with open_bus(device, display, sample_rate=sample_rate) as bus:
-        simulated = bus if isinstance(bus, SimulatedDisplay) else None
-        account = _Run(summary, simulated, sample_rate, renderer.delay)
-        recorder = None
-        if record is not None:
-            recorder = Recorder(
-                record, sample_rate_hz=sample_rate, contactors_mm=display.contactors * 1e3
-            )
-            summary.recording = str(record)
-
-        def write(block: PlayedBlock | None) -> None:
-            for done, felt in account.paired(block):
-                if recorder is not None:
-                    recorder.add(**_rows(done, felt))
-
-        def listen(block: PlayedBlock) -> None:
-            account.account(block)
-            write(block)
-            if watch is not None:
-                watch(block, renderer)
-
-        with recorder if recorder is not None else nullcontext():
-            play(
-                display, renderer, trajectory, bus,
-                sample_rate=sample_rate, listen=listen, realtime=realtime,
-            )  # fmt: skip
-            if simulated is not None:
-                simulated.settle()
-            write(None)
+    with open_bus(
+        device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
+    ) as bus:
+        rate = summary.sample_rate_hz = bus.wiring.sample_rate
+        if bus.frames is not None:
+            if record is not None:
+                raise InputError("--record: the link takes spectrum frames, which have no samples")
+            _play_frames(summary, display, texture, trajectory, bus, seed)
+        else:
+            renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
+            account = _Run(summary, bus, rate, renderer.delay, record, display)
+            account.play(display, renderer, trajectory, watch, realtime=realtime)
+        summary.status = bus.status.detail
         summary.faults = bus.counters.faults()
-    account.finish(renderer, sample_rate)
     return summary
+
+
+def _play_frames(
+    summary: Summary,
+    display: Display,
+    texture: Texture,
+    trajectory: Trajectory,
+    bus: Bus,
+    seed: int,
+) -> None:
+    assert bus.frames is not None
+    rate = bus.wiring.sample_rate
+    renderer = SpectrumRenderer(
+        display, texture,
+        carriers=bus.frames.carriers, frame_rate=bus.frames.rate, sample_rate=rate, seed=seed,
+    )  # fmt: skip
+    count = play_frames(display, renderer, trajectory, bus, sample_rate=rate)
+    summary.frames, summary.samples = count, count * renderer.spacing
+    summary.seconds = summary.samples / rate
+    summary.limited_samples = renderer.limited_frames
+    summary.invalid_samples = renderer.invalid_frames
 
 
 def _rows(block: PlayedBlock, felt: Floats | None) -> dict[str, Floats]:

@@ -138,6 +138,11 @@ class Trajectory:
             values[..., :2] += beyond * self._curve(inside, 1)[..., :2]
         return values[..., :2], values[..., 2]
 
+    def velocity(self, time: ArrayLike) -> Floats:
+        """Return velocity (..., 2) [m/s] at times [s]; beyond either end what it is there."""
+        inside = np.clip(np.asarray(time, np.float64), self.time[0], self.time[-1])
+        return np.asarray(self._curve(inside, 1)[..., :2])
+
     def blocks(
         self, sample_rate: float, size: int, *, extra: int = 0
     ) -> Iterator[tuple[Floats, Floats]]:

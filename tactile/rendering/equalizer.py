@@ -29,6 +29,10 @@ FREE_BAND = 2000.0
 """Hz from which on the filter is held down; between, it may do as it likes."""
 STOP_WEIGHT, FREE_WEIGHT = 3e-3, 1e-4
 """Of errors beyond `FREE_BAND` and below it, against one in the band."""
+LOWEST_RATE = 2 * STOP_BAND
+"""Hz: the lowest sample rate that carries what is commanded."""
+FITTED = 0.45
+"""Of a low sample rate, to which a filter is fitted: a real one has no phase at half of it."""
 GRID = 10.0
 """Hz between the frequencies at which the filter is fitted."""
 TAPS = (32, 64, 256)
@@ -95,7 +99,8 @@ def fit_taps(gain: Complex, sample_rate: float, taps: int, delay: int) -> tuple[
         As `largest_error`.
     """
     f = np.arange(0, sample_rate / 2, GRID)
-    band = gain.shape[1]
+    band = min(gain.shape[1], int(FITTED * sample_rate / GRID) + 1)
+    gain = gain[:, :band]
     late = np.exp(-2j * np.pi / sample_rate * f[:band] * delay)
     wanted = np.zeros((len(f), len(gain)), np.complex128)
     wanted[:band] = (gain * late).T
@@ -113,6 +118,7 @@ def fit_taps(gain: Complex, sample_rate: float, taps: int, delay: int) -> tuple[
 def largest_error(taps: Floats, gain: Complex, sample_rate: float, delay: int) -> float:
     """Return the largest |filter/gain − 1| in 10 … 1000 Hz of filters (K, T), gains (K, F)."""
     f = np.arange(0, sample_rate / 2, GRID)[: gain.shape[1]]
+    gain = gain[:, : len(f)]
     late = np.exp(-2j * np.pi / sample_rate * f * delay)
     reached = taps @ _turns(f, sample_rate, taps.shape[1]).T / (gain * late)
     return float(np.abs(reached[:, (f >= GRID) & (f <= PASS_BAND)] - 1).max())

@@ -165,9 +165,9 @@ class Renderer:
     def __init__(
         self, display: Display, texture: Texture, *, sample_rate: float = 8000.0, seed: int = 0
     ) -> None:
-        if not 2 * equalizer.FREE_BAND <= sample_rate <= FASTEST:
+        if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
             raise InputError(
-                f"sample_rate {sample_rate:g} Hz: must be {2 * equalizer.FREE_BAND:g} … "
+                f"sample_rate {sample_rate:g} Hz: must be {equalizer.LOWEST_RATE:g} … "
                 f"{FASTEST:g} Hz"
             )
         surface = texture.realize(seed)

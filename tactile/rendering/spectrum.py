@@ -174,9 +174,9 @@ def _table(
 def _check(carriers: int, frame_rate: float, sample_rate: float) -> None:
     if not 1 <= carriers <= MOST:
         raise InputError(f"carriers {carriers}: must be 1 … {MOST}")
-    if not 2 * equalizer.FREE_BAND <= sample_rate <= FASTEST:
+    if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
         raise InputError(
-            f"sample_rate {sample_rate:g} Hz: must be {2 * equalizer.FREE_BAND:g} … {FASTEST:g} Hz"
+            f"sample_rate {sample_rate:g} Hz: must be {equalizer.LOWEST_RATE:g} … {FASTEST:g} Hz"
         )
     if not SLOWEST <= frame_rate <= sample_rate:
         raise InputError(f"frame_rate {frame_rate:g} Hz: must be {SLOWEST:g} … {sample_rate:g} Hz")

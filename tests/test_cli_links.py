@@ -1,0 +1,149 @@
+"""The command line on links: what fits them, what is there, what playing on them tells."""
+
+import json
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tactile import cli
+from tactile.bus import registry
+from tactile.bus.base import DriveFrame
+from tactile.bus.modeled_bus import ModeledBus
+from tactile.daemon.session import run
+from tactile.devices import link_at, open_bus
+from tactile.display import load_display
+from tactile.errors import InputError
+from tactile.rendering.contact import Trajectory
+from tactile.texture.surface import load_texture
+
+
+class Result(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    def call(*arguments: str) -> Result:
+        monkeypatch.setattr("sys.argv", ["tactile", *arguments])
+        monkeypatch.setenv("COLUMNS", "100")
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        captured = capsys.readouterr()
+        return Result(int(left.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+# Budget
+
+
+def test_the_budget_marks_what_will_be_sent(command: Command) -> None:
+    result = command("budget", "reference-24", "can:socketcan/can0?fd=true")
+    assert result.code == 0
+    rows = [line.split() for line in result.out.splitlines()[2:]]
+    assert [row[0] for row in rows if row[-1] == "chosen"] == ["PCM12"]
+    assert rows[0][0] == "PCM16"
+    assert rows[0][-2:] == ["too", "much"]
+
+
+def test_the_budgets_plan_is_what_an_amplifier_on_that_link_gets(command: Command) -> None:
+    url = "mock:?link=serial&bit_rate=3000000"
+    told = json.loads(command("budget", "reference-24", url, "--json").out)
+    with open_bus(url, load_display("reference-24")) as bus:
+        assert isinstance(bus, ModeledBus)
+        assert told["plan"]["sample_format"] == bus.plan.sample_format
+        assert told["plan"]["use"] == pytest.approx(bus.plan.use)
+    assert told["cap"] == link_at(url).cap
+
+
+@pytest.mark.parametrize("url", ["audio:", "drv2667:1", "sim:"])
+def test_a_device_without_packets_has_no_budget(command: Command, url: str) -> None:
+    result = command("budget", "reference-24", url)
+    assert result.code == 2
+    assert "carries no packets" in result.err
+    assert result.err.count("\n") == 1
+
+
+def test_what_cannot_fit_is_refused_with_the_table(command: Command) -> None:
+    device = "mock:?link=i2c"
+    result = command("play", "wood-oak", "--seconds", "0.2", "--device", device)
+    assert result.code == 2
+    first, *rows = result.err.splitlines()
+    assert "I2C 400 kHz cannot carry 24 channels" in first
+    assert len(rows) == 15
+    assert all(row.split()[-2:] == ["too", "much"] for row in rows[1:])
+
+
+# Devices
+
+
+def test_devices_lists_what_every_driver_finds(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [registry.Found("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
+    drivers = {"serial": registry.Driver(registry._drivers["mock"].factory, "ramps", lambda: found)}
+    monkeypatch.setattr(registry, "_drivers", drivers)
+    assert "serial:///dev/ttyACM7  an amplifier, USB 1209:0001" in command("devices").out
+    listed = json.loads(command("devices", "--json").out)
+    assert listed == [{"url": found[0].url, "about": found[0].about}]
+    monkeypatch.setattr(registry, "_drivers", {})
+    assert command("devices").out == "no device found; sim: and mock: are always there\n"
+
+
+# Playing
+
+
+def test_a_narrow_link_is_played_in_spectrum_frames_and_says_so(command: Command) -> None:
+    told = json.loads(
+        command("play", "wood-oak", "--seconds", "0.5", "--device", "mock:?link=can", "--json").out
+    )
+    assert (told["frames"], told["sample_rate_hz"], told["faults"]) == (25, 8000, {})
+    said = command("play", "wood-oak", "--seconds", "0.5", "--device", "mock:?link=can").out
+    assert "25 of the spectrum" in said
+
+
+def test_frames_have_no_samples_to_record(command: Command, tmp_path: object) -> None:
+    result = command(
+        "play", "wood-oak", "--device", "mock:?link=can", "--record", f"{tmp_path}/a.npz"
+    )
+    assert result.code == 2
+    assert (
+        result.err == "tactile: --record: the link takes spectrum frames, which have no samples\n"
+    )
+
+
+def test_a_slower_link_is_played_at_its_own_rate() -> None:
+    """A UART of 1 Mbit/s carries 24 channels of BFP8 at 2.5 kHz and no more."""
+    stroke = Trajectory.line(speed=0.08, duration=0.3)
+    summary = run(
+        load_display("reference-24"), load_texture("wood-pine-sanded"), stroke,
+        device="mock:?link=serial&bit_rate=1000000",
+    )  # fmt: skip
+    assert summary.sample_rate_hz == 2500
+    assert summary.samples == 750
+    assert summary.faults == {}
+
+
+def test_frames_are_refused_before_the_bus_knows_their_carriers() -> None:
+    with open_bus("mock:?link=can", load_display("reference-24")) as bus:
+        with pytest.raises(OSError, match="tune it to their carriers first"):
+            bus.start()
+        bus.tune(np.array([0.0, 100.0]))
+        bus.start()
+        with pytest.raises(InputError, match="write_frame: 3 carriers, not 2"):
+            bus.write_frame(DriveFrame(160, np.zeros((24, 3), complex)))
+
+
+def test_what_holds_its_last_voltage_is_refused_unless_it_is_accepted(command: Command) -> None:
+    arguments = ("play", "wood-oak", "--device", "bos1921:63")
+    assert "accept that with --accept-unsafe-hold" in command(*arguments).err
+    accepted = command(*arguments, "--accept-unsafe-hold")
+    assert accepted.code == 2
+    assert "--accept-unsafe-hold" not in accepted.err

@@ -218,7 +218,7 @@ def load_display(
 
 
 def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
-    contactors = _contactors(content)
+    contactors = contactors_of(content)
     measured, kind = _measured(content, contactors, path)
     return Display(
         name=content.display.id,
@@ -237,7 +237,8 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
     )
 
 
-def _contactors(content: DisplayFile) -> tuple[Contactor, ...]:
+def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
+    """Return a file's contactors, those of a grid one by one."""
     if content.grid is None:
         return content.contactor
     g = content.grid
@@ -288,6 +289,8 @@ def _amplifier(table: AmplifierTable) -> Amplifier:
         output_resistance=table.output_resistance_ohm,
         hold=table.hold,
         delay=table.delay_us * 1e-6,
+        audio_full_scale=table.audio_full_scale_v,
+        ac_coupling=table.ac_coupling_hz or 0.0,
     )
 
 
@@ -348,14 +351,15 @@ def load_response(path: str | Path) -> Measured:
 
 def _check_geometry(display: Display) -> None:
     """Refuse what cannot be built or must not be driven."""
-    field = display.limits.voltage * display.amplifier.gain / float(display.bimorph.piezo_height)
+    highest = display.limits.voltage * display.amplifier.peak
+    field = highest / float(display.bimorph.piezo_height)
     if field > LARGEST_FIELD:
         largest = _three_digits_below(display.limits.voltage * LARGEST_FIELD / field)
+        swing = ", twice the drive's behind AC coupling," if display.amplifier.ac_coupling else ""
         raise InputError(
             f"limits.voltage_v = {display.limits.voltage:g}: {field / 1e3:.0f} V/mm in the piezo "
-            f"layers exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:g} V"
+            f"layers{swing} exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:g} V"
         )
-    highest = display.limits.voltage * display.amplifier.gain
     in_air = tip_response(display.bimorph, FingerLoad.none(), [0.0]).displacement[0]
     travel = highest * float(np.abs(in_air))
     needs = (float(display.bimorph.height) + 2 * travel, float(display.bimorph.width))

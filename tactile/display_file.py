@@ -112,6 +112,8 @@ class AmplifierTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     output_resistance_ohm: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     hold: Literal["none", "zoh"] = "none"
     delay_us: Annotated[float, Meta(ge=0, le=20000)] = 0.0
+    audio_full_scale_v: Annotated[float, Meta(gt=0, le=10000)] | None = None
+    ac_coupling_hz: Annotated[float, Meta(ge=0.01, le=50)] | None = None
 
 
 class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
@@ -18,6 +19,7 @@ from tactile.actuator.materials import CFRP, PIEZO_3203HD
 from tactile.actuator.response import tip_response
 from tactile.display import Display, Limits, load_display, load_response
 from tactile.errors import InputError, NotFoundError
+from tactile.rendering.equalizer import design
 
 Floats = NDArray[np.float64]
 
@@ -433,6 +435,57 @@ def test_an_amplifier_is_as_in_its_table(tmp_path: Path) -> None:
 
 def test_a_hold_that_would_draw_infinite_current_is_refused(tmp_path: Path) -> None:
     assert "infinite current" in refused(tmp_path, "[amplifier]\nhold = 'zoh'\n")
+
+
+# What an audio card needs to know
+
+
+def test_a_card_is_calibrated_in_the_table_of_the_amplifier(tmp_path: Path) -> None:
+    text = "[amplifier]\naudio_full_scale_v = 125.0\nac_coupling_hz = 2.0\n"
+    amplifier = load(tmp_path, text, "[limits]\nvoltage_v = 50.0\n").amplifier
+    assert (amplifier.audio_full_scale, amplifier.ac_coupling) == (125.0, 2.0)
+    amplifier = load(tmp_path).amplifier
+    assert (amplifier.audio_full_scale, amplifier.ac_coupling) == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    "line", ["audio_full_scale_v = 0.0", "ac_coupling_hz = 0.0", "ac_coupling_hz = 51.0"]
+)
+def test_a_card_out_of_range_is_named(tmp_path: Path, line: str) -> None:
+    assert line.partition(" ")[0] in refused(tmp_path, f"[amplifier]\n{line}\n")
+
+
+def test_behind_ac_coupling_electrodes_may_see_twice_the_drive() -> None:
+    """A first-order high-pass of a drive at one limit, long, then at the other."""
+    corner, rate = 2.0, 8000.0
+    drive = np.repeat([-1.0, 1.0], 8 * round(rate / corner))
+    pole = np.exp(-2 * np.pi * corner / rate)
+    electrodes = lfilter([(1 + pole) / 2, -(1 + pole) / 2], [1, -pole], drive)
+    amplifier = Amplifier(gain=3.0, ac_coupling=corner)
+    assert 3 * np.abs(electrodes).max() == pytest.approx(amplifier.peak, rel=1e-3)
+    assert Amplifier(gain=3.0).peak == 3.0
+
+
+def test_the_check_of_the_field_counts_it(tmp_path: Path) -> None:
+    coupled = "[amplifier]\nac_coupling_hz = 2.0\n"
+    said = refused(tmp_path, coupled, "[limits]\nvoltage_v = 100.0\n")
+    assert "in the piezo layers, twice the drive's behind AC coupling, exceeds" in said
+    assert "at most 52 V" in said
+
+
+def test_the_coupling_is_not_in_the_response_for_no_filter_of_the_equalizer_inverts_it() -> None:
+    """Left alone 1 Hz costs |1/(1 − 0.1j) − 1| ≈ 0.1 at 10 Hz; designed for, it costs as much."""
+    frequency = np.arange(0, 1251, 10, dtype=np.float64)
+    admittance = np.zeros(len(frequency), np.complex128)
+    coupled, direct = Amplifier(ac_coupling=1.0), Amplifier()
+    assert np.array_equal(
+        coupled.response(frequency, admittance, 8000.0),
+        direct.response(frequency, admittance, 8000.0),
+    )
+    high_pass = np.array([1.0, *1 / (1 + 1 / (1j * frequency[1:]))])
+    assert abs(high_pass[1] - 1) == pytest.approx(0.0995, abs=1e-4)
+    response = np.asarray(1e-6 * high_pass[None, None], np.complex128)
+    assert design(response, 100.0, 8000.0).error > 0.05
 
 
 def test_limits_are_as_in_their_table(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol import samples
-from firmware_protocol.messages import FULL_SCALE_CODE, Message, NakCode, State
+from firmware_protocol.messages import FULL_SCALE_CODE, Message, NakCode, SampleFormat, State
 from firmware_protocol.packet import SMALLEST, TURN, Packet
 
 MOST_SAMPLES = 255
@@ -96,10 +96,17 @@ def codes_of(volts: NDArray[np.float64], full_scale: float) -> NDArray[np.int16]
     return np.rint(volts * (FULL_SCALE_CODE / full_scale)).astype(np.int16)
 
 
+def _even(total: int, most: int) -> int:
+    """Return the size of as few and as even groups as ``most`` each allows."""
+    return -(total // -max(-(total // -most), 1))
+
+
 def pcm(
     position: int, codes: NDArray[np.int16], *, session: int, sample_format: int, packet_limit: int
 ) -> Iterator[m.Pcm]:
     """Yield the messages of a block: as few as the packet limit allows.
+
+    Those of BFP8 are cut by channels first, since each cut in time costs every channel an exponent.
 
     Parameters
     ----------
@@ -110,10 +117,11 @@ def pcm(
     """
     room = packet_limit - SMALLEST - m.Pcm.HEAD.size
     total, channels = codes.shape
-    group = channels
+    group, count = channels, min(MOST_SAMPLES, total)
+    if sample_format == SampleFormat.BFP8:
+        group = _even(channels, max(room // max(samples.size(sample_format, count, 1), 1), 1))
     while samples.size(sample_format, 1, group) > room:
         group = -(group // -2)
-    count = min(MOST_SAMPLES, total)
     while samples.size(sample_format, count, group) > room:
         count = min(count - 1, count * room // samples.size(sample_format, count, group))
     for start in range(0, total, count):

@@ -8,7 +8,18 @@ from tactile.bench import BENCHMARKS
 @pytest.mark.ci
 @pytest.mark.parametrize(
     "name",
-    ["matrix", "grating", "wood", "bands", "place", "spectrum", "memory", "clock", "faults"],
+    [
+        "matrix",
+        "grating",
+        "wood",
+        "bands",
+        "place",
+        "spectrum",
+        "memory",
+        "clock",
+        "faults",
+        "budgets",
+    ],
 )
 def test_every_promised_figure_is_reached(name: str) -> None:
     figures = [f for f in BENCHMARKS[name]() if not f.name.startswith("matrix.speed")]

@@ -12,10 +12,12 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
+from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fuzz import measure_fuzz
+from tactile.bench.links import measure_links, measure_streams_long
 from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from tactile.bench.resources import measure_memory, measure_soak, measure_speed
@@ -37,8 +39,14 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "clock": measure_clock,
     "protocol": measure_protocol,
     "faults": measure_faults,
+    "budgets": measure_budgets,
+    "links": measure_links,
 }
-LONG: dict[str, Callable[[], Iterator[Figure]]] = {"soak": measure_soak, "fuzz": measure_fuzz}
+LONG: dict[str, Callable[[], Iterator[Figure]]] = {
+    "soak": measure_soak,
+    "fuzz": measure_fuzz,
+    "streams": measure_streams_long,
+}
 """Those that take minutes."""
 
 

@@ -1,0 +1,180 @@
+"""The C amplifier beside the host: built, run, and read while it plays."""
+
+import os
+import shutil
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import firmware_protocol
+from firmware_protocol.can_link import Frame
+from tactile.bus.can_bus import Channel
+from tactile.bus.wire import WireError
+
+CAN_FRAME = struct.Struct("<IBBxx64s")
+"""struct canfd_frame."""
+FD = 0x04
+PRIORITY = 5
+"""Real-time, of who measures: any of a normal process is held up by others for milliseconds."""
+
+
+class Records(NamedTuple):
+    """What was put out, instant by instant."""
+
+    tick: NDArray[np.uint64]
+    position: NDArray[np.uint32]
+    state: NDArray[np.uint8]
+    codes: NDArray[np.int16]
+
+
+class VirtualAmplifier:
+    """The C amplifier, running.
+
+    Parameters
+    ----------
+    folder : for what it puts out
+    options : of its command line
+    channels : C
+
+    Attributes
+    ----------
+    path : of its pty
+    """
+
+    def __init__(self, folder: Path, *options: str, channels: int = 24) -> None:
+        self._out = folder / "out"
+        command = [str(build(folder)), *options, "--channels", str(channels)]
+        self._process = subprocess.Popen(
+            [*command, "--out", str(self._out)], stdout=subprocess.PIPE, text=True
+        )
+        urgent(self._process.pid)
+        assert self._process.stdout is not None
+        self.path = self._process.stdout.readline().strip() if "--pty" in options else ""
+        self._kind = np.dtype(
+            [("tick", "<u8"), ("at", "<u4"), ("state", "u1"), ("hv", "u1"), ("v", "<i2", channels)]
+        )
+        while not self._out.exists():
+            time.sleep(0.01)
+        self._file = self._out.open("rb")
+        self._rest = b""
+
+    def take(self) -> Records:
+        """Return what was put out since the last call."""
+        data = self._rest + self._file.read()
+        whole = len(data) // self._kind.itemsize * self._kind.itemsize
+        self._rest = data[whole:]
+        rows = np.frombuffer(data[:whole], self._kind)
+        return Records(rows["tick"], rows["at"], rows["state"], rows["v"])
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.wait()
+        self._file.close()
+
+
+def urgent(process: int = 0) -> bool:
+    """Give a process real-time priority, if that is allowed; tell whether it is."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(process, os.SCHED_RR, os.sched_param(PRIORITY))
+        return True
+    return False
+
+
+@contextmanager
+def real_time() -> Iterator[bool]:
+    """Be urgent for a while."""
+    granted = urgent()
+    try:
+        yield granted
+    finally:
+        if granted:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def build(folder: Path) -> Path:
+    """Return the amplifier's program, made where it is not yet."""
+    program = folder / "build" / "virtual-amplifier"
+    if not program.exists():
+        source = Path(firmware_protocol.__file__).parent / "c"
+        command = ["make", "-s", "-C", str(source), f"BUILD={folder / 'build'}"]
+        subprocess.run(command, check=True, capture_output=True)
+    return program
+
+
+def can_be_built() -> bool:
+    """Tell whether there is what it takes."""
+    return os.name == "posix" and all(shutil.which(name) for name in ("make", "cc"))
+
+
+@contextmanager
+def workshop() -> Iterator[Path]:
+    """Give a folder to build and record in."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+class SocketCan(Channel):
+    """CAN frames to an amplifier's datagram socket."""
+
+    def __init__(self, folder: Path, *, fd: bool) -> None:
+        self._fd = fd
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        mine = folder / "host"
+        mine.unlink(missing_ok=True)
+        self._socket.bind(str(mine))
+        while not (folder / "can").exists():
+            time.sleep(0.01)
+        self._socket.connect(str(folder / "can"))
+        self._woken = socket.socketpair()
+
+    def send(self, frame: Frame) -> bool:
+        """Take a frame."""
+        identifier, data = frame
+        flags = FD if self._fd else 0
+        packed = CAN_FRAME.pack(identifier, len(data), flags, data.ljust(64, b"\0"))
+        try:
+            return self._socket.send(packed, socket.MSG_DONTWAIT) > 0
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            raise WireError(str(error)) from error
+
+    def urge(self, frame: Frame) -> None:
+        """Send a frame."""
+        self.send(frame)
+
+    def receive(self, until: float) -> list[Frame]:
+        """Return what came."""
+        import select
+
+        left = max(until - time.monotonic(), 0.0)
+        ready, _, _ = select.select([self._socket, self._woken[0]], [], [], left)
+        if self._woken[0] in ready:
+            self._woken[0].recv(4096)
+        found: list[Frame] = []
+        with suppress(BlockingIOError):
+            while True:
+                identifier, size, _, data = CAN_FRAME.unpack(
+                    self._socket.recv(CAN_FRAME.size, socket.MSG_DONTWAIT)
+                )
+                found.append((identifier, data[:size]))
+        return found
+
+    def wake(self) -> None:
+        """Let `receive` return."""
+        self._woken[1].send(b"\0")
+
+    def close(self) -> None:
+        """Close the socket."""
+        for one in (self._socket, *self._woken):
+            one.close()

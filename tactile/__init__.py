@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from tactile.actuator.response import blocked_force as blocked_force
     from tactile.actuator.response import chain_response as chain_response
     from tactile.actuator.response import tip_response as tip_response
+    from tactile.bus.base import DriveBlock as DriveBlock
+    from tactile.bus.base import DriveFrame as DriveFrame
+    from tactile.devices import find_devices as find_devices
     from tactile.devices import open_bus as open_bus
     from tactile.display import Display as Display
     from tactile.display import load_display as load_display
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from tactile.rendering.renderer import Renderer as Renderer
     from tactile.rendering.renderer import Rendering as Rendering
     from tactile.rendering.renderer import render as render
+    from tactile.rendering.spectrum import SpectrumRenderer as SpectrumRenderer
     from tactile.texture.descriptor import textures as textures
     from tactile.texture.surface import Texture as Texture
     from tactile.texture.surface import load_texture as load_texture
@@ -48,11 +52,13 @@ _HOMES = {
     "actuator.materials": ("PiezoMaterial", "ShimMaterial"),
     "actuator.plant": ("Plant",),
     "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
-    "devices": ("open_bus",),
+    "bus.base": ("DriveBlock", "DriveFrame"),
+    "devices": ("find_devices", "open_bus"),
     "display": ("Display", "load_display"),
     "errors": ("BusError", "BusStateError", "InputError", "NotFoundError", "TactileError"),
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
+    "rendering.spectrum": ("SpectrumRenderer",),
     "texture.descriptor": ("textures",),
     "texture.surface": ("Texture", "load_texture"),
 }

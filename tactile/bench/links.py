@@ -14,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol import messages as m
-from firmware_protocol import samples, spectrum
+from firmware_protocol import samples
 from firmware_protocol.host import codes_of
 from firmware_protocol.messages import FULL_SCALE_CODE, State
-from firmware_protocol.packet import Packet
 from tactile.bench.figures import RATE, Figure, Floats, at_most
+from tactile.bench.frames import stream_frames
 from tactile.bench.virtual import (
     Records,
     SocketCan,
     VirtualAmplifier,
     can_be_built,
     real_time,
+    to_and_fro,
     workshop,
 )
-from tactile.bus.base import DriveBlock, DriveFrame, Wiring
+from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus, Monotonic
@@ -37,23 +37,11 @@ from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
-from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 
 BLOCK = 16
 SHORT, LONG = 5.0, 600.0
 """s of a stream."""
-STROKE = 0.05
-"""m to either side, of a finger that goes to and fro."""
-PERIOD = 1.7
-"""s of that."""
-
-
-def finger(duration: float) -> Trajectory:
-    """Return a finger's way: to and fro, ever again through rest."""
-    t = np.arange(0, duration + 0.1, 0.02)
-    x = STROKE * np.sin(2 * np.pi * t / PERIOD)
-    return Trajectory(t, np.stack([x, 0.3 * x], axis=1), 0.5)
 
 
 @dataclass
@@ -156,7 +144,7 @@ def _stream(
     sent = looked = 0
     renderer.fade_in()
     bus.start()
-    for position, force in finger(seconds).blocks(rate, BLOCK):
+    for position, force in to_and_fro(seconds).blocks(rate, BLOCK):
         drive = display.to_channels(renderer.block(position, force)).astype(np.float64)
         ledger.send(sent, drive)
         bus.write(DriveBlock(sent, drive))
@@ -180,7 +168,7 @@ def _serial(name: str, options: str, seconds: float) -> Iterator[Figure]:
         amplifier.close()
 
 
-def can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
+def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
     """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
     clock = Monotonic()
     return LinkBus(
@@ -194,123 +182,10 @@ def can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
 def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
     with workshop() as folder, real_time():
         amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")
-        with can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
+        with _can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
             assert isinstance(bus, LinkBus)
             yield from _stream(name, bus, amplifier, seconds)
         amplifier.close()
-
-
-class Listening(CanWire):
-    """A wire that remembers the spectrum frames that went over it, by wire position."""
-
-    frames: deque[tuple[int, m.Spectrum]]
-
-    def send(self, packet: Packet) -> float:
-        """Send a packet."""
-        if packet.type == m.Spectrum.TYPE and (frame := m.Spectrum.unpack(packet.payload)):
-            self.frames.append((frame.position, frame))
-        return super().send(packet)
-
-
-class FrameLedger:
-    """What the reference synthesizer makes of the frames that were sent, against what was put out.
-
-    Attributes
-    ----------
-    compared, differing : samples
-    largest : difference [codes]
-    """
-
-    def __init__(self, bus: LinkBus, increment: spectrum.Increments, channels: int) -> None:
-        (self._peer,) = bus.peers
-        self._increment, self._shape = increment, (channels, len(increment))
-        self._at = self._peer.wire_end(0)
-        zero = np.zeros(self._shape, np.int64)
-        self._last = zero, zero
-        self._heard = np.zeros((0, channels), np.int32)
-        self._heard_from = self._at
-        self.compared = self.differing = self.largest = 0
-
-    def take(self, records: Records) -> None:
-        """Keep what was put out since START."""
-        playing = (records.state == State.RUNNING) & (records.tick >= self._peer.begun)
-        self._heard = np.concatenate([self._heard, records.codes[playing].astype(np.int32)])
-
-    def play(self, frames: deque[tuple[int, m.Spectrum]]) -> None:
-        """Synthesize up to each whole frame, and compare."""
-        while frames:
-            at = frames[0][0]
-            whole = [frame for position, frame in frames if position == at]
-            if sum(frame.channels for frame in whole) < self._shape[0]:
-                return
-            count = (at - self._at) % 2**32
-            if len(self._heard) < count:
-                return
-            codes = np.zeros((*self._shape, 2), np.uint8)
-            for frame in whole:
-                part = np.frombuffer(frame.envelopes, np.uint8)
-                codes[frame.first_channel :][: frame.channels] = part.reshape(
-                    frame.channels, self._shape[1], 2
-                )
-                frames.popleft()
-            after = spectrum.decode(codes)
-            steps = [
-                spectrum.ramp_step(a, b, count) for a, b in zip(self._last, after, strict=True)
-            ]
-            wanted = spectrum.synthesize(
-                *self._last, steps[0], steps[1], self._increment, self._at, count
-            )
-            off = np.abs(self._heard[:count] - wanted).max(axis=1)
-            self.compared += count
-            self.differing += int((off > 1).sum())
-            self.largest = max(self.largest, int(off.max()))
-            self._heard, self._at, self._last = self._heard[count:], at, after
-
-
-def _frames_on_can(name: str, seconds: float) -> Iterator[Figure]:
-    display, clock, link = load_display("reference-24"), Monotonic(), Can(1e6)
-    sent: deque[tuple[int, m.Spectrum]] = deque()
-
-    def connect() -> CanWire:
-        wire = Listening(SocketCan(folder, fd=False), link, clock)
-        wire.frames = sent
-        return wire
-
-    with workshop() as folder, real_time():
-        amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"))
-        with LinkBus(
-            Wiring.of(display, RATE), connect,
-            lambda caps: plan(link, display.channels, Ability.of(caps)), nodes=[1],
-        ) as bus:  # fmt: skip
-            assert isinstance(bus, LinkBus)
-            assert bus.frames is not None
-            renderer = SpectrumRenderer(
-                display, load_texture("wood-oak"),
-                carriers=bus.frames.carriers, frame_rate=bus.frames.rate, sample_rate=RATE,
-            )  # fmt: skip
-            way, spacing = finger(seconds), renderer.spacing
-            bus.tune(renderer.carriers)
-            bus.start()
-            increment = spectrum.increments(renderer.carriers, RATE)
-            ledger = FrameLedger(bus, increment, display.channels)
-            renderer.sample = spacing
-            for k in range(1, int(seconds * RATE / spacing)):
-                place, force = way.at(k * spacing / RATE)
-                volts = renderer.frame(place, way.velocity(k * spacing / RATE), float(force))
-                bus.write_frame(DriveFrame(k * spacing, volts))
-                ledger.take(amplifier.take())
-                ledger.play(sent)
-            bus.stop()
-            yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
-            yield at_most(f"{name}.lost_frames", float(bus.counters.dropped_samples), "", 0)
-            late = 1e4 * bus.counters.late_blocks / max(bus.counters.blocks, 1)
-            yield at_most(f"{name}.late_frames", late, "of 10 000", 1)
-            yield Figure(f"{name}.underruns", float(bus.counters.underruns), "")
-        amplifier.close()
-    yield Figure(f"{name}.compared", float(ledger.compared), "samples")
-    differing = 100 * ledger.differing / max(ledger.compared, 1)
-    yield at_most(f"{name}.differing_from_synthesizer", differing, "%", 0)
-    yield Figure(f"{name}.largest_difference", float(ledger.largest), "LSB")
 
 
 def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
@@ -320,7 +195,7 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
     yield from _serial("links.uart_3M.bfp8", "baud=3000000&format=bfp8", seconds)
     yield from _serial("links.usb.pcm12", "format=pcm12", seconds)
     yield from _can_fd("links.canfd_1_5", seconds)
-    yield from _frames_on_can("links.can_1.spectrum", seconds)
+    yield from stream_frames("links.can_1.spectrum", seconds)
 
 
 def measure_streams_long() -> Iterator[Figure]:

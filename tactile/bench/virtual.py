@@ -19,12 +19,26 @@ import firmware_protocol
 from firmware_protocol.can_link import Frame
 from tactile.bus.can_bus import Channel
 from tactile.bus.wire import WireError
+from tactile.rendering.contact import Trajectory
 
 CAN_FRAME = struct.Struct("<IBBxx64s")
 """struct canfd_frame."""
 FD = 0x04
 PRIORITY = 5
 """Real-time, of who measures: any of a normal process is held up by others for milliseconds."""
+
+
+STROKE = 0.05
+"""m to either side, of a finger that goes to and fro."""
+PERIOD = 1.7
+"""s of that."""
+
+
+def to_and_fro(duration: float) -> Trajectory:
+    """Return a finger's way: to and fro, ever again through rest."""
+    t = np.arange(0, duration + 0.1, 0.02)
+    x = STROKE * np.sin(2 * np.pi * t / PERIOD)
+    return Trajectory(t, np.stack([x, 0.3 * x], axis=1), 0.5)
 
 
 class Records(NamedTuple):

@@ -141,6 +141,8 @@ class I2cWire(Wire):
         """Return what a transfer gives; None, counted, where it is not acknowledged."""
         try:
             found = transfer()
+        except WireError:
+            raise
         except OSError as error:
             self.counters.malformed += 1
             if error.errno in GONE or self._clock.now() - self._good > STALL:
@@ -299,4 +301,4 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     )
 
 
-register_bus("i2c", _open, find=find)
+register_bus("i2c", _open, find=find, link=link_of)

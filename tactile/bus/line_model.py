@@ -9,6 +9,7 @@ import errno
 import math
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ import numpy as np
 from firmware_protocol.amplifier import Amplifier
 from firmware_protocol.can_link import Frame
 from firmware_protocol.config import Config
+from firmware_protocol.machine import Played
 from firmware_protocol.ports import CanPort, I2cPort, SerialPort
 from tactile.bus.can_bus import Channel
 from tactile.bus.i2c_bus import Adapter
@@ -114,11 +116,12 @@ class Lane:
     ) -> None:
         self._medium, self._faults, self._random, self._resent = medium, faults, random, resent
         self._way: deque[Sent] = deque()
+        self._held = 0.0
 
     def put(self, unit: bytes | Frame, seconds: float, now: float) -> None:
         """Send a unit."""
         f, random = self._faults, self._random
-        begins = max(now, self._medium.free) + random.uniform(0, f.arbitration)
+        begins = max(now, self._medium.free, self._held) + random.uniform(0, f.arbitration)
         harmed = random.random() < f.corrupt
         if harmed and self._resent:
             seconds *= 2
@@ -148,7 +151,7 @@ class Lane:
 
     def hold(self, seconds: float, now: float) -> None:
         """Let nothing arrive for a while."""
-        self._medium.free = max(self._medium.free, now) + seconds
+        self._held = now + seconds
         self._way = deque(s._replace(arrives=max(s.arrives, now + seconds)) for s in self._way)
 
     def forget(self, now: float) -> None:
@@ -205,6 +208,7 @@ class Model(ABC):
     configs, faults, clock, drift : of the `Party`
     amplifiers : as they are now, after the latest reset
     disconnects, resets, stalls : that were
+    listener : is handed what each amplifier, by its index, puts out
     """
 
     shared = False
@@ -219,13 +223,21 @@ class Model(ABC):
         self.out = Lane(there, faults, self.random, resent=self.resent)
         self.back = Lane(back, faults, self.random, resent=self.resent)
         self.disconnects = self.resets = self.stalls = 0
-        self._away_until = -math.inf
+        self.amplifiers: list[Amplifier] = []
+        self.listener: Callable[[int, Played], None] = lambda board, run: None
+        self._open, self._away_until = False, -math.inf
         self._events = {
             name: self._after(getattr(faults, name)) for name in ("disconnect", "power", "stall")
         }
         self._power_up()
 
+    def power_cycle(self) -> None:
+        """Take power away from all amplifiers, and give it again."""
+        self.resets += 1
+        self._power_up()
+
     def _power_up(self) -> None:
+        self.listen()
         self.amplifiers = [Amplifier(config) for config in self.configs]
         self._powered = [self.clock.time] * len(self.configs)
         self.attach()
@@ -238,6 +250,17 @@ class Model(ABC):
         passed = (self.clock.time - self._powered[board]) * (1 + self.drift[board])
         return int(passed * self.configs[board].tick_hz)
 
+    def time_of(self, board: int, tick: int) -> float:
+        """Return when an amplifier's tick is [s]."""
+        passed = tick / self.configs[board].tick_hz
+        return self._powered[board] + passed / (1 + self.drift[board])
+
+    def listen(self) -> None:
+        """Hand over what the amplifiers have put out."""
+        for board, amplifier in enumerate(self.amplifiers):
+            for run in amplifier.take_played():
+                self.listener(board, run)
+
     @abstractmethod
     def attach(self) -> None:
         """Put ports before the amplifiers."""
@@ -246,13 +269,14 @@ class Model(ABC):
     def exchange(self) -> None:
         """Hand what has arrived to the amplifiers, and put what they answer on the wire."""
 
-    def connected(self) -> bool:
-        """Tell whether the link is there."""
-        return self.clock.time >= self._away_until
+    def open(self) -> None:
+        """Open the link; raise WireError where it is not there."""
+        self._open = self.clock.time >= self._away_until
+        self.require()
 
     def require(self) -> None:
-        """Raise WireError where the link is not there."""
-        if not self.connected():
+        """Raise WireError where the link is gone, or was since it was opened."""
+        if not self._open:
             raise WireError("the device is gone (modeled)")
 
     def advance(self, until: float) -> None:
@@ -272,19 +296,23 @@ class Model(ABC):
             if when <= now:
                 self._events[name] = self._after(getattr(self.faults, name))
                 if name == "power":
-                    self.resets += 1
-                    self._power_up()
+                    self.power_cycle()
                 elif name == "stall":
-                    self.stalls += 1
-                    self.out.hold(STALLED, now)
+                    self.stall(STALLED)
                 else:
                     self.disconnects += 1
                     self.unplug(AWAY)
+
+    def stall(self, seconds: float) -> None:
+        """Let the amplifiers read nothing for a while."""
+        self.stalls += 1
+        self.out.hold(seconds, self.clock.time)
 
     def unplug(self, seconds: float = math.inf) -> None:
         """Take the link away for a while."""
         self.out.clear()
         self.back.clear()
+        self._open = False
         self._away_until = self.clock.time + seconds
 
     def run_away(self, until: float) -> None:
@@ -322,8 +350,7 @@ class SerialModel(Model, Line):
     def write(self, data: bytes) -> int:
         """Take what the kernel has room for."""
         self.require()
-        waiting = sum(len(unit) for unit in self.out.waiting(self.clock.time))
-        taken = data[: max(KERNEL - waiting, 0)]
+        taken = data[: max(KERNEL - self.waiting(), 0)]
         if taken:
             self.out.put(taken, len(taken) * self._byte, self.clock.time)
         return len(taken)
@@ -340,6 +367,10 @@ class SerialModel(Model, Line):
 
     def wake(self) -> None:
         """Nothing to do: who waits is who calls."""
+
+    def waiting(self) -> int:
+        """Return what is not on the wire yet."""
+        return sum(len(unit) for unit in self.out.waiting(self.clock.time))
 
     def discard(self) -> None:
         """Drop what is not on the wire yet."""

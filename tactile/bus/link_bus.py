@@ -13,10 +13,12 @@ import time
 from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
+from firmware_protocol.messages import Message
 from tactile.bus.base import RATE, Bus, DriveBlock, DriveFrame, Floats, Frames, Rig, Status, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.options import flag, sample_format
+from tactile.bus.peer import Peer
 from tactile.bus.registry import Address
 from tactile.bus.session import Phase, Session
 from tactile.bus.wire import Clock, Wire, WireError
@@ -29,6 +31,8 @@ OPENING = 2.0
 """s in which an amplifier must have answered, and its clock be known."""
 STARTING, ENDING = 2.0, 0.5
 """s that start and stop take at most."""
+ASKING = 0.2
+"""s in which a request is answered: three tries, and the link's own time (assumed)."""
 IDLE = 20e-3
 """s that the thread sleeps at most: how late a silent amplifier may be noticed."""
 SLICE = 20e-3
@@ -93,6 +97,7 @@ class LinkBus(Bus):
         self._retry, self._retry_at = FIRST_RETRY, math.inf
         self._broken = self._ending = False
         self._failure = ""
+        self._waits_until = -math.inf
         self._session = Session(
             wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
             nodes=nodes, rearm=rearm,
@@ -112,9 +117,10 @@ class LinkBus(Bus):
         session = self._session
         ready = self._wait(lambda: session.phase is Phase.READY or session.refusal, OPENING)
         if session.plan is None or not ready or session.refusal:
+            if session.error is not None:
+                raise session.error
             reason = session.refusal or session.trouble or self._silence()
-            kind = InputError if session.plan is None and session.phase is Phase.GONE else BusError
-            raise kind(reason)
+            raise BusError(reason)
         self.plan = session.plan
         self.wiring = session.wiring
         if self.plan.carriers:
@@ -136,7 +142,8 @@ class LinkBus(Bus):
         """How it stands now."""
         session = self._session
         up = self._wire is not None and session.phase.value > Phase.CLOCK.value
-        return Status(self.state, "up" if up else "down", session.trouble)
+        detail = session.trouble or session.fragments.warning
+        return Status(self.state, "up" if up else "down", detail)
 
     @property
     def lead(self) -> float:
@@ -162,13 +169,14 @@ class LinkBus(Bus):
                 return
             if not wire.busy:
                 until = min(until, self._session.deadline)
+            self._waits_until = until
             packets = wire.receive(until)
             with self._changed:
                 phase, now = self._session.phase, self._clock.now()
-                self._session.receive(packets, now)
+                self._session.receive(packets, now, wire.counters.fragments_dropped)
                 self._pump()
                 why = self._failure or self._session.lost(now)
-                if self._session.phase is not phase:
+                if self._session.phase is not phase or self._session.tripped:
                     self._noticed()
             if why:
                 raise WireError(why)
@@ -183,7 +191,7 @@ class LinkBus(Bus):
         wire = self._wire
         if wire is not None and not wire.busy:
             try:
-                self._session.poll(self._clock.now(), wire.send)
+                self._session.poll(self._clock.now(), wire.send, wire.waited)
             except OSError as error:
                 self._failure = str(error)
 
@@ -271,7 +279,12 @@ class LinkBus(Bus):
             self._session.run(position)
             self._pump()
         session = self._session
-        if not self._wait(lambda: session.phase is Phase.RUN or session.refusal, STARTING):
+
+        def started() -> object:
+            session.alive(self._clock.now())
+            return session.phase is Phase.RUN or session.refusal
+
+        if not self._wait(started, STARTING):
             session.end(self._clock.now(), quick=True)
             raise BusError(f"start: the amplifier does not start; {session.trouble}")
         if session.refusal:
@@ -282,7 +295,7 @@ class LinkBus(Bus):
         assert stream is not None
         for k in range(0, len(block.volts), size):
             position, volts = block.position + k, block.volts[k : k + size]
-            self._sleep(stream.due(position) - stream.lead)
+            self._sleep(stream.due(position) - stream.ahead)
             with self._changed:
                 self._session.alive(self._clock.now())
                 if self._session.phase is Phase.RUN:
@@ -297,13 +310,17 @@ class LinkBus(Bus):
             raise InputError(f"tune: {len(carriers)} carriers; 1 … {self.plan.carriers}")
         self._session.carriers = carriers.copy()
 
+    def write_frame(self, frame: DriveFrame) -> None:
+        """Play a frame, with a column per carrier."""
+        shape, carriers = frame.volts.shape, len(self._session.carriers)
+        if self.state == "running" and len(shape) == 2 and carriers and shape[1] != carriers:
+            raise InputError(f"write_frame: {shape[1]} carriers, not {carriers}")
+        super().write_frame(frame)
+
     def _write_frame(self, frame: DriveFrame) -> None:
-        stream = self._session.stream
+        stream, carriers = self._session.stream, self._session.carriers
         assert stream is not None
-        carriers = self._session.carriers
-        if frame.volts.shape[1] != len(carriers):
-            raise InputError(f"write_frame: {frame.volts.shape[1]} carriers, not {len(carriers)}")
-        self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.lead)
+        self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.ahead)
         with self._changed:
             self._session.alive(self._clock.now())
             if self._session.phase is Phase.RUN:
@@ -313,10 +330,40 @@ class LinkBus(Bus):
                 self.counters.dropped_samples += 1
         self._wake()
 
+    # Besides playing
+
+    @property
+    def peers(self) -> Sequence[Peer]:
+        """The amplifiers, in the order of channels."""
+        return self._session.peers
+
+    def ask(self, message: Message, node: int) -> Message | None:
+        """Request something (GET, SET, IDENTIFY) of an amplifier, idle or running.
+
+        Returns
+        -------
+        Message or None
+            Its answer, also one that refuses; None where there is none.
+        """
+        with self._changed:
+            aside = next(peer.aside for peer in self.peers if peer.host.node == node)
+            aside.ask(message)
+            self._pump()
+        self._wait(lambda: aside.answer is not None, ASKING)
+        return aside.answer
+
+    def sensed(self) -> list[tuple[Peer, m.Sense]]:
+        """Return what amplifiers measured since the last call; the newest, where that is long."""
+        with self._changed:
+            taken = [(peer, sense) for peer in self.peers for sense in peer.aside.senses]
+            for peer in self.peers:
+                peer.aside.senses.clear()
+        return taken
+
     def _wake(self) -> None:
-        """Let the thread look at what has changed, if there is more than was sent at once."""
+        """Let the thread look at what has changed, if it would do so too late."""
         wire = self._wire
-        if wire is not None and self._session.deadline < self._clock.now() + IDLE:
+        if wire is not None and self._session.deadline < self._waits_until:
             wire.wake()
 
     def _stop(self) -> None:
@@ -357,8 +404,12 @@ class LinkBus(Bus):
             session.clear(self._clock.now())
             self._pump()
         done = self._wait(lambda: session.phase is Phase.READY or session.refusal, STARTING)
-        if session.refusal or not done:
-            raise BusError(f"clear: {session.refusal or session.trouble or 'no answer'}")
+        why = session.refusal or session.trouble or "no answer"
+        if not done:
+            self._estop()
+            raise BusError(f"clear: {why}; it stays e-stopped")
+        if session.refusal:
+            raise BusError(f"clear: {why}")
 
     def _close(self) -> None:
         with self._changed:

@@ -47,13 +47,17 @@ class Heard:
     scale : volts per code
     channels : C
     kept : samples that are remembered; infinite for all
+
+    Attributes
+    ----------
+    total : samples there ever were
     """
 
     def __init__(self, scale: float, channels: int, kept: float) -> None:
         self._scale, self._channels, self._most = scale, channels, kept
         self._kept: deque[Floats] = deque()
-        self._count = 0
-        self._last = State.IDLE
+        self._count = self.total = 0
+        self._last, self._sounding = State.IDLE, False
 
     def add(self, run: Played, begun: int, end: int | None) -> None:
         """Take a run of instants.
@@ -73,14 +77,21 @@ class Heard:
             keep = np.ones(len(run.codes), bool)
         else:
             sounding = np.flatnonzero(run.codes.any(axis=1))
-            keep = np.arange(len(run.codes)) < (sounding[-1] + 2 if len(sounding) else 0)
+            count = sounding[-1] + 2 if len(sounding) else int(self._sounding)
+            keep = np.arange(len(run.codes)) < count  # to the first 0 V
+        self._sounding = bool(run.codes[-1:].any())
         self._keep(run.codes[keep].astype(np.float64) * self._scale)
 
     def _keep(self, volts: Floats) -> None:
         self._kept.append(volts)
+        self.total += len(volts)
         self._count += len(volts)
         while self._count - len(self._kept[0]) >= self._most:
             self._count -= len(self._kept.popleft())
+
+    def rest(self, total: int) -> None:
+        """Take 0 V up to a sample: another amplifier was at 0 V later, by an instant or so."""
+        self._keep(np.zeros((total - self.total, self._channels)))
 
     @property
     def volts(self) -> Floats:
@@ -103,35 +114,41 @@ class ModeledBus(LinkBus):
         self._heard = [
             Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, kept) for c in model.configs
         ]
+        model.listener = self._hear
         super().__init__(wiring, *arguments, clock=model.clock, **named)
 
     @property
     def output(self) -> Floats:
         """Volts put out (S, C), what is kept of them [V]."""
-        self._listen()
+        self._align()
         volts = [heard.volts for heard in self._heard]
         shortest = min(len(one) for one in volts)
-        return np.hstack([one[:shortest] for one in volts])[:, : self.wiring.channels]
+        return np.hstack([one[len(one) - shortest :] for one in volts])[:, : self.wiring.channels]
 
-    def _listen(self) -> None:
-        peers = {peer.host.node: peer for peer in self._session.peers}
-        for k, (amplifier, heard) in enumerate(
-            zip(self.model.amplifiers, self._heard, strict=True)
-        ):
-            peer = peers.get(amplifier.config.node)
-            for run in amplifier.take_played():
-                heard.add(run, 0 if peer is None else peer.begun, self._ends[k])
+    def _align(self) -> None:
+        """Let what all have put out be as long, where they have come to rest."""
+        self.model.listen()
+        if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
+            longest = max(heard.total for heard in self._heard)
+            for heard in self._heard:
+                heard.rest(longest)
+
+    def _hear(self, board: int, run: Played) -> None:
+        node = self.model.configs[board].node
+        begun = [peer.begun for peer in self._session.peers if peer.host.node == node]
+        self._heard[board].add(run, begun[0] if begun else 0, self._ends[board])
 
     def _turn(self, until: float) -> None:
         super()._turn(until)
-        self._listen()
+        self.model.listen()
 
     def _start(self, position: int) -> None:
+        self._align()
         self._ends = [None] * len(self._ends)
         super()._start(position)
 
     def _stop(self) -> None:
-        self._listen()
+        self.model.listen()
         stream = self._session.stream
         if stream is not None:
             self._ends = [peer.wire_end(stream.end) for peer in self._session.peers]
@@ -144,15 +161,12 @@ def open_modeled(address: Address, rig: Rig, sample_rate: float | None) -> Model
     keep = address.options.get("keep", "second")
     if keep not in ("second", "all"):
         raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
-    name = address.options["link"]
-    if name not in LINKS:
-        raise InputError(f"{address.scheme}: link = {name!r}: {nearest(name, list(LINKS))}")
     wiring = Wiring.of(rig, sample_rate or RATE)
-    clock, link = ModelClock(), _link(address, name)
+    clock, link = ModelClock(), link_of(address)
     model = _model(address, wiring, link, clock)
 
     def connect() -> Wire:
-        model.require()
+        model.open()
         if isinstance(model, CanModel):
             assert isinstance(link, Can)
             return CanWire(model, link, clock)
@@ -168,7 +182,11 @@ def open_modeled(address: Address, rig: Rig, sample_rate: float | None) -> Model
     )  # fmt: skip
 
 
-def _link(address: Address, name: str) -> Link:
+def link_of(address: Address) -> Link:
+    """Return how long packets take on the link that a URL asks for; no time, where on none."""
+    name = address.options.get("link", "serial")
+    if name not in LINKS:
+        raise InputError(f"{address.scheme}: link = {name!r}: {nearest(name, list(LINKS))}")
     rate = number(address, "bit_rate", 1e3, 1e9)
     if name == "serial":
         return Unlimited() if rate is None else Uart(rate)

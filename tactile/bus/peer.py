@@ -14,9 +14,8 @@ from firmware_protocol.host import Host
 from firmware_protocol.messages import Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
+from tactile.bus.aside import RETRY, TRIES, Aside
 
-RETRY, TRIES = 50e-3, 3
-"""s between the tries of a request, and how many there are (SPEC.md, 5)."""
 ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status}
 """What answers a request; ACK the others."""
 TIME_LENGTH = m.TimeReply.HEAD.size
@@ -41,8 +40,9 @@ class Peer:
     heard : host time of the last packet from it [s]
     refused : the NAK that ended the last requests
     lost : whether a request was not answered
-    underruns : counted since this host knows it
+    underruns, late : counted since this host knows it: underruns, and samples that came too late
     begun : tick of the latest START
+    aside : what is asked besides, and what it measured
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -51,12 +51,16 @@ class Peer:
         self.heard = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
-        self.underruns = 0
-        self._underruns: int | None = None
+        self.underruns = self.late = 0
+        self._late: int | None = None
+        self._counted: int | None = None
+        self._told_all = self._restarted = False
+        self._hurry = math.inf
         self._sent = self._origin = self._first = self.begun = 0
         self._requests: deque[Message] = deque()
         self._asked: Packet | None = None
         self._tries, self._again = 0, math.inf
+        self.aside = Aside(self.host)
         self._probes: dict[int, float] = {}
         self._status_due = math.inf
         self._told: int | None = None
@@ -99,6 +103,7 @@ class Peer:
             self._tell(message)
         elif isinstance(message, m.TimeReply):
             self._measure(message, now)
+        self.aside.receive(message)
         if asked is None:
             return
         if isinstance(message, m.Nak):
@@ -114,16 +119,39 @@ class Peer:
     def _tell(self, message: m.Pulse | m.Status) -> None:
         known = message.state in set(State)
         self._told = message.state if known else self._told
-        if isinstance(message, m.Pulse):
-            if self._underruns is not None:
-                self.underruns += (message.underruns - self._underruns) & 0xFF
-            self._underruns = message.underruns
+        if isinstance(message, m.Status):
+            self._count(message.underruns, message.late_samples)
+            self._told_all = True
+        elif self._told_all and self._counted is not None:
+            self._count(self._counted + ((message.underruns - self._counted) & 0xFF), self._late)
+
+    def _count(self, underruns: int, late: int | None) -> None:
+        """Take its counters, which begin anew after a reset."""
+        self.underruns += _since(underruns, self._counted)
+        self._counted = underruns
+        if late is not None:
+            self.late += _since(late, self._late)
+            self._late = late
+
+    @property
+    def forgot(self) -> bool:
+        """Whether it was reset: its clock began anew, or it knows no session."""
+        refused, status = self.refused, self.host.status
+        if self._restarted:
+            return True
+        if refused is not None and refused.code == m.NakCode.SESSION:
+            return True
+        return self._told_all and status is not None and status.session != self.host.session
 
     def poll(self, now: float) -> list[Packet]:
         """Return what is to be sent now."""
         out = []
-        if self._asked is None and self._requests:
-            self._asked = self.host.ask(self._requests.popleft())
+        while self._asked is None and self._requests:
+            message = self._requests.popleft()
+            if isinstance(message, m.Estop):  # on CAN never answered: STATUS shows it
+                out.append(self.host.tell(message))
+                continue
+            self._asked = self.host.ask(message)
             self._tries, self._again = 0, now
         if self._asked is not None and now >= self._again:
             if self._tries == TRIES:
@@ -132,7 +160,9 @@ class Peer:
             else:
                 self._tries, self._again = self._tries + 1, now + RETRY
                 out.append(self._asked)
-        if self.clock is not None and self.clock.probe_due(now):
+        out += self.aside.poll(now)
+        if self.clock is not None and (self.clock.probe_due(now) or now >= self._hurry):
+            self._hurry = math.inf if self._hurry == math.inf else now + RETRY
             out.append(self._probe(now))
         if now >= self._status_due:
             self._status_due = now + POLL_INTERVAL
@@ -142,10 +172,11 @@ class Peer:
     @property
     def deadline(self) -> float:
         """Host time at which `poll` has something to send [s], if nothing comes before."""
-        probe = math.inf if self.clock is None else self.clock.next_probe
+        probe = math.inf if self.clock is None else min(self.clock.next_probe, self._hurry)
+        first = min(probe, self._status_due, self.aside.deadline)
         if self._asked is None:
-            return -math.inf if self._requests else min(probe, self._status_due)
-        return min(probe, self._again, self._status_due)
+            return -math.inf if self._requests else first
+        return min(first, self._again)
 
     # Clock
 
@@ -154,7 +185,12 @@ class Peer:
         if self.clock is None or self.clock.tick_hz != self.caps.tick_hz:
             self.clock = ClockEstimator(self.caps.tick_hz)
         self._probes.clear()
-        self._underruns = None
+        self._hurry = -math.inf
+
+    def reconnected(self) -> None:
+        """Take nothing that it said before for what it is now."""
+        self._told_all, self._told, self.host.pulse = False, None, None
+        self._restarted = False
 
     def _probe(self, now: float) -> Packet:
         stamp = int(now * 1e9)
@@ -167,12 +203,15 @@ class Peer:
     def _measure(self, reply: m.TimeReply, now: float) -> None:
         sent = self._probes.pop(reply.host_time, None)
         if sent is not None and self.clock is not None:
-            self.clock.add(sent, reply.received, reply.sent, now)
+            before = self.clock.restarts
+            if self.clock.add(sent, reply.received, reply.sent, now):
+                self._restarted |= self.clock.restarts > before and self._hurry == math.inf
+                self._hurry = math.inf
 
     @property
     def locked(self) -> bool:
-        """Whether its clock is known well enough to start by."""
-        return self.clock is not None and self.clock.locked
+        """Whether its clock is known well enough to start by, since it was greeted as well."""
+        return self.clock is not None and self.clock.locked and self._hurry == math.inf
 
     # Stream
 
@@ -209,3 +248,10 @@ class Peer:
     def rest(self) -> None:
         """Ask for no more STATUS."""
         self._status_due = math.inf
+
+
+def _since(count: int, last: int | None) -> int:
+    """Return by how much a counter has risen since it was seen last; it may have begun anew."""
+    if last is None:
+        return 0
+    return count - last if count >= last else count

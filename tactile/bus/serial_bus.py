@@ -9,8 +9,10 @@ takes nothing for a tenth of a second is broken (its reader has stalled), and is
 import errno
 import os
 import select
+import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
@@ -25,6 +27,8 @@ from tactile.bus.wire import STALL, Clock, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
 
 LARGEST_READ = 65536
+PURGE_OUTPUT = b"\x02"
+"""Of RFC 2217's PURGE-DATA: what the server has not sent yet."""
 NO_RATE = 115200
 """baud that is set where the line has none."""
 
@@ -47,6 +51,10 @@ class Line(ABC):
     @abstractmethod
     def wake(self) -> None:
         """Let `wait` return."""
+
+    @abstractmethod
+    def waiting(self) -> int:
+        """Return how many bytes were written and are not on the wire yet; 0 where unknown."""
 
     @abstractmethod
     def discard(self) -> None:
@@ -73,6 +81,9 @@ class SerialWire(Wire):
         self._decoder = SerialDecoder(counters=self.counters)
         self._rest = b""
         self._since = 0.0
+        self._order = threading.Lock()
+        self._written = 0
+        self._times: deque[tuple[int, float]] = deque()
         self._write(DELIMITER)
 
     @property
@@ -88,26 +99,43 @@ class SerialWire(Wire):
 
     def urge(self, packet: Packet) -> None:
         """Drop what waits here and in the kernel, end the frame that was cut, and write."""
-        self._rest = b""
-        self._line.discard()
-        self._write(DELIMITER + encode_frame(encode_packet(packet)))
+        with self._order:
+            self._rest = b""
+            self._line.discard()
+            self._add(DELIMITER + encode_frame(encode_packet(packet)))
 
     def _write(self, data: bytes) -> None:
+        with self._order:
+            self._add(data)
+
+    def _add(self, data: bytes) -> None:
         if not self._rest:
             self._since = self._clock.now()
         self._rest += data
         self._flush()
 
     def _flush(self) -> None:
+        """Write what waits, by one thread at a time."""
         taken = self._line.write(self._rest)
         if taken:
             self._rest, self._since = self._rest[taken:], self._clock.now()
+            self._written += taken
+            self._times.append((self._written, self._since))
+
+    @property
+    def waited(self) -> float:
+        """For how long the oldest byte has waited that the kernel still has [s]."""
+        gone = self._written - self._line.waiting()
+        while self._times and self._times[0][0] <= gone:
+            self._times.popleft()
+        return self._clock.now() - self._times[0][1] if self._times else 0.0
 
     def receive(self, until: float) -> list[Packet]:
         """Return what came."""
         self._line.wait(until, writable=self.busy)
-        if self._rest:
-            self._flush()
+        with self._order:
+            if self._rest:
+                self._flush()
             if self._rest and self._clock.now() - self._since > STALL:
                 raise WireError(f"the line takes nothing more; {len(self._rest)} bytes wait")
         return self._decoder.feed(self._line.read())
@@ -164,6 +192,10 @@ class PosixLine(Line):
         with suppress(OSError):
             os.write(self._waker, b"\0")
 
+    def waiting(self) -> int:
+        """Ask the kernel."""
+        return int(self._port.out_waiting)
+
     def discard(self) -> None:
         """Drop the kernel's output buffer."""
         self._port.reset_output_buffer()
@@ -175,8 +207,9 @@ class PosixLine(Line):
         self._fd = -1
         with suppress(OSError):
             self._port.close()
-        os.close(self._woken)
-        os.close(self._waker)
+        woken, waker, self._woken, self._waker = self._woken, self._waker, -1, -1
+        os.close(woken)
+        os.close(waker)
 
 
 class PortLine(Line):
@@ -195,7 +228,10 @@ class PortLine(Line):
 
     def read(self) -> bytes:
         """Return what has come."""
-        return bytes(self._port.read(max(1, self._port.in_waiting)))
+        data = bytes(self._port.read(max(1, self._port.in_waiting)))
+        while waiting := self._port.in_waiting:  # RFC 2217 reads byte by byte
+            data += self._port.read(waiting)
+        return data
 
     def wait(self, until: float, *, writable: bool) -> None:
         """Look now and then."""
@@ -207,9 +243,17 @@ class PortLine(Line):
         """Let `wait` return."""
         self._woken = True
 
+    def waiting(self) -> int:
+        """Return 0: not every port can tell."""
+        return 0
+
     def discard(self) -> None:
-        """Drop what waits."""
-        self._port.reset_output_buffer()
+        """Drop what waits; by RFC 2217 without the 50 ms that pyserial waits for the answer."""
+        purge = getattr(self._port, "_rfc2217_options", {}).get("purge")
+        if purge is None:
+            self._port.reset_output_buffer()
+        else:
+            purge.set(PURGE_OUTPUT)
 
     def close(self) -> None:
         """Close the port."""
@@ -237,11 +281,10 @@ def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
     import serial
 
     rate = round(link.bit_rate) if isinstance(link, Uart) else NO_RATE
-    own: dict[str, Any] = {} if "://" in address.path else {"exclusive": True}
+    local = "://" not in address.path  # RFC 2217 has neither a lock nor a limit to writing
+    own: dict[str, Any] = {"exclusive": True, "write_timeout": STALL} if local else {}
     try:
-        port = serial.serial_for_url(
-            address.path, baudrate=rate, timeout=0, write_timeout=STALL, **own
-        )
+        port = serial.serial_for_url(address.path, baudrate=rate, timeout=0, **own)
     except (OSError, ValueError) as error:
         raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
     with suppress(Exception):
@@ -297,4 +340,4 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     return open_link(address, rig, sample_rate, link, lambda: connect(address, link, clock))
 
 
-register_bus("serial", _open, find=find)
+register_bus("serial", _open, find=find, link=link_of)

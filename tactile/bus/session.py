@@ -18,10 +18,12 @@ from firmware_protocol import spectrum
 from firmware_protocol.host import refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Fault, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
+from tactile.bus.aside import RETRY
 from tactile.bus.base import Counters, Floats, Wiring
 from tactile.bus.budget import Plan
-from tactile.bus.peer import RETRY, Peer
+from tactile.bus.peer import Peer
 from tactile.bus.stream import Stream
+from tactile.bus.wire import FragmentWatch
 from tactile.errors import InputError
 
 SEARCH = 0.06
@@ -88,6 +90,8 @@ class Session:
     stream : there once the plan is
     trouble : one line on what is wrong; empty where nothing is
     refusal : why what was wanted last cannot be; empty where it can
+    error : of a display that asks for more than there is
+    fragments : what is amiss though it plays on
     tripped : an amplifier is in ESTOP or FAULT though nobody here asked for it
     """
 
@@ -107,6 +111,8 @@ class Session:
         self.stream: Stream | None = None
         self.phase, self.want = Phase.DOWN, Want.READY
         self.trouble = self.refusal = ""
+        self.fragments = FragmentWatch()
+        self.error: InputError | None = None
         self.tripped = False
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
@@ -123,6 +129,8 @@ class Session:
         """Begin anew on a wire that was just opened."""
         self._wire_free = now
         self._found.clear()
+        for peer in self.peers:
+            peer.reconnected()
         self._enter(Phase.GREET if self.peers else Phase.SEARCH, now)
 
     def disconnected(self, now: float, why: str) -> None:
@@ -137,12 +145,13 @@ class Session:
     def run(self, position: int) -> None:
         """Play from a position on."""
         self._first, self.want, self.refusal, self.trouble = position, Want.RUN, "", ""
+        self.fragments.warning = ""
 
     def end(self, now: float, *, quick: bool) -> None:
         """Ramp to 0 V."""
         self.want, self._quick = Want.READY, quick
         if self.stream is not None:
-            self.stream.clear()
+            self.stream.clear(wanted=True)
         if self.phase in (Phase.ARM, Phase.START, Phase.RUN):
             self._enter(Phase.END, now)
 
@@ -150,7 +159,7 @@ class Session:
         """Stop for good; return the packet that is to overtake all others."""
         self.want, self.refusal = Want.ESTOP, ""
         if self.stream is not None:
-            self.stream.clear()
+            self.stream.clear(wanted=True)
         if self.phase not in (Phase.DOWN, Phase.SEARCH):
             self._enter(Phase.ESTOP, now)
         return self._to_all(m.Estop(REASON))
@@ -171,8 +180,8 @@ class Session:
 
     # What comes and goes
 
-    def receive(self, packets: list[Packet], now: float) -> None:
-        """Take what came."""
+    def receive(self, packets: list[Packet], now: float, dropped: int = 0) -> None:
+        """Take what came, and how many fragments the wire has dropped so far."""
         known = {peer.host.node: peer for peer in self.peers}
         for packet in packets:
             if packet.flags >> 6 != MAJOR:
@@ -186,26 +195,30 @@ class Session:
                 caps = m.Caps.unpack(packet.payload)
                 if caps is not None:
                     self._found[packet.node] = caps
-        if self.stream is not None and self.phase is Phase.RUN:
-            self.stream.control(now)
+        if self.stream is not None:
+            self.stream.control(now, running=self.phase is Phase.RUN)
+        told = [peer.host.status for peer in self.peers if peer.host.status is not None]
+        self.fragments.look(dropped + sum(status.fragments_dropped for status in told), now)
 
-    def poll(self, now: float, send: Callable[[Packet], float]) -> None:
+    def poll(self, now: float, send: Callable[[Packet], float], waited: float = 0.0) -> None:
         """Send what is to be sent now.
 
-        ``send`` hands a packet to the wire and returns the seconds that it takes there.
+        ``send`` hands a packet to the wire and returns the seconds that it takes there; ``waited``
+        is for how long the oldest of them has not left.
         """
         self._advance(now)
         out = []
         if self.phase is Phase.SEARCH and self._due(now, SEARCH):
             out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
-        if self._owes_heartbeat and self._wire_free - now < QUEUED:
+        heard = self.phase.value > Phase.GREET.value
+        if heard and self._owes_heartbeat and max(self._wire_free - now, waited) < QUEUED:
             self._owes_heartbeat, self._heartbeat = False, now
             out.append(self._to_all(m.Heartbeat(self.token)))
         for peer in self.peers:
             out += peer.poll(now)
         self._send(out, now, send)
         if self.phase is Phase.RUN and self.stream is not None:
-            while self._wire_free - now <= HELD and (part := self.stream.take(now)):
+            while now >= self._wire_free - HELD and (part := self.stream.take(now)):
                 self._send(part, now, send)
 
     def _send(self, packets: list[Packet], now: float, send: Callable[[Packet], float]) -> None:
@@ -225,6 +238,9 @@ class Session:
         if any(peer.lost for peer in self.peers):
             return "the amplifier does not answer"
         if self.phase.value > Phase.GREET.value and self.phase is not Phase.GONE:
+            reset = [peer.host.node for peer in self.peers if peer.forgot]
+            if reset:
+                return f"node {reset[0]} was reset: it has forgotten this host"
             silent = [peer.host.node for peer in self.peers if now - peer.heard > SILENCE]
             if silent:
                 return f"node {silent[0]} has been silent for {SILENCE * 1e3:.0f} ms"
@@ -252,8 +268,8 @@ class Session:
             Phase.GREET: self._greeting,
             Phase.HALT: lambda: [m.Stop(self.token, 1)],
             Phase.ARM: self._arming,
-            Phase.END: lambda: [m.Stop(self.token, int(self._quick))],
-            Phase.ESTOP: lambda: [m.Estop(REASON)],
+            Phase.END: lambda: [m.Stop(self.token, int(self._quick)), m.Poll()],
+            Phase.ESTOP: lambda: [m.Estop(REASON), m.Poll()],
             Phase.TRIPS: lambda: [m.Poll()],
             Phase.DISARM: lambda: [m.Disarm(self.token)],
         }
@@ -298,7 +314,8 @@ class Session:
         position = self.stream.position_at(time) if self._first is None else self._first
         if self._first is None:
             time = self.stream.due(position)
-        for peer, start in zip(self.peers, self.stream.begin(position, time), strict=True):
+        starts = self.stream.begin(position, time, fade_in=self._first is None)
+        for peer, start in zip(self.peers, starts, strict=True):
             peer.ask(start)
 
     def _advance(self, now: float) -> None:
@@ -318,7 +335,9 @@ class Session:
                     getattr(self, f"_after_{self.phase.name.lower()}")(now)
 
     def _refused(self, nak: m.Nak, now: float) -> None:
-        """Act on what an amplifier would not do."""
+        """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""
+        if nak.code == NakCode.SESSION:
+            return
         if self.phase is Phase.GREET and nak.code == NakCode.BUSY:
             self.trouble = "another host holds the amplifier"
             self._wait(Phase.GREET, now)
@@ -346,7 +365,7 @@ class Session:
             try:
                 self._fit([peer.caps for peer in self.peers])
             except InputError as error:
-                self.refusal = str(error)
+                self.refusal, self.error = str(error), error
                 self._enter(Phase.GONE, now)
                 return
         self._enter(Phase.CLOCK, now)
@@ -360,7 +379,7 @@ class Session:
             ("voltage_v", w.voltage, min(c.voltage_limit_uv for c in caps), 1e-6, "V"),
             ("slew_v_per_us", w.slew, min(c.slew_limit_v_per_s for c in caps), 1.0, "V/s"),
         ):
-            if wanted > limit * scale * (1 + 1e-6):
+            if int(wanted / scale) > limit:  # whole units are what LIMITS tells
                 raise InputError(
                     f"limits.{name}: the display's {wanted:g} {unit} is more than the amplifier's "
                     f"{limit * scale:g} {unit}; lower it in the display file"
@@ -376,6 +395,7 @@ class Session:
         resumed = self.want is Want.RUN and self._first is None
         if resumed and self.stream is not None and set(states) == {State.RUNNING}:
             self.stream.resume()
+            self.trouble = ""
             self._enter(Phase.RUN, now)
         elif any(state in MOVING for state in states):
             self._enter(Phase.HALT, now)
@@ -400,7 +420,9 @@ class Session:
             self._enter(Phase.DISARM, now)
         elif latched:
             if not self.tripped:
-                self.tripped, self.trouble = True, _why(latched[0])
+                self.tripped = True
+                latched[0].ask(m.Poll())
+            self.trouble = _why(latched[0])
             if self.want is Want.RUN:
                 self.want, self.refusal = Want.READY, self.trouble
         elif self.want is Want.RUN:
@@ -440,14 +462,14 @@ class Session:
     def _after_estop(self, now: float) -> None:
         if self.want is Want.GONE:
             self._enter(Phase.DISARM, now)
+        elif any(peer.state is not State.ESTOP for peer in self.peers):
+            self._enter(Phase.ESTOP, now)
 
     def _after_trips(self, now: float) -> None:
         self._enter(Phase.CLEAR, now)
 
     def _after_clear(self, now: float) -> None:
-        for peer in self.peers:
-            peer.assume(State.IDLE)
-        self._enter(Phase.READY, now)
+        self._enter(Phase.GREET, now)
 
     def _after_disarm(self, now: float) -> None:
         if not self._moving:
@@ -461,8 +483,10 @@ class Session:
 def _why(peer: Peer) -> str:
     """Return why an amplifier does not run, as one line."""
     node, state, status = peer.host.node, peer.state, peer.host.status
-    if state is State.FAULT and status is not None and status.fault in set(Fault):
-        return f"node {node} reports a fault: {Fault(status.fault).name.lower()}"
+    if state is State.FAULT:
+        fault = 0 if status is None else status.fault
+        name = Fault(fault).name.lower() if fault and fault in set(Fault) else "of its hardware"
+        return f"node {node} reports a fault: {name}"
     if state is State.ESTOP:
         return f"node {node} was e-stopped by another"
     if state is State.SAFE:

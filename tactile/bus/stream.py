@@ -31,7 +31,7 @@ RAISE, LOWER = 1.5, 0.1e-3
 
 LATEST = 4e-3
 """s before its time at which samples go that wait for others to fill their packet."""
-HOLD = 10e-3
+HOLD = 25e-3
 """s for which the last sample is held at the end, in which STOP comes: the ramp begins there."""
 
 
@@ -76,22 +76,26 @@ class Stream:
         self._partial_start = self.end = 0
         self._last: Floats | None = None
         self._playing = self._blocked = False
-        self._anchor = (0, 0.0)
-        self._underruns, self._lowered = 0, math.inf
+        self._anchor, self._from = (0, 0.0), 0
+        self._underruns, self._late, self._lowered = 0, 0, math.inf
 
     # Time
 
-    def begin(self, position: int, time: float) -> list[m.Start]:
-        """Return each amplifier's START that plays a position at a host time [s]."""
+    def begin(self, position: int, time: float, *, fade_in: bool = False) -> list[m.Start]:
+        """Return each amplifier's START that plays a position at a host time [s].
+
+        To ``fade_in`` the first sample is kept back: an amplifier's gain rises then (SPEC.md, 8.2).
+        """
         self.clear()
+        self._from = position + fade_in
         self._anchor, self._playing, self.end = (position, time), True, position
-        self._underruns, self._lowered = self.underruns, time
+        self._lowered = time
         return [peer.start(position, time) for peer in self._peers]
 
     def due(self, position: int) -> float:
         """Return the host time at which a position is put out [s]."""
         rate = self._plan.sample_rate
-        if self._playing:
+        if self._playing and not self._peers[0].forgot:
             return self._peers[0].due(position, rate)
         return self._anchor[1] + (position - self._anchor[0]) / rate
 
@@ -101,13 +105,26 @@ class Stream:
         at += math.ceil((time - when) * self._plan.sample_rate - 1e-9)
         return at + math.ceil((time - self.due(at)) * self._plan.sample_rate - 1e-9)
 
+    @property
+    def ahead(self) -> float:
+        """By which samples are to be handed over before they are put out [s].
+
+        That is the lead and the time that a packet, or a frame, takes on the wire.
+        """
+        plan = self._plan
+        return self.lead + plan.use * plan.packet_samples / plan.sample_rate
+
     def freeze(self, now: float) -> None:
         """Let positions pass by the host's clock, since the amplifiers' is out of reach."""
-        if self._playing:
+        self._set_anchor(now)
+        self._playing = False
+        self.clear()
+
+    def _set_anchor(self, now: float) -> None:
+        """Remember where it is, for when the amplifiers' clock is out of reach, or another."""
+        if self._playing and not self._peers[0].forgot:
             at = self.position_at(now)
             self._anchor = (at, self.due(at))
-            self._playing = False
-        self.clear()
 
     def resume(self) -> None:
         """Go on by the amplifiers' clock, after a freeze that they have played through."""
@@ -118,27 +135,39 @@ class Stream:
         """Of all amplifiers."""
         return sum(peer.underruns for peer in self._peers)
 
-    def control(self, now: float) -> None:
-        """Adapt the lead to what the amplifiers tell."""
+    @property
+    def late(self) -> int:
+        """Samples that came too late to all amplifiers, as far as they have told."""
+        return sum(peer.late for peer in self._peers)
+
+    def control(self, now: float, *, running: bool) -> None:
+        """Count underruns, and adapt the lead to those that come while all is running."""
         self._blocked = False
-        underruns = self.underruns
-        if underruns > self._underruns:
-            self._counters.underruns += underruns - self._underruns
-            self._underruns = underruns
+        self._set_anchor(now)
+        fresh, self._underruns = self.underruns - self._underruns, self.underruns
+        self._counters.underruns += fresh
+        late, self._late = self.late - self._late, self.late
+        self._counters.late_blocks -= -late // self._plan.packet_samples
+        if running and fresh:
             self.lead = min(self.lead * RAISE, MOST_LEAD)
-        elif now > self._lowered:
+        elif running and now > self._lowered:
             self.lead = max(self.lead - LOWER * (now - self._lowered), LEAST_LEAD)
-        self._lowered = now
+        self._lowered = max(now, self._lowered)
 
     # What waits
 
     def add(self, position: int, volts: Floats) -> None:
         """Let samples (S, C) [V] wait, in packets of as many as the plan says."""
+        early = min(max(self._from - position, 0), len(volts))
+        self._counters.dropped_samples += early
+        position, volts = position + early, volts[early:]
+        if not len(volts):
+            return
         if self._partial and position != self.end:
             self._flush()
         if not self._partial:
             self._partial_start = position
-        self._partial.append(volts)
+        self._partial.append(volts.copy())  # the caller's
         self.end = position + len(volts)
         size = self._plan.packet_samples
         if self.end - self._partial_start >= size:
@@ -154,8 +183,9 @@ class Stream:
         end = self.end
         self._flush()
         if self._last is not None:
-            count = math.ceil(HOLD * self._plan.sample_rate)
-            self._pack(end, np.tile(self._last, (count, 1)))
+            held, size = end + math.ceil(HOLD * self._plan.sample_rate), self._plan.packet_samples
+            for at in range(end, held, size):
+                self._pack(at, np.tile(self._last, (min(size, held - at), 1)))
         return end
 
     def _flush(self) -> None:
@@ -179,7 +209,9 @@ class Stream:
         self._parts.append(Part(position, position + len(volts), packets))
 
     def add_frame(self, position: int, volts: Complex, carriers: Floats) -> None:
-        """Let a frame (C, P) [V] wait."""
+        """Let a frame (C, P) [V] wait; not that of the start, where all envelopes are 0."""
+        if position <= self._from:
+            return
         plan, packets = self._plan, []
         increment = spectrum.increments(carriers, plan.sample_rate).astype(np.int64)
         spacing = plan.packet_samples
@@ -207,10 +239,10 @@ class Stream:
     def _told(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
         return [peer.host.tell(message) for message in messages]
 
-    def clear(self) -> None:
-        """Forget what waits."""
+    def clear(self, *, wanted: bool = False) -> None:
+        """Forget what waits, and count it, unless whoever wrote it wants it gone."""
         self._flush()
-        for part in self._parts:
+        for part in () if wanted else self._parts:
             self._drop(part)
         self._parts.clear()
         self._last = None
@@ -227,7 +259,7 @@ class Stream:
 
     def take(self, now: float) -> list[Packet]:
         """Return the packets that are next, if the amplifiers have room for them."""
-        if self._partial and self.due(self._partial_start) - now <= LATEST:
+        if self._partial and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
             self._flush()
         while self._parts:
             part = self._parts[0]

@@ -4,13 +4,17 @@ Whoever holds one sends no more than the wire takes (`busy`), waits in `receive`
 overtake with `urge`. A wire that breaks raises WireError; whoever holds it connects a new one.
 """
 
+import math
 from abc import ABC, abstractmethod
+from collections import deque
 from typing import Protocol
 
 from firmware_protocol.packet import LinkCounters, Packet
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError
 
+REORDERED, REORDERED_IN = 10, 1.0
+"""Fragments dropped, within so many seconds, from which on it is said (SPEC.md, 3.2)."""
 STALL = 0.1
 """s in which a wire takes nothing of what waits, after which it counts as broken."""
 
@@ -29,6 +33,32 @@ class Clock(Protocol):
     def sleep(self, seconds: float) -> None:
         """Let time pass."""
         ...
+
+
+class FragmentWatch:
+    """Tells of fragments that are dropped, as on a bus without fault none is.
+
+    Attributes
+    ----------
+    warning : one line; empty where there is nothing to say
+    """
+
+    def __init__(self) -> None:
+        self.warning = ""
+        self._counts: deque[tuple[float, int]] = deque([(-math.inf, 0)])
+
+    def look(self, dropped: int, now: float) -> None:
+        """Take the number of fragments dropped so far, at both ends."""
+        counts = self._counts
+        if dropped != counts[-1][1]:
+            counts.append((now, dropped))
+        while len(counts) > 1 and counts[1][0] < now - REORDERED_IN:
+            counts.popleft()
+        if dropped - counts[0][1] >= REORDERED:
+            self.warning = (
+                f"{dropped - counts[0][1]} fragments of packets came out of order, or not at all, "
+                f"within {REORDERED_IN:g} s: the adapter reorders or loses frames"
+            )
 
 
 class Wire(ABC):
@@ -69,6 +99,11 @@ class Wire(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of it; any number of times."""
+
+    @property
+    def waited(self) -> float:
+        """For how long the oldest has waited of what was sent and has not left [s]."""
+        return 0.0
 
     @property
     def busy(self) -> bool:

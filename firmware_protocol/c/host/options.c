@@ -16,6 +16,8 @@ static const char usage[] =
     "  --fd               send CAN FD frames\n"
     "  --extended         29-bit identifiers on CAN\n"
     "  --sense            measure: SENSE gives what was put out\n"
+    "  --load-pf LIST     measure what loads draw, such as 12800,0,short: of channels from 0 on, the\n"
+    "                     last of all that follow; 0 is an open line\n"
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
     "                     u8 high voltage, i16 per channel\n"
@@ -117,6 +119,34 @@ static bool take_link(virtual_options *o, const char *text)
     return false;
 }
 
+static bool take_load(uint32_t *load_pf, const char *text, size_t length)
+{
+    if (length == 5 && strncmp(text, "short", length) == 0) {
+        *load_pf = VIRTUAL_SHORT;
+        return true;
+    }
+    char *end;
+    unsigned long value = strtoul(text, &end, 10);
+    *load_pf = (uint32_t)value;
+    return *text >= '0' && *text <= '9' && end == text + length && value <= VIRTUAL_LOAD_MAX;
+}
+
+/* Commas part them; the last one holds for the channels that follow. */
+static bool take_loads(virtual_options *o, const char *text)
+{
+    for (size_t channel = 0; channel < TA_CHANNELS; channel++) {
+        size_t length = strcspn(text, ",");
+        if (!take_load(&o->load_pf[channel], text, length)) {
+            fprintf(stderr, "virtual-amplifier: --load-pf %.*s: no number from 0 to %u, nor short\n",
+                    (int)length, text, VIRTUAL_LOAD_MAX);
+            return false;
+        }
+        text += text[length] == ',' ? length + 1 : 0;
+    }
+    o->senses = o->loaded = true;
+    return true;
+}
+
 static bool take_flag(virtual_options *o, const char *name)
 {
     bool *flag = strcmp(name, "--pty") == 0        ? &o->pty
@@ -140,6 +170,9 @@ static bool take_value(virtual_options *o, const char *name, const char *value)
     }
     if (strcmp(name, "--link") == 0) {
         return take_link(o, value);
+    }
+    if (strcmp(name, "--load-pf") == 0) {
+        return take_loads(o, value);
     }
     const char **text = strcmp(name, "--out") == 0         ? &o->out
                         : strcmp(name, "--sent") == 0      ? &o->sent

@@ -48,6 +48,8 @@ static bool hal_send(void *context, const uint8_t *packet, size_t size)
 static void hal_put_out(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
 {
     virtual_amplifier *v = context;
+    memcpy(v->codes[1], v->codes[0], sizeof v->codes[0]);
+    memcpy(v->codes[0], codes, v->amp.config.channels * sizeof *codes);
     tp_put_le(v->row, tick, 8);
     tp_put_le(v->row + 8, position, 4);
     for (size_t c = 0; c < v->amp.config.channels; c++) {
@@ -97,12 +99,32 @@ static void hal_identify(void *context, uint8_t seconds)
     fprintf(stderr, "virtual-amplifier: here I am, for %u s\n", (unsigned)seconds);
 }
 
-/* What is measured is what was put out, at no current. */
+/* C dv/dt [uA] of a change of code from one sample to the next, rounded; no more than a reading tells. */
+static int16_t load_current(const virtual_amplifier *v, uint32_t load_pf, int32_t change)
+{
+    int64_t uv_per_s = (int64_t)change * v->amp.config.full_scale_uv / 32767 * v->amp.player.rate;
+    int64_t fa = uv_per_s / 1000 * (int64_t)load_pf;
+    int64_t ua = (fa + (fa < 0 ? -500000000 : 500000000)) / 1000000000;
+    return (int16_t)(ua > INT16_MAX ? INT16_MAX : ua < -INT16_MAX ? -INT16_MAX : ua);
+}
+
+/* Without a load what was put out is measured, at no current; with one the middle between the last
+ * two samples, and the current of the step between them. A short keeps the voltage at 0 V and draws
+ * the most that a reading tells. */
 static void hal_sense(void *context, uint8_t channel, int16_t *voltage, int16_t *current_ua)
 {
     const virtual_amplifier *v = context;
-    *voltage = v->amp.player.codes[channel];
+    int32_t last = v->codes[0][channel];
+    int32_t before = v->codes[1][channel];
+    *voltage = (int16_t)last;
     *current_ua = 0;
+    if (v->loaded && v->load_pf[channel] == VIRTUAL_SHORT) {
+        *voltage = 0;
+        *current_ua = last > 0 ? INT16_MAX : last < 0 ? -INT16_MAX : 0;
+    } else if (v->loaded) {
+        *voltage = (int16_t)((last + before) / 2);
+        *current_ua = load_current(v, v->load_pf[channel], last - before);
+    }
 }
 
 /* Files */
@@ -159,6 +181,8 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     ta_serial_init(&v->serial, &v->amp, put_bytes, v);
     ta_can_init(&v->can, &v->amp, options->fd, options->extended, put_frame, v);
     ta_smbus_init(&v->smbus, &v->amp, &v->replies);
+    v->loaded = options->loaded;
+    memcpy(v->load_pf, options->load_pf, sizeof v->load_pf);
     v->fixed_link = options->link >= 0;
     v->link = v->fixed_link ? (uint8_t)options->link : (uint8_t)KIND_PACKET;
     return open_file(&v->out, options->out) && open_file(&v->sent, options->sent) &&

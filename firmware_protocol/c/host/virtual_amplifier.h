@@ -9,6 +9,8 @@
 #define VIRTUAL_OUT_BYTES 65536u /* of records that wait to be written, at most */
 #define VIRTUAL_ID_EXTENDED 0x80000000u /* of identifiers, as SocketCAN has them */
 #define VIRTUAL_ID_REMOTE 0x40000000u
+#define VIRTUAL_LOAD_MAX 1000000u /* pF, of a channel's load */
+#define VIRTUAL_SHORT (VIRTUAL_LOAD_MAX + 1u)
 
 /* Of records, of what was fed and what was sent. */
 enum {
@@ -33,6 +35,8 @@ typedef struct {
     bool fd;
     bool extended;
     bool senses;
+    bool loaded; /* SENSE tells what it draws: */
+    uint32_t load_pf[TA_CHANNELS];
     bool pty;
     bool replay;
 } virtual_options;
@@ -47,6 +51,9 @@ typedef struct {
     uint64_t tick;
     uint8_t link;
     bool fixed_link;
+    bool loaded;
+    uint32_t load_pf[TA_CHANNELS];
+    int16_t codes[2][TA_CHANNELS]; /* put out last, and before */
     FILE *out;
     FILE *sent;
     size_t unflushed; /* bytes that wait for `out`, and the tick of the last that did not */

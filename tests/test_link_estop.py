@@ -1,0 +1,155 @@
+"""E-stops over links: in time, remembered, told, and ended by a person alone."""
+
+from collections.abc import Callable
+
+import pytest
+from link_rig import LEVEL, LINKS, SAMPLE, Bench, Panel, benches, overheard
+
+from firmware_protocol import messages as m
+from firmware_protocol.messages import Fault, State
+from firmware_protocol.packet import Packet
+from tactile.errors import BusError
+
+EVERY = pytest.mark.parametrize("link", LINKS)
+TO_ESTOP = 20e-3
+
+bench = pytest.fixture(benches)
+
+
+SATURATED = {
+    "serial": "mock:?link=serial&bit_rate=1000000&format=pcm16",
+    "can": "mock:?link=can&format=pcm16",
+    "canfd": "mock:?link=canfd&format=pcm16",
+    "i2c": "mock:?link=i2c&bit_rate=1000000&format=pcm16",
+}
+CAPS_OF_USE = {"serial": 0.85, "can": 0.70, "canfd": 0.70, "i2c": 0.80}
+
+
+def saturated(link: str, rate: float = 8000.0) -> Bench:
+    """Return a link with as many channels as it carries."""
+    best: Bench | None = None
+    for channels in range(1, 40):
+        try:
+            one = Bench(SATURATED[link], Panel(channels=channels), rate)
+        except Exception:
+            break
+        if best is not None:
+            best.bus.close()
+        best = one
+    assert best is not None
+    return best
+
+
+@EVERY
+def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: str) -> None:
+    rig = saturated(link)
+    try:
+        assert rig.bus.plan.use > 0.85 * CAPS_OF_USE[link]
+        for press in range(6):
+            rig.start()
+            rig.play(0.06 + 0.007 * press)
+            rig.write(16 + 5 * press)
+            pressed = rig.clock.time
+            assert rig.at(pressed)[1::2].min() >= 0.9 * LEVEL
+            rig.bus.estop()
+            rig.model.run_away(pressed + 0.06)
+            took = rig.silence_after(pressed)
+            assert 0 < took < TO_ESTOP
+            assert (rig.bus.status.state, rig.bus.status.detail) == ("estopped", "")
+            rig.bus.clear()
+            assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+            rig.bus.clear()
+    finally:
+        rig.bus.close()
+    rig.check_limits()
+
+
+@EVERY
+def test_an_estop_while_the_link_is_down_is_the_first_thing_said_when_it_is_back(
+    bench: Callable[..., Bench], link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = overheard(monkeypatch)
+    rig = bench(link)
+    rig.start()
+    rig.play(0.2)
+    rig.model.unplug(0.08)
+    rig.play(0.03)
+    assert rig.bus.status.link == "down"
+    heard.clear()
+    rig.bus.estop()
+    assert not heard
+    rig.idle(0.5)
+    assert heard[0][0].type == m.Estop.TYPE
+    assert rig.model.amplifiers[0].state == State.ESTOP
+    assert (rig.bus.status.state, rig.bus.status.link) == ("estopped", "up")
+    rig.idle(1.0)
+    assert rig.bus.counters.disconnects == 1
+    rig.bus.clear()
+    assert rig.bus.status.state == "idle"
+    rig.start()
+    rig.play(0.2)
+    assert rig.misplaced(since=rig.zero)[0] < SAMPLE
+
+
+@EVERY
+@pytest.mark.parametrize(("extra", "running"), [("", True), ("&rearm=true", True), ("", False)])
+def test_anothers_estop_holds_until_it_is_cleared_and_is_told(
+    bench: Callable[..., Bench], link: str, extra: str, running: bool
+) -> None:
+    rig = bench(link, extra)
+    if running:
+        rig.start()
+        rig.play(0.2)
+    model, amplifier = rig.model, rig.model.amplifiers[0]
+    amplifier.receive(Packet.of(m.Estop(7), node=0, seq=0), model.tick(0))
+    pressed = rig.clock.time
+    rig.idle(0.4)
+    assert rig.silence_after(pressed) < TO_ESTOP
+    status = rig.bus.status
+    assert (status.state, status.link) == ("estopped", "up")
+    assert "e-stopped by another" in status.detail
+    with pytest.raises(BusError, match="clear it first"):
+        rig.bus.start()
+    assert amplifier.state == State.ESTOP
+    rig.bus.clear()
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+    rig.start()
+    rig.play(0.2)
+    assert rig.misplaced(since=rig.zero)[0] < SAMPLE
+    assert rig.misplaced(since=rig.zero)[1] > 100
+
+
+@EVERY
+def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
+    bench: Callable[..., Bench], link: str
+) -> None:
+    rig = bench(link)
+    rig.start()
+    rig.play(0.1)
+    rig.model.amplifiers[0].fault(Fault.OVERTEMPERATURE, rig.model.tick(0))
+    rig.idle(0.05)
+    assert rig.bus.status.state == "estopped"
+    assert "overtemperature" in rig.bus.status.detail
+    for _ in range(2):
+        with pytest.raises(BusError, match="FAULT"):
+            rig.bus.clear()
+        assert rig.bus.status.state == "estopped"
+        assert "overtemperature" in rig.bus.status.detail
+    rig.model.amplifiers[0].fault(0, rig.model.tick(0))
+    rig.bus.clear()
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+
+
+@EVERY
+def test_close_disarms_in_an_estop_as_well(bench: Callable[..., Bench], link: str) -> None:
+    rig = bench(link)
+    rig.start()
+    rig.play(0.1)
+    rig.bus.estop()
+    before = rig.clock.time
+    rig.bus.close()
+    assert rig.clock.time < before + 0.2
+    rig.model.run_away(before + TO_ESTOP)
+    assert rig.silent
+    assert rig.model.amplifiers[0].state == State.ESTOP
+    assert not rig.model.amplifiers[0].high_voltage

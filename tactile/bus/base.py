@@ -190,9 +190,11 @@ class Bus(ABC):
     state : "idle", "running", "estopped" or "closed"
     frames : what it takes in place of blocks; None where it takes blocks
     on_host_death : what the amplifier does when the host goes silent
+    paced : whether `write` waits until it is time; otherwise it takes what it gets
     """
 
     on_host_death: ClassVar[HostDeath]
+    paced: ClassVar[bool] = True
     frames: Frames | None = None
 
     def __init__(self, wiring: Wiring) -> None:

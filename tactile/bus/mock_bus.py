@@ -37,6 +37,7 @@ class MockBus(Bus):
     """
 
     on_host_death = "ramps"
+    paced = False
 
     def __init__(
         self,

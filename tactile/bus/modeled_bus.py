@@ -107,6 +107,8 @@ class ModeledBus(LinkBus):
     model : of the link
     """
 
+    paced = False
+
     def __init__(self, wiring: Wiring, model: Model, *arguments: Any, **named: Any) -> None:
         self.model = model
         self._ends: list[int | None] = [None] * len(model.configs)

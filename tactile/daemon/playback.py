@@ -56,7 +56,7 @@ def play(
     display, renderer, trajectory, bus : what plays what, where, on what; the bus idle
     sample_rate : of the drive [Hz]
     listen : called after each block
-    realtime : wait for each block's time rather than run as fast as the bus takes it
+    realtime : wait for each block's time, on a bus that does not
 
     Raises
     ------
@@ -78,7 +78,7 @@ def play(
         played = delayed(position, normal_force, drive, shear)
         if played is not None:
             listen(played)
-        if realtime:
+        if realtime and not bus.paced:
             time.sleep(max(0.0, begun + sent / sample_rate - time.monotonic()))
     bus.stop()
 

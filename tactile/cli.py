@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 import tactile
 from tactile.errors import InputError, TactileError
 from tactile.files import nearest
+from tactile.printing import print_budget, print_check
 
 app = typer.Typer(
     help="Textures on tactile displays made of piezoelectric bimorphs.\n\n"
@@ -262,25 +263,47 @@ def tell_budget(
         )
         return
     title = f"{shown.channels} channels on {link.name}, {link.cap:.0%} of which may be used"
-    _print_budget(rows, title, first=chosen is not None)
+    print_budget(rows, title, first=chosen is not None)
 
 
-def _print_budget(
-    rows: list[Any], title: str, *, first: bool = False, console: Console | None = None
+@app.command("check")
+def check_display(
+    url: Annotated[str, typer.Argument(help="Of the device.")],
+    display: DisplayOption = "reference-24",
+    write: Annotated[
+        Path | None, typer.Option(help="Write the display file with the map that was told.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite that file.")] = False,
+    accept_unsafe_hold: AcceptHold = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Print what fits; the ``first`` that does is what will be sent."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column("sent as")
-    for heading in ("Hz", "of the wire", "channels that fit"):
-        table.add_column(heading, justify="right")
-    table.add_column("")
-    for row in rows:
-        verdict = "too much" if row.why_not.startswith("takes ") else row.why_not
-        if row.fits:
-            verdict, first = "chosen" if first else "fits", False
-        use = f"{row.use:.0%}"
-        table.add_row(row.what, f"{row.sample_rate:g}", use, str(row.most), verdict)
-    (console or Console()).print(table)
+    """Bring up a display, at 5 V at most: who is there, is each line good, what does it move.
+
+    Asks at a terminal which contactor each channel moves. Exit code 1 where faults were found.
+
+    Example: tactile check sim:
+    """
+    from rich.progress import Progress
+
+    from tactile.daemon.bringup import bring_up
+
+    with Progress(console=Console(stderr=True), transient=True, disable=as_json) as bar:
+        task = bar.add_task("channels", total=None)
+
+        def ask(question: str) -> str:
+            bar.stop()
+            return input(question)
+
+        report = bring_up(
+            url, display, write=write, force=force, accept_unsafe_hold=accept_unsafe_hold,
+            ask=ask if sys.stdin.isatty() and not as_json else None,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )  # fmt: skip
+    if as_json:
+        typer.echo(json.dumps(report.as_dict()))
+    else:
+        print_check(report.as_dict())
+    raise typer.Exit(1 if report.faults else 0)
 
 
 @app.command()
@@ -437,7 +460,7 @@ def main() -> None:
     except (TactileError, OSError) as error:
         status = _complain(f"tactile: {error}")
         if rows := getattr(error, "rows", None):
-            _print_budget(rows, "", console=Console(stderr=True))
+            print_budget(rows, "", console=Console(stderr=True))
     except Exception as error:
         if not hasattr(error, "format_message"):  # the parser's own kind; typer does not export it
             raise

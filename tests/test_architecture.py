@@ -34,18 +34,45 @@ MAP: dict[str, set[str]] = {
     "sim": {"actuator", "bus", "display", "errors"},
     "devices": {"bus", "sim"},
     "recording": {"errors"},
-    "daemon": {"bus", "devices", "display", "recording", "rendering", "sim", "texture"},
+    "display_map": {"display", "display_file", "errors", "files"},
+    "daemon": {
+        "bus",
+        "devices",
+        "display",
+        "display_map",
+        "errors",
+        "recording",
+        "rendering",
+        "sim",
+        "texture",
+    },
     "study": {"actuator"},
     "plots": {"actuator", "display", "errors"},
     "terminal": {"display"},
     "bench": {"actuator", "bus", "display", "rendering", "sim", "texture"},
-    "cli": {"bench", "bus", "daemon", "devices", "errors", "files", "plots", "study", "terminal"},
+    "printing": set(),
+    "cli": {
+        "bench",
+        "bus",
+        "daemon",
+        "devices",
+        "errors",
+        "files",
+        "plots",
+        "printing",
+        "study",
+        "terminal",
+    },
     "__main__": {"cli"},
 }
 """What a room may import besides itself; `tactile/__init__.py` only names where things live."""
 ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finger"}
 """Modules that import nothing of tactile."""
-AT_HOME = {"matplotlib": {"plots"}, "rich": {"bench.__init__", "cli", "terminal"}, "typer": {"cli"}}
+AT_HOME = {
+    "matplotlib": {"plots"},
+    "rich": {"bench.__init__", "cli", "printing", "terminal"},
+    "typer": {"cli"},
+}
 """Libraries that only some modules may import."""
 COMPARED = {"construct", "crccheck", "crcmod", "isotp"}
 """Libraries that the benchmarks measure beside ours where they are installed; none is needed."""

@@ -407,7 +407,7 @@ def test_every_help_text_has_an_example(
 def test_every_command_is_among_these(command: Command) -> None:
     listed = command("--help").out.partition("Commands:")[2]
     names = {line.split()[0] for line in listed.splitlines() if line.startswith("  ")}
-    assert names == {"bench", "budget", "devices", "play", "response", "textures"}
+    assert names == {"bench", "budget", "check", "devices", "play", "response", "textures"}
 
 
 def test_every_example_of_a_help_text_can_be_asked_for(

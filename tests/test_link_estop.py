@@ -138,6 +138,10 @@ def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
     rig.model.amplifiers[0].fault(0, rig.model.tick(0))
     rig.bus.clear()
     assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+    rig.model.amplifiers[0].fault(Fault.OVERCURRENT, rig.model.tick(0))
+    rig.idle(0.05)
+    assert (rig.bus.status.state, rig.bus.status.link) == ("estopped", "up")
+    assert "overcurrent" in rig.bus.status.detail
 
 
 @EVERY

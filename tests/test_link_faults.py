@@ -70,7 +70,7 @@ def test_each_disconnect_is_survived_in_step_and_counted(
         away = random.choice([0.0, 0.01, 0.04, 0.2], p=[0.35, 0.3, 0.3, 0.05])
         rig.model.unplug(float(away) if k else 0.3)
         recover(rig, k, random)
-        rig.play(float(random.uniform(0, 0.02)), 7)
+        rig.play(float(random.choice([0.005, 0.02, 0.09], p=[0.5, 0.3, 0.2])), 16)
     since = rig.clock.time
     fade_in(rig)
     counters = rig.bus.counters

@@ -45,12 +45,21 @@ FRAME = struct.Struct("=IBB2x")
 FD_FLAGS = 0x05
 """An FD frame, its data at the faster bit rate."""
 FULL = (errno.ENOBUFS, errno.EAGAIN)
-BUS_OFF, PASSIVE = 0x40, 0x30
-"""Of error frames: the class bus-off, and in the second byte error-passive (linux/can/error.h)."""
+BUS_OFF, CONTROLLER = 0x40, 0x04
+PASSIVE, ACTIVE = 0x30, 0x40
+"""Of error frames: classes, and states of the controller in the second byte (linux/can/error.h)."""
+CHECK = "check wiring, termination and bit rate"
 
 
 class Channel(ABC):
-    """CAN frames both ways; the driver below a `CanWire`. Its errors are OSErrors."""
+    """CAN frames both ways; the driver below a `CanWire`. Its errors are OSErrors.
+
+    Attributes
+    ----------
+    warning : of the controller, one line; empty where there is none
+    """
+
+    warning = ""
 
     @abstractmethod
     def send(self, frame: Frame) -> bool:
@@ -95,6 +104,11 @@ class CanWire(Wire):
         self._rest: deque[Frame] = deque()
         self._since = 0.0
         self._order = threading.Lock()
+
+    @property
+    def warning(self) -> str:
+        """What the controller warns of."""
+        return self._channel.warning
 
     @property
     def busy(self) -> bool:
@@ -211,7 +225,7 @@ class PythonCan(Channel):
                 if message is None:  # slcan: an adapter's answer
                     pass
                 elif message.is_error_frame:
-                    _look(message)
+                    self._look(message)
                 elif message.is_extended_id == self._link.extended and not message.is_remote_frame:
                     found.append((message.arbitration_id, bytes(message.data)))
                 message = self._bus.recv(0)
@@ -239,6 +253,16 @@ class PythonCan(Channel):
     def _more(self) -> bool:
         """Tell whether there is something to read, as far as that can be asked."""
         return self._file is not None and bool(select.select([self._file], [], [], 0)[0])
+
+    def _look(self, message: Any) -> None:
+        """Keep an error frame's warning; raise WireError for one that ends all traffic."""
+        if message.arbitration_id & BUS_OFF:
+            raise WireError(f"bus-off: too many errors; {CHECK}")
+        if message.arbitration_id & CONTROLLER and len(message.data) > 1:
+            if message.data[1] & PASSIVE:
+                self.warning = f"error-passive: many errors; {CHECK}"
+            elif message.data[1] & ACTIVE:
+                self.warning = ""
 
     def wake(self) -> None:
         """Let `receive` return."""
@@ -289,12 +313,6 @@ def _descriptor(bus: Any) -> int | None:
     except NotImplementedError:
         return None
     return number if isinstance(number, int) and number >= 0 else None
-
-
-def _look(message: Any) -> None:
-    """Raise WireError for an error frame that ends all traffic."""
-    if message.arbitration_id & BUS_OFF:
-        raise WireError("bus-off: too many errors; check wiring, termination and bit rate")
 
 
 def _gone(code: int | None, error: Exception) -> str:

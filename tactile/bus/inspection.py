@@ -55,6 +55,10 @@ class AmplifierFacts:
     holds: bool
     drift_ppm: float
 
+    def has(self, channel: int) -> bool:
+        """Tell whether a drive line is its."""
+        return 0 <= channel - self.first_channel < self.channels
+
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain data; keys carry their units."""
         return {

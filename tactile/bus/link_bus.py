@@ -142,7 +142,9 @@ class LinkBus(Bus):
         """How it stands now."""
         session = self._session
         up = self._wire is not None and session.phase.value > Phase.CLOCK.value
-        detail = session.trouble or session.fragments.warning
+        wire = self._wire
+        warning = wire.warning if wire is not None else ""
+        detail = session.trouble or warning or session.fragments.warning
         return Status(self.state, "up" if up else "down", detail)
 
     @property

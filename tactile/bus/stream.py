@@ -20,6 +20,7 @@ from firmware_protocol.messages import VALID_MS, Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
 from tactile.bus.base import Counters, Floats
 from tactile.bus.budget import Plan, spectrum_group
+from tactile.bus.follower import Follower
 from tactile.bus.peer import Peer
 
 Complex = NDArray[np.complex128]
@@ -71,6 +72,7 @@ class Stream:
         starts = [0, *ends[:-1]]
         self._spans = [slice(a, b) for a, b in zip(starts, ends, strict=True) if a < b]
         self._peers = peers[: len(self._spans)]
+        self._followers = [Follower(plan.sample_rate) for _ in self._peers[1:]]
         self._parts: deque[Part] = deque()
         self._partial: list[Floats] = []
         self._partial_start = self.end = 0
@@ -90,6 +92,8 @@ class Stream:
         self._from = position + fade_in
         self._anchor, self._playing, self.end = (position, time), True, position
         self._lowered = time
+        for follower in self._followers:
+            follower.begin(position)
         return [peer.start(position, time) for peer in self._peers]
 
     def due(self, position: int) -> float:
@@ -198,15 +202,27 @@ class Stream:
         assert kind is not None
         self._last = volts[-1]
         packets = []
-        for peer, span in zip(self._peers, self._spans, strict=True):
-            at = peer.wire_position(position, len(volts))
-            codes = codes_of(volts[:, span], peer.caps.full_scale_uv * 1e-6)
-            messages = pcm(
-                at, codes, session=peer.host.session,
-                sample_format=kind, packet_limit=self._plan.packet_limit,
-            )  # fmt: skip
-            packets.append((peer, at + len(volts), self._told(peer, messages)))
+        for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
+            pieces = [(position, volts[:, span])]
+            if k:
+                apart = self._apart(peer, position)
+                pieces = self._followers[k - 1].feed(position, volts[:, span], apart)
+            for start, piece in pieces:
+                at = peer.wire_position(start, len(piece))
+                messages = pcm(
+                    at, codes_of(piece, peer.caps.full_scale_uv * 1e-6),
+                    session=peer.host.session, sample_format=kind,
+                    packet_limit=self._plan.packet_limit,
+                )  # fmt: skip
+                packets.append((peer, at + len(piece), self._told(peer, messages)))
         self._parts.append(Part(position, position + len(volts), packets))
+
+    def _apart(self, peer: Peer, position: int) -> float:
+        """Return by how many samples the first clock is ahead of another at a position."""
+        if not self._playing or peer.forgot or self._peers[0].forgot:
+            return 0.0
+        rate = self._plan.sample_rate
+        return (peer.due(position, rate) - self._peers[0].due(position, rate)) * rate
 
     def add_frame(self, position: int, volts: Complex, carriers: Floats) -> None:
         """Let a frame (C, P) [V] wait; not that of the start, where all envelopes are 0."""
@@ -217,8 +233,9 @@ class Stream:
         spacing = plan.packet_samples
         valid = min(2 * spacing, int(plan.sample_rate) * VALID_MS // 1000)
         self.end = position
-        for peer, span in zip(self._peers, self._spans, strict=True):
-            at = peer.wire_position(position, 1)
+        for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
+            early = round(self._apart(peer, position)) if k else 0
+            at = peer.wire_position(position - early, 1)
             turns = increment * ((at - position) % TURN) % TURN / TURN
             codes = spectrum.encode(
                 volts[span] * np.exp(-2j * np.pi * turns) / (peer.caps.full_scale_uv * 1e-6)

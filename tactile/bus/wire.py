@@ -106,6 +106,11 @@ class Wire(ABC):
         return 0.0
 
     @property
+    def warning(self) -> str:
+        """What is amiss though it works, one line; empty where nothing is."""
+        return ""
+
+    @property
     def busy(self) -> bool:
         """Whether something waits that the wire has not taken."""
         return False

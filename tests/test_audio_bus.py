@@ -111,6 +111,7 @@ def test_a_missing_or_crashing_portaudio_is_one_line_and_nothing_is_found(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.ci
 def test_a_portaudio_that_finds_no_end_is_given_up(
     display: Display, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -178,6 +179,7 @@ def test_what_is_written_reaches_the_card_bit_by_bit(bus: AudioBus, server: Serv
     assert np.array_equal((bus.output[-FADE:] / FULL_SCALE).astype(np.float32), fade)
 
 
+@pytest.mark.ci
 def test_an_ac_coupled_card_says_what_that_costs(server: Server, tmp_path: Path) -> None:
     """−10 log10(1 + (20/20)²) dB at 20 Hz; e⁻³ = 5 % after 3/(2π 20 Hz)."""
     text = CALIBRATED + "ac_coupling_hz = 20.0\n[bimorph]\npiezo_height_mm = 0.6\n"
@@ -289,6 +291,7 @@ for k in range(1000):
 """
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_when_the_host_dies_or_hangs_the_output_fades(
     server: Server, display: Display, tmp_path: Path, how: signal.Signals
@@ -316,6 +319,7 @@ def test_when_the_host_dies_or_hangs_the_output_fades(
     assert last - begun <= 0.2
 
 
+@pytest.mark.ci
 def test_a_card_that_is_lost_is_told_and_comes_back_at_rest(
     bus: AudioBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -347,6 +351,7 @@ def test_a_card_that_is_lost_is_told_and_comes_back_at_rest(
     assert bus.output.max() == pytest.approx(50, abs=CODE)
 
 
+@pytest.mark.ci
 def test_a_player_that_hangs_holds_nobody_up(bus: AudioBus) -> None:
     """It is ended, and with it the card's output."""
     bus.start()
@@ -380,6 +385,7 @@ def test_what_is_not_there_is_said_by_name(server: Server, tmp_path: Path) -> No
         open_bus("audio:system", display, sample_rate=8000.0, accept_unsafe_hold=True)
 
 
+@pytest.mark.ci
 def test_outputs_are_found_under_urls_that_open_them(server: Server, display: Display) -> None:
     found = {f.url: f.about for f in find()}
     assert "24 channels, 48000 Hz" in found["audio:system"]
@@ -398,6 +404,7 @@ def cycle(display: Display, times: int) -> None:
     assert len(os.listdir("/proc/self/fd")) == files
 
 
+@pytest.mark.ci
 def test_nothing_is_left_after_close(server: Server, display: Display) -> None:
     cycle(display, 3)
 
@@ -430,6 +437,7 @@ def test_from_estop_to_0_volts_it_is_20_ms_at_most(display: Display, tmp_path: P
     assert np.median(took) <= 20e-3
 
 
+@pytest.mark.ci
 def test_a_sound_server_that_hangs_hangs_no_host(display: Display, tmp_path: Path) -> None:
     """PortAudio itself never returns from closing such a stream."""
     with serving(LONG_BUFFER, tmp_path) as server:

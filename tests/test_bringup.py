@@ -216,6 +216,7 @@ def test_lines_are_measured_and_faulty_ones_named(serve: Callable[..., Served], 
     assert not volts[-100:].any()
 
 
+@pytest.mark.ci
 def test_a_capacitance_that_is_off_is_named(serve: Callable[..., Served], four: Path) -> None:
     report = bring_up(serve("--load-pf", "9000,12800,12800,22000").url, four)
     assert verdicts(report) == ["off", "good", "off", "off"]
@@ -223,6 +224,7 @@ def test_a_capacitance_that_is_off_is_named(serve: Callable[..., Served], four: 
     assert "the display has 12.81 nF" in report.faults[-1]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_an_error_in_the_middle_leaves_the_device_idle(
     serve: Callable[..., Served], four: Path, error: type[BaseException],
@@ -254,6 +256,7 @@ def interrupted(bus: Bus) -> None:
         raise KeyboardInterrupt
 
 
+@pytest.mark.ci
 def test_a_link_in_trouble_is_no_measurement(
     serve: Callable[..., Served], four: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -271,6 +274,7 @@ def test_a_link_in_trouble_is_no_measurement(
     ]
 
 
+@pytest.mark.ci
 def test_readings_that_do_not_come_are_a_fault(
     serve: Callable[..., Served], four: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,6 +285,7 @@ def test_readings_that_do_not_come_are_a_fault(
     assert report.faults[0].endswith("readings came, of 30")
 
 
+@pytest.mark.ci
 def test_measuring_ends_with_its_block(serve: Callable[..., Served], four: Path) -> None:
     def interval(bus: LinkBus) -> int:
         value = bus.ask(m.Get(m.Parameter.SENSE_MS), 1)
@@ -306,6 +311,7 @@ def test_measuring_ends_with_its_block(serve: Callable[..., Served], four: Path)
         assert identify(bus, 1, 1)
 
 
+@pytest.mark.ci
 def test_readings_do_not_grow(serve: Callable[..., Served], four: Path) -> None:
     with open_bus(serve("--load-pf", "12800").url, load_display(four)) as bus:
         assert isinstance(bus, LinkBus)

@@ -28,11 +28,13 @@ from link_rig import (
 )
 
 from firmware_protocol import messages as m
+from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
 from tactile.bus import line_model, modeled_bus
 from tactile.bus.base import Wiring
 from tactile.bus.board import config_of
 from tactile.bus.line_model import Faults
+from tactile.bus.session import Session
 from tactile.bus.stream import LEAST_LEAD, MOST_LEAD
 from tactile.errors import BusError
 
@@ -394,3 +396,24 @@ def test_whatever_happens_limits_hold_time_is_kept_and_the_end_is_0_volts(
     rig.check_limits()
     assert rig.silent
     assert rig.misplaced()[0] < SAMPLE + 2 * delay
+
+
+def test_a_host_that_was_held_up_between_arm_and_start_arms_again(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The watchdog had made the amplifier SAFE meanwhile; `start` is still under way."""
+    bus = bench("serial").bus
+    starting = Session._starting
+    held: list[float] = []
+
+    def late(session: Session, now: float) -> None:
+        if not held:
+            held.append(now)
+            bus.model.run_away(bus.model.clock.time + 0.2)
+        starting(session, bus.model.clock.time)
+
+    monkeypatch.setattr(Session, "_starting", late)
+    bus.start()
+    assert held
+    assert bus.model.amplifiers[0].state == State.RUNNING
+    assert bus.model.amplifiers[0].counters.watchdogs == 1

@@ -365,6 +365,7 @@ def test_the_simulation_needs_a_display_not_only_its_wiring(display: Display) ->
         channels = 6
         slew = 1e5
         limits = display.limits
+        amplifier = display.amplifier
 
     assert Wiring.of(Lines(), RATE).channels == 6
     with pytest.raises(InputError, match="sim: needs a Display"):

@@ -63,6 +63,10 @@ class Phase(Enum):
     GONE = auto()
 
 
+AGAIN: dict[int, Phase] = {NakCode.TIME: Phase.START, NakCode.NOT_ARMED: Phase.ARM}
+"""Where a START that came too late, or after the watchdog, goes on."""
+
+
 class Want(Enum):
     """What a session is to come to."""
 
@@ -341,8 +345,8 @@ class Session:
         if self.phase is Phase.GREET and nak.code == NakCode.BUSY:
             self.trouble = "another host holds the amplifier"
             self._wait(Phase.GREET, now)
-        elif self.phase is Phase.START and nak.code == NakCode.TIME:
-            self._enter(Phase.START, now)
+        elif self.phase is Phase.START and nak.code in AGAIN:
+            self._enter(AGAIN[nak.code], now)
         elif self.phase is Phase.CLEAR and nak.code == NakCode.STATE:
             self._wait(Phase.TRIPS, now)
         else:

@@ -28,8 +28,8 @@ class Summary:
 
     ``signal_to_error_db`` is played against commanded shear in 20–1000 Hz, on a simulated display;
     ``attainable_um`` the peak shear that full drive attains at the worst frequency to 1000 Hz.
-    ``frames`` counts those of a link that takes spectrum frames; what samples would tell is then not
-    known, and limited and invalid are frames. ``status`` says what is wrong with the link.
+    ``frames`` counts those of a link that takes spectrum frames; what samples would tell is then
+    not known, and limited and invalid are frames. ``status`` says what is wrong with the link.
     """
 
     texture: str

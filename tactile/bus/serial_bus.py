@@ -292,9 +292,9 @@ def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
     line: Line = PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
     try:
         return SerialWire(line, link, clock)
-    except OSError:
+    except OSError as error:
         line.close()
-        raise
+        raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
 
 
 def _reason(path: str, error: Exception) -> str:

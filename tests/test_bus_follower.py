@@ -72,6 +72,17 @@ def test_a_gap_ends_one_stretch_and_begins_another() -> None:
     assert np.array_equal(out, [*volts[:, 0], *volts[:, 0], *volts[: 32 - HALF, 0]])
 
 
+def test_what_was_flushed_is_neither_sent_again_nor_left_out() -> None:
+    follower = Follower(RATE)
+    volts = np.arange(1.0, 33.0)[:, None]
+    pieces = follower.feed(0, volts, 0.0) + follower.flush() + follower.flush()
+    pieces += follower.feed(32, volts, 0.0) + follower.flush()
+    at = np.concatenate([start + np.arange(len(v)) for start, v in pieces])
+    assert np.array_equal(at, np.arange(64))
+    out = np.concatenate([v[:, 0] for _, v in pieces])
+    assert np.array_equal(out, [*volts[:, 0], *volts[:, 0]])
+
+
 @pytest.mark.ci
 @pytest.mark.parametrize("drift", [300, -300])
 def test_boards_whose_crystals_differ_play_on_together(drift: int) -> None:

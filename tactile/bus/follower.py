@@ -71,12 +71,19 @@ class Follower:
         """
         pieces = []
         if position != self._end or not len(self._known):
-            if len(self._known):
-                pieces += self._read(np.repeat(self._known[-1:], HALF, axis=0), 0.0)
+            pieces += self.flush()
             self._known_from = position - HALF
             before = self._known[-1:] if len(self._known) else np.zeros((1, volts.shape[1]))
             self._known, self._next = np.repeat(before, HALF, axis=0), position
         return [*pieces, *self._read(volts, self.steer(apart, len(volts)))]
+
+    def flush(self) -> list[Piece]:
+        """Return the samples that wait for those after them, as if the last went on."""
+        if not len(self._known):
+            return []
+        pieces = self._read(np.repeat(self._known[-1:], HALF, axis=0), 0.0)
+        self._known = self._known[:-HALF]
+        return pieces
 
     def _read(self, volts: Floats, slope: float) -> list[Piece]:
         """Take samples, and read as far as they reach."""

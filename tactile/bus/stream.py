@@ -20,7 +20,7 @@ from firmware_protocol.messages import VALID_MS, Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
 from tactile.bus.base import Counters, Floats
 from tactile.bus.budget import Plan, spectrum_group
-from tactile.bus.follower import Follower
+from tactile.bus.follower import HALF, Follower, Piece
 from tactile.bus.peer import Peer
 
 Complex = NDArray[np.complex128]
@@ -77,7 +77,7 @@ class Stream:
         self._partial: list[Floats] = []
         self._partial_start = self.end = 0
         self._last: Floats | None = None
-        self._playing = self._blocked = False
+        self._playing = self._blocked = self._tail = False
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
 
@@ -198,24 +198,34 @@ class Stream:
             self._pack(self._partial_start, volts)
 
     def _pack(self, position: int, volts: Floats) -> None:
-        kind = self._plan.sample_format
-        assert kind is not None
         self._last = volts[-1]
-        packets = []
-        for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
-            pieces = [(position, volts[:, span])]
-            if k:
-                apart = self._apart(peer, position)
-                pieces = self._followers[k - 1].feed(position, volts[:, span], apart)
-            for start, piece in pieces:
-                at = peer.wire_position(start, len(piece))
-                messages = pcm(
-                    at, codes_of(piece, peer.caps.full_scale_uv * 1e-6),
-                    session=peer.host.session, sample_format=kind,
-                    packet_limit=self._plan.packet_limit,
-                )  # fmt: skip
-                packets.append((peer, at + len(piece), self._told(peer, messages)))
+        first, *others = self._peers
+        packets = self._packed(first, [(position, volts[:, self._spans[0]])])
+        for follower, peer, span in zip(self._followers, others, self._spans[1:], strict=True):
+            apart = self._apart(peer, position)
+            packets += self._packed(peer, follower.feed(position, volts[:, span], apart))
         self._parts.append(Part(position, position + len(volts), packets))
+        self._tail = bool(others)
+
+    def _packed(self, peer: Peer, pieces: list[Piece]) -> list[tuple[Peer, int, list[Packet]]]:
+        kind, packets = self._plan.sample_format, []
+        assert kind is not None
+        for start, piece in pieces:
+            at = peer.wire_position(start, len(piece))
+            messages = pcm(
+                at, codes_of(piece, peer.caps.full_scale_uv * 1e-6), session=peer.host.session,
+                sample_format=kind, packet_limit=self._plan.packet_limit,
+            )  # fmt: skip
+            packets.append((peer, at + len(piece), self._told(peer, messages)))
+        return packets
+
+    def _flush_followers(self) -> None:
+        """Send what waits for samples that do not come."""
+        packets = []
+        for follower, peer in zip(self._followers, self._peers[1:], strict=True):
+            packets += self._packed(peer, follower.flush())
+        self._parts.append(Part(self.end - HALF, self.end, packets))
+        self._tail = False
 
     def _apart(self, peer: Peer, position: int) -> float:
         """Return by how many samples the first clock is ahead of another at a position."""
@@ -262,7 +272,7 @@ class Stream:
         for part in () if wanted else self._parts:
             self._drop(part)
         self._parts.clear()
-        self._last = None
+        self._last, self._tail = None, False
 
     def _drop(self, part: Part) -> None:
         self._counters.dropped_samples += max(min(part.end, self.end) - part.start, 0)
@@ -272,12 +282,16 @@ class Stream:
         """Host time at which something has to go at the latest [s]."""
         if self._parts:
             return math.inf if self._blocked else -math.inf
-        return self.due(self._partial_start) - LATEST if self._partial else math.inf
+        partial = self.due(self._partial_start) if self._partial else math.inf
+        tail = self.due(self.end - HALF) if self._tail else math.inf
+        return min(partial, tail) - LATEST
 
     def take(self, now: float) -> list[Packet]:
         """Return the packets that are next, if the amplifiers have room for them."""
         if self._partial and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
             self._flush()
+        if self._tail and now >= self.due(self.end - HALF) - LATEST:
+            self._flush_followers()
         while self._parts:
             part = self._parts[0]
             self._blocked = not all(peer.has_credit(end) for peer, end, _ in part.packets)

@@ -4,6 +4,7 @@ The synthesizer is fed the very frames that went over the wire; what the amplifi
 the same, but for samples that it faded.
 """
 
+import time
 from collections import deque
 from collections.abc import Iterator
 
@@ -30,6 +31,9 @@ from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
+
+CHUNK = 1 << 22
+"""Bytes of records that are compared at a time."""
 
 
 class Listening(CanWire):
@@ -112,6 +116,18 @@ def _played(
         display, load_texture("wood-oak"),
         carriers=bus.frames.carriers, frame_rate=bus.frames.rate, sample_rate=RATE,
     )  # fmt: skip
+    with real_time():
+        return _streamed(bus, renderer, display, amplifier, sent, seconds)
+
+
+def _streamed(
+    bus: LinkBus,
+    renderer: SpectrumRenderer,
+    display: Display,
+    amplifier: VirtualAmplifier,
+    sent: deque[tuple[int, m.Spectrum]],
+    seconds: float,
+) -> FrameLedger:
     way, spacing = to_and_fro(seconds), renderer.spacing
     bus.tune(renderer.carriers)
     bus.start()
@@ -121,9 +137,11 @@ def _played(
         place, force = way.at(k * spacing / RATE)
         volts = renderer.frame(place, way.velocity(k * spacing / RATE), float(force))
         bus.write_frame(DriveFrame(k * spacing, volts))
-        ledger.take(amplifier.take())
-        ledger.play(sent)
     bus.stop()
+    time.sleep(0.1)
+    while len((records := amplifier.take(CHUNK)).codes):
+        ledger.take(records)
+        ledger.play(sent)
     return ledger
 
 
@@ -137,7 +155,7 @@ def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
         wire.frames = sent
         return wire
 
-    with workshop() as folder, real_time():
+    with workshop() as folder:
         amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"))
         with LinkBus(
             Wiring.of(display, RATE), connect,

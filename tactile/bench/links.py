@@ -1,26 +1,26 @@
 """Links: what gets through to the C amplifier in real time, and what that costs.
 
-The drive is rendered as it is played, in blocks of 16, and what the amplifier puts out is compared
-with it position by position: with what the frames say, which must be the same to the last bit, and
-with the renderer's drive. Where the amplifier bridged or faded, because the machine stood still,
-samples differ; they are counted, and no step may exceed the slew limit.
+The drive is rendered as it is played, in blocks of 16; then what the amplifier has put out is
+compared with it position by position: with what the frames say, which must be the same to the last
+bit, and with the renderer's drive. Where the amplifier bridged or faded, because the machine stood
+still, samples differ; they are counted, and no step may exceed the slew limit.
 """
 
 import time
-from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol import samples
 from firmware_protocol.host import codes_of
 from firmware_protocol.messages import FULL_SCALE_CODE, State
-from tactile.bench.figures import RATE, Figure, Floats, at_most
+from tactile.bench.figures import RATE, Figure, at_most
 from tactile.bench.frames import stream_frames
 from tactile.bench.virtual import (
-    Records,
     SocketCan,
     VirtualAmplifier,
     can_be_built,
@@ -29,7 +29,7 @@ from tactile.bench.virtual import (
     workshop,
 )
 from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.budget import Ability, plan
+from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus, Monotonic
 from tactile.bus.registry import open_bus
@@ -41,76 +41,66 @@ from tactile.texture.surface import load_texture
 
 BLOCK = 16
 SHORT, LONG = 5.0, 600.0
+CHUNK = 1 << 22
+"""Bytes of records that are compared at a time."""
+
+Codes = NDArray[np.int16]
+Indices = NDArray[np.int64] | NDArray[np.int32]
+
 """s of a stream."""
 
 
 @dataclass
 class Ledger:
-    """What was sent and what was put out, compared as it comes.
+    """What was put out, compared with what was sent.
 
-    Parameters
+    Attributes
     ----------
-    bus : that plays; it knows which position is which
-    full_scale, slew_step : of the amplifier [V], and the largest step allowed [codes]
+    compared, differing : samples, and those that are not what the frames say
+    largest_step : [codes]
+    error, power : sums of squares [codes²], against the renderer's drive
     """
 
-    bus: LinkBus
-    full_scale: float
-    slew_step: float
     compared: int = 0
     differing: int = 0
     largest_step: int = 0
     error: float = 0.0
     power: float = 0.0
-    _sent: deque[tuple[int, Floats]] = field(default_factory=deque)
-    _last: np.ndarray | None = None
 
-    def send(self, position: int, drive: Floats) -> None:
-        """Take note of what is to be put out."""
-        self._sent.append((position, drive.copy()))
+    def compare(self, bus: LinkBus, amplifier: VirtualAmplifier, sent: Codes) -> None:
+        """Read all that the amplifier put out; ``sent`` are codes (S, C) from position 0 on."""
+        (peer,) = bus.peers
+        last = None
+        while len((records := amplifier.take(CHUNK)).codes):
+            codes = records.codes.astype(np.int32)
+            steps = np.abs(np.diff(codes, axis=0, prepend=codes[:1] if last is None else last))
+            self.largest_step, last = max(self.largest_step, int(steps.max())), codes[-1:]
+            playing = (records.state == State.RUNNING) & (records.tick >= peer.begun)
+            position = records.position[playing].astype(np.int64) - peer.wire_end(0)
+            inside = (position >= 0) & (position < len(sent))
+            if inside.any():
+                self._compare(bus.plan, position[inside], codes[playing][inside], sent)
 
-    def take(self, records: Records) -> None:
-        """Compare what was put out."""
-        if not len(records.codes):
-            return
-        codes = records.codes.astype(np.int32)
-        before = codes[:1] if self._last is None else self._last
-        steps = np.abs(np.diff(codes, axis=0, prepend=before))
-        self.largest_step = max(self.largest_step, int(steps.max()))
-        self._last = codes[-1:]
-        playing = records.state == State.RUNNING
-        (peer,) = self.bus.peers
-        playing &= records.tick >= peer.begun
-        start = peer.wire_end(0)
-        position = (records.position[playing].astype(np.int64) - start) % 2**32
-        self._compare(position, codes[playing])
-
-    def _compare(self, position: np.ndarray, codes: np.ndarray) -> None:
-        kind, size = self.bus.plan.sample_format, self.bus.plan.packet_samples
+    def _compare(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> None:
+        kind, size = plan.sample_format, plan.packet_samples
         assert kind is not None
-        while self._sent and len(position):
-            first, drive = self._sent[0]
-            if position[-1] < first + len(drive) - 1:
-                return
-            self._sent.popleft()
-            here = (position >= first) & (position < first + len(drive))
-            wanted = np.concatenate(
-                [
-                    samples.decode(kind, samples.encode(kind, part), *part.shape)
-                    for k in range(0, len(drive), size)
-                    for part in [codes_of(drive[k : k + size], self.full_scale)]
-                ]
-            )
-            at = position[here] - first
-            self.compared += len(at)
-            wrong = (codes[here] != wanted[at]).any(axis=1)
-            self.differing += int(wrong.sum())
-            volts = codes[here][~wrong] * (self.full_scale / FULL_SCALE_CODE)
-            self.error += float(np.sum((volts - drive[at][~wrong]) ** 2))
-            self.power += float(np.sum(drive[at][~wrong] ** 2))
+        low = int(position[0]) // size * size
+        drive = np.asarray(sent[low : int(position[-1]) + size])
+        parts = [drive[k : k + size] for k in range(0, len(drive), size)]
+        wanted = np.concatenate(
+            [samples.decode(kind, samples.encode(kind, part), *part.shape) for part in parts]
+        )
+        at = position - low
+        right = (codes == wanted[at]).all(axis=1)
+        self.compared += len(at)
+        self.differing += int((~right).sum())
+        self.error += float(np.sum((codes[right] - drive[at][right].astype(np.float64)) ** 2))
+        self.power += float(np.sum(drive[at][right].astype(np.float64) ** 2))
 
 
-def _figures(name: str, bus: LinkBus, ledger: Ledger, duration: float) -> Iterator[Figure]:
+def _figures(
+    name: str, bus: LinkBus, ledger: Ledger, duration: float, slew_step: float
+) -> Iterator[Figure]:
     c, status = bus.counters, bus.peers[0].host.status
     blocks = max(c.blocks, 1)
     yield Figure(f"{name}.seconds", duration, "s")
@@ -123,9 +113,7 @@ def _figures(name: str, bus: LinkBus, ledger: Ledger, duration: float) -> Iterat
     yield Figure(f"{name}.compared", float(ledger.compared), "samples")
     differing = 100 * ledger.differing / max(ledger.compared, 1)
     yield at_most(f"{name}.differing_from_frames", differing, "%", 0)
-    yield at_most(
-        f"{name}.largest_step", ledger.largest_step / max(ledger.slew_step, 1e-9), "of slew", 1
-    )
+    yield at_most(f"{name}.largest_step", ledger.largest_step / slew_step, "of slew", 1)
     ratio = 10 * np.log10(ledger.power / max(ledger.error, 1e-30))
     yield Figure(f"{name}.signal_to_error", float(ratio), "dB")
 
@@ -135,36 +123,44 @@ def _slew_step(display: Display, rate: float) -> float:
     return min(display.slew / rate / full, 2.0) * FULL_SCALE_CODE
 
 
+def _play(
+    bus: LinkBus, renderer: Renderer, display: Display, file: IO[bytes], way: Trajectory
+) -> None:
+    """Play, and keep what was sent."""
+    renderer.fade_in()
+    sent = 0
+    for position, force in way.blocks(bus.wiring.sample_rate, BLOCK):
+        drive = display.to_channels(renderer.block(position, force)).astype(np.float64)
+        if not sent:
+            bus.start()
+        file.write(codes_of(drive, display.limits.voltage).tobytes())
+        bus.write(DriveBlock(sent, drive))
+        sent += len(drive)
+    bus.stop()
+
+
 def _stream(
-    name: str, bus: LinkBus, amplifier: VirtualAmplifier, seconds: float
+    name: str, folder: Path, bus: LinkBus, amplifier: VirtualAmplifier, seconds: float
 ) -> Iterator[Figure]:
     display, rate = load_display("reference-24"), bus.wiring.sample_rate
     renderer = Renderer(display, load_texture("wood-oak"), sample_rate=rate)
-    ledger = Ledger(bus, display.limits.voltage, _slew_step(display, rate))
-    sent = looked = 0
-    renderer.fade_in()
-    bus.start()
-    for position, force in to_and_fro(seconds).blocks(rate, BLOCK):
-        drive = display.to_channels(renderer.block(position, force)).astype(np.float64)
-        ledger.send(sent, drive)
-        bus.write(DriveBlock(sent, drive))
-        sent += len(drive)
-        if sent - looked >= rate / 20:
-            ledger.take(amplifier.take())
-            looked = sent
-    bus.stop()
+    path, way = folder / "sent", to_and_fro(seconds)
+    with path.open("wb") as file, real_time():
+        _play(bus, renderer, display, file, way)
     time.sleep(0.1)
-    ledger.take(amplifier.take())
-    yield from _figures(name, bus, ledger, sent / rate)
+    ledger = Ledger()
+    sent = np.memmap(path, np.int16, "r").reshape(-1, display.channels)
+    ledger.compare(bus, amplifier, sent)
+    yield from _figures(name, bus, ledger, len(sent) / rate, _slew_step(display, rate))
 
 
 def _serial(name: str, options: str, seconds: float) -> Iterator[Figure]:
-    with workshop() as folder, real_time():
+    with workshop() as folder:
         amplifier = VirtualAmplifier(folder, "--pty")
         url = f"serial://{amplifier.path}?{options}"
         with open_bus(url, load_display("reference-24")) as bus:
             assert isinstance(bus, LinkBus)
-            yield from _stream(name, bus, amplifier, seconds)
+            yield from _stream(name, folder, bus, amplifier, seconds)
         amplifier.close()
 
 
@@ -180,11 +176,11 @@ def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
 
 
 def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
-    with workshop() as folder, real_time():
+    with workshop() as folder:
         amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")
         with _can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
             assert isinstance(bus, LinkBus)
-            yield from _stream(name, bus, amplifier, seconds)
+            yield from _stream(name, folder, bus, amplifier, seconds)
         amplifier.close()
 
 

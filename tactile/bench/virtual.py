@@ -81,9 +81,9 @@ class VirtualAmplifier:
         self._file = self._out.open("rb")
         self._rest = b""
 
-    def take(self) -> Records:
-        """Return what was put out since the last call."""
-        data = self._rest + self._file.read()
+    def take(self, most: int = -1) -> Records:
+        """Return what was put out since the last call, or ``most`` bytes of it."""
+        data = self._rest + self._file.read(most)
         whole = len(data) // self._kind.itemsize * self._kind.itemsize
         self._rest = data[whole:]
         rows = np.frombuffer(data[:whole], self._kind)
@@ -96,10 +96,15 @@ class VirtualAmplifier:
         self._file.close()
 
 
-def urgent(process: int = 0) -> bool:
-    """Give a process real-time priority, if that is allowed; tell whether it is."""
+def urgent(process: int | None = None, *, ended: bool = False) -> bool:
+    """Give all threads of a process real-time priority, if that is allowed; tell whether it is.
+
+    ``ended`` takes it away again. A thread without it that holds Python's lock would be waited for.
+    """
+    policy, priority = (os.SCHED_OTHER, 0) if ended else (os.SCHED_RR, PRIORITY)
     with suppress(OSError, AttributeError):
-        os.sched_setscheduler(process, os.SCHED_RR, os.sched_param(PRIORITY))
+        for thread in Path(f"/proc/{process or os.getpid()}/task").iterdir():
+            os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
         return True
     return False
 
@@ -112,7 +117,7 @@ def real_time() -> Iterator[bool]:
         yield granted
     finally:
         if granted:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            urgent(ended=True)
 
 
 def build(folder: Path) -> Path:

@@ -66,13 +66,15 @@ def play(
     fade = round(display.limits.fade * sample_rate)
     last = round(trajectory.duration * sample_rate) - fade
     renderer.fade_in()
-    bus.start()
     begun, sent = time.monotonic(), 0
     delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
     for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
         if sent == max(last, 0):
             renderer.fade_out()
         drive, shear = renderer.block(position, normal_force, shear=True)
+        if not sent:  # the first block takes longest
+            bus.start()
+            begun = time.monotonic()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         sent += len(drive)
         played = delayed(position, normal_force, drive, shear)
@@ -105,7 +107,6 @@ def play_frames(
         Where the bus fails.
     """
     bus.tune(renderer.carriers)
-    bus.start()
     spacing = renderer.spacing
     renderer.sample = spacing
     count = max(int(trajectory.duration * sample_rate / spacing), 1)
@@ -114,6 +115,8 @@ def play_frames(
         time = trajectory.time[0] + k * spacing / sample_rate
         place, force = trajectory.at(time)
         lines[display.channel] = renderer.frame(place, trajectory.velocity(time), float(force))
+        if k == 1:
+            bus.start()
         bus.write_frame(DriveFrame(k * spacing, lines.copy()))
     bus.write_frame(DriveFrame((count + 1) * spacing, np.zeros_like(lines)))
     bus.stop()

@@ -377,7 +377,14 @@ MODELED = (
     "mock:?link=i2c&bit_rate=1000000",
 )
 REAL = ("pty", "rfc2217", "virtual", "slcan")
-SELDOM = ("mock:?keep=all", "mock:?link=serial", "rfc2217", "virtual")
+SELDOM = (
+    "mock:?keep=all",
+    "mock:?link=serial",
+    "mock:?link=can",
+    "mock:?link=i2c&bit_rate=1000000",
+    "rfc2217",
+    "virtual",
+)
 """Run with ``-m ci``: they differ little from the others, or take their time."""
 BENCHES = [
     pytest.param(name, id=name, marks=[pytest.mark.ci] if name in SELDOM else [])

@@ -53,6 +53,10 @@ LINKS = {
     "canfd": "mock:?link=canfd&format=pcm16",
     "i2c": "mock:?link=i2c&bit_rate=1000000&format=pcm16",
 }
+MOST = [
+    pytest.param(name, marks=pytest.mark.ci if name in ("canfd", "i2c") else ()) for name in LINKS
+]
+"""All of them, some only in CI."""
 
 
 @dataclass(frozen=True)

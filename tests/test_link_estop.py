@@ -3,14 +3,14 @@
 from collections.abc import Callable
 
 import pytest
-from link_rig import LEVEL, LINKS, SAMPLE, Bench, Panel, benches, overheard
+from link_rig import LEVEL, MOST, SAMPLE, Bench, Panel, benches, overheard
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Fault, State
 from firmware_protocol.packet import Packet
 from tactile.errors import BusError
 
-EVERY = pytest.mark.parametrize("link", LINKS)
+EVERY = pytest.mark.parametrize("link", MOST)
 TO_ESTOP = 20e-3
 
 bench = pytest.fixture(benches)

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from link_rig import (
     LINKS,
+    MOST,
     RATE,
     SAMPLE,
     VOLTAGE,
@@ -38,7 +39,7 @@ from tactile.bus.session import Session
 from tactile.bus.stream import LEAST_LEAD, MOST_LEAD
 from tactile.errors import BusError
 
-EVERY = pytest.mark.parametrize("link", LINKS)
+EVERY = pytest.mark.parametrize("link", MOST)
 FEW_OR_MANY = pytest.mark.parametrize(
     "times", [8, pytest.param(1000, marks=pytest.mark.ci)], ids=["few", "many"]
 )

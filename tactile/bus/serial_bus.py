@@ -326,7 +326,7 @@ def find() -> Iterator[Found]:
     from serial.tools import list_ports
 
     for port in sorted(list_ports.comports()):
-        about = port.description or "serial port"
+        about = "serial port" if port.description in (None, "", "n/a") else port.description
         if port.vid is not None:
             about += f", USB {port.vid:04x}:{port.pid:04x}"
         if port.serial_number:

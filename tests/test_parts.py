@@ -643,7 +643,7 @@ def test_many_error_bursts_are_all_recovered_without_a_jump(one: Rig, times: int
         hit += faults.count > before
         one.write(sine(16 * int(rng.integers(20, 40)), peak=45), one.bus.pump.sent, size=64)
     one.runner.run(2.0)
-    assert hit > 0.9 * times
+    assert hit >= 0.9 * times, "a burst may fall between two transfers"
     assert one.bus.status.link == "up"
     assert_steps(one.chip.waveform(), STEP + one.lsb, one.chip.drops)
     one.bus.stop()

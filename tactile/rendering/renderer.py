@@ -1,19 +1,12 @@
 """The renderer: position and force in, volts out, block by block.
 
-Partial m of the surface sounds at f_m = k_m·v/2π (signed) as the finger moves at v, and contactor
-i at x_i is to be sheared by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. That is
-separable, so a block of samples is a product of matrices,
-
-    shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
-
-Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, in what
-is commanded and played alike). The
-roll-off W follows the velocity at nodes every 8 samples of the stream, ramped between them; while
-the finger is too slow for any partial to leave the band it is one. The envelope multiplies, sparse
-events and streamed waveforms add, the laws of speed and force multiply; then the `Equalizer` turns
-shear into volts and the `Limiter` lets them out. Nothing depends on how the stream is cut.
+The finger's places become strokes (`motion`), each texture's `Layer` turns these into shear, and
+layers, each with its gain, and streamed waveforms add up; then the `Equalizer` turns shear into
+volts and the `Limiter` lets them out. Layers may be changed while it plays: new ones fade in as
+old ones fade out. Nothing depends on how the stream is cut.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, overload
 
@@ -24,28 +17,15 @@ from tactile.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
+from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import Limiter
-from tactile.rendering.shear import EventField, Law
-from tactile.texture.surface import Partials, Texture
+from tactile.rendering.motion import FARTHEST, NODE, Motion, Stroke
+from tactile.texture.surface import Texture
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-NODE = 8
-"""Samples between nodes of the roll-off, and behind each sample that give its velocity."""
-HISTORY = 2 * NODE
 CHUNK = BLOCK = 64
-PHASORS = 8192
-PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)
-ROUNDER = 1.5 * 2.0**52
-"""Added to a float64 it leaves the nearest integer in the low bits (IEEE 754)."""
-GRID = 0.1
-"""Hz between entries of the roll-off's table."""
-ENTRIES = round(equalizer.STOP_BAND / GRID)
-STILL = 1e-4
-"""m/s; below it a projected direction fades out."""
-FARTHEST = 1e3
-"""m and N from which on a sample is taken as invalid."""
 FASTEST = 200e3
 """Hz."""
 
@@ -72,77 +52,46 @@ class Rendering:
     limited_samples: int
 
 
-def _interleaved(phasor: NDArray[np.complex128]) -> Singles:
-    """Return (2M, N) so that z (S, M) complex, viewed as (S, 2M) real, @ it is Re(z @ phasor)."""
-    rows = np.empty((2 * len(phasor), phasor.shape[1]), np.float32)
-    rows[0::2], rows[1::2] = phasor.real, -phasor.imag
-    return rows
-
-
-def _at_contactors(partials: Partials, contactors: Floats) -> NDArray[np.complex128]:
-    """Return a exp j(k·x + φ), (M, N)."""
-    phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
-    return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
-
-
-class _Waves:
-    """exp(jk·p) of a set of waves at many places, through the phasor table."""
-
-    def __init__(self, wave_vector: Floats) -> None:
-        steps = wave_vector.T * (PHASORS / (2 * np.pi))
-        self._steps = np.vstack([steps, np.full(len(wave_vector), ROUNDER)])
-        self._scratch: dict[int, tuple[Floats, NDArray[np.int64], NDArray[np.complex64]]] = {}
-
-    def __call__(self, place: Floats) -> NDArray[np.complex64]:
-        """Return (S, M) phasors at places (3, S), x, y and 1; the next call uses it again."""
-        count = place.shape[1]
-        if count not in self._scratch:
-            steps = np.empty((count, self._steps.shape[1]))
-            phasors = np.empty(steps.shape, np.complex64)
-            self._scratch[count] = steps, steps.view(np.int64), phasors
-        steps, index, phasors = self._scratch[count]
-        np.matmul(place.T, self._steps, out=steps)
-        index &= PHASORS - 1
-        PHASOR_TABLE.take(index, out=phasors, mode="clip")
-        return phasors
-
-
-class _RollOff:
-    """Weights of the partials that the finger's speed brings out of the band."""
-
-    def __init__(self, wave_vector: Floats) -> None:
-        self._cycles = wave_vector.T / (2 * np.pi)
-        self._table = equalizer.roll_off(np.arange(ENTRIES + 1, dtype=np.float64) * GRID)
-        self._table = self._table.astype(np.float32)
-        highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
-        self.slow_squared = (equalizer.PASS_BAND / max(highest, 1e-9)) ** 2
-        """Square of the speed [m²/s²] up to which no partial leaves the band."""
-        self._ramps: dict[tuple[int, int], Singles] = {}
-
-    def __call__(self, velocity: Floats, start: int) -> Singles:
-        """Return weights (S, M) of samples start … start + S − 1.
-
-        They are read at nodes, multiples of `NODE` in the stream, and ramped between them a node
-        late, so that no later velocity is needed. ``velocity`` (2, `HISTORY` + S) [m/s] begins
-        two nodes before the samples.
-        """
-        count, phase = velocity.shape[1] - HISTORY, start % NODE
-        if (count, phase) not in self._ramps:
-            place = (phase + np.arange(count)) / NODE
-            hat = 1 - np.abs(place[:, None] - np.arange(int(place[-1]) + 2))
-            self._ramps[count, phase] = np.maximum(hat, 0).astype(np.float32)
-        ramp = self._ramps[count, phase]
-        at_nodes = velocity[:, NODE - phase :: NODE][:, : ramp.shape[1]].T
-        index = np.minimum(np.abs(at_nodes @ self._cycles) * (1 / GRID), ENTRIES).astype(np.intp)
-        return np.asarray(ramp @ self._table.take(index))
-
-
-class Renderer:
-    """Renders one texture on one display, sample by sample in step with the finger.
+class Ramp:
+    """A gain that goes from value to value by half a cosine.
 
     Parameters
     ----------
-    display, texture : what to render on, and what
+    step : of the way, per sample
+    value : to begin with
+    """
+
+    def __init__(self, step: float, value: float) -> None:
+        self._step, self._from, self._to, self._way = step, value, value, 1.0
+
+    def to(self, value: float) -> None:
+        """Go to a value, from where it is now."""
+        self._from, self._to, self._way = self._at(self._way), value, 0.0
+
+    def _at(self, way: float) -> float:
+        return self._from + (self._to - self._from) * (1 - float(np.cos(np.pi * way))) / 2
+
+    @property
+    def silent(self) -> bool:
+        """Whether it is 0 and stays there."""
+        return self._way == 1 and self._to == 0
+
+    def __call__(self, shear: Singles) -> Singles:
+        """Return shear (S, N) scaled by the next S values."""
+        if self._way == 1:
+            return shear if self._to == 1 else np.asarray(shear * np.float32(self._to))
+        way = np.minimum(self._way + self._step * np.arange(len(shear)), 1.0)
+        self._way = float(min(self._way + self._step * len(shear), 1.0))
+        gain = self._from + (self._to - self._from) * (1 - np.cos(np.pi * way)) / 2
+        return np.asarray(shear * gain[:, None].astype(np.float32))
+
+
+class Renderer:
+    """Renders textures on one display, sample by sample in step with the finger.
+
+    Parameters
+    ----------
+    display, texture : what to render on, and what; None for nothing yet
     sample_rate : of the drive [Hz]
     seed : of the surface's realization
 
@@ -153,8 +102,6 @@ class Renderer:
     filter : the `InverseFilter` in use
     frequency, attainable : (F,) [Hz] and (L, N, F) peak shear [m] of a sinusoid at the voltage
         limit, per force of the finger's table and contactor
-    invalid_samples : samples that were not finite or beyond reason; the last good position is held,
-        the force taken as zero, a waveform's as zero
 
     Raises
     ------
@@ -163,27 +110,20 @@ class Renderer:
     """
 
     def __init__(
-        self, display: Display, texture: Texture, *, sample_rate: float = 8000.0, seed: int = 0
+        self,
+        display: Display,
+        texture: Texture | None,
+        *,
+        sample_rate: float = 8000.0,
+        seed: int = 0,
     ) -> None:
         if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
             raise InputError(
                 f"sample_rate {sample_rate:g} Hz: must be {equalizer.LOWEST_RATE:g} … "
                 f"{FASTEST:g} Hz"
             )
-        surface = texture.realize(seed)
-        self._contactors = contactors = display.contactors
-        partials = surface.partials
-        self._law, self._sample_rate = Law(texture.descriptor), sample_rate
-        self._slopes: dict[tuple[int, bool], Floats] = {}
-        self._waves = _Waves((partials + surface.envelope).wave_vector)
-        self._roll_off = _RollOff(partials.wave_vector)
-        mean = np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
-        self._to_shear = _interleaved(_at_contactors(partials, contactors) * mean)
-        self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
-        self._axes = display.shear_axes if display.projected else None
-        self._events = None
-        if len(surface.event_peak):
-            self._events = EventField(surface, texture.descriptor.events, contactors)
+        self._contactors = len(display.contactors)
+        self._motion = Motion(sample_rate)
         frequency = np.arange(0, equalizer.STOP_BAND + 1, equalizer.GRID)
         response = display.responses(frequency, sample_rate)
         self.filter = equalizer.design(response, display.limits.voltage, sample_rate)
@@ -191,23 +131,49 @@ class Renderer:
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
         self.limiter = _limiter(display, sample_rate)
-        self._fade, self._fade_step = 1.0, 0.0
-        self._fade_rate = 1 / (display.limits.fade * sample_rate)
+        self._fade_step = 1 / (display.limits.fade * sample_rate)
+        self._fade = Ramp(self._fade_step, 1.0)
+        self._layers: list[tuple[Layer, Ramp]] = []
+        if texture is not None:
+            whole = Layer(display, texture, seed=seed), Ramp(self._fade_step, 1.0)
+            self._layers.append(whole)
         self.delay = self.filter.delay + self.limiter.delay
         self.frequency = frequency
         self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
-        self.invalid_samples = self._count = 0
-        self._past, self._waiting = np.zeros((6, HISTORY)), np.zeros((6, 0))
-        self._late = np.zeros((self.delay, len(contactors)), np.float32)
-        self._nothing = self._waveform = np.zeros((0, len(contactors)))
+        self._invalid = 0
+        self._late = np.zeros((self.delay, self._contactors), np.float32)
+        self._nothing = self._waveform = np.zeros((0, self._contactors))
+
+    @property
+    def invalid_samples(self) -> int:
+        """Samples that were not finite or beyond reason.
+
+        The last good position is held, the force taken as zero, a waveform's sample as zero.
+        """
+        return self._motion.invalid_samples + self._invalid
 
     def fade_in(self) -> None:
         """Let shear rise from nothing within the display's fade, from the next sample on."""
-        self._fade, self._fade_step = 0.0, self._fade_rate
+        self._fade = Ramp(self._fade_step, 0.0)
+        self._fade.to(1.0)
 
     def fade_out(self) -> None:
         """Let shear fall to nothing within the display's fade, and stay there."""
-        self._fade_step = -self._fade_rate
+        self._fade.to(0.0)
+
+    def play(self, layers: Sequence[tuple[Layer, float]]) -> None:
+        """Go over to other layers, each with its gain, within the display's fade.
+
+        A layer that plays already goes on, at its new gain.
+        """
+        gains = {id(layer): gain for layer, gain in layers}
+        for layer, ramp in self._layers:
+            ramp.to(gains.pop(id(layer), 0.0))
+        for layer, gain in layers:
+            if id(layer) in gains:
+                ramp = Ramp(self._fade_step, 0.0)
+                ramp.to(gain)
+                self._layers.append((layer, ramp))
 
     @overload
     def block(
@@ -251,10 +217,7 @@ class Renderer:
         shear : (S, N) ndarray
             Shear displacement [m] that this drive commands, equally late. Only on request.
         """
-        touch = np.zeros((6, len(np.asarray(position))))
-        touch[:2], touch[2], touch[3] = np.transpose(position), 1.0, normal_force
-        if not np.abs(touch).max(initial=0.0) < FARTHEST:
-            touch = self._mended(touch)
+        touch = self._motion.taken(position, normal_force)
         count = touch.shape[1]
         added = self._nothing if waveform is None else self._added(waveform, count)
         if count <= CHUNK:
@@ -272,101 +235,47 @@ class Renderer:
     def _added(self, waveform: ArrayLike, count: int) -> Floats:
         wave = np.asarray(waveform, np.float64)
         wave = wave[:, None] if wave.ndim == 1 else wave
-        return self._finite(np.broadcast_to(wave, (count, len(self._contactors))))
-
-    def _chunk(self, touch: Floats, waveform: Floats) -> tuple[Floats, Singles]:
-        """Render at most `CHUNK` samples.
-
-        The stream's first 9 samples are waited for, since together they give its first velocity.
-        What falls before the stream's beginning is 0 V.
-        """
-        count, begun = touch.shape[1], self._count > NODE
-        self._count += count
-        if not begun:
-            touch = self._waiting = np.concatenate([self._waiting, touch], axis=1)
-            waveform = self._waveform = np.concatenate([self._waveform, waveform])
-        if self._count > NODE:
-            shear = self._shear(touch, waveform, begun)
-            volts = self._equalizer(shear, touch[3])
-            if not begun:
-                volts[:NODE] = 0.0
-            self._late = np.concatenate([self._late, shear])
-        else:
-            volts = np.zeros((count, len(self._contactors)), np.float32)
-        shear, self._late = self._late[:count], self._late[count:]
-        return self.limiter(volts[len(volts) - count :]), shear
-
-    def _shear(self, touch: Floats, waveform: Floats, begun: bool) -> Singles:
-        """Return what each contactor is to do (S, N) [m]."""
-        past = self._past if begun else np.zeros((6, HISTORY))
-        line = np.concatenate([past, touch], axis=1)
-        self._past = line[:, -HISTORY:]
-        line[4:, HISTORY:] = line[:2] @ self._slope(touch.shape[1], begun)
-        squares = line[4:] * line[4:]
-        squares = squares[0] + squares[1]
-        phasors = self._waves(line[:3, HISTORY:])
-        sides, split = phasors.view(np.float32), len(self._to_shear)
-        if not squares.max() <= self._roll_off.slow_squared:
-            start = self._count - touch.shape[1]
-            phasors[:, : split // 2] *= self._roll_off(line[4:], start)
-        shear = sides[:, :split] @ self._to_shear
-        if len(self._to_envelope):
-            shear *= np.exp(sides[:, split:] @ self._to_envelope)
-        if self._events is not None:
-            shear += self._events.at(touch[:2])
-        shear *= self._scale(line[4:, HISTORY:], squares[HISTORY:], touch[3])
-        if waveform.size:
-            shear += waveform
-        if self._fade_step or self._fade < 1:
-            shear *= self._faded(len(shear))[:, None]
-        return np.asarray(shear)
-
-    def _faded(self, count: int) -> Singles:
-        """Return the fade's weights (S,), half a cosine from 0 to 1."""
-        ramp = np.clip(self._fade + self._fade_step * np.arange(count), 0, 1)
-        self._fade = float(np.clip(self._fade + self._fade_step * count, 0, 1))
-        if self._fade == (self._fade_step > 0):
-            self._fade_step = 0.0
-        return np.asarray((1 - np.cos(np.pi * ramp)) / 2, np.float32)
-
-    def _slope(self, count: int, begun: bool) -> Floats:
-        """Return what turns places (2, `HISTORY` + S) into the velocity (2, S) of the new ones.
-
-        It is that of a parabola through the last 8 samples of each; in the stream's first 8
-        samples that of the parabola through these.
-        """
-        if (count, begun) not in self._slopes:
-            slope = np.zeros((HISTORY + count, count))
-            for k in range(count):
-                last = NODE if k < NODE and not begun else k
-                points = last - np.array([NODE, NODE // 2, 0])
-                weights = np.linalg.solve(np.vander(points - k, increasing=True).T, [0, 1, 0])
-                slope[HISTORY + points, k] = weights * self._sample_rate
-            self._slopes[count, begun] = slope
-        return self._slopes[count, begun]
-
-    def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
-        """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
-        factor = self._law(squares, normal_force)[:, None]
-        if self._axes is not None:
-            unit = velocity / np.sqrt(squares + STILL**2)
-            factor = (self._axes @ unit).T * factor
-        return factor.astype(np.float32)
-
-    def _mended(self, touch: Floats) -> Floats:
-        """Hold the last good position, and lift the finger, where a sample is invalid."""
-        touch, last = touch.copy(), self._past[:, -1]
-        for sample in touch.T:
-            if not (np.abs(sample) < FARTHEST).all():
-                sample[:4] = last[0], last[1], 1.0, 0.0
-                self.invalid_samples += 1
-            last = sample
-        return touch
+        return self._finite(np.broadcast_to(wave, (count, self._contactors)))
 
     def _finite(self, waveform: Floats) -> Floats:
         good = np.abs(waveform) < FARTHEST
-        self.invalid_samples += waveform.size - int(np.count_nonzero(good))
+        self._invalid += waveform.size - int(np.count_nonzero(good))
         return np.where(good, waveform, 0.0)
+
+    def _chunk(self, touch: Floats, waveform: Floats) -> tuple[Floats, Singles]:
+        """Render at most `CHUNK` samples; what falls before the stream's beginning is 0 V."""
+        count = touch.shape[1]
+        stroke = self._motion(touch)
+        if len(self._waveform) or stroke is None:
+            added = waveform if len(waveform) else np.zeros((count, self._contactors))
+            waveform = np.concatenate([self._waveform, added])
+        self._waveform = waveform if stroke is None else self._nothing
+        if stroke is None:
+            volts = np.zeros((count, self._contactors), np.float32)
+        else:
+            shear = self._shear(stroke, waveform)
+            volts = self._equalizer(shear, stroke.normal_force)
+            if not stroke.start:
+                volts[:NODE] = 0.0
+            self._late = np.concatenate([self._late, shear])
+        shear, self._late = self._late[:count], self._late[count:]
+        return self.limiter(volts[len(volts) - count :]), shear
+
+    def _shear(self, stroke: Stroke, waveform: Floats) -> Singles:
+        """Return what each contactor is to do (S, N) [m]."""
+        parts = [ramp(layer(stroke)) for layer, ramp in self._layers]
+        shear = (
+            parts[0]
+            if parts
+            else np.zeros((len(stroke.normal_force), self._contactors), np.float32)
+        )
+        for part in parts[1:]:
+            shear = shear + part
+        if any(ramp.silent for _, ramp in self._layers):
+            self._layers = [(layer, ramp) for layer, ramp in self._layers if not ramp.silent]
+        if waveform.size:
+            shear += waveform
+        return self._fade(shear)
 
 
 def _limiter(display: Display, sample_rate: float) -> Limiter:

@@ -44,7 +44,8 @@ from tactile.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.limiter import RELEASE
-from tactile.rendering.renderer import FARTHEST, FASTEST, STILL
+from tactile.rendering.motion import FARTHEST, STILL
+from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
 from tactile.texture.surface import Partials, Texture
 

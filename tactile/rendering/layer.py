@@ -1,0 +1,147 @@
+"""One texture on one display: what it asks of the skin under each contactor, stroke by stroke.
+
+Partial m of the surface sounds at f_m = k_m·v/2π (signed) as the finger moves at v, and contactor
+i at x_i is to be sheared by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. That is
+separable, so a block of samples is a product of matrices,
+
+    shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
+
+Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, in what
+is commanded and played alike). The roll-off W follows the velocity at nodes every 8 samples of the
+stream, ramped between them; while the finger is too slow for any partial to leave the band it is
+one. The envelope multiplies, sparse events add, the laws of speed and force multiply. A layer
+remembers nothing of the stream, so that it may be made anywhere and sent to who plays it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.display import Display
+from tactile.rendering import equalizer
+from tactile.rendering.motion import HISTORY, NODE, STILL, Stroke
+from tactile.rendering.shear import EventField, Law
+from tactile.texture.surface import Partials, Texture
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+PHASORS = 8192
+PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)
+ROUNDER = 1.5 * 2.0**52
+"""Added to a float64 it leaves the nearest integer in the low bits (IEEE 754)."""
+GRID = 0.1
+"""Hz between entries of the roll-off's table."""
+ENTRIES = round(equalizer.STOP_BAND / GRID)
+
+
+def _interleaved(phasor: NDArray[np.complex128]) -> Singles:
+    """Return (2M, N) so that z (S, M) complex, viewed as (S, 2M) real, @ it is Re(z @ phasor)."""
+    rows = np.empty((2 * len(phasor), phasor.shape[1]), np.float32)
+    rows[0::2], rows[1::2] = phasor.real, -phasor.imag
+    return rows
+
+
+def _at_contactors(partials: Partials, contactors: Floats) -> NDArray[np.complex128]:
+    """Return a exp j(k·x + φ), (M, N)."""
+    phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
+    return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
+
+
+class _Waves:
+    """exp(jk·p) of a set of waves at many places, through the phasor table."""
+
+    def __init__(self, wave_vector: Floats) -> None:
+        steps = wave_vector.T * (PHASORS / (2 * np.pi))
+        self._steps = np.vstack([steps, np.full(len(wave_vector), ROUNDER)])
+        self._scratch: dict[int, tuple[Floats, NDArray[np.int64], NDArray[np.complex64]]] = {}
+
+    def __call__(self, place: Floats) -> NDArray[np.complex64]:
+        """Return (S, M) phasors at places (3, S), x, y and 1; the next call uses it again."""
+        count = place.shape[1]
+        if count not in self._scratch:
+            steps = np.empty((count, self._steps.shape[1]))
+            phasors = np.empty(steps.shape, np.complex64)
+            self._scratch[count] = steps, steps.view(np.int64), phasors
+        steps, index, phasors = self._scratch[count]
+        np.matmul(place.T, self._steps, out=steps)
+        index &= PHASORS - 1
+        PHASOR_TABLE.take(index, out=phasors, mode="clip")
+        return phasors
+
+
+class _RollOff:
+    """Weights of the partials that the finger's speed brings out of the band."""
+
+    def __init__(self, wave_vector: Floats) -> None:
+        self._cycles = wave_vector.T / (2 * np.pi)
+        self._table = equalizer.roll_off(np.arange(ENTRIES + 1, dtype=np.float64) * GRID)
+        self._table = self._table.astype(np.float32)
+        highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
+        self.slow_squared = (equalizer.PASS_BAND / max(highest, 1e-9)) ** 2
+        """Square of the speed [m²/s²] up to which no partial leaves the band."""
+        self._ramps: dict[tuple[int, int], Singles] = {}
+
+    def __call__(self, velocity: Floats, start: int) -> Singles:
+        """Return weights (S, M) of samples start … start + S − 1.
+
+        They are read at nodes, multiples of `NODE` in the stream, and ramped between them a node
+        late, so that no later velocity is needed. ``velocity`` (2, `HISTORY` + S) [m/s] begins
+        two nodes before the samples.
+        """
+        count, phase = velocity.shape[1] - HISTORY, start % NODE
+        if (count, phase) not in self._ramps:
+            place = (phase + np.arange(count)) / NODE
+            hat = 1 - np.abs(place[:, None] - np.arange(int(place[-1]) + 2))
+            self._ramps[count, phase] = np.maximum(hat, 0).astype(np.float32)
+        ramp = self._ramps[count, phase]
+        at_nodes = velocity[:, NODE - phase :: NODE][:, : ramp.shape[1]].T
+        index = np.minimum(np.abs(at_nodes @ self._cycles) * (1 / GRID), ENTRIES).astype(np.intp)
+        return np.asarray(ramp @ self._table.take(index))
+
+
+class Layer:
+    """A texture realized under each contactor of a display.
+
+    Parameters
+    ----------
+    display, texture : what is played on, and what
+    seed : of the surface's realization
+    """
+
+    def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
+        surface = texture.realize(seed)
+        contactors, partials = display.contactors, surface.partials
+        self._law = Law(texture.descriptor)
+        self._waves = _Waves((partials + surface.envelope).wave_vector)
+        self._roll_off = _RollOff(partials.wave_vector)
+        mean = np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
+        self._to_shear = _interleaved(_at_contactors(partials, contactors) * mean)
+        self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
+        self._axes = display.shear_axes if display.projected else None
+        self._events = None
+        if len(surface.event_peak):
+            self._events = EventField(surface, texture.descriptor.events, contactors)
+
+    def __call__(self, stroke: Stroke) -> Singles:
+        """Return what each contactor is to do (S, N) [m]."""
+        phasors = self._waves(stroke.place)
+        sides, split = phasors.view(np.float32), len(self._to_shear)
+        if not stroke.squares.max() <= self._roll_off.slow_squared:
+            phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
+        shear = sides[:, :split] @ self._to_shear
+        if len(self._to_envelope):
+            shear *= np.exp(sides[:, split:] @ self._to_envelope)
+        if self._events is not None:
+            shear += self._events.at(stroke.place[:2])
+        shear *= self._scale(
+            stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:], stroke.normal_force
+        )
+        return np.asarray(shear)
+
+    def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
+        """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
+        factor = self._law(squares, normal_force)[:, None]
+        if self._axes is not None:
+            unit = velocity / np.sqrt(squares + STILL**2)
+            factor = (self._axes @ unit).T * factor
+        return factor.astype(np.float32)

@@ -8,6 +8,7 @@ from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.follower import HALF, SLACK, Follower
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.bus.registry import open_bus
+from tactile.bus.stream import LEAST_LEAD
 from tactile.devices import KINDS
 from tactile.display import load_display
 
@@ -81,6 +82,20 @@ def test_what_was_flushed_is_neither_sent_again_nor_left_out() -> None:
     assert np.array_equal(at, np.arange(64))
     out = np.concatenate([v[:, 0] for _, v in pieces])
     assert np.array_equal(out, [*volts[:, 0], *volts[:, 0]])
+
+
+def test_boards_wait_for_what_follows_also_at_the_least_lead_and_at_the_end() -> None:
+    assert KINDS
+    display = load_display("reference-24")
+    with open_bus("mock:?link=canfd&boards=2&drift_ppm=300", display, sample_rate=2500.0) as bus:
+        assert isinstance(bus, ModeledBus)
+        bus.start()
+        assert bus._session.stream is not None
+        bus._session.stream.lead = LEAST_LEAD
+        for k in range(0, 1250, 5):
+            bus.write(DriveBlock(k, np.full((5, 24), 20 * min(1.0, k / 500))))
+        bus.stop()
+        assert bus.counters.faults() == {}
 
 
 @pytest.mark.ci

@@ -77,7 +77,8 @@ class Stream:
         self._partial: list[Floats] = []
         self._partial_start = self.end = 0
         self._last: Floats | None = None
-        self._playing = self._blocked = self._tail = False
+        self._playing = self._blocked = False
+        self._tail: int | None = None
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
 
@@ -113,10 +114,12 @@ class Stream:
     def ahead(self) -> float:
         """By which samples are to be handed over before they are put out [s].
 
-        That is the lead and the time that a packet, or a frame, takes on the wire.
+        That is the lead, the time that a packet, or a frame, takes on the wire, and what boards
+        after the first wait for to follow its clock.
         """
         plan = self._plan
-        return self.lead + plan.use * plan.packet_samples / plan.sample_rate
+        waits = HALF if len(self._peers) > 1 and not plan.carriers else 0
+        return self.lead + (plan.use * plan.packet_samples + waits) / plan.sample_rate
 
     def freeze(self, now: float) -> None:
         """Let positions pass by the host's clock, since the amplifiers' is out of reach."""
@@ -205,7 +208,7 @@ class Stream:
             apart = self._apart(peer, position)
             packets += self._packed(peer, follower.feed(position, volts[:, span], apart))
         self._parts.append(Part(position, position + len(volts), packets))
-        self._tail = bool(others)
+        self._tail = position + len(volts) if others else None
 
     def _packed(self, peer: Peer, pieces: list[Piece]) -> list[tuple[Peer, int, list[Packet]]]:
         kind, packets = self._plan.sample_format, []
@@ -224,8 +227,9 @@ class Stream:
         packets = []
         for follower, peer in zip(self._followers, self._peers[1:], strict=True):
             packets += self._packed(peer, follower.flush())
-        self._parts.append(Part(self.end - HALF, self.end, packets))
-        self._tail = False
+        assert self._tail is not None
+        self._parts.append(Part(self._tail - HALF, self._tail, packets))
+        self._tail = None
 
     def _apart(self, peer: Peer, position: int) -> float:
         """Return by how many samples the first clock is ahead of another at a position."""
@@ -272,7 +276,7 @@ class Stream:
         for part in () if wanted else self._parts:
             self._drop(part)
         self._parts.clear()
-        self._last, self._tail = None, False
+        self._last = self._tail = None
 
     def _drop(self, part: Part) -> None:
         self._counters.dropped_samples += max(min(part.end, self.end) - part.start, 0)
@@ -283,14 +287,14 @@ class Stream:
         if self._parts:
             return math.inf if self._blocked else -math.inf
         partial = self.due(self._partial_start) if self._partial else math.inf
-        tail = self.due(self.end - HALF) if self._tail else math.inf
+        tail = math.inf if self._tail is None else self.due(self._tail - HALF)
         return min(partial, tail) - LATEST
 
     def take(self, now: float) -> list[Packet]:
         """Return the packets that are next, if the amplifiers have room for them."""
         if self._partial and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
             self._flush()
-        if self._tail and now >= self.due(self.end - HALF) - LATEST:
+        if self._tail is not None and now >= self.due(self._tail - HALF) - LATEST:
             self._flush_followers()
         while self._parts:
             part = self._parts[0]

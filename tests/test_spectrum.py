@@ -299,7 +299,7 @@ def test_frames_are_turned_up_again_slowly() -> None:
     held = []
     for _ in range(30):
         r.frame((0.0, 0.0), (0.08, 0.0), 0.0)
-        held.append(r._held)
+        held.append(r.limiter._held)
     np.testing.assert_allclose(np.divide(held[1:], held[:-1]), np.exp(-0.1), rtol=1e-9)
 
 

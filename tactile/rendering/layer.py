@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tactile.display import Display
 from tactile.rendering import equalizer
-from tactile.rendering.motion import HISTORY, NODE, STILL, Stroke
 from tactile.rendering.shear import EventField, Law
+from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
 from tactile.texture.surface import Partials, Texture
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """The renderer: position and force in, volts out, block by block.
 
-The finger's places become strokes (`motion`), each texture's `Layer` turns these into shear, and
+The finger's places become strokes (`stroke`), each texture's `Layer` turns these into shear, and
 layers, each with its gain, and streamed waveforms add up; then the `Equalizer` turns shear into
 volts and the `Limiter` lets them out. Layers may be changed while it plays: new ones fade in as
 old ones fade out. Nothing depends on how the stream is cut.
@@ -19,7 +19,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import Limiter
-from tactile.rendering.motion import FARTHEST, NODE, Motion, Stroke
+from tactile.rendering.stroke import FARTHEST, NODE, Motion, Stroke
 from tactile.texture.surface import Texture
 
 Floats = NDArray[np.float64]

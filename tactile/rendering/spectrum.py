@@ -44,9 +44,9 @@ from tactile.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.limiter import RELEASE
-from tactile.rendering.motion import FARTHEST, STILL
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
+from tactile.rendering.stroke import FARTHEST, STILL
 from tactile.texture.surface import Partials, Texture
 
 Complex = NDArray[np.complex128]
@@ -183,6 +183,38 @@ def _check(carriers: int, frame_rate: float, sample_rate: float) -> None:
         raise InputError(f"frame_rate {frame_rate:g} Hz: must be {SLOWEST:g} … {sample_rate:g} Hz")
 
 
+class FrameLimiter:
+    """Turns frames down until their carriers together hold the limits, and slowly up again.
+
+    Parameters
+    ----------
+    display : whose limits
+    carriers, frame_rate : of the frames [Hz]
+
+    Attributes
+    ----------
+    limited_frames : frames that were turned down
+    """
+
+    def __init__(self, display: Display, carriers: Floats, frame_rate: float) -> None:
+        voltage = min(display.limits.voltage, display.slew / (4 * frame_rate)) / ROUNDING
+        slope = display.slew - 2 * voltage * frame_rate
+        self._limits = np.stack(
+            [np.full(len(carriers), 1 / voltage), 2 * np.pi * carriers * ROUNDING / slope], 1
+        )
+        self._held, self._let_go = 0.0, np.exp(-1 / (RELEASE * frame_rate))
+        self.limited_frames = 0
+
+    def __call__(self, envelope: Complex) -> Complex:
+        """Return envelopes (N, P) [V] that hold the limits."""
+        over = (np.abs(envelope) @ self._limits).max(initial=0.0)
+        self._held = max(1 - 1 / max(over, 1.0), self._held * self._let_go)
+        if self._held < 1e-6:
+            return envelope
+        self.limited_frames += 1
+        return envelope * (1 - self._held)
+
+
 class SpectrumRenderer:
     """Renders one texture on one display, frame by frame in step with the finger.
 
@@ -193,13 +225,14 @@ class SpectrumRenderer:
     frame_rate : R [Hz], of which the sample rate is a multiple
     sample_rate : of the amplifier [Hz]
     seed : of the surface's realization, as in `Renderer`
+    whole_band : have the carriers of any texture, so that several may be added
 
     Attributes
     ----------
     carriers : (P,) frequencies [Hz], whole multiples of sample_rate/2³²
     spacing : samples from frame to frame
     sample : position of the next frame, from 0; may be set
-    limited_frames : frames that were turned down
+    limiter : the `FrameLimiter` that envelopes leave through
     invalid_frames : frames whose finger was not finite or beyond reason; the last good place is
         held, without force
 
@@ -218,6 +251,7 @@ class SpectrumRenderer:
         frame_rate: float = 100.0,
         sample_rate: float = 8000.0,
         seed: int = 0,
+        whole_band: bool = False,
     ) -> None:
         _check(carriers, frame_rate, sample_rate)
         surface = texture.realize(seed)
@@ -226,7 +260,8 @@ class SpectrumRenderer:
         self.spacing = round(sample_rate / frame_rate)
         self._rate = rate = sample_rate / self.spacing
         sizes = np.linalg.norm(self._waves.wave_vector, axis=1) / (2 * np.pi)
-        highest = min(HIGHEST, sizes.max(initial=0.0) * FASTEST_STROKE * THIRD**0.5)
+        fastest = math.inf if whole_band else FASTEST_STROKE
+        highest = min(HIGHEST, sizes.max(initial=1e-9) * fastest * THIRD**0.5)
         count = min(carriers, max(1, int(highest / (CLOSEST * rate) + 0.5)))
         wanted = carrier_frequencies(count, rate, highest)
         self._increments = np.rint(wanted / sample_rate * 2**32).astype(np.uint64)
@@ -235,14 +270,9 @@ class SpectrumRenderer:
         self._at = _phasors(self._waves, display.contactors).astype(np.complex64)
         self._at_envelope = _phasors(self._envelope, display.contactors)
         self._kinds = [np.flatnonzero(display.kind == c) for c in range(self._table.shape[1])]
-        self._voltage = min(display.limits.voltage, display.slew / (4 * rate)) / ROUNDING
-        slope = display.slew - 2 * self._voltage * rate
-        self._limits = np.stack(
-            [np.full(count, 1 / self._voltage), 2 * np.pi * self.carriers * ROUNDING / slope], 1
-        )
-        self._held, self._let_go = 0.0, np.exp(-1 / (RELEASE * rate))
+        self.limiter = FrameLimiter(display, self.carriers, rate)
         self._last = np.zeros(2)
-        self.sample = self.limited_frames = self.invalid_frames = 0
+        self.sample = self.invalid_frames = 0
 
     def frame(self, position: ArrayLike, velocity: ArrayLike, normal_force: float) -> Complex:
         """Return the envelopes at the next frame's time.
@@ -257,6 +287,15 @@ class SpectrumRenderer:
         (N, P) complex ndarray
             Volts, contactors in the display's order.
         """
+        return self.limiter(self.unlimited(position, velocity, normal_force))
+
+    @property
+    def limited_frames(self) -> int:
+        """Frames that were turned down."""
+        return self.limiter.limited_frames
+
+    def unlimited(self, position: ArrayLike, velocity: ArrayLike, normal_force: float) -> Complex:
+        """Return what `frame` does before its limits, for who adds several and limits the sum."""
         place, v = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
         force = float(normal_force)
         if not np.abs([*place, *v, force]).max() < FARTHEST:
@@ -267,7 +306,7 @@ class SpectrumRenderer:
         turns = (self._increments * np.uint64(self.sample % 2**32)) % 2**32 / 2**32
         envelope *= np.exp(-2j * np.pi * turns)
         self.sample += self.spacing
-        return self._limited(envelope)
+        return envelope
 
     def _carried(self, place: Floats, velocity: Floats, force: float) -> Complex:
         """Return (N, P) sums of partials on carriers [V], carriers at phase 0."""
@@ -324,15 +363,6 @@ class SpectrumRenderer:
             factor *= self._display.shear_axes @ velocity / math.hypot(*velocity, STILL)
         omega = math.sqrt(np.sum((slow.amplitude * signed) ** 2) / max(2 * mean_square, 1e-12))
         return factor, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
-
-    def _limited(self, envelope: Complex) -> Complex:
-        """Turn a frame down until its carriers together hold the limits, and slowly up again."""
-        over = (np.abs(envelope) @ self._limits).max(initial=0.0)
-        self._held = max(1 - 1 / max(over, 1.0), self._held * self._let_go)
-        if self._held < 1e-6:
-            return envelope
-        self.limited_frames += 1
-        return envelope * (1 - self._held)
 
     def sensation_level(self, velocity: ArrayLike, normal_force: float) -> Floats:
         """Return how far what each carrier plays is above detection, (P,) [dB].

@@ -149,6 +149,13 @@ class AudioBus(Bus):
         self.counters.dropped_samples += self._base[1] - dropped
         self.counters.underruns += self._base[2] - underruns
 
+    @property
+    def ahead(self) -> float:
+        """The lead over the card, and the card's own buffers [s]."""
+        player = self._player
+        told = None if player is None else player.told
+        return self.latency + (told.lead / self.wiring.sample_rate if told is not None else 0.0)
+
     # The card comes and goes
 
     def _tended(self) -> Player | None:

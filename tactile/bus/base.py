@@ -12,6 +12,7 @@ either: `status` tells the truth about it, what could not be sent is counted, an
 connects again.
 """
 
+import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from types import TracebackType
@@ -202,6 +203,7 @@ class Bus(ABC):
         self.counters = Counters()
         self.state: BusState = "idle"
         self._next = 0
+        self._anchor = 0, 0.0
 
     @property
     def status(self) -> Status:
@@ -221,7 +223,22 @@ class Bus(ABC):
             raise BusStateError(f"start: the bus is {self.state}, not idle; {way} it first")
         self._next = position
         self._start(position)
+        self._anchor = position, time.monotonic() + self.ahead
         self.state = "running"
+
+    @property
+    def ahead(self) -> float:
+        """By which samples are to be written before they are put out [s]."""
+        return 0.0
+
+    def due(self, position: int) -> float:
+        """Return when a position is put out, on the host's monotonic clock [s], as far as known.
+
+        A bus that knows its amplifier's clock tells by that. Others count from the start, those
+        that hold back who writes from where that was last.
+        """
+        at, when = self._anchor
+        return when + (position - at) / self.wiring.sample_rate
 
     def write(self, block: DriveBlock) -> None:
         """Play a block.
@@ -252,6 +269,8 @@ class Bus(ABC):
         self._next += gap + len(volts)
         if len(volts):
             self._write(DriveBlock(self._next - len(volts), self._allowed(volts)))
+            if self.paced:
+                self._anchor = self._next - len(volts), time.monotonic() + self.ahead
 
     def tune(self, carriers: Floats) -> None:
         """Set the carriers (P,) [Hz] of the frames to come.

@@ -152,6 +152,16 @@ class LinkBus(Bus):
         """By which samples are sent before they are put out [s]."""
         return self._session.stream.lead if self._session.stream is not None else 0.0
 
+    @property
+    def ahead(self) -> float:
+        """The lead, and the time that a packet, or a frame, takes on the wire [s]."""
+        return self._session.stream.ahead if self._session.stream is not None else 0.0
+
+    def due(self, position: int) -> float:
+        """Return when a position is put out, by the first amplifier's clock [s]."""
+        assert self._session.stream is not None
+        return self._session.stream.due(position)
+
     # The thread
 
     def _run(self) -> None:

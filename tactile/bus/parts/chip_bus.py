@@ -60,6 +60,11 @@ class ChipBus(Bus):
         link: Literal["up", "down"] = "down" if self.pump.phase == "down" else "up"
         return Status(self.state, link, self.pump.detail)
 
+    @property
+    def ahead(self) -> float:
+        """What waits in the chips [s]."""
+        return self.pump.chips[0].lead / self.wiring.sample_rate
+
     def _start(self, position: int) -> None:
         with self._runner.lock:
             self.pump.start(position, round(self.wiring.sample_rate))

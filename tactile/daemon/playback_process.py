@@ -1,0 +1,232 @@
+"""The program that plays one display: it reads orders, plays, and answers.
+
+It is a process of its own, so that nothing that a server does holds up a block. Its standard input
+is the server's pipe: where that ends, for whatever reason, it fades out, disarms and exits. What
+it writes never holds it up: answers wait in a queue of their own thread.
+"""
+
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+from collections import deque
+from contextlib import suppress
+from typing import Any, BinaryIO
+
+from tactile.bus.base import Bus
+from tactile.daemon import orders, real_time
+from tactile.daemon.orders import Answer, News, Opened, Order, Setup
+from tactile.daemon.player import Player
+from tactile.daemon.shared import Shared
+from tactile.devices import open_bus
+from tactile.errors import TactileError
+
+IDLE = 20e-3
+"""s between looks at orders while nothing plays."""
+WAITING = 256
+"""Answers and news that wait to be written; more are dropped, since nobody reads them."""
+PATIENCE = 0.1
+"""s that what is left to say may take at the end."""
+
+
+class Program:
+    """Obeys the server.
+
+    Parameters
+    ----------
+    player, bus : what it plays with
+    out : where answers go
+    """
+
+    def __init__(self, player: Player, out: BinaryIO) -> None:
+        self._player, self._out = player, out
+        self._orders: deque[tuple[int, Order]] = deque()
+        self._said: queue.Queue[Answer | News] = queue.Queue(WAITING)
+        self._news = threading.Event()
+        self._ended = False
+        self._told = "", "disarmed", "up"
+        self._underruns = 0
+
+    def run(self, pipe: BinaryIO) -> None:
+        """Play until the pipe ends."""
+        for work, words in ((self._write, ()), (self._read, (pipe,))):
+            threading.Thread(target=work, args=words, name="tactile-talk", daemon=True).start()
+        real_time.urge()
+        player, estops = self._player, self._player.memory.estops
+        try:
+            while not self._ended:
+                if player.memory.estops != estops:
+                    estops = player.memory.estops
+                    player.bus.estop()
+                while self._orders:
+                    self._obey(*self._orders.popleft())
+                if player.running:
+                    player.step()
+                    if player.report.blocks % 16 == 0:
+                        self._tell_changes()
+                else:
+                    self._news.wait(IDLE)
+                    self._news.clear()
+                    player.write_report()
+                    self._tell_changes()
+        finally:
+            player.bus.close()
+            self._said_all()
+
+    # Orders
+
+    def _read(self, pipe: BinaryIO) -> None:
+        while not self._ended:
+            try:
+                number, order = pickle.load(pipe)
+            except (EOFError, OSError, pickle.UnpicklingError):
+                break
+            if isinstance(order, orders.EStop):
+                self._player.bus.estop()
+                self._say(Answer(number))
+            else:
+                self._orders.append((number, order))
+            self._news.set()
+        self._ended = True
+        self._news.set()
+
+    def _obey(self, number: int, order: Order) -> None:
+        try:
+            value = self._do(order)
+        except (TactileError, ValueError) as error:
+            self._say(Answer(number, failure=str(error)))
+        else:
+            self._say(Answer(number, value))
+
+    def _do(self, order: Order) -> tuple[float, ...]:
+        player = self._player
+        match order:
+            case orders.Keep():
+                player.textures[order.number] = order.texture
+            case orders.Drop():
+                player.textures.pop(order.number, None)
+            case orders.Select():
+                player.voice(order.client).layers = order.layers
+                player.refresh(order.client)
+            case orders.Scale():
+                voice = player.voice(order.client)
+                voice.gain, voice.sounds = order.gain, order.sounds
+                player.refresh(order.client)
+            case orders.Shape():
+                player.voice(order.client).effect.begin(order.curve)
+            case orders.Wave():
+                return self._append(order)
+            case orders.Silence():
+                player.voice(order.client).queue.clear()
+                player.voice(order.client).effect.begin(None)
+            case orders.Forget():
+                player.forget(order.client)
+            case orders.Arm():
+                player.arm()
+            case orders.Disarm():
+                player.disarm()
+            case orders.Clear():
+                player.bus.clear()
+        return ()
+
+    def _append(self, order: orders.Wave) -> tuple[float, ...]:
+        waves = self._player.voice(order.client).queue
+        if not order.append:
+            waves.clear()
+        taken = waves.append(order.samples, order.sample_rate, order.contactors)
+        return float(taken), waves.waiting
+
+    # What there is to say
+
+    def _tell_changes(self) -> None:
+        """Tell of another state, another line of trouble, and underruns."""
+        status, counters = self._player.bus.status, self._player.bus.counters
+        told, self._told = self._told, (status.detail, status.state, status.link)
+        if status.state != told[1]:
+            kind = {"running": "armed", "estopped": "estopped"}.get(status.state, "disarmed")
+            self._say(News(kind, status.detail))
+        if status.link != told[2]:
+            self._say(News("link", status.detail or f"the link is {status.link}"))
+        elif status.detail and status.detail != told[0]:
+            self._say(News("fault", status.detail))
+        if counters.underruns > self._underruns:
+            self._say(News("underrun", f"{counters.underruns - self._underruns} more"))
+            self._underruns = counters.underruns
+
+    def _say(self, what: Answer | News) -> None:
+        with suppress(queue.Full):
+            self._said.put_nowait(what)
+
+    def _write(self) -> None:
+        while True:
+            what = self._said.get()
+            try:
+                self._out.write(pickle.dumps(what, protocol=5))
+                self._out.flush()
+            except (OSError, ValueError):
+                self._ended = True
+                self._news.set()
+                return
+            finally:
+                self._said.task_done()
+
+    def _said_all(self) -> None:
+        """Let the last answers out, if somebody reads them."""
+        waited = threading.Thread(target=self._said.join, daemon=True)
+        waited.start()
+        waited.join(PATIENCE)
+
+
+def opened(setup: Setup) -> tuple[Bus, Opened]:
+    """Open a bus; tell how it plays.
+
+    Raises
+    ------
+    TactileError
+        Where it cannot be.
+    """
+    bus = open_bus(
+        setup.device, setup.display,
+        sample_rate=setup.sample_rate, accept_unsafe_hold=setup.accept_unsafe_hold,
+    )  # fmt: skip
+    frames = bus.frames
+    return bus, Opened(
+        bus.wiring.sample_rate,
+        frames.carriers if frames is not None else 0,
+        frames.rate if frames is not None else 0.0,
+        bus.ahead,
+    )
+
+
+def main() -> None:
+    """Play as the server says on standard input."""
+    pipe: Any = os.fdopen(os.dup(0), "rb", buffering=1 << 16)
+    out: Any = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        setup: Setup = pickle.load(pipe)
+    except (EOFError, OSError, pickle.UnpicklingError):
+        sys.exit(1)
+    try:
+        bus, how = opened(setup)
+    except TactileError as error:
+        out.write(pickle.dumps(Opened(why_not=str(error)), protocol=5))
+        out.flush()
+        sys.exit(1)
+    memory = Shared(setup.memory, len(setup.display.contactors))
+    player = Player(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
+    program = Program(player, out)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    refused = real_time.prepare()
+    out.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))
+    out.flush()
+    with suppress(SystemExit):
+        program.run(pipe)
+    os._exit(0)  # at once: nothing that was frozen is taken to pieces
+
+
+def _fields(how: Opened) -> tuple[float, int, float, float]:
+    return how.sample_rate, how.carriers, how.frame_rate, how.latency

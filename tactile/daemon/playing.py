@@ -1,0 +1,408 @@
+"""One display as the server sees it: its playback process, textures made ready, whose finger it is.
+
+Playback that dies is started again, with back-off, and told what its clients had; it is armed again
+only where the configuration says so. What an amplifier does meanwhile is its own watchdog's part.
+"""
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from tactile.daemon import orders, workshop
+from tactile.daemon.children import Child
+from tactile.daemon.config import DisplayConfig
+from tactile.daemon.messages import SILENCE, DisplayInfo, Event
+from tactile.daemon.orders import Answer, News, Opened, Order, Setup
+from tactile.daemon.shared import Report, Shared, Touch
+from tactile.display import Display, load_display
+from tactile.errors import BusError, InputError
+
+log = logging.getLogger("tactile.playback")
+
+OPENING = 40.0
+"""s in which a device must be open; an audio card may take 20."""
+ANSWER = 5.0
+"""s in which an order is done; to start a bus takes 2."""
+ENDING = 1.0
+"""s that fading and disarming take at most."""
+FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
+STILL = 4.0
+"""s without a report after which playback hangs."""
+REARMED = ("serial:", "can:", "i2c:")
+"""Devices whose link may arm again by itself."""
+MOST_TEXTURES = 16
+"""That are kept ready for one display."""
+
+
+def configured(config: DisplayConfig) -> Display:
+    """Return a display as the configuration allows it.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be used, or a limit above the file's.
+    """
+    display = load_display(config.display)
+    if config.voltage_limit_v is None:
+        return display
+    if config.voltage_limit_v > display.limits.voltage:
+        raise InputError(
+            f"display {config.name}: voltage_limit_v = {config.voltage_limit_v:g} is above the "
+            f"display file's {display.limits.voltage:g}; it may only be lower"
+        )
+    limits = replace(display.limits, voltage=config.voltage_limit_v)
+    return replace(display, limits=limits)
+
+
+@dataclass
+class Part:
+    """What a client has on a display."""
+
+    layers: tuple[tuple[int, float], ...] = ()
+    gain: float = 1.0
+    sounds: bool = True
+
+
+@dataclass
+class Finger:
+    """Whose finger it is, and since when it was not heard of [s]."""
+
+    client: int | None = None
+    heard: float = -math.inf
+    touch: Touch | None = None
+
+
+class Playing:
+    """A display that is played.
+
+    Parameters
+    ----------
+    config : of the display
+    workbench : makes textures ready
+    tell : called with each `Event`
+    """
+
+    def __init__(
+        self, config: DisplayConfig, workbench: "Workbench", tell: Callable[[Event], None]
+    ) -> None:
+        self.config, self.display = config, configured(config)
+        self.memory = Shared.create(len(self.display.contactors))
+        self.how = Opened()
+        self.parts: dict[int, Part] = {}
+        self.finger = Finger()
+        self.lost = True
+        self.failure = ""
+        self._workbench, self._tell = workbench, tell
+        self._child: Child | None = None
+        self._asked: dict[int, asyncio.Future[tuple[float, ...]]] = {}
+        self._number = 0
+        self._opened: asyncio.Future[Opened] | None = None
+        self._textures: dict[tuple[str, int], int] = {}
+        self._armed = config.arm_on_start
+        self._keeper: asyncio.Task[None] | None = None
+        self._ended = asyncio.Event()
+
+    # The process
+
+    async def start(self) -> None:
+        """Open the device.
+
+        Raises
+        ------
+        BusError
+            Where it cannot be.
+        """
+        await self._open()
+        if self._armed:
+            await self.ask(orders.Arm())
+        self._keeper = asyncio.create_task(self._keep())
+
+    async def _open(self) -> None:
+        config, loop = self.config, asyncio.get_running_loop()
+        inherited = () if self.memory.descriptor is None else (self.memory.descriptor,)
+        self._opened = loop.create_future()
+        child = self._child = Child("tactile.daemon.playback_process", self._heard, inherited)
+        url = config.device
+        if (
+            config.rearm
+            and "rearm=" not in url
+            and url.partition(":")[0] in ("serial", "can", "i2c")
+        ):
+            url += ("&" if "?" in url else "?") + "rearm=true"
+        child.tell(
+            Setup(
+                self.display, url, config.sample_rate_hz, config.accept_unsafe_hold,
+                config.gain, config.worn, self.memory.handle,
+            )
+        )  # fmt: skip
+        try:
+            self.how = await asyncio.wait_for(asyncio.shield(self._opened), OPENING)
+        except TimeoutError:
+            self.how = Opened(why_not=f"not open after {OPENING:g} s")
+        if self.how.why_not:
+            child.kill()
+            raise BusError(f"display {config.name}: {self.how.why_not}")
+        self.lost = False
+        for refused in self.how.real_time:
+            log.warning("%s: %s", config.name, refused)
+        log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
+
+    def _heard(self, what: Any) -> None:
+        if isinstance(what, Opened):
+            if self._opened is not None and not self._opened.done():
+                self._opened.set_result(what)
+        elif isinstance(what, Answer):
+            future = self._asked.pop(what.number, None)
+            if future is not None and not future.done():
+                if what.failure:
+                    future.set_exception(BusError(what.failure))
+                else:
+                    future.set_result(what.value)
+        elif isinstance(what, News):
+            self._say(what.kind, what.detail)
+        else:
+            self._gone()
+
+    def _gone(self) -> None:
+        """See that the process is no more, and that nobody waits for it."""
+        if self._opened is not None and not self._opened.done():
+            self._opened.set_result(Opened(why_not="playback ended while it opened the device"))
+        for future in self._asked.values():
+            if not future.done():
+                future.set_exception(BusError("playback was lost"))
+        self._asked.clear()
+        if not self.lost and not self._ended.is_set():
+            self.lost = True
+            self._say("lost", "playback died; it is started again")
+
+    def _say(self, kind: Any, detail: str) -> None:
+        log.info("%s: %s %s", self.config.name, kind, detail)
+        self._tell(Event(display=self.config.name, kind=kind, detail=detail))
+
+    async def _keep(self) -> None:
+        """Start playback again, whenever it dies or hangs."""
+        retry = FIRST_RETRY
+        while not self._ended.is_set():
+            await asyncio.sleep(0.1)
+            hangs = not self.lost and time.monotonic() - self.memory.report().time > STILL
+            if hangs and self._child is not None:
+                log.error("%s: playback hangs", self.config.name)
+                self._child.kill()
+                self._gone()
+            if not self.lost:
+                retry = FIRST_RETRY
+                continue
+            try:
+                await self._again()
+            except (BusError, OSError) as error:
+                self.failure = str(error)
+                log.error("%s: %s; again in %g s", self.config.name, error, retry)
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, LONGEST_RETRY)
+
+    async def _again(self) -> None:
+        """Open once more, and tell what clients had."""
+        if self._child is not None:
+            self._child.kill()
+        await self._open()
+        self.failure = ""
+        ready, self._textures = self._textures, {}
+        numbers = {n: await self.texture(*key) for key, n in ready.items()}
+        for client, part in self.parts.items():
+            part.layers = tuple((numbers[n], gain) for n, gain in part.layers if n in numbers)
+            await self.ask(orders.Select(client, part.layers))
+            await self.ask(orders.Scale(client, part.gain, part.sounds))
+        if self._armed and self.config.rearm:
+            await self.ask(orders.Arm())
+        else:
+            self._armed = False
+            self._say("disarmed", "playback is back, and disarmed")
+
+    async def close(self) -> None:
+        """Fade out, disarm, end the process."""
+        self._ended.set()
+        if self._keeper is not None:
+            self._keeper.cancel()
+        if self._child is not None:
+            await self._child.end(ENDING)
+        self.memory.close()
+
+    # What it is told
+
+    async def ask(self, order: Order, *, within: float = ANSWER) -> tuple[float, ...]:
+        """Have an order obeyed.
+
+        Raises
+        ------
+        BusError
+            Where it cannot be, with the reason.
+        """
+        if self._child is None or self.lost:
+            raise BusError(self.failure or "playback was lost")
+        self._number += 1
+        future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
+        self._asked[self._number] = future
+        self._child.tell((self._number, order))
+        try:
+            value = await asyncio.wait_for(future, within)
+        except TimeoutError:
+            raise BusError(f"playback did not answer in {within:g} s") from None
+        finally:
+            self._asked.pop(self._number, None)
+        if isinstance(order, orders.Arm | orders.Disarm):
+            self._armed = isinstance(order, orders.Arm)
+        return value
+
+    async def estop(self) -> None:
+        """To 0 V, past all orders that wait."""
+        self._armed = False
+        self.memory.ask_estop()
+        if not self.lost:
+            await self.ask(orders.EStop())
+
+    async def texture(self, name: str, seed: int) -> int:
+        """Return the number of a texture that is ready.
+
+        Raises
+        ------
+        BusError
+            Where it cannot be made ready.
+        """
+        key = name, seed
+        if key not in self._textures:
+            number, order = await self._workbench.make(self.display, name, seed, self.how)
+            if self._child is None or self.lost:
+                raise BusError("playback was lost")
+            self._child.tell(order)
+            self._textures[key] = number
+            await self._tidy()
+        return self._textures[key]
+
+    async def _tidy(self) -> None:
+        """Let go of textures that nobody has selected, the oldest first."""
+        used = {n for part in self.parts.values() for n, _ in part.layers}
+        spare = [key for key, n in list(self._textures.items())[:-1] if n not in used]
+        for key in spare[: max(len(self._textures) - MOST_TEXTURES, 0)]:
+            await self.ask(orders.Drop(self._textures.pop(key)))
+
+    def forget_textures(self) -> None:
+        """Have each texture made anew when it is selected next: their files may have changed."""
+        self._textures.clear()
+
+    def touch(self, client: int, touch: Touch) -> None:
+        """Take a contact, where the finger is the client's, or nobody's."""
+        finger = self.finger
+        silent = touch.arrival - finger.heard > SILENCE
+        if finger.client != client and (finger.client is None or silent):
+            if touch.normal_force <= 0:
+                return
+            finger.client = client
+        if finger.client != client:
+            return
+        finger.heard, finger.touch = touch.arrival, touch
+        self.memory.write_contact(touch)
+        if touch.normal_force <= 0:
+            finger.client = None
+
+    async def leave(self, client: int) -> None:
+        """Lift a client's finger, and let what it plays fade."""
+        if self.finger.client == client and self.finger.touch is not None:
+            now = time.monotonic()
+            lifted = self.finger.touch._replace(time=now, arrival=now, normal_force=0.0)
+            self.touch(client, lifted)
+        if self.parts.pop(client, None) is not None and not self.lost:
+            await self.ask(orders.Forget(client))
+
+    # How it stands
+
+    @property
+    def report(self) -> Report:
+        """The latest of playback."""
+        return self.memory.report()
+
+    @property
+    def alive(self) -> bool:
+        """Whether playback lives and gets on."""
+        if self.lost or self._child is None or not self._child.alive:
+            return False
+        return time.monotonic() - self.report.time < STILL
+
+    @property
+    def child(self) -> Child | None:
+        """The process."""
+        return self._child
+
+    @property
+    def info(self) -> DisplayInfo:
+        """What clients are told."""
+        d, report = self.display, self.report
+        renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
+        return DisplayInfo(
+            name=self.config.name,
+            contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in d.contactors),
+            shear_direction_deg=tuple(math.degrees(a) for a in d.shear_direction.tolist()),
+            sample_rate_hz=self.how.sample_rate,
+            voltage_limit_v=d.limits.voltage,
+            waveforms=not self.how.carriers,
+            latency_ms=1e3 * (report.latency or self.how.latency + renders),
+        )
+
+
+@dataclass
+class Workbench:
+    """Makes textures ready, in a process that is started when the first one is wanted."""
+
+    _child: Child | None = None
+    _asked: dict[int, "asyncio.Future[bytes]"] = field(default_factory=dict)
+    _number: int = 0
+
+    async def make(
+        self, display: Display, texture: str, seed: int, how: Opened
+    ) -> tuple[int, bytes]:
+        """Return a texture's number, and the order for playback to keep it.
+
+        Raises
+        ------
+        BusError
+            Where it cannot be made.
+        """
+        if self._child is None or not self._child.alive:
+            self._child = Child("tactile.daemon.workshop", self._heard)
+        self._number += 1
+        number = self._number
+        future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        self._asked[number] = future
+        self._child.tell(
+            workshop.Request(
+                number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
+            )
+        )
+        try:
+            return number, await asyncio.wait_for(future, OPENING)
+        except TimeoutError:
+            raise BusError(f"texture {texture} was not ready after {OPENING:g} s") from None
+        finally:
+            self._asked.pop(number, None)
+
+    def _heard(self, what: Any) -> None:
+        if isinstance(what, workshop.Made):
+            future = self._asked.pop(what.number, None)
+            if future is not None and not future.done():
+                if what.failure:
+                    future.set_exception(BusError(what.failure))
+                else:
+                    future.set_result(what.order)
+            return
+        for future in self._asked.values():
+            if not future.done():
+                future.set_exception(BusError("the process that makes textures ready has ended"))
+        self._asked.clear()
+
+    async def close(self) -> None:
+        """End it."""
+        if self._child is not None:
+            await self._child.end(ENDING)

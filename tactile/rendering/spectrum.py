@@ -108,6 +108,18 @@ def carrier_frequencies(count: int, frame_rate: float, highest: float = HIGHEST)
     return np.asarray(np.interp(steps / end * passed[-1], passed, f))
 
 
+def whole_band(
+    carriers: int, frame_rate: float, sample_rate: float, highest: float = HIGHEST
+) -> Floats:
+    """Return (P,) carriers up to a frequency [Hz], whole multiples of sample_rate/2³².
+
+    Fewer than asked for, where the band needs no more.
+    """
+    count = min(carriers, max(1, int(highest / (CLOSEST * frame_rate) + 0.5)))
+    wanted = carrier_frequencies(count, frame_rate, highest)
+    return np.asarray(np.rint(wanted / sample_rate * 2**32) * (sample_rate / 2**32))
+
+
 def _steps(count: int) -> tuple[Floats, float]:
     """Return even places from 0, the first step shorter, and where the last's sub-band ends."""
     return np.append(0.0, np.arange(count - 1) + FIRST), max(count - 1.5 + FIRST, 0.5)
@@ -260,12 +272,9 @@ class SpectrumRenderer:
         self.spacing = round(sample_rate / frame_rate)
         self._rate = rate = sample_rate / self.spacing
         sizes = np.linalg.norm(self._waves.wave_vector, axis=1) / (2 * np.pi)
-        fastest = math.inf if whole_band else FASTEST_STROKE
-        highest = min(HIGHEST, sizes.max(initial=1e-9) * fastest * THIRD**0.5)
-        count = min(carriers, max(1, int(highest / (CLOSEST * rate) + 0.5)))
-        wanted = carrier_frequencies(count, rate, highest)
-        self._increments = np.rint(wanted / sample_rate * 2**32).astype(np.uint64)
-        self.carriers: Floats = self._increments.astype(np.float64) * (sample_rate / 2**32)
+        highest = min(HIGHEST, sizes.max(initial=0.0) * FASTEST_STROKE * THIRD**0.5)
+        self.carriers = whole_band(carriers, rate, sample_rate, HIGHEST if whole_band else highest)
+        self._increments = np.rint(self.carriers / sample_rate * 2**32).astype(np.uint64)
         self._table = _table(display, self.carriers, rate, sample_rate)
         self._at = _phasors(self._waves, display.contactors).astype(np.complex64)
         self._at_envelope = _phasors(self._envelope, display.contactors)

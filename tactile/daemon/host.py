@@ -11,6 +11,7 @@ import logging
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,7 @@ class Host:
             Where one cannot be; none is open then.
         """
         self._textures = shipped_textures()
+        self._workbench.begin()
         try:
             for config in self._config.display:
                 await self._add(Playing(config, self._workbench, self._tell))
@@ -143,14 +145,14 @@ class Host:
         """Forget a client: its finger lifts, what it plays fades."""
         if self._clients.pop(client.number, None) is not None and not self._closed:
             for playing in self.playing.values():
-                self.run(playing.leave(client.number))
+                self.run(partial(playing.leave, client.number))
 
-    def run(self, work: Awaitable[None]) -> None:
+    def run(self, work: Callable[[], Awaitable[None]]) -> None:
         """Have something done that nobody waits for."""
 
         async def done() -> None:
             with suppress(BusError):
-                await work
+                await work()
 
         task = asyncio.get_running_loop().create_task(done())
         self.tasks.add(task)

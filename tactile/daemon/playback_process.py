@@ -104,7 +104,7 @@ class Program:
         player = self._player
         match order:
             case orders.Keep():
-                player.textures[order.number] = order.texture
+                player.keep(order.number, order.texture)
             case orders.Drop():
                 player.textures.pop(order.number, None)
             case orders.Select():

@@ -23,7 +23,8 @@ from tactile.display import Display
 from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
-from tactile.rendering.spectrum import FrameLimiter, SpectrumRenderer, whole_band
+from tactile.rendering.spectrum import FrameLimiter, SpectrumRenderer, band_carriers
+from tactile.rendering.stroke import Motion
 from tactile.rendering.tracking import ContactTracker
 
 BLOCK = 16
@@ -95,6 +96,14 @@ class Samples:
         self._bus.write(DriveBlock(position, self._display.to_channels(drive)))
         self.drive, self.shear = drive[-1], shear[-1]
 
+    def touch(self, texture: Layer | SpectrumRenderer) -> None:
+        """Use a texture once, so that its memory is there."""
+        if isinstance(texture, Layer):
+            motion = Motion(self._bus.wiring.sample_rate)
+            stroke = motion(motion.taken(np.zeros((BLOCK, 2)), np.zeros(BLOCK)))
+            assert stroke is not None
+            texture(stroke)
+
     def flush(self) -> None:
         """Be ready to start: let nothing of what was played before be heard."""
         nothing = np.zeros((4 * BLOCK, 2))
@@ -122,7 +131,7 @@ class Frames:
         self.spacing = round(self._rate / bus.frames.rate)
         self._playing: list[tuple[SpectrumRenderer, float]] = []
         rate = self._rate / self.spacing
-        self._carriers = whole_band(bus.frames.carriers, rate, self._rate)
+        self._carriers = band_carriers(bus.frames.carriers, rate, self._rate)
         self._limiter = FrameLimiter(display, self._carriers, rate)
         self._rise = 0.0
         self.shear = self.drive = np.zeros(len(display.contactors))
@@ -160,6 +169,11 @@ class Frames:
         self._bus.write_frame(DriveFrame(at, lines))
         self._rise = 1.0
         self.drive = np.asarray(np.abs(total).sum(axis=1))
+
+    def touch(self, texture: Layer | SpectrumRenderer) -> None:
+        """Use a texture once, so that its memory is there."""
+        if isinstance(texture, SpectrumRenderer):
+            texture.unlimited(np.zeros(2), np.zeros(2), 0.0)
 
     def flush(self) -> None:
         """Set the idle bus to the carriers; there is nothing that would be heard later."""
@@ -207,6 +221,7 @@ class Player:
     def __post_init__(self) -> None:
         rendering = Samples if self.bus.frames is None else Frames
         self.rendering: Samples | Frames = rendering(self.display, self.bus)
+        ContactTracker().at(np.zeros(BLOCK), 0.0)  # what is used first takes long
         self.tracker = ContactTracker()
         self.report = Report(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
@@ -216,6 +231,11 @@ class Player:
         self._touching = self.worn
 
     # What the server tells
+
+    def keep(self, number: int, texture: Layer | SpectrumRenderer) -> None:
+        """Have a texture ready under a number, also for its first block."""
+        self.textures[number] = texture
+        self.rendering.touch(texture)
 
     def voice(self, client: int) -> Voice:
         """Return a client's voice."""

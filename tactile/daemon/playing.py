@@ -354,7 +354,7 @@ class Playing:
 
 @dataclass
 class Workbench:
-    """Makes textures ready, in a process that is started when the first one is wanted."""
+    """Makes textures ready, in a process of its own."""
 
     _child: Child | None = None
     _asked: dict[int, "asyncio.Future[bytes]"] = field(default_factory=dict)
@@ -370,8 +370,8 @@ class Workbench:
         BusError
             Where it cannot be made.
         """
-        if self._child is None or not self._child.alive:
-            self._child = Child("tactile.daemon.workshop", self._heard)
+        self.begin()
+        assert self._child is not None
         self._number += 1
         number = self._number
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
@@ -401,6 +401,11 @@ class Workbench:
             if not future.done():
                 future.set_exception(BusError("the process that makes textures ready has ended"))
         self._asked.clear()
+
+    def begin(self) -> None:
+        """Start the process, so that it is there when the first texture is wanted."""
+        if self._child is None or not self._child.alive:
+            self._child = Child("tactile.daemon.workshop", self._heard)
 
     async def close(self) -> None:
         """End it."""

@@ -108,7 +108,7 @@ def carrier_frequencies(count: int, frame_rate: float, highest: float = HIGHEST)
     return np.asarray(np.interp(steps / end * passed[-1], passed, f))
 
 
-def whole_band(
+def band_carriers(
     carriers: int, frame_rate: float, sample_rate: float, highest: float = HIGHEST
 ) -> Floats:
     """Return (P,) carriers up to a frequency [Hz], whole multiples of sample_rate/2³².
@@ -273,7 +273,9 @@ class SpectrumRenderer:
         self._rate = rate = sample_rate / self.spacing
         sizes = np.linalg.norm(self._waves.wave_vector, axis=1) / (2 * np.pi)
         highest = min(HIGHEST, sizes.max(initial=0.0) * FASTEST_STROKE * THIRD**0.5)
-        self.carriers = whole_band(carriers, rate, sample_rate, HIGHEST if whole_band else highest)
+        self.carriers = band_carriers(
+            carriers, rate, sample_rate, HIGHEST if whole_band else highest
+        )
         self._increments = np.rint(self.carriers / sample_rate * 2**32).astype(np.uint64)
         self._table = _table(display, self.carriers, rate, sample_rate)
         self._at = _phasors(self._waves, display.contactors).astype(np.complex64)

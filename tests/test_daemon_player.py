@@ -1,0 +1,293 @@
+"""Playback of one display: what is rendered when, the rule of mixing, and being held up.
+
+The bus is the mock amplifier, the clock turns as playback waits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile.bus.base import Wiring
+from tactile.bus.mock_bus import MockBus
+from tactile.daemon.player import BLOCK, IN_AIR, Player, Samples
+from tactile.daemon.shared import Shared, Touch
+from tactile.devices import open_bus
+from tactile.display import Display, load_display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.layer import Layer
+from tactile.rendering.renderer import render
+from tactile.rendering.tracking import ContactTracker
+from tactile.texture.surface import load_texture
+
+Floats = NDArray[np.float64]
+RATE = 8000.0
+SPEED = 0.08
+ME, YOU = 1, 2
+
+
+@pytest.fixture(scope="module")
+def display() -> Display:
+    return load_display("reference-24")
+
+
+@pytest.fixture(scope="module")
+def oak(display: Display) -> Layer:
+    return Layer(display, load_texture("wood-oak"))
+
+
+@pytest.fixture(scope="module")
+def leather(display: Display) -> Layer:
+    return Layer(display, load_texture("leather-calf"))
+
+
+@dataclass
+class Stage:
+    """A player, whose clock is as far as it waited, and its bus."""
+
+    player: Player
+    bus: MockBus
+    memory: Shared
+    held: float = 0.0
+
+    def wait(self, moment: float) -> float:
+        late, self.held = self.held, 0.0
+        return moment + late
+
+    @property
+    def now(self) -> float:
+        return self.player.rendering.asked(self.player._position)
+
+    def touch(
+        self, x: float, force: float = 0.5, client: int = ME, velocity: float | None = SPEED
+    ) -> None:
+        now = self.now
+        self.memory.write_contact(
+            Touch(client, now, now, x, 0.0, velocity or 0.0, 0.0, force, velocity is not None)
+        )
+
+    def slide(self, seconds: float, force: float = 0.5, client: int = ME) -> Floats:
+        """Play, the finger sliding at `SPEED`, a sample a block; return volts put out."""
+        before = len(self.bus.output)
+        begun = self.now
+        for _ in range(int(seconds * RATE / BLOCK)):
+            self.touch(SPEED * (self.now - self.origin), force, client)
+            self.player.step()
+        assert self.now > begun
+        return self.bus.output[before:]
+
+    def rest(self, seconds: float) -> Floats:
+        """Play without a word of any finger."""
+        before = len(self.bus.output)
+        for _ in range(int(seconds * RATE / BLOCK)):
+            self.player.step()
+        return self.bus.output[before:]
+
+    origin: float = 0.0
+
+
+@pytest.fixture
+def stage(display: Display, oak: Layer, leather: Layer) -> Iterator[Stage]:
+    memory = Shared.create(len(display.contactors))
+    reader = Shared(memory.handle, len(display.contactors))
+    bus = MockBus(Wiring.of(display, RATE), keep="all")
+    player = Player(display, bus, reader)
+    built = Stage(player, bus, memory)
+    player.wait = built.wait
+    player.keep(1, oak)
+    player.keep(2, leather)
+    player.voice(ME).layers = ((1, 1.0),)
+    player.arm()
+    built.origin = built.now
+    yield built
+    bus.close()
+    memory.close()
+
+
+def rms(volts: Floats) -> float:
+    return float(np.sqrt(np.mean(volts**2)))
+
+
+def test_nothing_is_put_out_before_anything_touches(stage: Stage) -> None:
+    assert not stage.rest(0.2).any()
+
+
+def test_a_sliding_finger_feels_what_was_selected(stage: Stage, display: Display) -> None:
+    """As the renderer plays a stroke of the same place: the level is that of the texture."""
+    played = stage.slide(1.0)[2000:]
+    stroke = Trajectory.line(speed=SPEED, duration=1.0, normal_force=0.5)
+    wanted = render(display, load_texture("wood-oak"), stroke).drive[2000:]
+    assert rms(played) == pytest.approx(rms(wanted), rel=0.1)
+
+
+def test_the_place_is_that_of_the_time_at_which_a_block_is_put_out(stage: Stage) -> None:
+    stage.slide(0.5)
+    last = stage.player._position - 1
+    put_out = stage.bus.due(last + stage.player.rendering.lag)
+    assert stage.player.report.position[0] == pytest.approx(
+        SPEED * (put_out - stage.origin), abs=2e-5
+    )
+
+
+def test_a_finger_that_lifts_or_is_silent_ends_in_0_volts(stage: Stage) -> None:
+    stage.slide(0.3)
+    lifted = stage.slide(0.1, force=0.0)
+    assert rms(lifted[:80]) > 0
+    assert not lifted[400:].any(), "50 ms later"
+    stage.slide(0.3)
+    silent = stage.rest(0.3)
+    assert rms(silent[:400]) > 0
+    assert not silent[int(0.15 * RATE) :].any(), "100 ms of silence, and the fade"
+
+
+def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage, oak: Layer) -> None:
+    alone = rms(stage.slide(0.5)[2000:])
+    stage.player.voice(YOU).layers = ((1, 1.0), (2, 1.0))
+    stage.player.refresh(YOU)
+    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone, rel=0.3), "not your finger"
+    stage.slide(0.1, force=0.0)
+    yours = rms(stage.slide(0.7, client=YOU)[3600:])
+    stage.slide(0.1, force=0.0, client=YOU)
+    stage.player.voice(YOU).layers = ((2, 1.0),)
+    stage.player.refresh(YOU)
+    leather = rms(stage.slide(0.7, client=YOU)[3600:])
+    assert yours == pytest.approx(np.hypot(alone, leather), rel=0.3)
+
+
+def test_gains_scale_and_stop_fades(stage: Stage) -> None:
+    alone = rms(stage.slide(0.5)[2000:])
+    stage.player.voice(ME).gain = 0.25
+    stage.player.refresh(ME)
+    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone / 4, rel=0.3)
+    stage.player.voice(ME).sounds = False
+    stage.player.refresh(ME)
+    assert not stage.slide(0.1)[400:].any()
+
+
+def test_waves_of_all_clients_add_up_and_a_forgotten_one_is_let_go(stage: Stage) -> None:
+    stage.player.voice(ME).layers = ()
+    stage.slide(0.1)
+    tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
+    for client in (ME, YOU):
+        stage.player.voice(client).queue.append(tone, RATE, ())
+    both = rms(stage.slide(0.3)[800:])
+    stage.player.forget(YOU)
+    one = rms(stage.slide(0.3)[800:])
+    assert both == pytest.approx(2 * one, rel=0.02)
+    assert set(stage.player.voices) == {ME}
+
+
+def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
+    stage: Stage, display: Display
+) -> None:
+    tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
+    stage.player.voice(ME).queue.append(tone, RATE, ())
+    air = rms(stage.rest(0.3)[800:])
+    stage.player.voice(ME).layers = ()
+    touched = rms(stage.slide(0.4)[800:])
+    assert air / touched == pytest.approx(IN_AIR, rel=0.05)
+    bus = MockBus(Wiring.of(display, RATE), keep="all")
+    worn = Player(display, bus, Shared(stage.memory.handle, 24), worn=True, wait=stage.wait)
+    worn.voice(ME).queue.append(tone, RATE, ())
+    worn.arm()
+    for _ in range(150):
+        worn.step()
+    assert rms(bus.output[800:]) == pytest.approx(touched, rel=0.05)
+    bus.close()
+
+
+def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: Display) -> None:
+    stage.slide(0.3)
+    stage.held = 0.05
+    position = stage.player._position
+    stage.player.step()
+    assert stage.player._position - position == pytest.approx(0.05 * RATE, abs=2 * BLOCK)
+    stage.player.write_report()
+    assert stage.memory.report().counters["skipped_samples"] >= 0.05 * RATE - BLOCK
+    played = stage.slide(0.2)
+    step = min(display.slew / RATE, 200.0)
+    assert np.abs(np.diff(stage.bus.output, axis=0)).max() <= step
+    assert rms(played[-400:]) > 0
+
+
+def test_a_texture_that_is_changed_while_it_plays_makes_no_step(stage: Stage) -> None:
+    steady = stage.slide(0.4)[1000:]
+    largest = np.abs(np.diff(steady, axis=0)).max()
+    stage.player.voice(ME).layers = ((2, 1.0),)
+    stage.player.refresh(ME)
+    change = stage.slide(0.1)
+    assert np.abs(np.diff(change, axis=0)).max() < 1.5 * largest
+
+
+def test_after_disarming_nothing_of_before_is_heard(stage: Stage) -> None:
+    stage.slide(0.3)
+    stage.player.disarm()
+    stage.player.tracker = ContactTracker()
+    before = len(stage.bus.output)
+    stage.player.arm()
+    for _ in range(60):
+        stage.player.step()
+    assert not stage.bus.output[before:].any()
+
+
+def test_the_report_tells_what_is_played(stage: Stage) -> None:
+    stage.slide(0.5)
+    stage.player.write_report()
+    report = stage.memory.report()
+    assert (report.state, report.link, report.touching, report.client) == ("armed", "up", True, ME)
+    assert report.blocks == 250
+    assert report.velocity[0] == pytest.approx(SPEED, rel=0.05)
+    assert report.normal_force == pytest.approx(0.5, rel=0.01)
+    assert stage.memory.drive.any()
+    assert stage.memory.shear.any()
+    following, traces = stage.memory.traces(0)
+    assert following == len(traces) == 250
+    assert [t.position for t in traces] == list(range(0, 250 * BLOCK, BLOCK))
+    assert traces[-1].contacts == 250
+
+
+def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) -> None:
+    from tactile.rendering.spectrum import SpectrumRenderer
+
+    memory = Shared.create(24)
+    url = "mock:?link=can&format=spectrum&keep=all"
+    with open_bus(url, display) as bus:
+        assert bus.frames is not None
+        texture = SpectrumRenderer(
+            display, load_texture("wood-oak"), carriers=bus.frames.carriers,
+            frame_rate=bus.frames.rate, whole_band=True,
+        )  # fmt: skip
+        player = Player(display, bus, Shared(memory.handle, 24), wait=lambda moment: moment)
+        player.keep(1, texture)
+        player.voice(ME).layers = ((1, 1.0),)
+        player.arm()
+        begun = player.rendering.asked(0)
+        for _ in range(30):
+            now = player.rendering.asked(player._position)
+            memory.write_contact(
+                Touch(ME, now, now, SPEED * (now - begun), 0.0, SPEED, 0.0, 0.5, True)
+            )
+            player.step()
+        assert not isinstance(player.rendering, Samples)
+        assert bus.counters.faults() == {}
+        put_out = bus.output  # type: ignore[attr-defined]
+        assert rms(put_out[2000:]) > 0.5
+    memory.close()
+
+
+def test_contacts_are_read_whole_and_once_and_lost_ones_are_counted() -> None:
+    memory = Shared.create(1)
+    reader = Shared(memory.handle, 1)
+    one = Touch(1, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.5, True)
+    for k in range(10):
+        memory.write_contact(one._replace(time=float(k)))
+    assert [t.time for t in reader.contacts()] == list(range(10))
+    assert list(reader.contacts()) == []
+    for k in range(1000):
+        memory.write_contact(one._replace(time=float(k)))
+    times = [t.time for t in reader.contacts()]
+    assert times == list(range(1000 - len(times), 1000))
+    assert reader.lost_contacts == 1000 - len(times)
+    memory.close()

@@ -1,0 +1,171 @@
+"""Waveforms and parametric effects: what is taken, what is played, and how they end."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile.daemon.waves import ENDING, HOLD, LONGEST, PERIODS, PLAIN, Curve, Effect, Queue
+
+RATE = 8000.0
+N = 3
+BLOCK = 16
+Floats = NDArray[np.float64]
+
+
+def drained(queue: Queue, most: int = 2000) -> Floats:
+    parts = []
+    for _ in range(most):
+        part = queue.take(BLOCK)
+        if part is None:
+            break
+        parts.append(part)
+    return np.concatenate([np.zeros((0, N)), *parts]).astype(np.float64)
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 8000.0, 11025.0, 44100.0, 48000.0])
+def test_a_waveform_is_itself_at_the_drives_rate(rate: float) -> None:
+    """A sine of 100 Hz, resampled, is that sine to 50 dB."""
+    source = np.sin(2 * np.pi * 100 * np.arange(int(rate * 0.9)) / rate).astype(np.float32)
+    queue = Queue(RATE, N)
+    assert queue.append(source, rate, ()) == len(source)
+    played = drained(queue)
+    time = np.arange(len(played)) / RATE
+    inside = (time > 0.05) & (time < 0.8)
+    wanted = np.sin(2 * np.pi * 100 * time)
+    assert np.abs(played[inside] - wanted[inside, None]).max() < 3e-3
+    assert len(played) == pytest.approx(0.9 * RATE, abs=BLOCK)
+
+
+def test_what_is_above_the_drives_band_is_not_folded_into_it() -> None:
+    source = np.sin(2 * np.pi * 7000 * np.arange(24000) / 48000).astype(np.float32)
+    queue = Queue(RATE, N)
+    queue.append(source, 48000.0, ())
+    assert np.abs(drained(queue)[200:-200]).max() < 1e-3
+
+
+def test_a_waveform_is_the_same_however_it_is_cut_into_messages() -> None:
+    source = np.random.default_rng(0).uniform(-1, 1, 900).astype(np.float32)
+    whole, cut = Queue(RATE, N), Queue(RATE, N)
+    whole.append(source, 1000.0, (1,))
+    for k in range(0, 900, 77):
+        cut.append(source[k : k + 77], 1000.0, (1,))
+    np.testing.assert_array_equal(drained(whole), drained(cut))
+
+
+def test_only_the_named_contactors_play() -> None:
+    queue = Queue(RATE, N)
+    queue.append(np.ones(100, np.float32), RATE, (0, 2))
+    queue.append(np.full(100, 2, np.float32), RATE, (1,))
+    played = drained(queue)
+    np.testing.assert_allclose(played[50], [1, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(played[150], [0, 2, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 8000.0, 48000.0])
+def test_what_does_not_fit_is_not_taken_and_fits_when_some_was_played(rate: float) -> None:
+    queue = Queue(RATE, N)
+    one = np.zeros(4000, np.float32)
+    taken = 0
+    for _ in range(20):
+        taken += queue.append(one, rate, ())
+    assert taken == int(LONGEST * rate)
+    assert queue.append(one, rate, ()) == 0
+    for _ in range(100):
+        queue.take(BLOCK)
+    room = min(100 * BLOCK / RATE * rate, len(one))
+    assert queue.append(one, rate, ()) == pytest.approx(room, abs=2)
+
+
+def test_memory_does_not_grow_with_what_was_played() -> None:
+    queue = Queue(RATE, N)
+    for _ in range(500):
+        queue.append(np.zeros(160, np.float32), RATE, ())
+        for _ in range(10):
+            queue.take(BLOCK)
+    assert len(queue._segments) == 1
+    assert len(queue._segments[0]._data) < 4000
+
+
+def test_what_is_replaced_fades_within_its_time_and_without_a_step() -> None:
+    queue = Queue(RATE, N)
+    queue.append(np.ones(4000, np.float32), RATE, ())
+    before = queue.take(BLOCK)
+    assert before is not None
+    queue.clear()
+    after = drained(queue)
+    both = np.concatenate([before, after])[8:]
+    assert np.abs(np.diff(both, axis=0)).max() <= 1.01 / (ENDING * RATE)
+    assert np.flatnonzero(after.any(axis=1))[-1] < ENDING * RATE
+    assert queue.take(BLOCK) is None
+
+
+def curve(
+    amplitude: list[tuple[float, float]],
+    frequency: list[tuple[float, float]] | None = None,
+    transients: list[tuple[float, float, float]] | None = None,
+    *,
+    stream: bool = False,
+) -> Curve:
+    return Curve(
+        2e-6,
+        np.array(amplitude).reshape(-1, 2),
+        np.array(frequency or []).reshape(-1, 2),
+        np.array(transients or []).reshape(-1, 3),
+        stream,
+    )
+
+
+def played(effect: Effect, seconds: float) -> Floats:
+    parts = [effect.take(BLOCK) for _ in range(int(seconds * RATE / BLOCK))]
+    zero = np.zeros((BLOCK, 1), np.float32)
+    return np.concatenate([zero if p is None else p for p in parts])[:, 0].astype(np.float64)
+
+
+def test_an_effect_has_its_amplitude_and_frequency() -> None:
+    effect = Effect(RATE)
+    effect.begin(curve([(0, 1), (0.5, 1)], [(0, 200), (0.5, 200)]))
+    wave = played(effect, 0.5)[800:3200]
+    assert np.abs(wave).max() == pytest.approx(2e-6, rel=0.01)
+    spectrum = np.abs(np.fft.rfft(wave * np.hanning(len(wave))))
+    assert np.argmax(spectrum) * RATE / len(wave) == pytest.approx(200, abs=4)
+
+
+def test_without_a_frequency_it_is_the_plain_one() -> None:
+    effect = Effect(RATE)
+    effect.begin(curve([(0, 1), (0.5, 1)]))
+    wave = played(effect, 0.5)[800:3200]
+    spectrum = np.abs(np.fft.rfft(wave * np.hanning(len(wave))))
+    assert np.argmax(spectrum) * RATE / len(wave) == pytest.approx(PLAIN, abs=4)
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_it_ends_with_its_last_point_or_is_held_where_it_streams(stream: bool) -> None:
+    effect = Effect(RATE)
+    effect.begin(curve([(0, 1), (0.1, 1)], stream=stream))
+    wave = played(effect, 0.4)
+    last = np.flatnonzero(wave)[-1] / RATE
+    end = 0.1 + (HOLD if stream else 0) + ENDING
+    assert end - 2e-3 < last <= end + BLOCK / RATE
+    assert effect.take(BLOCK) is None
+
+
+def test_a_stream_goes_on_without_a_step_in_amplitude_or_phase() -> None:
+    effect = Effect(RATE)
+    effect.begin(curve([(0, 1), (0.05, 1)], [(0, 100), (0.05, 100)], stream=True))
+    first = played(effect, 0.03)
+    effect.begin(curve([(0, 0.2), (0.05, 0.2)], [(0, 300), (0.05, 300)], stream=True))
+    both = np.concatenate([first, played(effect, 0.03)])
+    assert np.abs(np.diff(both)).max() < 2e-6 * 2 * np.pi * 300 / RATE
+
+
+def test_a_tap_is_two_periods_and_falls() -> None:
+    effect = Effect(RATE)
+    effect.begin(curve([], transients=[(0.01, 0.5, 100)]))
+    wave = played(effect, 0.1)
+    where = np.flatnonzero(np.abs(wave) > 1e-9) / RATE
+    assert where[0] == pytest.approx(0.01, abs=1e-3)
+    assert where[-1] == pytest.approx(0.01 + PERIODS / 100, abs=1e-3)
+    first, second = (
+        np.abs(wave[int(a * RATE) : int(b * RATE)]).max() for a, b in ((0.01, 0.02), (0.02, 0.03))
+    )
+    assert second < first <= 1e-6

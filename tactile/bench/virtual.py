@@ -62,6 +62,7 @@ class VirtualAmplifier:
     Attributes
     ----------
     path : of its pty
+    powered_up : when its clock was 0, on the monotonic one [s]; with a pty
     """
 
     def __init__(self, folder: Path, *options: str, channels: int = 24) -> None:
@@ -72,7 +73,10 @@ class VirtualAmplifier:
         )
         urgent(self._process.pid)
         assert self._process.stdout is not None
-        self.path = self._process.stdout.readline().strip() if "--pty" in options else ""
+        self.path, self.powered_up = "", 0.0
+        if "--pty" in options:
+            self.path = self._process.stdout.readline().strip()
+            self.powered_up = float(self._process.stdout.readline().split()[-2])
         self._kind = np.dtype(
             [("tick", "<u8"), ("at", "<u4"), ("state", "u1"), ("hv", "u1"), ("v", "<i2", channels)]
         )
@@ -88,6 +92,11 @@ class VirtualAmplifier:
         self._rest = data[whole:]
         rows = np.frombuffer(data[:whole], self._kind)
         return Records(rows["tick"], rows["at"], rows["state"], rows["v"])
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._process.pid
 
     def close(self) -> None:
         """End it."""

@@ -174,7 +174,7 @@ bool virtual_serve_pty(virtual_amplifier *v)
     }
     v->write_bytes = write_bytes;
     begin(v, KIND_SERIAL, &fd);
-    printf("%s\n", path);
+    printf("%s\npowered up at %lld.%09ld s\n", path, (long long)power_up.tv_sec, power_up.tv_nsec);
     fflush(stdout);
     serve(v, receive_bytes);
     close(slave);

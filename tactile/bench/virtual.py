@@ -102,6 +102,8 @@ class VirtualAmplifier:
         """End it."""
         self._process.terminate()
         self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
         self._file.close()
 
 

@@ -428,7 +428,7 @@ class Client:
 
     async def _send_telemetry(self, name: str, interval: float) -> None:
         while (playing := self._host.playing.get(name)) is not None:
-            self.post(telemetry(playing))
+            self.post(snapshot(playing))
             await asyncio.sleep(interval)
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
@@ -458,7 +458,7 @@ def _rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:
     return rows
 
 
-def telemetry(playing: Playing) -> Telemetry:
+def snapshot(playing: Playing) -> Telemetry:
     """Return what a display does now."""
     r = playing.report
     return Telemetry(

@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tactile.bus.base import Bus
-from tactile.daemon import orders, real_time
+from tactile.daemon import orders, priority
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
 from tactile.daemon.player import Player
 from tactile.daemon.shared import Shared
@@ -53,7 +53,7 @@ class Program:
         """Play until the pipe ends."""
         for work, words in ((self._write, ()), (self._read, (pipe,))):
             threading.Thread(target=work, args=words, name="tactile-talk", daemon=True).start()
-        real_time.urge()
+        priority.urge()
         player, estops = self._player, self._player.memory.estops
         try:
             while not self._ended:
@@ -220,7 +220,7 @@ def main() -> None:
     player = Player(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
     program = Program(player, out)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    refused = real_time.prepare()
+    refused = priority.prepare()
     out.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))
     out.flush()
     with suppress(SystemExit):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tactile.daemon import orders, workshop
+from tactile.daemon import drawing, orders
 from tactile.daemon.children import Child
 from tactile.daemon.config import DisplayConfig
 from tactile.daemon.messages import SILENCE, DisplayInfo, Event
@@ -377,7 +377,7 @@ class Workbench:
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._asked[number] = future
         self._child.tell(
-            workshop.Request(
+            drawing.Request(
                 number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
             )
         )
@@ -389,7 +389,7 @@ class Workbench:
             self._asked.pop(number, None)
 
     def _heard(self, what: Any) -> None:
-        if isinstance(what, workshop.Made):
+        if isinstance(what, drawing.Made):
             future = self._asked.pop(what.number, None)
             if future is not None and not future.done():
                 if what.failure:
@@ -405,7 +405,7 @@ class Workbench:
     def begin(self) -> None:
         """Start the process, so that it is there when the first texture is wanted."""
         if self._child is None or not self._child.alive:
-            self._child = Child("tactile.daemon.workshop", self._heard)
+            self._child = Child("tactile.daemon.drawing", self._heard)
 
     async def close(self) -> None:
         """End it."""

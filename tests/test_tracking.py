@@ -1,0 +1,653 @@
+"""Tracking the finger: where it will be, without jumps, from samples that are noisy and late."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile.bench import tracking as bench
+from tactile.bench.tracking import Client, Held, misses, rms, tracked
+from tactile.rendering import clock_map
+from tactile.rendering.clock_map import ClockMap
+from tactile.rendering.contact import LARGEST_FORCE
+from tactile.rendering.finger_motion import MotionFilter, Noise
+from tactile.rendering.tracking import (
+    BRAKING,
+    CLEARING,
+    FALL,
+    FARTHEST_MISS,
+    FORCE_SETTLING,
+    HORIZON,
+    MOST_WAITING,
+    ONSET,
+    SETTLING,
+    ContactTracker,
+    Path,
+)
+
+Floats = NDArray[np.float64]
+
+RATE = 8000.0
+LATENCY = 0.012
+BLOCK = 16
+ROUNDING = 1e-12
+"""m; places of 0.5 m in double precision, a few operations."""
+
+needs_slide = pytest.mark.skipif(not bench.SLIDE.exists(), reason="needs the recorded slide")
+
+
+class Run:
+    """A tracker whose samples arrive as they are taken, in blocks; all that came out of it."""
+
+    def __init__(self, *, block: int = BLOCK, rate: float = RATE) -> None:
+        self.tracker = ContactTracker()
+        self.now = 0.0
+        self._ahead = LATENCY + np.arange(block) / rate
+        self._step, self._count = block / rate, 0
+        self._parts: list[tuple[Floats, Floats, Floats]] = []
+
+    def block(self) -> None:
+        times = self.now + self._ahead
+        self._parts.append((times, *self.tracker.at(times, self.now)))
+        self._count += 1
+        self.now = self._count * self._step
+
+    def until(self, end: float) -> "Run":
+        while self.now < end - 1e-9:
+            self.block()
+        return self
+
+    def samples(self, rows: Iterable[tuple[float, ...]]) -> "Run":
+        """Play while samples (time, x, y, force) come, each when it was taken."""
+        for time, x, y, force in rows:
+            self.until(time)
+            self.tracker.add(time, (x, y), force, arrival=time)
+        return self
+
+    @property
+    def times(self) -> Floats:
+        return np.concatenate([part[0] for part in self._parts])
+
+    @property
+    def place(self) -> Floats:
+        return np.concatenate([part[1] for part in self._parts])
+
+    @property
+    def force(self) -> Floats:
+        return np.concatenate([part[2] for part in self._parts])
+
+
+def stroke(
+    speed: float, begin: float, end: float, *, at: float = 0.0, force: float = 0.5, rate: float = 90
+) -> list[tuple[float, float, float, float]]:
+    """Return samples of a steady stroke along x, that is at ``at`` at time 0."""
+    times = np.arange(math.ceil(begin * rate), math.ceil(end * rate)) / rate
+    return [(t, at + speed * t, 0.0, force) for t in times.tolist()]
+
+
+def speeds(place: Floats, rate: float = RATE) -> Floats:
+    return np.asarray(np.hypot(*np.diff(place, axis=0).T) * rate)
+
+
+# What is reached
+
+
+@pytest.mark.parametrize("delay", ["jitter", "even"])
+def test_a_swing_of_200_mm_s_is_met_within_300_um(delay: str) -> None:
+    found = misses(bench.sine(3.0), Client(delay=delay), 2)
+    assert rms(found) <= bench.GOAL
+    assert found.max() <= 1.2
+
+
+@needs_slide
+def test_the_recorded_slide_is_met_within_300_um() -> None:
+    found = misses(bench.recorded(), Client(), 2)
+    assert rms(found) <= bench.GOAL
+    assert rms(misses(bench.recorded(), Client(delay="heavy"), 2)) <= bench.GOAL
+
+
+@needs_slide
+def test_at_five_times_its_speed_nobody_meets_the_slide_within_300_um() -> None:
+    """What is reached is held, as a regression; 0.34 mm are blind, see the benchmark."""
+    slide = bench.recorded(5.0)
+    assert rms(bench.blind(slide, Client(), 20)) > bench.GOAL
+    assert rms(misses(slide, Client(), 10)) <= 1.0
+
+
+def test_prediction_is_what_reaches_it() -> None:
+    assert rms(misses(bench.sine(2.0), Client(), 1, Held)) > 10 * bench.GOAL
+
+
+def test_a_given_velocity_makes_it_better() -> None:
+    plain, told = (misses(bench.sine(3.0), Client(velocity=v), 3) for v in (False, True))
+    assert rms(told) < 0.95 * rms(plain)
+
+
+def test_without_noise_and_delay_a_steady_stroke_is_met_exactly() -> None:
+    times, place, _ = tracked(bench.line(0.1, 1.0), Client(noise=0.0, delay="none"))
+    assert np.abs(place[:, 0] - 0.1 * times).max() < 2e-6
+    assert np.abs(place[:, 1]).max() == 0
+
+
+@pytest.mark.parametrize("delay", ["jitter", "heavy"])
+def test_a_grating_keeps_its_pitch(delay: str) -> None:
+    line = bench.line(0.08, 4.0)
+    times, place, _ = tracked(line, Client(delay=delay))
+    assert bench.grating_power(place[:, 0], line.place(times)[:, 0]) >= 0.9
+    times, place, _ = tracked(line, Client(delay=delay), tracker=Held())
+    assert bench.grating_power(place[:, 0], line.place(times)[:, 0]) < 0.7
+
+
+@pytest.mark.parametrize(
+    ("client", "limit"),
+    [
+        (Client(rate=30.0), 0.6),
+        (Client(rate=1000.0), 0.2),
+        (Client(loss=0.3), 0.5),
+        (Client(delay="heavy"), 0.4),
+        (Client(stamped=False), 1.0),
+        (Client(noise=2e-4), 0.6),
+    ],
+    ids=["30 Hz", "1000 Hz", "loss of 30 %", "heavy jitter", "no stamps", "noise of 0.2 mm"],
+)
+def test_other_clients_are_followed_too(client: Client, limit: float) -> None:
+    """Regression: limits are a third above what is measured."""
+    assert rms(misses(bench.sine(3.0), client, 2)) <= limit
+
+
+# Rest and slow motion
+
+
+def test_a_resting_finger_is_still_however_its_samples_tremble() -> None:
+    _, place, force = tracked(bench.line(0.0, 10.0), Client())
+    assert np.ptp(place, axis=0).max() == 0
+    assert force[0] == pytest.approx(0.5)
+
+
+def test_skin_rests_40_db_below_a_stroke_when_the_finger_does() -> None:
+    slides = bench.played(bench.line(0.08, 2.0), Client())
+    rests = bench.played(bench.line(0.0, 2.0), Client())
+    trembles = bench.played(bench.line(0.0, 2.0), Client(), still=False)
+    assert rests < slides / 100 < trembles
+
+
+def test_a_finger_that_trembles_more_than_assumed_is_still_once_that_is_known() -> None:
+    _, place, _ = tracked(bench.line(0.0, 5.0), Client(noise=3e-4))
+    assert np.ptp(place, axis=0).max() == 0
+
+
+@pytest.mark.parametrize("rate", [30.0, 90.0, 1000.0])
+@pytest.mark.parametrize("speed", [0.002, 0.005])
+def test_a_slow_finger_moves_without_sticking(speed: float, rate: float) -> None:
+    line = bench.line(speed, 5.0)
+    times, place, _ = tracked(line, Client(rate=rate))
+    moved = np.diff(place[:: round(0.5 * RATE), 0])
+    assert moved == pytest.approx(0.5 * speed, abs=5e-4)
+    assert np.mean(speeds(place) < 1e-6) < 1e-3
+    assert rms(place - line.place(times)) < 1.2e-4
+
+
+def test_from_10_mm_s_on_it_never_goes_backward_for_noise() -> None:
+    _, place, _ = tracked(bench.line(0.01, 5.0), Client())
+    assert np.mean(np.diff(place[:, 0]) < 0) < 1e-3
+    _, place, _ = tracked(bench.line(0.005, 5.0), Client())
+    assert np.mean(np.diff(place[:, 0]) < 0) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_finger_that_sets_off_does_so_without_a_jump(seed: int) -> None:
+    """It leaves by 0.3 mm or less, which is caught up with at no more than e/τ."""
+    rng, run = np.random.default_rng(seed), Run()
+    for t in (np.arange(0, 450) / 90).tolist():
+        x, y = rng.normal(0, 5e-5, 2)
+        run.samples([(t, x + max(0.0, 0.005 * (t - 3)), y, 0.5)])
+    moves = np.flatnonzero(speeds(run.place) * (run.times[1:] > 2.5) > 0)
+    assert 3 < run.times[moves[0]] < 3.15
+    assert speeds(run.place[run.times > 2]).max() < 0.3e-3 / SETTLING
+    late = run.times > 4
+    assert rms(run.place[late, 0] - 0.005 * (run.times[late] - 3)) < 1.5e-4
+
+
+def test_noise_is_learnt_from_what_no_parabola_explains() -> None:
+    rng, noise = np.random.default_rng(2), Noise()
+    times = np.cumsum(rng.uniform(0.005, 0.015, 600))
+    for t in times.tolist():
+        x, y = 0.3 * t + 2 * t * t + rng.normal(0, 2e-4, 2)
+        noise.add(t, x, y, 1)
+    assert math.sqrt(noise.variance) == pytest.approx(2e-4, rel=0.25)
+
+
+def test_three_equal_filters_are_one_kalman_filter() -> None:
+    """Against the textbook's matrices: mixing what is equal changes nothing."""
+    motion = MotionFilter((2.0, 2.0, 2.0))
+    motion.noise.add = lambda *_: None  # type: ignore[method-assign]
+    rng, tau, r, elapsed = np.random.default_rng(3), 0.3, 5e-5**2, 0.011
+    places = np.cumsum(rng.normal(0, 1e-3, (40, 2)), axis=0)
+    motion.begin(0.0, *places[0])
+    state = np.array([places[0], [0.0, 0.0], [0.0, 0.0]])
+    spread = np.diag([r, 0.15**2, 4.0])
+    e = math.exp(-elapsed / tau)
+    step = np.array(
+        [[1, elapsed, tau * (elapsed - tau * (1 - e))], [0, 1, tau * (1 - e)], [0, 0, e]]
+    )
+    power = [
+        [elapsed ** (5 - i - j) / ((5 - i - j) * (2, 1, 1)[i] * (2, 1, 1)[j]) for j in range(3)]
+        for i in range(3)
+    ]
+    for k, place in enumerate(places[1:], 1):
+        motion.add(k * elapsed, *place)
+        state, spread = step @ state, step @ spread @ step.T + 8 / tau * np.array(power)
+        gain = spread[:, :1] / (spread[0, 0] + r)
+        state, spread = state + gain * (place - state[0]), spread - gain * spread[:1]
+        assert np.ravel(state) == pytest.approx(motion.state, rel=1e-6, abs=1e-9)
+
+
+# Smoothness
+
+
+def test_a_correction_keeps_place_and_velocity_and_bends_no_more_than_it_says() -> None:
+    path = Path()
+    path.jump(0.0, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    before = path.now(0.02)
+    path.bend(0.02, 0.01, [0.003, 0.001, 0.3, -0.1, 0.0, 0.0])
+    assert np.ravel(path.now(0.02)) == pytest.approx(np.ravel(before), abs=ROUNDING)
+    omega = 1 / path.settling
+    times = 0.02 + np.arange(400) / 1e5
+    place = path.at(times)
+    assert place[0] == pytest.approx(before[0], abs=ROUNDING)
+    error = np.array([0.002 - 0.003 - 0.003, 0.0 - 0.001 + 0.001])
+    rate = np.array([0.1 - 0.3, 0.1])
+    bends = np.abs(np.diff(place, 2, axis=0)).max(axis=0) * 1e10
+    limit = omega**2 * np.abs(error) + 2 * omega * np.abs(rate)
+    assert np.all(bends <= limit * 1.001)
+    assert np.all(bends >= 0.5 * limit)
+    assert path.at(np.array([0.1]))[0] == pytest.approx(path.now(0.1)[0], abs=ROUNDING)
+
+
+def test_velocity_steps_no_more_than_corrections_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a sample by (ω² e + 2ω e' + the course's own acceleration) / rate, over all blocks."""
+    largest, bend = [0.0, 0.0, 0.0], Path.bend
+
+    def watched(self: Path, time: float, origin: float, state: list[float]) -> None:
+        bend(self, time, origin, state)
+        e, rate = (math.hypot(*row) for row in self._rows[3:])
+        omega = 1 / self.settling
+        largest[0] = max(largest[0], omega**2 * e + 2 * omega * (rate + omega * e))
+        largest[1] = max(largest[1], math.hypot(*state[4:]))
+        largest[2] = max(largest[2], math.hypot(*state[2:4]))
+
+    monkeypatch.setattr(Path, "bend", watched)
+    for client in (Client(), Client(delay="heavy", loss=0.3)):
+        largest[:] = [0.0, 0.0, 0.0]
+        _, place, force = tracked(bench.sine(2.0), client)
+        assert force.min() > 0
+        correction, acceleration, speed = largest
+        limit = correction + acceleration + 1.1 * speed / BRAKING
+        steps = np.hypot(*np.diff(place, 2, axis=0).T) * RATE
+        assert steps.max() <= limit / RATE
+
+
+# Touching, lifting, leaping
+
+
+def test_a_contact_rises_from_nothing_where_the_finger_is() -> None:
+    run = Run().until(0.1)
+    run.samples(stroke(0.0, 0.1, 0.4, at=0.2))
+    first = np.flatnonzero(run.force)[0]
+    begun = run.times[np.flatnonzero(run.place[:, 0])[0]]
+    assert run.times[first] - begun >= CLEARING
+    assert np.all(run.place[first:, 0] == 0.2)
+    assert np.all(np.diff(run.force) >= 0)
+    up = run.times[np.argmax(run.force > 0.999 * 0.5)]
+    assert ONSET - 5e-4 < up - run.times[first] <= ONSET
+    assert np.abs(np.diff(run.force)).max() <= 0.5 * 1.5 / ONSET / RATE * 1.001
+    assert np.abs(np.diff(run.force, 2)).max() <= 0.5 * 6 / ONSET**2 / RATE**2 * 1.001
+    assert run.tracker.touching
+
+
+def test_a_lift_falls_to_nothing_in_20_ms_and_smoothly() -> None:
+    run = Run().samples(stroke(0.05, 0, 0.5))
+    run.samples(stroke(0.05, 0.5, 0.7, force=0.0))
+    lifted = 0.5 + 1 / 90 + BLOCK / RATE + LATENCY
+    assert np.all(run.force[run.times > lifted + 0.020] == 0)
+    assert np.abs(np.diff(run.force)).max() <= 0.5 * 1.5 / ONSET / RATE * 1.001
+    assert np.abs(np.diff(run.force, 2)).max() <= 0.5 * 6 / ONSET**2 / RATE**2 * 1.001
+    assert not run.tracker.touching
+    assert run.tracker.silences == 0
+    assert np.all(run.tracker.velocity == 0)
+
+
+def test_a_lift_during_the_onset_is_smooth_too() -> None:
+    run = Run().samples([(0.0, 0.0, 0.0, 0.5), (0.008, 0.0, 0.0, 0.0)]).until(0.1)
+    assert 0.1 < run.force.max() < 0.5
+    assert run.force.min() >= 0
+    assert run.force[-1] == 0
+    assert np.abs(np.diff(run.force)).max() <= 0.5 * 1.5 / ONSET / RATE * 1.001
+    bend = 0.5 * max(6 / ONSET**2, 6 / FALL**2 + 4 * 1.5 / ONSET / FALL)
+    assert np.abs(np.diff(run.force, 2)).max() <= bend / RATE**2
+
+
+@pytest.mark.parametrize("block", [16, 64])
+def test_silence_ends_a_contact_after_100_ms_and_the_place_does_not_run_away(block: int) -> None:
+    run = Run(block=block).samples(stroke(0.2, 0, 0.5))
+    last = stroke(0.2, 0, 0.5)[-1]
+    run.until(1.0)
+    gone = last[0] + 0.1 + LATENCY
+    before = (run.times > 0.1) & (run.times < gone)
+    assert run.force[before].min() > 0.49
+    assert np.all(run.force[run.times > gone + FALL + 1e-9] == 0)
+    assert run.place[:, 0].max() <= last[1] + 0.2 * (HORIZON + BRAKING) + 1e-4
+    assert run.place[:, 0].max() >= last[1] + 0.2 * HORIZON
+    assert np.all(run.place[-100:] == run.place[-1])
+    late = (run.times > 0.2) & (run.force > 0)
+    assert np.abs(np.diff(run.place[late], 2, axis=0)).max() < 0.2 / BRAKING / RATE**2 * 1.05
+    assert run.tracker.silences == 1
+
+
+def test_it_goes_on_through_a_loss_of_80_ms_and_comes_back() -> None:
+    rows = stroke(0.1, 0, 0.5) + stroke(0.1, 0.565, 1.0)
+    run = Run().samples(rows)
+    settled = run.times > 0.1
+    assert run.force[settled].min() > 0.49
+    assert np.all(np.diff(run.place[settled, 0]) > 0)
+    late = run.times > 0.75
+    assert run.place[late, 0] == pytest.approx(0.1 * run.times[late], abs=1e-4)
+    assert run.tracker.jumps == 0
+
+
+@pytest.mark.parametrize("far", [0.03, 0.3])
+def test_a_leap_is_a_lift_and_a_contact_elsewhere(far: float) -> None:
+    run = Run().samples(stroke(0.05, 0, 0.5)).samples(stroke(0.05, 0.5, 1.0, at=far))
+    leap = int(np.argmax(np.diff(run.place[:, 0])))
+    assert run.force[leap] == 0
+    assert run.force[leap + 1] == 0
+    heard = run.force[1:] * run.force[:-1] > 0
+    assert speeds(run.place)[heard].max() < 0.2
+    assert run.place[-1, 0] == pytest.approx(far + 0.05 * run.times[-1], abs=1e-4)
+    assert run.force[-1] == pytest.approx(0.5)
+    silent = np.count_nonzero(run.force[run.times > 0.2] == 0) / RATE
+    assert silent < CLEARING + 2 * BLOCK / RATE
+    assert run.tracker.jumps == 1
+
+
+def test_a_contact_elsewhere_waits_until_the_last_has_fallen() -> None:
+    run = Run().samples(stroke(0.0, 0, 0.5))
+    run.samples([(0.5, 0.0, 0.0, 0.0)]).samples(stroke(0.0, 0.505, 0.8, at=0.1))
+    moved = int(np.argmax(run.place[:, 0] > 0))
+    assert np.all(run.place[moved:, 0] == 0.1)
+    assert run.force[moved - 1] == run.force[moved] == 0
+    assert run.times[moved] == pytest.approx(0.5 + LATENCY + FALL, abs=1.5 * BLOCK / RATE)
+
+
+def test_a_new_force_is_followed_smoothly_and_met() -> None:
+    run = Run().samples(stroke(0.0, 0, 0.5)).samples(stroke(0.0, 0.5, 1.0, force=2.0))
+    assert run.force[-1] == pytest.approx(2.0)
+    assert run.force.max() <= 2.0
+    late = run.times > 0.1
+    assert np.all(np.diff(run.force[late]) >= -ROUNDING)
+    assert np.abs(np.diff(run.force[late])).max() <= 1.5 * 0.37 / 0.005 / RATE
+
+
+def test_a_force_that_changes_its_mind_has_no_kink() -> None:
+    """It bends by ω² e + 2ω e' at most, e' being no more than ω e/e (Euler's)."""
+    rows = [*stroke(0.0, 0, 0.5), (0.5, 0.0, 0.0, 2.0), (0.51, 0.0, 0.0, 0.5)]
+    run = Run().samples(rows).until(0.58)
+    late, omega = run.times > 0.1, 1 / FORCE_SETTLING
+    assert run.force.max() > 0.8
+    bend = omega**2 * 1.5 * (1 + 2 / math.e)
+    assert np.abs(np.diff(run.force[late], 2)).max() <= bend / RATE**2
+
+
+def test_velocity_is_that_of_the_path() -> None:
+    run = Run().samples(stroke(0.08, 0, 0.5))
+    assert run.tracker.velocity == pytest.approx((run.place[-1] - run.place[-2]) * RATE, abs=1e-5)
+    assert run.tracker.velocity == pytest.approx([0.08, 0], abs=1e-3)
+
+
+# What clients may send
+
+
+def test_the_first_velocity_is_believed() -> None:
+    run = Run()
+    run.tracker.add(0.0, (0.0, 0.0), 0.5, (0.2, -0.1), arrival=0.0)
+    run.until(0.01)
+    assert run.place == pytest.approx(np.outer(run.times, [0.2, -0.1]), abs=1e-9)
+
+
+def test_order_of_arrival_does_not_matter_between_blocks() -> None:
+    rows = stroke(0.1, 0, 1.0, rate=1000)
+    ordered, mixed = Run(), Run()
+    for k in range(0, len(rows), 2):
+        ordered.samples(rows[k : k + 2])
+        mixed.until(rows[k][0])
+        mixed.samples([]).until(rows[k + 1][0])
+        for time, x, y, force in reversed(rows[k : k + 2]):
+            mixed.tracker.add(time, (x, y), force, arrival=rows[k + 1][0])
+    assert np.abs(ordered.place[800:] - mixed.place[800 : len(ordered.place)]).max() < 1e-6
+    assert mixed.tracker.late == 0
+
+
+def test_late_and_double_samples_are_counted_and_change_nothing() -> None:
+    plain, other = Run(), Run()
+    rows = stroke(0.1, 0, 0.5)
+    for k, row in enumerate(rows):
+        plain.samples([row]).block()
+        other.samples([row]).block()
+        other.tracker.add(row[0], (row[1], row[2]), row[3], arrival=row[0])
+        if k:
+            other.tracker.add(rows[k - 1][0], (0.4, 0.0), 0.5, arrival=row[0])
+        plain.block()
+        other.block()
+    assert other.tracker.late == 2 * len(rows) - 1
+    assert np.array_equal(plain.place, other.place)
+    assert np.array_equal(plain.force, other.force)
+
+
+NONSENSE: list[tuple[Any, ...]] = [
+    (0.1, (math.nan, 0.0), 0.5),
+    (0.1, (0.0, math.inf), 0.5),
+    (0.1, (1e9, 0.0), 0.5),
+    (0.1, (0.0, 0.0), math.nan),
+    (0.1, (0.0, 0.0), -1.0),
+    (0.1, (0.0, 0.0), 1e9),
+    (math.nan, (0.0, 0.0), 0.5),
+    (math.inf, (0.0, 0.0), 0.5),
+    (0.1, (0.0, 0.0), 0.5, (math.nan, 0.0)),
+    (0.1, (0.0, 0.0), 0.5, (1e5, 0.0)),
+    (0.1, (0.0, 0.0, 0.0), 0.5),
+    (0.1, None, 0.5),
+    (0.1, ("a", "b"), 0.5),
+    (0.1, (10**400, 0), 0.5),
+    (1e9, (0.0, 0.0), 0.5),
+]
+
+
+@pytest.mark.parametrize("sample", NONSENSE, ids=repr)
+def test_nonsense_is_counted_and_changes_nothing(sample: tuple[Any, ...]) -> None:
+    run = Run().samples(stroke(0.1, 0, 0.1))
+    run.tracker.add(*sample)
+    plain = Run().samples(stroke(0.1, 0, 0.1)).samples(stroke(0.1, 0.12, 0.3))
+    run.samples(stroke(0.1, 0.12, 0.3))
+    assert run.tracker.invalid == 1
+    assert np.array_equal(run.place, plain.place)
+
+
+def test_what_nobody_asks_for_does_not_pile_up() -> None:
+    tracker = ContactTracker()
+    for k in range(10 * MOST_WAITING):
+        tracker.add(k * 1e-3, (0.0, 0.0), 0.5)
+    assert len(tracker._waiting) == MOST_WAITING
+    assert tracker.dropped == 9 * MOST_WAITING
+
+
+anything = st.floats() | st.floats(-1, 1)
+samples = st.tuples(
+    st.floats(-0.05, 0.05) | st.floats(),
+    anything,
+    anything,
+    st.just(0.5) | st.just(0.0) | anything,
+    st.none() | st.tuples(anything, anything),
+    st.integers(0, 30),
+)
+
+
+@given(st.lists(samples, max_size=30), st.sampled_from([1, 16, 64]))
+def test_whatever_comes_what_goes_out_is_a_finger(rows: list[tuple[Any, ...]], block: int) -> None:
+    """Never an exception; places finite, a force that a finger has, no jump that is heard."""
+    run = Run(block=block)
+    for offset, x, y, force, velocity, blocks in rows:
+        run.tracker.add(run.now + offset, (x, y), force, velocity, arrival=run.now)
+        for _ in range(blocks):
+            run.block()
+    run.block()
+    assert np.all(np.isfinite(run.place))
+    assert run.force.min() >= -1e-12
+    assert run.force.max() <= LARGEST_FORCE * 1.05
+    heard = np.minimum(run.force[1:], run.force[:-1]) > 0
+    assert np.all(speeds(run.place)[heard] < FARTHEST_MISS / SETTLING + 30)
+
+
+def test_times_that_make_no_sense_do_not_stop_it() -> None:
+    run = Run().samples(stroke(0.1, 0, 0.2))
+    tracker = run.tracker
+    for times in ([0.1, 0.1], [-1e6, 0.0], [1e9], [5.0, 4.0], []):
+        place, force = tracker.at(np.array(times), 0.2)
+        assert place.shape == (len(times), 2)
+        assert force.shape == (len(times),)
+        assert np.all(np.isfinite(place))
+        assert np.all(np.isfinite(force))
+
+
+# Blocks
+
+
+@pytest.mark.parametrize("other", [16, 40, 320])
+def test_blocks_cut_otherwise_give_the_same_path(other: int) -> None:
+    """Samples at multiples of 40 ms; a leap, a silence and a lift among them."""
+    runs = []
+    for block in (64, other):
+        run = Run(block=block)
+        for k in range(50):
+            time = 0.04 * k
+            at = 0.2 if k > 12 else 0.0
+            if 20 < k < 26:
+                continue
+            force = 0.0 if 30 < k < 35 else 0.4 + 0.01 * (k % 5)
+            run.samples([(time, at + 0.1 * time + 1e-4 * (-1) ** k, 0.03 * time, force)])
+        runs.append(run.until(2.04))
+    count = min(len(run.times) for run in runs)
+    one, two = runs
+    assert np.abs(one.place[:count] - two.place[:count]).max() < 1e-9
+    assert np.abs(one.force[:count] - two.force[:count]).max() < 1e-9
+    assert one.tracker.silences == two.tracker.silences == 1
+    assert one.tracker.jumps == two.tracker.jumps == 1
+
+
+def test_at_2500_hz_the_place_has_moved_8_samples_before_the_force() -> None:
+    run = Run(rate=2500.0).samples(stroke(0.0, 0.1, 0.5, at=0.1))
+    moved, pressed = (int(np.argmax(a > 0)) for a in (run.place[:, 0], run.force))
+    assert pressed - moved >= 8
+    assert run.force[-1] == pytest.approx(0.5)
+
+
+# The clock
+
+
+def mapped(
+    drift: float = 0.0,
+    *,
+    seed: int = 0,
+    seconds: float = 30.0,
+    rate: float = 90.0,
+    base: float = 0.0,
+) -> tuple[Floats, Floats, Floats]:
+    """Return true times, client times and mapped times with delays of 5 ms rms above a base."""
+    rng, clock = np.random.default_rng(seed), ClockMap()
+    true = np.arange(0, seconds, 1 / rate)
+    client = 1e5 + true * (1 + drift)
+    arrival = np.maximum.accumulate(true + base + np.abs(rng.normal(0, 0.005, len(true))))
+    ours = [clock(c, a) for c, a in zip(client.tolist(), arrival.tolist(), strict=True)]
+    return true, client, np.array(ours)
+
+
+@pytest.mark.parametrize("drift", [0.0, 3e-4, -3e-4])
+def test_the_clock_map_takes_jitter_off_and_follows_drift(drift: float) -> None:
+    """300 ppm over the window of 2 s are 0.6 ms; the least of 180 delays is 0.04 ms or so."""
+    true, _, ours = mapped(drift)
+    late = true > 1.5
+    assert np.abs(ours - true)[late].max() < 1e-3
+    assert np.abs(np.diff(ours - true))[late[1:]].max() < 0.021 / 90
+
+
+def test_the_clock_map_is_off_by_the_least_delay_which_nobody_knows() -> None:
+    true, _, ours = mapped(base=0.02)
+    assert (ours - true)[true > 1.5] == pytest.approx(0.02, abs=5e-4)
+
+
+def test_mapped_time_runs_within_2_percent_of_the_clients() -> None:
+    for seed in range(5):
+        _, client, ours = mapped(3e-4, seed=seed, seconds=5)
+        pace = np.diff(ours) / np.diff(client)
+        assert np.abs(pace - 1).max() <= clock_map.SLEW * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("jump", [10.0, -10.0, 3600.0])
+def test_a_clients_clock_may_jump(jump: float) -> None:
+    clock, times = ClockMap(), np.arange(0, 4, 1 / 90)
+    ours = [clock(t + 50 + (jump if t > 2 else 0), t + 0.001) for t in times.tolist()]
+    assert clock.jumps == 1
+    assert np.all(np.diff(ours) > 0)
+    assert np.array(ours) == pytest.approx(times + 0.001, abs=1e-9)
+
+
+def test_a_stall_is_taken_in_without_running_backward() -> None:
+    """All that was sent in 2 s comes at once."""
+    clock, times = ClockMap(), np.arange(0, 9, 1 / 90)
+    arrivals = np.where((times > 2) & (times < 4), 4.0, times)
+    ours = [clock(t, a) for t, a in zip(times.tolist(), arrivals.tolist(), strict=True)]
+    assert np.all(np.diff(ours) >= 0)
+    assert np.abs(np.array(ours) - times)[times > 4].max() <= clock_map.TOO_LATE + 1e-9
+    assert np.abs(np.array(ours) - times)[times > 8].max() < 1e-9
+
+
+@given(st.lists(st.tuples(st.floats() | st.floats(0, 2), st.floats(0, 0.2)), max_size=40))
+def test_mapped_time_never_runs_backward_for_ascending_client_times(
+    steps: list[tuple[float, float]],
+) -> None:
+    clock, arrival, newest, last = ClockMap(), 0.0, -math.inf, -math.inf
+    for client, passed in steps:
+        arrival += passed
+        ours = clock(client, arrival)
+        assert math.isfinite(ours) or not math.isfinite(client)
+        if math.isfinite(client) and client > newest and newest > -math.inf:
+            assert ours >= last
+        if math.isfinite(client) and client > newest:
+            newest, last = client, ours
+
+
+def test_without_a_client_time_it_is_the_arrival() -> None:
+    clock = ClockMap()
+    assert clock(None, 3.0) == 3.0
+    assert clock(math.nan, 4.0) == 4.0
+    assert clock.invalid == 1
+
+
+def test_the_clock_map_remembers_no_more_than_its_window() -> None:
+    clock = ClockMap()
+    for k in range(20000):
+        clock(k * 1e-3, k * 1e-3 + 1e-3)
+    assert len(clock._least) <= clock_map.BUCKETS + 1
+
+
+def test_a_client_of_another_rate_is_a_client() -> None:
+    """The bench's streams are what they say."""
+    lossy = bench.sampled(bench.line(0.1, 5.0), replace(Client(), loss=0.3), 0)
+    assert len(lossy.time) == pytest.approx(0.7 * 90 * (5 + bench.LEAD), rel=0.1)
+    assert np.all(np.diff(lossy.arrival) >= 0)
+    assert np.all(lossy.arrival >= lossy.time)

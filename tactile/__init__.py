@@ -27,15 +27,21 @@ if TYPE_CHECKING:
     from tactile.actuator.response import tip_response as tip_response
     from tactile.bus.base import DriveBlock as DriveBlock
     from tactile.bus.base import DriveFrame as DriveFrame
+    from tactile.client.sync import connect as connect
     from tactile.devices import find_devices as find_devices
     from tactile.devices import open_bus as open_bus
     from tactile.display import Display as Display
     from tactile.display import load_display as load_display
     from tactile.errors import BusError as BusError
     from tactile.errors import BusStateError as BusStateError
+    from tactile.errors import ClientError as ClientError
+    from tactile.errors import ClientTimeoutError as ClientTimeoutError
+    from tactile.errors import DisconnectedError as DisconnectedError
     from tactile.errors import InputError as InputError
     from tactile.errors import NotFoundError as NotFoundError
+    from tactile.errors import RequestError as RequestError
     from tactile.errors import TactileError as TactileError
+    from tactile.local import open_display as open_display
     from tactile.rendering.contact import Trajectory as Trajectory
     from tactile.rendering.renderer import Renderer as Renderer
     from tactile.rendering.renderer import Rendering as Rendering
@@ -53,9 +59,21 @@ _HOMES = {
     "actuator.plant": ("Plant",),
     "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
     "bus.base": ("DriveBlock", "DriveFrame"),
+    "client.sync": ("connect",),
     "devices": ("find_devices", "open_bus"),
     "display": ("Display", "load_display"),
-    "errors": ("BusError", "BusStateError", "InputError", "NotFoundError", "TactileError"),
+    "errors": (
+        "BusError",
+        "BusStateError",
+        "ClientError",
+        "ClientTimeoutError",
+        "DisconnectedError",
+        "InputError",
+        "NotFoundError",
+        "RequestError",
+        "TactileError",
+    ),
+    "local": ("open_display",),
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),

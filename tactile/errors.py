@@ -19,3 +19,31 @@ class BusError(TactileError, OSError):
 
 class BusStateError(BusError, RuntimeError):
     """A call that the device's state does not allow, such as writing before it was started."""
+
+
+class ClientError(TactileError):
+    """Anything that the SDK raises because of the daemon or the connection to it."""
+
+
+class RequestError(ClientError):
+    """What the daemon refused: ``code`` says why, ``field`` where in the message, as a path."""
+
+    def __init__(self, message: str, *, code: str, field: str = "") -> None:
+        super().__init__(message)
+        self.code, self.field = code, field
+
+
+class RefusedInputError(RequestError, InputError):
+    """A value that the daemon does not take."""
+
+
+class UnknownNameError(RequestError, NotFoundError):
+    """A texture or display that the daemon does not have."""
+
+
+class ClientTimeoutError(ClientError, TimeoutError):
+    """The daemon did not answer in time."""
+
+
+class DisconnectedError(ClientError, ConnectionError):
+    """There is no connection to the daemon: not yet, not at present, or closed."""

@@ -1,0 +1,299 @@
+"""The transport over a WebSocket: an asyncio task, in the program's loop or in a thread of its own.
+
+A connection is dropped, and made again where that is wanted, when the daemon closes it or does not
+answer a ping within `SILENCE`.
+"""
+
+import asyncio
+import logging
+import random
+import socket
+import struct
+import threading
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import WebSocketException
+from websockets.typing import Subprotocol
+
+from tactile.client.outbox import Outbox
+from tactile.client.transport import Receiver
+from tactile.daemon.messages import (
+    JSON_PROTOCOL,
+    MSGPACK_PROTOCOL,
+    Answer,
+    Append,
+    Command,
+    Contact,
+    Failure,
+    Welcome,
+)
+from tactile.errors import ClientError
+
+logger = logging.getLogger("tactile.client")
+
+LARGEST_ANSWER = 2**20
+"""Bytes; a display of 4096 contactors has room in it."""
+PING_INTERVAL = 1.0
+"""s between pings, each of which also measures the clocks."""
+SILENCE = 3.0
+"""s without an answer to a ping after which a connection is given up."""
+SEND_BUFFER = 32 * 1024
+"""Bytes that the system may hold: less, and an append takes long; more, and contacts grow old."""
+FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
+"""s between attempts to reconnect: doubled each time, less up to half by chance."""
+SHARE_OF_CONTACTS = 0.9
+"""Of the messages per second that the daemon takes; the rest is for requests."""
+
+
+class _Codec:
+    """Messages to what goes over the WebSocket and back."""
+
+    def __init__(self, protocol: str) -> None:
+        self.text = protocol == JSON_PROTOCOL
+        module = msgspec.json if self.text else msgspec.msgpack
+        self._encoder = module.Encoder()
+        self._decoder: Any = module.Decoder(Answer)
+        self._loose: Any = module.Decoder(_Unread)
+
+    def encode(self, command: Command) -> bytes:
+        if self.text and isinstance(command, Append) and isinstance(command.samples, bytes):
+            samples = struct.unpack(f"<{len(command.samples) // 4}f", command.samples)
+            command = msgspec.structs.replace(command, samples=samples)
+        encoded: bytes = self._encoder.encode(command)
+        return encoded
+
+    def decode(self, data: bytes) -> Answer:
+        """Return what was said; where it cannot be read but is an answer, a failure.
+
+        Raises
+        ------
+        msgspec.MsgspecError
+            Where it cannot be read and is no answer.
+        """
+        try:
+            answer: Answer = self._decoder.decode(data)
+        except msgspec.ValidationError as error:
+            loose: _Unread = self._loose.decode(data)
+            if loose.id is None:
+                raise
+            code: Any = loose.code or "internal"
+            text = loose.message or f"{loose.type} cannot be read: {error}"
+            return Failure(id=loose.id, code=code, message=text)
+        return answer
+
+
+class _Unread(msgspec.Struct):
+    """What is read of an answer that a later version of the API may give."""
+
+    type: str = ""
+    id: int | None = None
+    code: str = ""
+    message: str = ""
+
+
+class WebSocketTransport:
+    """Carries messages over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
+
+    Parameters
+    ----------
+    url : as ``ws://127.0.0.1:7411/v1``
+    timeout : to open a connection, and to close one [s]
+    reconnect : whether to connect again, for as long as it takes
+    encoding : "msgpack" or "json"
+    """
+
+    def __init__(
+        self, url: str, *, timeout: float, reconnect: bool = True, encoding: str = "msgpack"
+    ) -> None:
+        self._url, self._timeout, self._reconnect = url, timeout, reconnect
+        self._protocol = JSON_PROTOCOL if encoding == "json" else MSGPACK_PROTOCOL
+        self._codec = _Codec(self._protocol)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._more, self._stop = asyncio.Event(), asyncio.Event()
+        self._closing = False
+        self._attempts = 0
+        self._rate = 0
+        self._next_contact = 0.0
+        self._closed: Future[None] = Future()
+
+    def open(self, receiver: Receiver) -> None:
+        """Begin to connect."""
+        self._receiver = receiver
+        self._outbox = Outbox(receiver.dropped)
+        self._launch()
+
+    def _launch(self) -> None:
+        raise NotImplementedError
+
+    def send(self, command: Command) -> None:
+        """Hand over a message, from any thread."""
+        if self._outbox.put(command):
+            self._set(self._more)
+
+    def close(self) -> "Future[None]":
+        """Begin to close; idempotent."""
+        self._closing = True
+        self._set(self._stop)
+        return self._closed
+
+    def _set(self, event: asyncio.Event) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop has ended: so has the connection
+                self._loop.call_soon_threadsafe(event.set)
+
+    # Inside the loop
+
+    async def _run(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        stop = asyncio.create_task(self._stop.wait())
+        try:
+            while not self._closing:
+                attempt = asyncio.create_task(self._attempt())
+                await asyncio.wait({attempt, stop}, return_when=asyncio.FIRST_COMPLETED)
+                await _end(attempt)
+                reason = "closed" if attempt.cancelled() else attempt.result()
+                self._outbox.clear()
+                self._receiver.lost(reason)
+                if not self._reconnect:
+                    break
+                await asyncio.wait({stop}, timeout=self._pause())
+        finally:
+            await _end(stop)
+
+    def _pause(self) -> float:
+        """Return how long to wait before the next attempt [s]."""
+        longest = min(FIRST_PAUSE * 2.0**self._attempts, LONGEST_PAUSE)
+        self._attempts = min(self._attempts + 1, 16)
+        return longest * random.uniform(0.5, 1.0)
+
+    async def _attempt(self) -> str:
+        """Connect and talk; return why it ended."""
+        try:
+            connection = await self._connect()
+            try:
+                await self._talk(connection)
+            finally:
+                await self._hang_up(connection)
+        except ConnectionRefusedError:
+            return f"{self._url}: nobody listens there; is the daemon running (tactile serve)?"
+        except (OSError, WebSocketException, ClientError, EOFError) as error:
+            return f"{self._url}: {error or type(error).__name__}"
+        except Exception as error:
+            logger.exception("connection to %s", self._url)
+            return f"{self._url}: {error!r}"
+        return f"{self._url}: closed by the daemon"
+
+    async def _connect(self) -> ClientConnection:
+        connection = await connect(
+            self._url,
+            subprotocols=[Subprotocol(self._protocol)],
+            compression=None,
+            proxy=None,  # the daemon is in the room
+            open_timeout=self._timeout,
+            close_timeout=self._timeout / 2,
+            ping_interval=None,  # ours measure the clocks as well
+            max_size=LARGEST_ANSWER,
+            write_limit=0,
+        )
+        if connection.subprotocol != self._protocol:
+            await self._hang_up(connection)
+            raise ClientError(f"no tactile daemon: it does not speak {self._protocol}")
+        raw = connection.transport.get_extra_info("socket")
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        return connection
+
+    async def _hang_up(self, connection: ClientConnection) -> None:
+        """Close politely, or at once where the daemon does not even read."""
+        try:
+            async with asyncio.timeout(self._timeout / 2):
+                await connection.close()
+        except TimeoutError:
+            connection.transport.abort()
+            await connection.wait_closed()
+
+    async def _talk(self, connection: ClientConnection) -> None:
+        self._outbox.clear()
+        hello = self._receiver.opened()
+        self._more.set()
+        tasks = [
+            asyncio.create_task(part)
+            for part in (self._read(connection), self._write(connection), self._keep(hello))
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            await _end(*tasks)
+
+    async def _read(self, connection: ClientConnection) -> None:
+        async for data in connection:
+            try:
+                answer = self._codec.decode(data if isinstance(data, bytes) else data.encode())
+            except msgspec.MsgspecError as error:
+                self._receiver.ignored(str(error))
+            else:
+                self._receiver.received(answer)
+
+    async def _write(self, connection: ClientConnection) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._more.wait()
+            self._more.clear()
+            while batch := self._outbox.take(contacts=loop.time() >= self._next_contact):
+                for command in batch:
+                    if self._receiver.wanted(command):
+                        self._spend(command, loop.time())
+                        await connection.send(self._codec.encode(command), text=self._codec.text)
+            if self._outbox.contacts:
+                loop.call_at(self._next_contact, self._more.set)
+
+    def _spend(self, command: Command, now: float) -> None:
+        """Keep contacts to the rate that the daemon takes."""
+        if self._rate and isinstance(command, Contact):
+            share = 1.0 / (SHARE_OF_CONTACTS * self._rate)
+            self._next_contact = max(self._next_contact, now) + share
+
+    async def _keep(self, hello: "Future[Welcome]") -> None:
+        welcome = await self._answer(hello, self._timeout, "hello")
+        self._attempts, self._rate = 0, welcome.messages_per_second
+        while True:
+            await asyncio.sleep(PING_INTERVAL)
+            await self._answer(self._receiver.ping(), SILENCE, "a ping")
+
+    async def _answer(self, future: "Future[Any]", timeout: float, what: str) -> Any:
+        try:
+            return await asyncio.wait_for(asyncio.wrap_future(future), timeout)
+        except TimeoutError:
+            raise ClientError(f"no answer to {what} in {timeout:g} s") from None
+
+
+async def _end(*tasks: "asyncio.Task[Any]") -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+class ThreadTransport(WebSocketTransport):
+    """Runs in a thread of its own, so that a frame loop never waits for it."""
+
+    def _launch(self) -> None:
+        threading.Thread(target=self._main, name="tactile-client", daemon=True).start()
+
+    def _main(self) -> None:
+        try:
+            asyncio.run(self._run())
+        finally:
+            self._closed.set_result(None)
+
+
+class TaskTransport(WebSocketTransport):
+    """Runs in the event loop that opens it."""
+
+    def _launch(self) -> None:
+        self._task = asyncio.create_task(self._run(), name="tactile-client")
+        self._task.add_done_callback(lambda _: self._closed.set_result(None))

@@ -1,0 +1,297 @@
+"""Between SI, which a program speaks, and the units of the wire, which carry them in their names.
+
+`to_` makes messages, checked as the daemon will check them; `from_` reads them.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import msgspec
+
+from tactile.daemon import messages
+from tactile.daemon.messages import (
+    Contact,
+    Effect,
+    FrequencyPoint,
+    Layer,
+    Message,
+    Point,
+    Transient,
+)
+from tactile.errors import InputError
+
+M = TypeVar("M", bound=Message)
+
+Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
+"""A texture or several, each with its gain where it is a pair; none is ``()``."""
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayInfo:
+    """A display that the daemon has.
+
+    Attributes
+    ----------
+    name : what it is called
+    contactors : (N, 2) places in the display [m]
+    shear_direction : (N,) from the x axis [rad]
+    sample_rate : of its drive [Hz]
+    voltage_limit : of its drive [V]
+    waveforms : whether it has room for `play`, `append` and `effect`
+    latency : from a contact to the skin, about [s]
+    """
+
+    name: str
+    contactors: tuple[Pair, ...]
+    shear_direction: tuple[float, ...]
+    sample_rate: float
+    voltage_limit: float
+    waveforms: bool
+    latency: float
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """What became of an `append`.
+
+    Attributes
+    ----------
+    samples_consumed : how many samples, from the first, were taken; send the rest again
+    buffered : for how long what waits will play [s]
+    """
+
+    samples_consumed: int
+    buffered: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """How a display stands.
+
+    Attributes
+    ----------
+    display : its name
+    state : "disarmed", "armed", "estopped" or "lost"
+    link : to the amplifier, "up" or "down"
+    detail : what is wrong, or nothing
+    touching : whether a finger is on it
+    owner : whether that finger is this client's
+    latency : from a contact to the skin [s]
+    counters : what playback, bus and amplifier count
+    """
+
+    display: str
+    state: str
+    link: str
+    detail: str
+    touching: bool
+    owner: bool
+    latency: float
+    counters: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """What a display does at a time.
+
+    Attributes
+    ----------
+    display : its name
+    time : on this program's monotonic clock [s]
+    state : as in `Stats`
+    position, velocity, normal_force : of the finger [m], [m/s], [N]
+    shear : (N,) commanded of each contactor [m]
+    drive : (N,) of each contactor [V]
+    counters : as in `Stats`
+    """
+
+    display: str
+    time: float
+    state: str
+    position: Pair
+    velocity: Pair
+    normal_force: float
+    shear: tuple[float, ...]
+    drive: tuple[float, ...]
+    counters: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that a program should know.
+
+    Attributes
+    ----------
+    kind : of `tactile.daemon.messages.Event`, or one of this side: "connected" (again),
+        "disconnected", "refused" (a contact, or what was to be restored after a reconnection)
+    display : its name, or "" where it concerns all
+    detail : in one line
+    """
+
+    kind: str
+    display: str = ""
+    detail: str = ""
+
+
+def checked(message: M) -> M:
+    """Return a message as the daemon would read it.
+
+    Raises
+    ------
+    InputError
+        Where a value is not one that may be sent; names the field on the wire, with its unit.
+    """
+    return _read(msgspec.to_builtins(message, builtin_types=(bytes,)), type(message))
+
+
+def _read(plain: dict[str, Any], kind: type[M]) -> M:
+    try:
+        return msgspec.convert(plain, kind)
+    except msgspec.ValidationError as error:
+        text, _, path = str(error).partition(" - at `$")
+        path = path.rstrip("`").removeprefix(".")
+        raise InputError(f"{path or plain['type']}: {_value_at(plain, path)}{text}") from None
+
+
+def _value_at(plain: Any, path: str) -> str:
+    """Return what stands at a path as "layers[0].gain", for a text."""
+    for part in path.replace("[", ".").replace("]", "").split("."):
+        try:
+            plain = plain[int(part) if part.isdigit() else part]
+        except (IndexError, KeyError, TypeError):
+            return ""
+    return f"{plain!r}: " if isinstance(plain, float | int | str) else ""
+
+
+def to_microseconds(time: float) -> int:
+    """Return a time [s] in whole microseconds.
+
+    Raises
+    ------
+    InputError
+        Where it is not a number.
+    """
+    if not math.isfinite(time):
+        raise InputError(f"time: {time} s is not finite")
+    return round(time * 1e6)
+
+
+def to_contact(
+    display: str,
+    position: Sequence[float],
+    normal_force: float,
+    velocity: Sequence[float] | None,
+    time_us: int,
+) -> Contact:
+    """Return a contact of [m], [N] and [m/s]."""
+    x, y = position
+    plain = {
+        "type": "contact",
+        "display": display,
+        "position_mm": (float(x) * 1e3, float(y) * 1e3),
+        "normal_force_n": float(normal_force),
+        "time_us": time_us,
+    }
+    if velocity is not None:
+        vx, vy = velocity
+        plain["velocity_mm_s"] = (float(vx) * 1e3, float(vy) * 1e3)
+    return _read(plain, Contact)
+
+
+def to_layers(layers: Layers) -> tuple[Layer, ...]:
+    """Return what may be given as textures as layers.
+
+    Raises
+    ------
+    InputError
+        Where it is none of what `Layers` says.
+    """
+    match layers:
+        case str() | Layer() | (str(), int() | float()):
+            return (_to_layer(layers),)
+        case _:
+            return tuple(_to_layer(layer) for layer in layers)
+
+
+def _to_layer(layer: object) -> Layer:
+    match layer:
+        case Layer():
+            return layer
+        case str():
+            return Layer(texture=layer)
+        case (str() as texture, int() | float() as gain):
+            return Layer(texture=texture, gain=float(gain))
+        case _:
+            raise InputError(f"layers: {layer!r} is no texture, (texture, gain) or Layer")
+
+
+def to_effect(
+    display: str,
+    amplitude: float,
+    amplitude_points: Iterable[Pair],
+    frequency_points: Iterable[Pair],
+    transients: Iterable[tuple[float, ...]],
+    stream: bool,
+) -> Effect:
+    """Return an effect of [m], [s] and [Hz]."""
+    return checked(
+        Effect(
+            display=display,
+            amplitude_um=float(amplitude) * 1e6,
+            amplitude=tuple(Point(t * 1e3, value) for t, value in amplitude_points),
+            frequency=tuple(FrequencyPoint(t * 1e3, hz) for t, hz in frequency_points),
+            transients=tuple(Transient(t * 1e3, *rest) for t, *rest in transients),
+            stream=stream,
+        )
+    )
+
+
+def from_info(info: messages.DisplayInfo) -> DisplayInfo:
+    """Return a display's description in SI."""
+    return DisplayInfo(
+        name=info.name,
+        contactors=tuple((x * 1e-3, y * 1e-3) for x, y in info.contactors_mm),
+        shear_direction=tuple(math.radians(angle) for angle in info.shear_direction_deg),
+        sample_rate=info.sample_rate_hz,
+        voltage_limit=info.voltage_limit_v,
+        waveforms=info.waveforms,
+        latency=info.latency_ms * 1e-3,
+    )
+
+
+def from_appended(reply: messages.Appended) -> Appended:
+    """Return what became of an append in SI."""
+    return Appended(reply.samples_consumed, reply.buffered_ms * 1e-3)
+
+
+def from_stats(stats: messages.Stats) -> Stats:
+    """Return how a display stands in SI."""
+    return Stats(
+        display=stats.display,
+        state=stats.state,
+        link=stats.link,
+        detail=stats.detail,
+        touching=stats.touching,
+        owner=stats.owner,
+        latency=stats.latency_ms * 1e-3,
+        counters=stats.counters,
+    )
+
+
+def from_telemetry(telemetry: messages.Telemetry, clock_offset: float) -> Telemetry:
+    """Return telemetry in SI; the daemon's clock less the offset [s] is this program's."""
+    (x, y), (vx, vy) = telemetry.position_mm, telemetry.velocity_mm_s
+    return Telemetry(
+        display=telemetry.display,
+        time=telemetry.time_us * 1e-6 - clock_offset,
+        state=telemetry.state,
+        position=(x * 1e-3, y * 1e-3),
+        velocity=(vx * 1e-3, vy * 1e-3),
+        normal_force=telemetry.normal_force_n,
+        shear=tuple(shear * 1e-6 for shear in telemetry.shear_um),
+        drive=telemetry.drive_v,
+        counters=telemetry.counters,
+    )

@@ -1,0 +1,156 @@
+"""A display in this program, without a daemon: the interface of `tactile.client`, no network.
+
+>>> import tactile
+>>> with tactile.open_display("reference-24", device="sim:") as display:
+...     display.select("wood-oak")
+...     display.arm()
+...     display.touch((0.0, 0.0), velocity=(0.08, 0.0), normal_force=0.5)
+
+The host that a daemon has runs in a thread; what plays and what draws textures are processes of
+their own here as well, so that nothing that the program does holds up a block.
+"""
+
+import asyncio
+import threading
+import time
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+
+from tactile.client import Connection, Display, Receiver
+from tactile.client.base import TIMEOUT
+from tactile.daemon.config import Config, DisplayConfig
+from tactile.daemon.host import Client, Host
+from tactile.daemon.messages import API_VERSION, Answer, Command, Contact, Hello, Welcome
+from tactile.daemon.metrics import Metrics, Traffic
+from tactile.daemon.requests import Requests
+
+OPENING = 45.0
+"""s for a device to open."""
+NAME = "default"
+
+
+class LocalTransport:
+    """Carries messages to a host in a thread of this process.
+
+    Parameters
+    ----------
+    config : of the host
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._started: Future[Host] = Future()
+        self._closed: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, name="tactile-local", daemon=True)
+
+    def start(self) -> None:
+        """Open the displays.
+
+        Raises
+        ------
+        TactileError
+            Where one cannot be.
+        """
+        self._thread.start()
+        self._started.result(OPENING)
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._work())
+        except BaseException as error:
+            if not self._started.done():
+                self._started.set_exception(error)
+        finally:
+            self._closed.set_result(None)
+
+    async def _work(self) -> None:
+        host = Host(self._config)
+        await host.start()
+        try:
+            self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
+            self._host, self._client = host, host.connect("local", may_arm=True)
+            self._started.set_result(host)
+            await self._ending.wait()
+            self._client.close()
+        finally:
+            await host.close()
+
+    def open(self, receiver: Receiver) -> None:
+        """Begin to talk."""
+        self._receiver = receiver
+        self._loop.call_soon_threadsafe(self._begin)
+
+    def _begin(self) -> None:
+        traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
+        self._requests = Requests(self._client, traffic, self._receiver.received)
+        self._news = asyncio.create_task(self._tell(self._client))
+        self._receiver.opened()
+
+    async def _tell(self, client: Client) -> None:
+        while True:
+            self._receiver.received(await client.outbox.get())
+
+    def send(self, command: Command) -> None:
+        """Hand over a message, from any thread."""
+        with suppress(RuntimeError):  # it has ended
+            self._loop.call_soon_threadsafe(self._take, command, time.monotonic())
+
+    def _take(self, command: Command, arrival: float) -> None:
+        answer: Answer | None
+        if isinstance(command, Contact):
+            answer = self._client.contact(command, arrival)
+        elif isinstance(command, Hello):
+            answer = Welcome(
+                id=command.id, server="local", version=API_VERSION, session="local",
+                displays=self._host.displays, may_arm=True, time_us=time.monotonic_ns() // 1000,
+            )  # fmt: skip
+        else:
+            answer = self._requests.offer(command)
+        if answer is not None:
+            number = getattr(command, "id", None)
+            self._receiver.received(msgspec.structs.replace(answer, id=number))
+
+    def close(self) -> "Future[None]":
+        """Fade out, disarm, end."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._ending.set)
+        return self._closed
+
+
+def open_display(
+    display: str = "reference-24",
+    device: str = "sim:",
+    *,
+    sample_rate: float | None = None,
+    worn: bool = False,
+    accept_unsafe_hold: bool = False,
+    timeout: float = TIMEOUT,
+) -> Display:
+    """Open a display in this program; use it in a ``with``.
+
+    Parameters
+    ----------
+    display : "reference-24", "reference-64", or a TOML file
+    device : URL, as `tactile.open_bus` takes it
+    sample_rate : of the drive [Hz]; by default what the device chooses
+    worn : whether the finger stays on the display while it touches nothing
+    accept_unsafe_hold : as of `tactile.open_bus`
+    timeout : for answers where a call says nothing else [s]
+
+    Raises
+    ------
+    TactileError
+        For a display or device that cannot be used.
+    """
+    options: dict[str, Any] = {} if sample_rate is None else {"sample_rate_hz": sample_rate}
+    config = DisplayConfig(
+        name=NAME, display=display, device=device, worn=worn,
+        accept_unsafe_hold=accept_unsafe_hold, **options,
+    )  # fmt: skip
+    transport = LocalTransport(Config(display=(config,)))
+    transport.start()
+    connection = Connection(transport, timeout=timeout)
+    return Display(connection, NAME, owns=True)

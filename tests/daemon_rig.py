@@ -1,0 +1,301 @@
+"""A daemon to test the server with: real sockets and protocols, a host in memory that notes all.
+
+`Hands` is a host without displays' processes: it does at once what the tests need, or as slowly as
+they say, and breaks on demand. What the real one does with a command has tests of its own.
+"""
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any, TypeVar
+
+import httpx
+import msgspec
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.messages import (
+    JSON_PROTOCOL,
+    MSGPACK_PROTOCOL,
+    Answer,
+    Append,
+    Appended,
+    Arm,
+    Command,
+    Contact,
+    Disarm,
+    DisplayInfo,
+    Done,
+    EStop,
+    Event,
+    Failure,
+    GetStats,
+    ListTextures,
+    Select,
+    Stats,
+    Subscribe,
+    Telemetry,
+    TextureInfo,
+    Textures,
+)
+from tactile.daemon.server import Server, running
+
+T = TypeVar("T")
+TEXTURE = "wood-oak"
+LARGE = Event(display="right", kind="fault", detail="x" * 20_000)
+
+
+def display(name: str) -> DisplayInfo:
+    return DisplayInfo(
+        name=name,
+        contactors_mm=((0.0, 0.0), (1.2, 0.0)),
+        shear_direction_deg=(0.0, 0.0),
+        sample_rate_hz=8000.0,
+        voltage_limit_v=100.0,
+        waveforms=True,
+        latency_ms=9.0,
+    )
+
+
+class Hand:
+    """A client that notes."""
+
+    def __init__(self, hands: "Hands", name: str, may_arm: bool) -> None:
+        self.hands, self.name, self.may_arm = hands, name, may_arm
+        self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(256)
+        self.contacts: list[Contact] = []
+        self.commands: list[Command] = []
+        self.closed = 0
+
+    def contact(self, message: Contact, arrival: float) -> Failure | None:
+        if self.hands.broken:
+            raise ZeroDivisionError
+        if message.display not in self.hands.names:
+            return Failure(code="unknown_display", message="no display", field="display")
+        self.contacts.append(message)
+        self.hands.log.append((self.name, message))
+        return None
+
+    async def request(self, command: Command) -> Answer:
+        if self.hands.broken:
+            raise ZeroDivisionError
+        if isinstance(command, Select):
+            await self.hands.gate.wait()
+        self.commands.append(command)
+        self.hands.log.append((self.name, command))
+        return self._answer(command)
+
+    def _answer(self, command: Any) -> Answer:
+        code = self.hands.codes.get(type(command))
+        if code is not None:
+            return Failure(code=code, message="as told", field="display")
+        if isinstance(command, Arm):
+            if not self.may_arm:
+                return Failure(code="unauthorized", message="may not arm")
+            self.hands.armed = True
+        elif isinstance(command, Disarm | EStop):
+            self.hands.armed = False
+        elif isinstance(command, ListTextures):
+            info = TextureInfo(name=TEXTURE, category="wood", description="", provenance="authored")
+            return Textures(textures=(info,))
+        elif isinstance(command, Append):
+            taken = len(command.samples)
+            return Appended(samples_consumed=taken, buffered_ms=1.0)
+        elif isinstance(command, GetStats):
+            return Stats(
+                display=command.display, state="disarmed", link="up", detail="",
+                touching=False, owner=False, latency_ms=9.0, counters={"underruns": 0},
+            )  # fmt: skip
+        elif isinstance(command, Subscribe):
+            self.outbox.put_nowait(self._telemetry(command.display))
+        return Done()
+
+    @staticmethod
+    def _telemetry(name: str) -> Telemetry:
+        return Telemetry(
+            display=name, time_us=1, state="disarmed", position_mm=(0.0, 0.0),
+            velocity_mm_s=(0.0, 0.0), normal_force_n=0.0, shear_um=(0.0,), drive_v=(0.0,),
+            counters={},
+        )  # fmt: skip
+
+    def close(self) -> None:
+        self.closed += 1
+        self.hands.log.append((self.name, None))
+
+
+class Hands:
+    """The host: notes what its clients do, in `log` in the order in which it came."""
+
+    def __init__(self) -> None:
+        self.names = ["right", "left"]
+        self.log: list[tuple[str, Command | None]] = []
+        self.clients: list[Hand] = []
+        self.codes: dict[type, Any] = {}
+        self.gate = asyncio.Event()
+        self.gate.set()
+        self.armed = self.broken = False
+        self.alive = True
+        self.started = self.closings = self.reloads = self.beats = 0
+
+    async def start(self) -> None:
+        self.started += 1
+
+    async def close(self) -> None:
+        self.closings += 1
+        self.armed = False
+
+    async def reload(self) -> None:
+        self.reloads += 1
+
+    @property
+    def displays(self) -> tuple[DisplayInfo, ...]:
+        return tuple(display(name) for name in self.names)
+
+    def connect(self, name: str, *, may_arm: bool) -> Hand:
+        self.clients.append(Hand(self, name, may_arm))
+        return self.clients[-1]
+
+    def healthy(self) -> bool:
+        return self.alive
+
+    def beat(self) -> bool:
+        self.beats += 1
+        return self.alive
+
+    def figures(self) -> dict[str, dict[str, float]]:
+        return {name: {"underruns_total": 3.0, "latency_s": 0.009} for name in self.names}
+
+
+class Talker:
+    """A connection that speaks one of the subprotocols, in plain data."""
+
+    def __init__(self, link: ClientConnection, protocol: str) -> None:
+        self.link, self.protocol = link, protocol
+
+    async def send(self, **message: Any) -> None:
+        if self.protocol == JSON_PROTOCOL:
+            await self.link.send(json.dumps(message))
+        else:
+            await self.link.send(msgspec.msgpack.encode(message))
+
+    async def receive(self) -> dict[str, Any]:
+        data = await asyncio.wait_for(self.link.recv(), 20)
+        assert isinstance(data, str) is (self.protocol == JSON_PROTOCOL)
+        found = json.loads(data) if isinstance(data, str) else msgspec.msgpack.decode(data)
+        assert isinstance(found, dict)
+        return found
+
+    async def ask(self, **message: Any) -> dict[str, Any]:
+        await self.send(**message)
+        return await self.receive()
+
+    async def asked(self, **message: Any) -> dict[str, Any]:
+        """Return the answer, past the events that come before it."""
+        await self.send(**message, id=4711)
+        while (found := await self.receive()).get("id") != 4711:
+            assert found["type"] == "event"
+        return found
+
+    async def closed(self) -> tuple[int | None, str | None]:
+        await asyncio.wait_for(self.link.wait_closed(), 5)
+        return self.link.close_code, self.link.close_reason
+
+
+@asynccontextmanager
+async def talking(
+    server: Server, protocol: str = JSON_PROTOCOL, *, hello: bool = True, **options: Any
+) -> AsyncIterator[Talker]:
+    """Connect, and say `Hello` unless told not to."""
+    protocols = [Subprotocol(protocol)]
+    async with connect(server.url, subprotocols=protocols, **options) as link:
+        talker = Talker(link, protocol)
+        if hello:
+            welcome = await talker.ask(type="hello", client="test", id=0)
+            assert welcome["type"] == "welcome"
+        yield talker
+
+
+@asynccontextmanager
+async def daemon(osc: int = 0, **options: Any) -> AsyncIterator[tuple[Server, Hands]]:
+    """Run a server on a port of its own, its host in memory."""
+    hands = Hands()
+    config = Config(server=ServerConfig(port=0, **options), osc=OscConfig(port=osc))
+    async with running(config, host=hands) as server:
+        yield server, hands
+
+
+def run(test: Callable[[], Awaitable[T]], within: float = 30.0) -> T:
+    """Run a test's coroutine; one that hangs fails."""
+
+    async def bounded() -> T:
+        async with asyncio.timeout(within):
+            return await test()
+
+    return asyncio.run(bounded())
+
+
+async def until(condition: Callable[[], bool], within: float = 5.0) -> None:
+    """Wait until something is so."""
+    async with asyncio.timeout(within):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    """Return a port that nobody has at present."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        port: int = one.getsockname()[1]
+        return port
+
+
+async def get(there: Server, path: str, **headers: str) -> httpx.Response:
+    url = f"http://127.0.0.1:{there.port}{path}"
+    async with httpx.AsyncClient(trust_env=False) as client:
+        return await client.get(url, headers=headers)
+
+
+def figure(there: Server, name: str, **labels: str) -> float:
+    """Return the sum of a metric over the labels that are not given."""
+    return sum(
+        sample.value
+        for family in there.metrics.registry.collect()
+        for sample in family.samples
+        if sample.name == name and labels.items() <= sample.labels.items()
+    )
+
+
+BOTH = [JSON_PROTOCOL, MSGPACK_PROTOCOL]
+
+CONTACT = {
+    "type": "contact", "display": "right", "position_mm": [1.0, 2.0], "normal_force_n": 0.5,
+    "time_us": 5, "velocity_mm_s": [80.0, 0.0],
+}  # fmt: skip
+SELECT = {"type": "select", "display": "right", "layers": [{"texture": "wood-oak"}]}
+
+GOOD: dict[str, tuple[dict[str, Any], str]] = {
+    "list_textures": ({"type": "list_textures"}, "textures"),
+    "select": (SELECT, "done"),
+    "play": ({"type": "play", "display": "right"}, "done"),
+    "stop": ({"type": "stop", "display": "right"}, "done"),
+    "gain": ({"type": "gain", "display": "right", "gain": 0.5}, "done"),
+    "append": (
+        {"type": "append", "display": "right", "sample_rate_hz": 8000, "amplitude_um": 5,
+         "samples": [0, 0.5, -1]},
+        "appended",
+    ),
+    "effect": (
+        {"type": "effect", "display": "right", "amplitude_um": 5, "amplitude": [[0, 1], [9, 0]],
+         "frequency": [[0, 100]], "transients": [[0, 1, 160]]},
+        "done",
+    ),
+    "arm": ({"type": "arm", "display": "right"}, "done"),
+    "disarm": ({"type": "disarm", "display": "right"}, "done"),
+    "estop": ({"type": "estop"}, "done"),
+    "clear": ({"type": "clear", "display": "right"}, "done"),
+    "get_stats": ({"type": "get_stats", "display": "right"}, "stats"),
+    "ping": ({"type": "ping", "time_us": 77}, "pong"),
+}  # fmt: skip

@@ -144,8 +144,11 @@ class Host:
     def drop(self, client: "Client") -> None:
         """Forget a client: its finger lifts, what it plays fades."""
         if self._clients.pop(client.number, None) is not None and not self._closed:
+            alone = not any(other.may_arm for other in self._clients.values())
             for playing in self.playing.values():
                 self.run(partial(playing.leave, client.number))
+                if client.may_arm and alone and not playing.config.arm_on_start:
+                    self.run(playing.rest)
 
     def run(self, work: Callable[[], Awaitable[None]]) -> None:
         """Have something done that nobody waits for."""
@@ -203,10 +206,11 @@ class Client:
     Attributes
     ----------
     outbox : events and telemetry for it; full, the oldest telemetry goes
+    may_arm : whether it may arm and clear
     """
 
     def __init__(self, host: Host, number: int, name: str, *, may_arm: bool) -> None:
-        self.number, self.name, self._host, self._may_arm = number, name, host, may_arm
+        self.number, self.name, self._host, self.may_arm = number, name, host, may_arm
         self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
@@ -392,7 +396,7 @@ class Client:
         return m.Done()
 
     def _may_not(self) -> Failure | None:
-        if self._may_arm:
+        if self.may_arm:
             return None
         return Failure(code="unauthorized", message="this connection may not arm")
 

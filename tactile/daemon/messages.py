@@ -5,7 +5,7 @@ One WebSocket at ``/v1``; each message is one object whose ``type`` names it. Th
 
 A client says `Hello` first and is answered with `Welcome`. Requests may carry an ``id``, and are
 answered by `Done`, by a message of their own or by `Failure`, each with the same ``id``. `Contact`
-and `Waves` are streams: only what is wrong with them is answered. Fields that a side does not know
+is a stream: only what is wrong with it is answered. Fields that a side does not know
 are ignored; a message whose ``type`` it does not know is answered by `Failure` ``unknown_type``.
 What a message may hold is checked as it is decoded, to the path of the offending field.
 
@@ -17,6 +17,9 @@ lifts, falls silent for 100 ms, or is gone; who touches meanwhile is heard from 
 are the textures that the finger's client selected, their shear added up, each with its gain, and
 the waveforms of all clients, added to that. Each client's `Gain` scales all that is its own. The
 sum is limited as a whole: its tactile image keeps its shape. An e-stop comes before everything.
+
+High voltage is off until a client arms a display, or its configuration does. It goes off again
+with the last client that may arm.
 """
 
 from typing import Annotated, Any, Literal
@@ -142,8 +145,9 @@ class Append(Request, frozen=True, kw_only=True, tag="append"):
 
     As XR_FB_haptic_pcm: what does not fit the buffer is not taken; `Appended` tells how many
     samples were, and the rest is sent again. ``samples`` are −1 … 1 of ``amplitude_um``, a list, or
-    with MessagePack also little-endian float32 in a binary field. ``contactors`` name those that
-    play it, all where none is named.
+    with MessagePack also little-endian float32 in a binary field; 4000 at most either way.
+    ``contactors`` name those that play it, all where none is named. Without ``append`` what waits
+    is dropped first, in any case.
     """
 
     display: Name
@@ -327,15 +331,22 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
-    """Something that a client should know: a change of state, a fault, an underrun."""
+    """Something that a client should know: a change of state, a fault, an underrun.
+
+    Kinds are "armed", "disarmed", "estopped", "fault", "underrun", "link", "lost" (playback died
+    and is started again) and "textures" (they were read again); more may come.
+    """
 
     display: str
-    kind: Literal["armed", "disarmed", "estopped", "fault", "underrun", "link", "lost", "textures"]
+    kind: str
     detail: str = ""
 
 
 class Telemetry(Message, frozen=True, kw_only=True, tag="telemetry"):
-    """What a display does: shear [µm] and drive [V] of each contactor, where the finger is."""
+    """What a display does: shear [µm] and drive [V] of each contactor, where the finger is.
+
+    The time is the daemon's.
+    """
 
     display: str
     time_us: Microseconds

@@ -102,6 +102,7 @@ class Playing:
         self._number = 0
         self._opened: asyncio.Future[Opened] | None = None
         self._textures: dict[tuple[str, int], int] = {}
+        self._making: dict[tuple[str, int], asyncio.Task[int]] = {}
         self._armed = config.arm_on_start
         self._keeper: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
@@ -273,14 +274,24 @@ class Playing:
             Where it cannot be made ready.
         """
         key = name, seed
-        if key not in self._textures:
-            number, order = await self._workbench.make(self.display, name, seed, self.how)
+        if key in self._textures:
+            return self._textures[key]
+        if key not in self._making:
+            self._making[key] = asyncio.create_task(self._made(key))
+        return await asyncio.shield(self._making[key])
+
+    async def _made(self, key: tuple[str, int]) -> int:
+        """Have a texture made ready, once for all who wait for it."""
+        try:
+            number, order = await self._workbench.make(self.display, *key, self.how)
             if self._child is None or self.lost:
                 raise BusError("playback was lost")
             self._child.tell(order)
             self._textures[key] = number
             await self._tidy()
-        return self._textures[key]
+        finally:
+            del self._making[key]
+        return number
 
     async def _tidy(self) -> None:
         """Let go of textures that nobody has selected, the oldest first."""
@@ -316,6 +327,11 @@ class Playing:
             self.touch(client, lifted)
         if self.parts.pop(client, None) is not None and not self.lost:
             await self.ask(orders.Forget(client))
+
+    async def rest(self) -> None:
+        """Disarm, if it is armed."""
+        if self._armed and not self.lost:
+            await self.ask(orders.Disarm())
 
     # How it stands
 

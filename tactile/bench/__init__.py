@@ -14,14 +14,17 @@ from threadpoolctl import threadpool_limits
 from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
 from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
+from tactile.bench.crowd import measure_crowd, measure_crowd_long
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fuzz import measure_fuzz
+from tactile.bench.latency import measure_latency, measure_latency_long
 from tactile.bench.links import measure_links, measure_streams_long
 from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from tactile.bench.resources import measure_memory, measure_soak, measure_speed
 from tactile.bench.spectrum import measure_spectrum
+from tactile.bench.tracking import measure_tracking
 
 __all__ = ["BENCHMARKS", "LONG", "Figure", "at_least", "at_most", "measure"]
 
@@ -41,11 +44,16 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "faults": measure_faults,
     "budgets": measure_budgets,
     "links": measure_links,
+    "tracking": measure_tracking,
+    "latency": measure_latency,
+    "crowd": measure_crowd,
 }
 LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "soak": measure_soak,
     "fuzz": measure_fuzz,
     "streams": measure_streams_long,
+    "latency-long": measure_latency_long,
+    "crowd-long": measure_crowd_long,
 }
 """Those that take minutes."""
 

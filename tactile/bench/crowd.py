@@ -1,0 +1,147 @@
+"""A crowd: fifty programs touch one display at once while another one keeps a core busy.
+
+The daemon plays on 24 contactors to the C amplifier on a pty. What counts is that blocks are in
+time, that the amplifier's output never steps, and that memory does not grow.
+"""
+
+import asyncio
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile.bench.figures import Figure, at_most
+from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
+from tactile.daemon import messages as m
+from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
+from tactile.daemon.host import Host
+from tactile.daemon.server import running
+from tactile.display import load_display
+
+CLIENTS, RATE = 50, 90.0
+SHORT, LONG = 20.0, 300.0
+"""s."""
+SETTLED = 0.2
+"""Of the time after which memory has grown to what it needs."""
+NAME = "bench"
+CROWD = "from tactile.bench.crowd import be_many; be_many({!r}, {!r})"
+BUSY = "while True: pass"
+CHUNK = 1 << 22
+"""Bytes of records that are read at a time."""
+
+
+def be_many(url: str, seconds: float) -> None:
+    """Be fifty programs, each of which touches for a while."""
+    asyncio.run(_be_many(url, seconds))
+
+
+async def _be_many(url: str, seconds: float) -> None:
+    from tactile.client import aio
+
+    async def one(number: int) -> None:
+        async with aio.connect(url, timeout=30.0) as display:
+            await display.select("wood-oak")
+            if not number:
+                await display.arm()
+            begun = time.monotonic() + number / CLIENTS / RATE
+            for k in range(int(seconds * RATE)):
+                await asyncio.sleep(max(0.0, begun + k / RATE - time.monotonic()))
+                x = 0.04 * math.sin(2 * k / RATE)
+                await display.touch((x, 0.0), normal_force=0.5)
+
+    await asyncio.gather(*(one(number) for number in range(CLIENTS)))
+
+
+def resident(pid: int | str = "self") -> float:
+    """Return what a process has in memory [MiB]."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024
+    return math.nan
+
+
+class Steps:
+    """The largest step of what an amplifier puts out, read as it plays."""
+
+    def __init__(self, amplifier: VirtualAmplifier) -> None:
+        self._amplifier = amplifier
+        self._last: np.ndarray[tuple[int, ...], np.dtype[np.int32]] | None = None
+        self.largest = 0
+
+    def take(self) -> None:
+        """Read what there is."""
+        while len(codes := self._amplifier.take(CHUNK).codes):
+            wide = codes.astype(np.int32)
+            before = wide[:1] if self._last is None else self._last
+            self.largest = max(
+                self.largest, int(np.abs(np.diff(wide, axis=0, prepend=before)).max())
+            )
+            self._last = wide[-1:]
+
+
+async def _session(amplifier: VirtualAmplifier, seconds: float) -> Iterator[Figure]:
+    config = Config(
+        server=ServerConfig(port=0, most_clients=CLIENTS + 10),
+        osc=OscConfig(port=0),
+        display=(DisplayConfig(name=NAME, device=f"serial://{amplifier.path}"),),
+    )
+    host, steps = Host(config), Steps(amplifier)
+    async with running(config, host=host) as server:
+        child = host.playing[NAME].child
+        assert child is not None
+        words = CROWD.format(server.url, seconds)
+        busy = subprocess.Popen([sys.executable, "-c", BUSY])
+        crowd = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
+        begun, memory = time.monotonic(), [(0.0, 0.0, 0.0)]
+        ended = asyncio.create_task(crowd.wait())
+        while not ended.done():
+            await asyncio.wait({ended}, timeout=1.0)
+            steps.take()
+            passed = (time.monotonic() - begun) / seconds
+            memory.append((passed, resident(), resident(child.pid)))
+        busy.kill()
+        busy.wait()
+        stats = await host.connect("bench", may_arm=False).request(m.GetStats(display=NAME))
+        assert isinstance(stats, m.Stats)
+    steps.take()
+    return _figures(stats.counters, np.array(memory), steps.largest, seconds)
+
+
+def _figures(
+    counters: dict[str, int],
+    memory: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    largest: int,
+    seconds: float,
+) -> Iterator[Figure]:
+    display = load_display("reference-24")
+    blocks = max(counters["blocks"], 1)
+    bad = counters["late_blocks"] + counters["skipped_samples"] / 16
+    yield Figure("crowd.seconds", seconds, "s")
+    yield Figure("crowd.blocks", float(blocks), "")
+    yield at_most("crowd.late_blocks", 1e4 * bad / blocks, "of 10 000", 1)
+    yield Figure("crowd.underruns", float(counters["underruns"]), "")
+    slew = min(display.slew / 8000.0 / display.limits.voltage, 2.0) * FULL_SCALE_CODE
+    yield at_most("crowd.largest_step", largest / slew, "of slew", 1)
+    settled = memory[memory[:, 0] > SETTLED]
+    for column, name in ((1, "server"), (2, "playback")):
+        growth = float(settled[-1, column] - settled[0, column]) if len(settled) else math.nan
+        yield at_most(f"crowd.{name}_growth", growth, "MiB", 2)
+
+
+def measure_crowd(seconds: float = SHORT) -> Iterator[Figure]:
+    """Measure a crowd's daemon for a short while."""
+    if not can_be_built() or sys.platform != "linux":
+        return
+    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
+        yield from asyncio.run(_session(amplifier, seconds))
+
+
+def measure_crowd_long() -> Iterator[Figure]:
+    """Measure it for five minutes."""
+    yield from measure_crowd(LONG)

@@ -5,6 +5,7 @@ is in `test_bus_contract`.
 """
 
 import sys
+import threading
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,9 +30,11 @@ from bus_contract import (
 )
 
 from tactile.bus import base
-from tactile.bus.base import DriveBlock
+from tactile.bus.base import DriveBlock, Wiring
+from tactile.bus.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display import Display
+from tactile.errors import BusStateError
 
 SECOND = 8000
 
@@ -143,3 +146,23 @@ def test_the_plant_of_this_test_lies_outside_the_package(display: Display) -> No
     open_bus(IDEAL[3], display)
     module = sys.modules["plant_of_the_bus_contract"]
     assert not Path(str(module.__file__)).is_relative_to(Path(base.__file__).parents[1])
+
+
+def test_an_e_stop_from_another_thread_meets_whoever_writes() -> None:
+    wiring = Wiring(channels=4, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
+    bus = MockBus(wiring)
+    for _ in range(60):
+        bus.start()
+        stopping = threading.Thread(target=bus.estop)
+        position = 0
+        stopping.start()
+        try:
+            while True:
+                bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
+                position += 16
+        except BusStateError:
+            stopping.join()
+        assert bus.state == "estopped"
+        assert not bus.output[-1].any()
+        bus.clear()
+    bus.close()

@@ -7,6 +7,7 @@ is what the wire could carry. It is remembered: the last second, or with ``?keep
 ``?format=pcm16`` (the default), ``pcm12`` or ``bfp8`` chooses how samples are packed.
 """
 
+import threading
 from collections import deque
 
 import numpy as np
@@ -51,6 +52,8 @@ class MockBus(Bus):
         self._kept: deque[Floats] = deque()
         self._kept_samples = 0
         self._position = 0
+        self._guard = threading.RLock()
+        """Held by whoever moves the amplifiers on: an e-stop may come from any thread."""
         widths = [
             min(MOST_CHANNELS, wiring.channels - first)
             for first in range(0, wiring.channels, MOST_CHANNELS)
@@ -66,11 +69,16 @@ class MockBus(Bus):
         return np.concatenate([np.zeros((0, self.wiring.channels)), *self._kept])
 
     def _start(self, position: int) -> None:
-        self._position = position
-        for board in self.boards:
-            board.start(position, round(self.wiring.sample_rate))
+        with self._guard:
+            self._position = position
+            for board in self.boards:
+                board.start(position, round(self.wiring.sample_rate))
 
     def _write(self, block: DriveBlock) -> None:
+        with self._guard:
+            self._take(block)
+
+    def _take(self, block: DriveBlock) -> None:
         gap = block.position - self._position
         if gap > self.wiring.sample_rate * FADE_MS / 1000:
             self._play(gap)
@@ -101,22 +109,26 @@ class MockBus(Bus):
         self._end(quick=True)
 
     def _end(self, *, quick: bool) -> None:
-        self._put_all([board.end(quick=quick) for board in self.boards])
+        with self._guard:
+            self._put_all([board.end(quick=quick) for board in self.boards])
 
     def _put_all(self, ends: list[Floats]) -> None:
         longest = max(len(end) for end in ends)
         self._put(np.hstack([np.pad(end, ((0, longest - len(end)), (0, 0))) for end in ends]))
 
     def _close(self) -> None:
-        for board in self.boards:
-            board.disarm()
+        with self._guard:
+            for board in self.boards:
+                board.disarm()
 
     def _estop(self) -> None:
-        self._put_all([board.estop() for board in self.boards])
+        with self._guard:
+            self._put_all([board.estop() for board in self.boards])
 
     def _clear(self) -> None:
-        for board in self.boards:
-            board.clear()
+        with self._guard:
+            for board in self.boards:
+                board.clear()
 
     def _put(self, volts: Floats) -> None:
         """Put volts out; a driver with something behind it goes on from here."""

@@ -306,6 +306,24 @@ def check_display(
     raise typer.Exit(1 if report.faults else 0)
 
 
+@app.command("serve")
+def serve_displays(
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file; a simulated display without one.")
+    ] = None,
+) -> None:
+    """Play for other programs, such as VR apps, which connect by WebSocket or OSC.
+
+    Example: tactile serve --config tactile.toml
+    """
+    from tactile.daemon.config import load_config
+    from tactile.daemon.server import serve
+
+    told = load_config(config)
+    names = ", ".join(f"{one.name} ({one.device})" for one in told.display)
+    serve(told, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
+
+
 @app.command()
 def textures(
     name: Annotated[str | None, typer.Argument(help="Tell all of one texture.")] = None,

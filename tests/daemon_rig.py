@@ -208,9 +208,9 @@ class Talker:
 async def talking(
     server: Server, protocol: str = JSON_PROTOCOL, *, hello: bool = True, **options: Any
 ) -> AsyncIterator[Talker]:
-    """Connect, and say `Hello` unless told not to."""
-    protocols = [Subprotocol(protocol)]
-    async with connect(server.url, subprotocols=protocols, **options) as link:
+    """Connect, and say `Hello` unless told not to; answers that nobody reads do not pile up."""
+    options = {"subprotocols": [Subprotocol(protocol)], "max_queue": None, **options}
+    async with connect(server.url, **options) as link:
         talker = Talker(link, protocol)
         if hello:
             welcome = await talker.ask(type="hello", client="test", id=0)

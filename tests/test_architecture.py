@@ -41,15 +41,27 @@ MAP: dict[str, set[str]] = {
         "display",
         "display_map",
         "errors",
+        "files",
         "recording",
         "rendering",
         "sim",
         "texture",
     },
+    "client": {"daemon", "errors"},
+    "local": {"client", "daemon"},
     "study": {"actuator"},
     "plots": {"actuator", "display", "errors"},
     "terminal": {"display"},
-    "bench": {"actuator", "bus", "display", "rendering", "sim", "texture"},
+    "bench": {
+        "actuator",
+        "bus",
+        "client",
+        "daemon",
+        "display",
+        "rendering",
+        "sim",
+        "texture",
+    },
     "printing": set(),
     "cli": {
         "bench",
@@ -76,7 +88,11 @@ AT_HOME = {
 """Libraries that only some modules may import."""
 COMPARED = {"construct", "crccheck", "crcmod", "isotp"}
 """Libraries that the benchmarks measure beside ours where they are installed; none is needed."""
-PACKAGED = {"serial": "pyserial", "can": "python-can"}
+PACKAGED = {
+    "serial": "pyserial",
+    "can": "python-can",
+    "prometheus_client": "prometheus-client",
+}
 """Libraries whose package has another name."""
 BY_NAME = {"__init__", "sim"}
 """Modules that may import by a name made at run time: lazily, and a user's plant."""
@@ -174,6 +190,13 @@ def test_a_module_imports_only_what_its_room_may_know(module: str) -> None:
     if room == "cli":
         known -= {""}
     assert known <= MAP[room], f"{module} must not know {known - MAP[room]}"
+
+
+def test_a_client_knows_of_the_daemon_only_what_is_said() -> None:
+    for module in SOURCES:
+        if room_of(module) == "client":
+            found = {name for name in own_imports(module) if room_of(name) == "daemon"}
+            assert found <= {"daemon.messages"}, module
 
 
 @pytest.mark.parametrize("module", ALONE)
@@ -302,6 +325,12 @@ def test_the_rendering_room_loads_no_drawing_and_no_command_line() -> None:
     loaded = loaded_after("import tactile; tactile.render, tactile.open_bus")
     assert "scipy" in loaded
     assert loaded & {"matplotlib", "rich", "typer", "threadpoolctl"} == set()
+
+
+def test_a_client_loads_neither_rendering_nor_drivers() -> None:
+    loaded = loaded_after("import tactile; tactile.connect")
+    heavy = {"numpy", "scipy", "serial", "can", "smbus2", "sounddevice", "starlette", "uvicorn"}
+    assert loaded & heavy == set()
 
 
 def test_the_command_line_loads_no_plots_until_they_are_drawn() -> None:

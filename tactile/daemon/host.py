@@ -110,7 +110,9 @@ class Host:
         TactileError
             For a configuration that cannot be used; all stays as it was.
         """
-        config = load_config(self._config.path)
+        config = self._config
+        if config.path is not None:
+            config = load_config(config.path)
         wanted = {one.name: one for one in config.display}
         self._textures = shipped_textures()
         for name, playing in list(self.playing.items()):
@@ -121,6 +123,7 @@ class Host:
         for name, one in wanted.items():
             if name not in self.playing:
                 await self._add(Playing(one, self._workbench, self._tell))
+        self.playing = {name: self.playing[name] for name in wanted}
         for name in self.playing:
             self._tell(Event(display=name, kind="textures"))
 
@@ -189,7 +192,7 @@ class Host:
         found = {}
         for name, playing in self.playing.items():
             r = playing.report
-            found[name] = {k: float(v) for k, v in r.counters.items()} | {
+            found[name] = {f"{k}_total": float(v) for k, v in r.counters.items()} | {
                 "armed": float(r.state == "armed"),
                 "estopped": float(r.state == "estopped"),
                 "link_up": float(r.link == "up"),

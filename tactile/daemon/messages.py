@@ -18,6 +18,10 @@ are the textures that the finger's client selected, their shear added up, each w
 the waveforms of all clients, added to that. Each client's `Gain` scales all that is its own. The
 sum is limited as a whole: its tactile image keeps its shape. An e-stop comes before everything.
 
+The connection is closed with 4400 where the first message is no hello, 4401 for a wrong token, 4406
+for another version, 4408 where no hello comes, 4429 where there are too many clients, 4008 for a
+flood of failures or a client that does not read, 1009 for what is too large, 1001 at the end.
+
 High voltage is off until a client arms a display, or its configuration does. It goes off again
 with the last client that may arm.
 """
@@ -42,7 +46,7 @@ SILENCE = 0.1
 """s after which a client that said it touches is taken to have lifted."""
 
 Id = Annotated[int, Meta(ge=0, le=2**53)]
-Name = Annotated[str, Meta(max_length=64, pattern="^[A-Za-z0-9][A-Za-z0-9._ -]*$")]
+Name = Annotated[str, Meta(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$(?!\n)")]
 Millimeters = Annotated[float, Meta(ge=-1e5, le=1e5)]
 Speed = Annotated[float, Meta(ge=-1e4, le=1e4)]
 Force = Annotated[float, Meta(ge=0, le=50)]
@@ -153,7 +157,10 @@ class Append(Request, frozen=True, kw_only=True, tag="append"):
     display: Name
     sample_rate_hz: Annotated[float, Meta(ge=100, le=48_000)]
     amplitude_um: Micrometers
-    samples: Annotated[tuple[Signed, ...], Meta(max_length=MOST_SAMPLES)] | bytes
+    samples: (
+        Annotated[tuple[Signed, ...], Meta(max_length=MOST_SAMPLES)]
+        | Annotated[bytes, Meta(max_length=4 * MOST_SAMPLES)]
+    )
     append: bool = True
     contactors: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=4095)], ...], Meta(max_length=4096)

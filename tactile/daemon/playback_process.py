@@ -45,6 +45,7 @@ class Program:
         self._orders: deque[tuple[int, Order]] = deque()
         self._said: queue.Queue[Answer | News] = queue.Queue(WAITING)
         self._news = threading.Event()
+        self._stopping = threading.Lock()
         self._ended = False
         self._told = "", "disarmed", "up"
         self._underruns = 0
@@ -59,7 +60,7 @@ class Program:
             while not self._ended:
                 if player.memory.estops != estops:
                     estops = player.memory.estops
-                    player.bus.estop()
+                    self._estop()
                 while self._orders:
                     self._obey(*self._orders.popleft())
                 if player.running:
@@ -84,13 +85,19 @@ class Program:
             except (EOFError, OSError, pickle.UnpicklingError):
                 break
             if isinstance(order, orders.EStop):
-                self._player.bus.estop()
+                self._estop()
                 self._say(Answer(number))
             else:
                 self._orders.append((number, order))
             self._news.set()
         self._ended = True
         self._news.set()
+
+    def _estop(self) -> None:
+        """Stop at once, whoever was asked first: this loop, or who reads orders."""
+        with self._stopping:
+            if self._player.bus.state != "estopped":
+                self._player.bus.estop()
 
     def _obey(self, number: int, order: Order) -> None:
         try:
@@ -129,6 +136,7 @@ class Program:
                 player.disarm()
             case orders.Clear():
                 player.bus.clear()
+                player.write_report()
         return ()
 
     def _append(self, order: orders.Wave) -> tuple[float, ...]:

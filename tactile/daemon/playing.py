@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from msgspec import structs
+
 from tactile.daemon import drawing, orders
 from tactile.daemon.children import Child
 from tactile.daemon.config import DisplayConfig
@@ -102,6 +104,7 @@ class Playing:
         self._number = 0
         self._opened: asyncio.Future[Opened] | None = None
         self._textures: dict[tuple[str, int], int] = {}
+        self._about = self._described()
         self._making: dict[tuple[str, int], asyncio.Task[int]] = {}
         self._armed = config.arm_on_start
         self._keeper: asyncio.Task[None] | None = None
@@ -147,7 +150,7 @@ class Playing:
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
-        self.lost = False
+        self.lost, self._about = False, self._described()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
@@ -355,8 +358,12 @@ class Playing:
     @property
     def info(self) -> DisplayInfo:
         """What clients are told."""
-        d, report = self.display, self.report
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
+        latency = self.report.latency or self.how.latency + renders
+        return structs.replace(self._about, latency_ms=1e3 * latency)
+
+    def _described(self) -> DisplayInfo:
+        d = self.display
         return DisplayInfo(
             name=self.config.name,
             contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in d.contactors),
@@ -364,7 +371,7 @@ class Playing:
             sample_rate_hz=self.how.sample_rate,
             voltage_limit_v=d.limits.voltage,
             waveforms=not self.how.carriers,
-            latency_ms=1e3 * (report.latency or self.how.latency + renders),
+            latency_ms=0.0,
         )
 
 

@@ -1,0 +1,363 @@
+"""OSC: what engines send, read as python-osc writes it, and what nobody should send.
+
+The judge of what is OSC is python-osc, where it comes to an end; it hangs on one packet here.
+"""
+
+import asyncio
+import math
+import random
+import socket
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+from daemon_rig import Hands, daemon, figure, free_port, run, until
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message_builder import OscMessageBuilder, build_msg
+from pythonosc.osc_packet import OscPacket
+
+from tactile.daemon import osc
+from tactile.daemon.messages import Arm, Clear, Contact, EStop, Failure, Gain, Select, Stop
+from tactile.daemon.osc import read_packet, to_command
+from tactile.daemon.server import Server
+from tactile.errors import InputError
+
+
+@asynccontextmanager
+async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.socket]]:
+    """Run a server, and a socket that sends to its OSC port."""
+    port = free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", port))
+        async with daemon(osc=port, **options) as (there, hands):
+            yield there, hands, link
+
+
+def packet(address: str, *values: Any) -> bytes:
+    return bytes(build_msg(address, values).dgram)
+
+
+def bundle(*parts: bytes, time: float = IMMEDIATELY) -> bytes:
+    """Return a bundle, written from the specification."""
+    head = b"#bundle\0" + struct.pack(">Q", 1 if time == IMMEDIATELY else int(time) << 32)
+    return head + b"".join(struct.pack(">i", len(part)) + part for part in parts)
+
+
+# What is read
+
+
+@pytest.mark.parametrize(
+    "values", [(), (1.5,), (1, 2, 3), ("a", 1.0, "", 7), ("wood-oak",), (2**40, -(2**40))]
+)
+def test_messages_are_read_as_python_osc_reads_them(values: tuple[Any, ...]) -> None:
+    data = packet("/tactile/x", *values)
+    (judged,) = OscPacket(data).messages
+    assert read_packet(data) == [(judged.message.address, list(judged.message.params))]
+    assert read_packet(data) == [("/tactile/x", list(values))]
+
+
+def test_doubles_are_read() -> None:
+    builder = OscMessageBuilder("/a")
+    builder.add_arg(math.pi, "d")
+    assert read_packet(builder.build().dgram) == [("/a", [math.pi])]
+
+
+def test_bundles_in_bundles_are_read_in_their_order() -> None:
+    inner = OscBundleBuilder(IMMEDIATELY)
+    for number in (2, 3):
+        inner.add_content(build_msg("/b", [number]))
+    outer = OscBundleBuilder(IMMEDIATELY)
+    outer.add_content(build_msg("/a", [1]))
+    outer.add_content(inner.build())
+    outer.add_content(build_msg("/a", [4]))
+    data = outer.build().dgram
+    found = [(one.message.address, list(one.message.params)) for one in OscPacket(data).messages]
+    assert read_packet(data) == found
+    assert [values for _, values in found] == [[1], [2], [3], [4]]
+
+
+BAD_PACKETS = {
+    "nothing": b"",
+    "no address": b"tactile\0",
+    "address without end": b"/tactile",
+    "types without comma": b"/a\0\0i\0\0\0\0\0\0\1",
+    "value missing": b"/a\0\0,i\0\0",
+    "value cut": b"/a\0\0,i\0\0\0\0",
+    "string without end": b"/a\0\0,s\0\0abcd",
+    "many values": b"/a\0\0," + b"i" * 9 + b"\0\0" + b"\0\0\0\1" * 9,
+    "unknown type": b"/a\0\0,b\0\0\0\0\0\1x\0\0\0",
+    "no ASCII": b"/\xff\0\0,\0\0\0",
+    "bundle cut": b"#bundle\0\0\0",
+    "element of -4 bytes": b"#bundle\0" + bytes(7) + b"\1" + b"\xff\xff\xff\xfc",
+    "element of 0 bytes": b"#bundle\0" + bytes(7) + b"\1" + bytes(4) + packet("/a"),
+    "element too long": b"#bundle\0" + bytes(7) + b"\1" + b"\0\0\1\0" + packet("/a"),
+    "element of 5 bytes": b"#bundle\0" + bytes(7) + b"\1" + b"\0\0\0\5" + packet("/a") + b"\0",
+    "too large": packet("/a") + bytes(5000),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PACKETS)
+def test_what_is_no_osc_is_refused_and_comes_to_an_end(name: str) -> None:
+    """python-osc 1.10 reads an element of −4 bytes for ever."""
+    with pytest.raises(InputError):
+        read_packet(BAD_PACKETS[name])
+
+
+def test_bundles_nested_as_deep_as_a_packet_holds_are_read() -> None:
+    data = packet("/a")
+    while len(data) + 20 <= osc.LARGEST_PACKET:
+        data = bundle(data)
+    assert read_packet(data) == [("/a", [])]
+
+
+# What it means
+
+
+@pytest.mark.parametrize(
+    ("address", "values", "expected"),
+    [
+        (
+            "/tactile/contact", [1.0, 2.0, 0.5],
+            Contact(display="right", position_mm=(1.0, 2.0), normal_force_n=0.5),
+        ),
+        (
+            "/tactile/left/contact", [1, 2, 0, 80.0, -3],
+            Contact(
+                display="left", position_mm=(1, 2), normal_force_n=0, velocity_mm_s=(80.0, -3)
+            ),
+        ),
+        ("/tactile/gain", [0.25], Gain(display="right", gain=0.25)),
+        ("/tactile/stop", [], Stop(display="right")),
+        ("/tactile/stop", [1], Stop(display="right")),
+        ("/tactile/left/estop", [], EStop(display="left")),
+        ("/tactile/texture", [], Select(display="right", layers=())),
+        ("/tactile/texture", [""], Select(display="right", layers=())),
+    ],
+)  # fmt: skip
+def test_messages_become_commands(address: str, values: list[Any], expected: Any) -> None:
+    assert to_command(address, values, "right") == expected
+
+
+def test_textures_become_layers() -> None:
+    command = to_command("/tactile/texture", ["wood-oak", "silk"], "right")
+    assert isinstance(command, Select)
+    assert [layer.texture for layer in command.layers] == ["wood-oak", "silk"]
+
+
+BAD_MESSAGES: list[tuple[str, list[Any]]] = [
+    ("/tactile/contact", []),
+    ("/tactile/contact", [1.0, 2.0]),
+    ("/tactile/contact", [1.0, 2.0, 0.5, 80.0]),
+    ("/tactile/contact", [math.nan, 2.0, 0.5]),
+    ("/tactile/contact", [1.0, math.inf, 0.5]),
+    ("/tactile/contact", [1.0, 2.0, math.nan]),
+    ("/tactile/contact", [1.0, 2.0, -0.5]),
+    ("/tactile/contact", [1.0, 2.0, 51.0]),
+    ("/tactile/contact", [1e9, 2.0, 0.5]),
+    ("/tactile/contact", [1.0, 2.0, 0.5, math.nan, 0.0]),
+    ("/tactile/contact", ["1", 2.0, 0.5]),
+    ("/tactile/../contact", [1.0, 2.0, 0.5, 0.0, 0.0, 0.0]),
+    ("/tactile/gain", [1.5]),
+    ("/tactile/gain", []),
+    ("/tactile/gain", ["1"]),
+    ("/tactile/texture", [5]),
+    ("/tactile/texture", ["../../etc/passwd"]),
+    ("/tactile/texture", ["a", "b", "c", "d", "e"]),
+    ("/tactile/arm", []),
+    ("/tactile/right/arm", [1]),
+    ("/tactile/clear", []),
+    ("/tactile/disarm", []),
+    ("/tactile/append", [1.0]),
+    ("/tactile", []),
+    ("/", []),
+    ("/other/contact", [1.0, 2.0, 0.5]),
+    ("/avatar/parameters/x", [1.0]),
+    ("/tactile/*", []),
+    ("/tactile/{stop,arm}", []),
+]
+
+
+@pytest.mark.parametrize(("address", "values"), BAD_MESSAGES)
+def test_what_cannot_be_meant_is_a_failure(address: str, values: list[Any]) -> None:
+    assert isinstance(to_command(address, values, "right"), Failure)
+
+
+# Over a socket
+
+
+def test_what_is_sent_reaches_the_display_by_a_client_that_may_not_arm() -> None:
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            link.send(packet("/tactile/left/contact", 3.0, 4.0, 0.5))
+            link.send(bundle(packet("/tactile/gain", 0.5), packet("/tactile/estop")))
+            await until(lambda: len(hands.log) == 4)
+            (hand,) = hands.clients
+            assert not hand.may_arm
+            assert [c.display for c in hand.contacts] == ["right", "left"]
+            assert {type(c) for c in hand.commands} == {Gain, EStop}
+            assert figure(there, "tactile_clients", transport="osc") == 1
+
+    run(story)
+
+
+def test_a_bundle_of_the_future_is_carried_out_at_once_and_keeps_nobody_waiting() -> None:
+    async def story() -> None:
+        async with sending() as (_, hands, link):
+            link.send(bundle(packet("/tactile/contact", 1.0, 2.0, 0.5), time=4e9))
+            await until(lambda: len(hands.log) == 1, within=2)
+
+    run(story)
+
+
+def test_what_is_wrong_is_counted_and_logged_in_bounds_and_nothing_is_armed(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            for data in BAD_PACKETS.values():
+                link.send(data)
+            for address, values in BAD_MESSAGES:
+                link.send(packet(address, *values))
+            link.send(packet("/tactile/right/contact", 1.0, 2.0, 0.5))
+            await until(lambda: len(hands.log) == 1)
+            assert figure(there, "tactile_failures_total", code="malformed") == len(BAD_PACKETS)
+            wrong = figure(there, "tactile_failures_total", transport="osc")
+            assert wrong == len(BAD_PACKETS) + len(BAD_MESSAGES)
+            assert figure(there, "tactile_failures_total", code="internal") == 0
+            assert not hands.armed
+
+    run(story)
+    complaints = [record for record in caplog.records if record.name == "tactile.osc"]
+    assert len(complaints) == len(BAD_PACKETS) + len(BAD_MESSAGES)
+    assert all("\n" not in str(record.__dict__["fields"]) for record in complaints)
+
+
+def test_a_host_that_breaks_is_counted_and_what_follows_is_heard() -> None:
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            hands.broken = True
+            link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            await until(lambda: figure(there, "tactile_failures_total", code="internal") == 1)
+            hands.broken = False
+            link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            await until(lambda: len(hands.log) == 1)
+
+    run(story)
+
+
+def test_a_sender_that_sends_too_fast_loses_messages() -> None:
+    async def story() -> None:
+        async with sending(messages_per_second=10) as (there, hands, link):
+            for _ in range(100):
+                link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            reason = {"transport": "osc", "reason": "too_fast"}
+            await until(lambda: figure(there, "tactile_dropped_messages_total", **reason) > 80)
+            assert len(hands.clients[0].contacts) < 15
+
+    run(story)
+
+
+def test_senders_are_bounded_and_those_that_are_silent_make_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(osc, "YIELDS_AFTER", 0.05)
+
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            links = []
+            for _ in range(osc.MOST_SENDERS + 1):
+                other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                other.connect(link.getpeername())
+                other.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+                links.append(other)
+            code = "too_many_clients"
+            await until(lambda: figure(there, "tactile_failures_total", code=code) == 1)
+            assert len(hands.clients) == osc.MOST_SENDERS
+            await asyncio.sleep(0.06)
+            for other in (*links[1:-1], links[-1]):
+                other.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            await until(lambda: len(hands.clients) == osc.MOST_SENDERS + 1)
+            closed = [hand.closed for hand in hands.clients]
+            assert closed == [1] + [0] * osc.MOST_SENDERS, "the one that was silent longest"
+            for other in links:
+                other.close()
+
+    run(story)
+
+
+def test_a_silent_sender_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(osc, "SILENCE", 0.05)
+
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
+            await until(lambda: [hand.closed for hand in hands.clients] == [1])
+            assert figure(there, "tactile_clients", transport="osc") == 0
+
+    run(story)
+
+
+def test_it_listens_on_loopback_only_and_a_port_that_is_taken_is_one_line() -> None:
+    async def story() -> None:
+        async with sending() as (_, __, link):
+            assert link.getpeername()[0] == "127.0.0.1"
+            port = link.getpeername()[1]
+            with pytest.raises(InputError, match=rf"osc\.port = {port}: .*; 0 is off"):
+                async with daemon(osc=port):
+                    pass
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as elsewhere:
+                elsewhere.bind(("127.0.0.2", port))  # free: not all addresses were taken
+
+    run(story)
+
+
+# Fuzz
+
+
+def mutated(rng: random.Random) -> bytes:
+    """Return a packet with a few faults, or with none."""
+    verbs = [*osc.VERBS, "arm", "clear", "disarm", "right/contact", "left/arm", "x/y/z", ""]
+    odd = [0.0, 1.0, -1.0, math.nan, math.inf, 1e9, 7, -1, "", "wood-oak", "../x", "a" * 100, True]
+    values = [rng.choice(odd) for _ in range(rng.randrange(7))]
+    data = bytes(packet(f"/tactile/{rng.choice(verbs)}", *values))
+    while rng.random() < 0.3:
+        data = bundle(*[data] * rng.randrange(1, 4))
+    if rng.random() < 0.5:
+        broken = bytearray(data)
+        for _ in range(rng.randrange(1, 5)):
+            broken[rng.randrange(len(broken))] = rng.randrange(256)
+        data = bytes(broken[: rng.randrange(len(broken) + 1)])
+    return data[: osc.LARGEST_PACKET + 1]
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.ci)])
+def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = random.Random(count)
+    monkeypatch.setattr(osc.log, "disabled", True)
+
+    async def story() -> None:
+        async with sending(messages_per_second=100_000) as (there, hands, link):
+            for number in range(count):
+                link.send(mutated(rng))
+                if number % 20 == 19:  # as many as a socket's buffer surely holds
+                    link.send(packet("/tactile/gain", 0.125))
+                    seen = number // 20
+                    await until(lambda seen=seen: heard(hands) > seen)  # type: ignore[misc]
+            assert figure(there, "tactile_failures_total", code="internal") == 0
+            assert figure(there, "tactile_failures_total", code="malformed") > count / 10
+            assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
+            assert not hands.armed
+            found = {type(c) for hand in hands.clients for c in hand.commands}
+            assert not found & {Arm, Clear}
+            assert found >= {Gain, Stop, EStop}
+
+    def heard(hands: Hands) -> int:
+        said = [c for hand in hands.clients for c in hand.commands]
+        return sum(1 for c in said if isinstance(c, Gain) and c.gain == 0.125)
+
+    run(story, within=30 if count == 2000 else 600)

@@ -1,0 +1,580 @@
+"""Who may connect, and what those can do who should not: nothing that others notice, and no volt.
+
+Figures are counts and orders, not times: what one client does must not show in what others get.
+"""
+
+import asyncio
+import json
+import logging
+import random
+import socket
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import httpx
+import msgspec
+import pytest
+from daemon_rig import (
+    BOTH,
+    CONTACT,
+    GOOD,
+    LARGE,
+    Talker,
+    daemon,
+    figure,
+    free_port,
+    get,
+    run,
+    talking,
+    until,
+)
+from test_osc import mutated as osc_mutated
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin, Subprotocol
+
+from tactile.daemon import connection, osc, server, sockets
+from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm
+from tactile.daemon.security import Door, host_name, is_token, refusal
+from tactile.daemon.server import Server, listen, running
+from tactile.errors import InputError
+
+each_encoding = pytest.mark.parametrize("protocol", BOTH)
+
+TOKEN = "correct horse battery staple"
+APP = "https://app.example"
+
+
+# Who may connect
+
+HOSTS = [
+    ("127.0.0.1:7411", True),
+    ("localhost:7411", True),
+    ("LocalHost", True),
+    ("[::1]:7411", True),
+    ("[::1]", True),
+    ("box.local", True),  # as configured
+    ("192.168.1.5:7411", True),  # where the request came to
+    ("", False),
+    ("evil.example", False),
+    ("evil.example:7411", False),
+    ("localhost.evil.example", False),
+    ("127.0.0.1.nip.io", False),
+    ("localhost:7411@evil.example", False),
+    ("evil.example:localhost", False),
+    ("127.0.0.1:7411:80", False),
+    ("127.0.0.1, evil.example", False),
+    ("192.168.1.6", False),
+    ("2130706433", False),
+    ("0.0.0.0:7411", False),
+    ("localhost.", False),
+    ("localhost:٧٤", False),
+]
+
+
+@pytest.mark.parametrize(("host", "allowed"), HOSTS)
+def test_only_this_servers_names_are_taken_for_it(host: str, allowed: bool) -> None:
+    config = ServerConfig(host="box.local", token_file="x")
+    headers = [(b"host", host.encode())]
+    assert (refusal(headers, config, "192.168.1.5") == "") is allowed
+
+
+def test_all_addresses_are_a_place_to_listen_and_no_name() -> None:
+    config = ServerConfig(host="0.0.0.0", token_file="x")
+    assert refusal([(b"host", b"0.0.0.0")], config, "192.168.1.5")
+    assert refusal([(b"host", b"192.168.1.5:80")], config, "192.168.1.5") == ""
+    assert refusal([(b"host", b"192.168.1.5:80")], config, "::ffff:192.168.1.5") == ""
+    assert refusal([(b"host", b"[fe80::1]:80")], config, "fe80::1") == ""
+
+
+def test_one_host_must_be_named_and_not_two() -> None:
+    assert refusal([], ServerConfig(), None)
+    assert refusal([(b"host", b"localhost"), (b"host", b"localhost")], ServerConfig(), None)
+    assert host_name("[::1]:7411") == "[::1]"
+
+
+ORIGINS = [
+    ({}, True),
+    ({"origin": APP}, True),
+    ({"origin": APP, "sec-fetch-site": "cross-site"}, True),
+    ({"origin": APP + "/"}, False),
+    ({"origin": APP.upper()}, False),
+    ({"origin": APP + ":8443"}, False),
+    ({"origin": "http://app.example"}, False),
+    ({"origin": "https://app.example.evil.example"}, False),
+    ({"origin": "null"}, False),
+    ({"origin": ""}, False),
+    ({"origin": "http://localhost:7411"}, False),
+    ({"origin": "http://127.0.0.1:7411"}, False),
+    ({"origin": "file://"}, False),
+    ({"origin": "http://evil.example"}, False),
+    ({"sec-fetch-site": "cross-site"}, False),
+    ({"sec-fetch-site": "same-site"}, False),
+    ({"sec-fetch-site": "same-origin"}, True),
+    ({"sec-fetch-site": "none"}, True),
+    ({"sec-fetch-site": ""}, False),
+]
+
+
+@pytest.mark.parametrize(("headers", "allowed"), ORIGINS)
+def test_a_page_is_refused_unless_it_was_invited_and_a_program_is_not(
+    headers: dict[str, str], allowed: bool
+) -> None:
+    """The same for the WebSocket, before it is open, and for all that is served over HTTP."""
+
+    async def story() -> None:
+        async with daemon(origins=(APP,)) as (there, hands):
+            for path in ("/healthz", "/metrics", "/v1/schema", "/", "/nope"):
+                found = await get(there, path, **headers)
+                assert (found.status_code != 403) is allowed, path
+            options: dict[str, Any] = {"additional_headers": headers}
+            if allowed:
+                async with talking(there, **options):
+                    pass
+            else:
+                with pytest.raises(InvalidStatus) as caught:
+                    await connect(there.url, subprotocols=[Subprotocol(JSON_PROTOCOL)], **options)
+                assert caught.value.response.status_code == 403
+            assert len(hands.clients) == int(allowed)
+
+    run(story)
+
+
+def test_two_origins_are_one_too_many() -> None:
+    config = ServerConfig(origins=(APP,))
+    host = (b"host", b"localhost")
+    one = (b"origin", APP.encode())
+    assert refusal([host, one], config, None) == ""
+    assert refusal([host, one, one], config, None)
+    assert refusal([host, one, (b"origin", b"null")], config, None)
+
+
+def test_a_rebound_name_gets_nothing() -> None:
+    """evil.example now is 127.0.0.1: the page is of the same origin, but the name stays."""
+
+    async def story() -> None:
+        async with daemon() as (there, hands):
+            name = f"evil.example:{there.port}"
+            for path in ("/healthz", "/metrics", "/v1/schema"):
+                found = await get(there, path, host=name)
+                assert (found.status_code, found.text) == (403, "Host is not one of this server\n")
+            for origin in (None, Origin(f"http://{name}")):
+                with pytest.raises(InvalidStatus, match="403"):
+                    await connect(
+                        f"ws://{name}/v1", host="127.0.0.1", port=there.port, origin=origin,
+                        subprotocols=[Subprotocol(JSON_PROTOCOL)], proxy=None,
+                    )  # fmt: skip
+            assert hands.clients == []
+
+    run(story)
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS"])
+def test_nothing_is_done_by_http(method: str) -> None:
+    async def story() -> None:
+        async with daemon() as (there, _), httpx.AsyncClient(trust_env=False) as client:
+            for path in ("/", "/healthz", "/metrics", "/v1/schema"):
+                url = f"http://127.0.0.1:{there.port}{path}"
+                assert (await client.request(method, url)).status_code == 405
+
+    run(story)
+
+
+# The token
+
+
+@pytest.fixture
+def token_file(tmp_path: Path) -> str:
+    path = tmp_path / "token"
+    path.write_text(TOKEN + "\n")
+    return str(path)
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "PENALTY", 0.01)
+
+
+@pytest.mark.usefixtures("hasty")
+@pytest.mark.parametrize(
+    "said", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), TOKEN + "\n", "\0", "µ" * 50]
+)
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_wrong_token_is_all_that_is_told(said: str, version: int, token_file: str) -> None:
+    async def story() -> None:
+        async with (
+            daemon(token_file=token_file) as (there, hands),
+            talking(there, hello=False) as talker,
+        ):
+            hello = {"type": "hello", "client": "a", "version": version, "token": said}
+            found = await talker.ask(**hello)
+            assert found == {
+                "type": "failure", "code": "unauthorized", "message": "wrong token",
+                "field": "token",
+            }  # fmt: skip
+            assert await talker.closed() == (4401, "unauthorized")
+            assert hands.clients == []
+
+    run(story)
+
+
+def test_the_token_lets_in_and_is_never_logged(
+    token_file: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG)
+
+    async def story() -> None:
+        async with (
+            daemon(token_file=token_file) as (there, hands),
+            talking(there, hello=False) as talker,
+        ):
+            logging.getLogger("uvicorn.error").setLevel(logging.DEBUG)
+            welcome = await talker.ask(type="hello", client="a", token=TOKEN)
+            assert welcome["type"] == "welcome"
+            async with talking(there, hello=False) as second:
+                await second.ask(type="hello", client="b", token=TOKEN)
+            assert hands.clients[0].may_arm
+            assert (await get(there, "/metrics")).status_code == 401
+            wrong = await get(there, "/metrics", authorization="Bearer wrong")
+            assert wrong.status_code == 401
+            right = await get(there, "/metrics", authorization=f"Bearer {TOKEN}")
+            assert right.status_code == 200
+            assert (await get(there, "/healthz")).status_code == 200
+            assert TOKEN not in repr(there)
+
+    run(story)
+    said = [record for record in caplog.records if record.name.startswith(("tactile", "uvicorn"))]
+    assert said
+    assert all(TOKEN not in f"{record.getMessage()} {record.__dict__}" for record in said)
+
+
+def test_where_no_token_is_set_none_is_asked_for() -> None:
+    assert is_token("anything", None)
+    assert not is_token("", b"secret")
+    assert is_token("secret", b"secret")
+    assert "secret" not in repr(Door(lambda *_: None, ServerConfig(), b"secret"))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
+    """Also where a name that seemed to be this machine turns out to be more."""
+    config = ServerConfig(host=host, port=0, token_file="x")
+    with pytest.raises(
+        InputError, match=r"which others can reach: server\.token_file must be given"
+    ):
+        listen(config, guarded=False)
+
+
+# One client and the others
+
+
+def test_one_client_more_than_may_be_is_told_and_a_place_becomes_free_again() -> None:
+    async def story() -> None:
+        async with daemon(most_clients=2) as (there, hands):
+            async with talking(there) as first, talking(there):
+                async with talking(there, hello=False) as third:
+                    found = await third.ask(type="hello", client="third", id=7)
+                    assert (found["code"], found["id"]) == ("too_many_clients", 7)
+                    assert (await third.closed())[0] == 4429
+                assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
+            await until(lambda: there.site.clients == 0)
+            async with talking(there):
+                pass
+            await until(lambda: [hand.closed for hand in hands.clients] == [1, 1, 1])
+
+    run(story)
+
+
+def test_those_that_say_nothing_do_not_take_the_clients_places() -> None:
+    async def story() -> None:
+        async with (
+            daemon(most_clients=2) as (there, _),
+            talking(there) as first,
+            talking(there, hello=False),
+            talking(there, hello=False),
+            talking(there, hello=False) as fourth,
+        ):
+            assert (await fourth.receive())["code"] == "too_many_clients"
+            assert (await fourth.closed())[0] == 4429
+            assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
+
+    run(story)
+
+
+def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stays() -> None:
+    async def story() -> None:
+        async with daemon(messages_per_second=50) as (there, hands), talking(there) as talker:
+            for _ in range(300):
+                await talker.send(**CONTACT)
+            found = await talker.receive()
+            assert found["code"] == "too_fast"
+            assert "at most 50 a second" in found["message"]
+            await talker.send(type="estop", id=9)
+            assert (await talker.receive())["id"] == 9, "an e-stop is never too much"
+            assert len(hands.clients[0].contacts) < 100
+            await asyncio.sleep(0.1)
+            assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
+            assert figure(there, "tactile_dropped_messages_total", reason="too_fast") > 200
+
+    run(story)
+
+
+def test_a_burst_is_taken_in_small_portions_so_that_others_get_their_turn() -> None:
+    """1500 contacts that lie in the socket's buffer at once; a chunk of 4 KiB holds 29."""
+    text = json.dumps(CONTACT).encode()
+
+    async def story() -> None:
+        async with daemon(messages_per_second=100_000) as (there, hands), talking(there) as calm:
+            link = await unread(there)
+            await until(lambda: len(hands.clients) == 2)
+            sending = asyncio.create_task(
+                asyncio.get_running_loop().sock_sendall(link, 1500 * frame(0x81, text))
+            )
+            most, seen, asked = 0, 0, 0
+            while len(hands.clients[1].contacts) < 1500:
+                if seen > 100 * asked:
+                    asked += 1
+                    assert (await calm.ask(type="ping", time_us=1, id=asked))["id"] == asked
+                else:
+                    seen = len(hands.clients[1].contacts)
+                    await asyncio.sleep(0)
+                    most = max(most, len(hands.clients[1].contacts) - seen)
+            await sending
+            assert asked > 10
+            assert most < 3 * 29
+            link.close()
+
+    run(story)
+
+
+def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(connection, "READ_WITHIN", 0.2)
+    monkeypatch.setattr(sockets, "LINGER", 0.1)
+
+    async def story() -> None:
+        async with daemon() as (there, hands):
+            deaf = await unread(there)
+            async with talking(there) as other:
+                await until(lambda: len(hands.clients) == 2)
+                hand = next(hand for hand in hands.clients if hand.name == "deaf")
+                for number in range(2000):
+                    if hand.closed:
+                        break
+                    if not hand.outbox.full():
+                        hand.outbox.put_nowait(LARGE)
+                    assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
+                await until(lambda: hand.closed == 1)
+                assert there.site.clients == 1
+                assert not hands.clients[1].closed
+            deaf.close()
+
+    run(story)
+
+
+async def unread(there: Server) -> socket.socket:
+    """Return a socket that said `Hello`, and reads no further."""
+    loop = asyncio.get_running_loop()
+    link = socket.socket()
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.setblocking(False)
+    await loop.sock_connect(link, ("127.0.0.1", there.port))
+    request = (
+        f"GET /v1 HTTP/1.1\r\nHost: 127.0.0.1:{there.port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {JSON_PROTOCOL}\r\n\r\n"
+    )
+    await loop.sock_sendall(link, request.encode())
+    assert (await loop.sock_recv(link, 4096)).startswith(b"HTTP/1.1 101")
+    await loop.sock_sendall(link, frame(0x81, b'{"type":"hello","client":"deaf"}'))
+    return link
+
+
+def frame(head: int, payload: bytes) -> bytes:
+    """Return a frame of a client, masked with zeros."""
+    length = bytes([0x80 | len(payload)])
+    if len(payload) > 125:
+        length = bytes([0x80 | 126]) + len(payload).to_bytes(2)
+    return bytes([head]) + length + bytes(4) + payload
+
+
+@pytest.mark.parametrize("flood", ["pings", "fragments"])
+def test_frames_that_carry_nothing_do_not_pile_up(
+    flood: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pings whose pongs nobody reads, and a message of fragments without end."""
+    monkeypatch.setattr(sockets, "MOST_UNREAD", 4096)
+
+    async def story() -> None:
+        async with daemon() as (there, hands):
+            link = await unread(there)
+            await until(lambda: len(hands.clients) == 1)
+            loop = asyncio.get_running_loop()
+            frames = frame(0x89, b"x" * 125) if flood == "pings" else frame(0x00, b"")
+            if flood == "fragments":
+                await loop.sock_sendall(link, frame(0x01, b""))
+
+            async def pour_frames() -> None:
+                with suppress(ConnectionError):
+                    while True:
+                        await loop.sock_sendall(link, frames * 20)
+                        await asyncio.sleep(0)
+
+            pouring = asyncio.create_task(pour_frames())
+            # before the pong that is missing ends it
+            await until(
+                lambda: hands.clients[0].closed == 1,
+                within=0.9 * (server.PING_EVERY + server.PONG_WITHIN),
+            )
+            pouring.cancel()
+            await asyncio.wait({pouring})
+            link.close()
+
+    run(story)
+
+
+# Fuzz
+
+CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"] + [CONTACT]
+"""Nothing that arms: that nothing else does is what the fuzz shows."""
+ODD: list[Any] = [
+    None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 5000, {"a": {}},
+    "arm", "estop", -0.0, 1e-320, "x" * 70, 2**64 - 1,
+]  # fmt: skip
+
+
+def mutated(rng: random.Random, protocol: str, display: str = "right") -> str | bytes:
+    """Return a message with a few faults in its content, in its bytes, or in nothing."""
+    message: dict[str, Any] = json.loads(json.dumps(rng.choice(CORPUS)))
+    if "display" in message:
+        message["display"] = display
+    for _ in range(rng.randrange(3)):
+        key = rng.choice([*message, "id", "extra"])
+        odd = rng.choice(ODD)
+        if key == "type" and odd == "arm":
+            continue
+        message[key] = odd if rng.random() < 0.8 else [odd, odd]
+        if rng.random() < 0.2:
+            del message[rng.choice(list(message))]
+    if protocol == MSGPACK_PROTOCOL:
+        data = msgspec.msgpack.encode(message)
+    else:
+        data = json.dumps(message).encode()
+    if rng.random() < 0.4:
+        broken = bytearray(data)
+        for _ in range(rng.randrange(1, 4)):
+            broken[rng.randrange(len(broken))] = rng.randrange(256)
+        data = bytes(broken[: rng.randrange(1, len(broken) + 1)])
+    return data if protocol == MSGPACK_PROTOCOL else data.decode("utf-8", "replace")
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.ci)])
+@each_encoding
+def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(protocol: str, count: int) -> None:
+    rng = random.Random(f"{protocol} {count}")
+
+    async def story() -> None:
+        sent = 0
+        async with daemon(messages_per_second=100_000) as (there, hands):
+            while sent < count:
+                async with talking(there, protocol) as talker:
+                    sent += await batch(talker, min(count - sent, 50))
+            async with talking(there, protocol) as talker:
+                assert (await talker.ask(type="ping", time_us=1, id=5))["id"] == 5
+            assert not hands.armed
+            assert all(not isinstance(c, Arm) for hand in hands.clients for c in hand.commands)
+            assert figure(there, "tactile_failures_total", code="internal") == 0
+            assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
+            assert figure(there, "tactile_failures_total", code="malformed") > count / 20
+
+    async def batch(talker: Talker, most: int) -> int:
+        for _ in range(most):
+            await talker.link.send(mutated(rng, protocol))
+        await talker.send(type="get_stats", display="right", id=77_777)
+        while (found := await talker.receive()).get("id") != 77_777:
+            assert found["type"] in ("failure", "done", "textures", "appended", "stats", "pong")
+        return most
+
+    run(story, within=30 if count == 2000 else 600)
+
+
+@pytest.mark.parametrize("rounds", [1, pytest.param(100, marks=pytest.mark.ci)])
+def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
+    rounds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also by OSC; then it still does what it should, down to its drive."""
+    rng = random.Random(5)
+    monkeypatch.setattr(osc, "SILENCE", 0.2)
+    monkeypatch.setattr(osc.log, "disabled", True)
+    port = free_port()
+    config = Config(
+        server=ServerConfig(port=0, messages_per_second=100_000), osc=OscConfig(port=port)
+    )
+
+    async def story() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.connect(("127.0.0.1", port))
+            async with running(config) as there:
+                for protocol in rounds * BOTH:
+                    async with talking(there, protocol) as talker:
+                        await batch(talker, link)
+                await until(lambda: figure(there, "tactile_clients", transport="osc") == 0, 20)
+                async with talking(there) as talker:
+                    before = await talker.asked(type="get_stats", display="default")
+                    assert before["state"] in ("estopped", "disarmed")
+                    assert figure(there, "tactile_failures_total", code="internal") == 0
+                    await arm_and_touch(talker)
+                assert (await get(there, "/healthz")).status_code == 200
+
+    async def batch(talker: Talker, link: socket.socket) -> None:
+        for _ in range(100):
+            await talker.link.send(mutated(rng, talker.protocol, "default"))
+            link.send(osc_mutated(rng))
+        await talker.send(type="get_stats", display="default", id=77_777)
+        while (found := await talker.receive()).get("id") != 77_777:
+            assert found.get("kind") != "armed"
+            assert found.get("state", "disarmed") != "armed"
+
+    async def arm_and_touch(talker: Talker) -> None:
+        for kind, state in (("clear", "disarmed"), ("arm", "armed")):
+            assert (await talker.asked(type=kind, display="default"))["type"] == "done"
+            while (await talker.asked(type="get_stats", display="default"))["state"] != state:
+                await asyncio.sleep(0.01)
+        layers = [{"texture": "wood-oak"}]
+        await talker.asked(type="select", display="default", layers=layers)
+        for number in range(50):
+            place = {"display": "default", "position_mm": [number * 0.8, 0], "time_us": None}
+            await talker.send(**CONTACT | place)
+            await asyncio.sleep(0.01)
+        stats = await talker.asked(type="get_stats", display="default")
+        assert (stats["state"], stats["touching"], stats["owner"]) == ("armed", True, True)
+
+    run(story, within=60 if rounds == 1 else 900)
+
+
+def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
+    rng = random.Random(1)
+
+    async def story() -> None:
+        async with daemon() as (there, _), talking(there) as other:
+            for number in range(100):
+                if number % 2:
+                    link = await unread(there)
+                    link.setblocking(False)
+                    head = b""
+                else:
+                    link = socket.socket()
+                    link.setblocking(False)
+                    loop = asyncio.get_running_loop()
+                    await loop.sock_connect(link, ("127.0.0.1", there.port))
+                    head = rng.choice([b"GET /v1 HTTP/1.1\r\n", b"", b"GET http://[ HTTP/1.1\r\n"])
+                with link:
+                    noise = rng.randbytes(rng.randrange(1, 300))
+                    await asyncio.get_running_loop().sock_sendall(link, head + noise)
+                assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
+            await until(lambda: there.site.clients == 1)
+
+    run(story)

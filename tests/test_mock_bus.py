@@ -148,20 +148,40 @@ def test_the_plant_of_this_test_lies_outside_the_package(display: Display) -> No
     assert not Path(str(module.__file__)).is_relative_to(Path(base.__file__).parents[1])
 
 
-def test_an_e_stop_from_another_thread_meets_whoever_writes() -> None:
+@pytest.fixture
+def impatient() -> Iterator[None]:
+    """Threads that let each other have their turn at every other instruction."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_e_stops_from_other_threads_meet_whoever_writes(impatient: None) -> None:
     wiring = Wiring(channels=4, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
     bus = MockBus(wiring)
     for _ in range(60):
         bus.start()
-        stopping = threading.Thread(target=bus.estop)
+        failed: list[BaseException] = []
+
+        def stop(failed: list[BaseException] = failed) -> None:
+            try:
+                bus.estop()
+            except BaseException as error:
+                failed.append(error)
+
+        threads = [threading.Thread(target=stop) for _ in range(3)]
         position = 0
-        stopping.start()
+        for thread in threads:
+            thread.start()
         try:
             while True:
                 bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
                 position += 16
         except BusStateError:
-            stopping.join()
+            for thread in threads:
+                thread.join()
+        assert failed == []
         assert bus.state == "estopped"
         assert not bus.output[-1].any()
         bus.clear()

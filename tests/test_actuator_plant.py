@@ -151,6 +151,7 @@ def test_sinusoids_are_those_of_the_frequency_response(name: str, kind: str) -> 
     assert degrees < STATED[name][1]
 
 
+@pytest.mark.ci
 @each_load
 @pytest.mark.parametrize("kind", AMPLIFIERS)
 def test_current_is_that_of_the_frequency_response(name: str, kind: str) -> None:
@@ -217,6 +218,7 @@ def test_burst_is_that_of_the_finite_elements(name: str) -> None:
     assert largest(found, synthesis[: len(found)]) < 0.01
 
 
+@pytest.mark.ci
 @each_load
 @pytest.mark.parametrize("kind", ["ideal", "late by a fraction", "all"])
 def test_burst_is_that_of_scipys_integration(name: str, kind: str) -> None:
@@ -344,6 +346,7 @@ def test_plant_is_linear_and_its_contactors_do_not_meet() -> None:
         assert largest(out[:, :1], one) < 1e-12
 
 
+@pytest.mark.ci
 @each_load
 @pytest.mark.parametrize("kind", ["ideal", "slow", "resistive", "all"])
 def test_plant_is_stable_and_passive(name: str, kind: str) -> None:

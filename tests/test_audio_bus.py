@@ -90,6 +90,7 @@ def without(monkeypatch: pytest.MonkeyPatch, folder: Path, text: str) -> None:
     monkeypatch.syspath_prepend(folder)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -191,6 +192,7 @@ def test_an_ac_coupled_card_says_what_that_costs(server: Server, tmp_path: Path)
         assert "AC coupled at 20 Hz" in bus.about
 
 
+@pytest.mark.ci
 def test_writing_is_held_back_to_the_pace_of_the_card(bus: AudioBus) -> None:
     volts = waves(RATE)
     bus.start()
@@ -204,6 +206,7 @@ def test_writing_is_held_back_to_the_pace_of_the_card(bus: AudioBus) -> None:
     assert len(volts) - told.position <= told.lead + audio_bus.PIECE + LONG_BUFFER
 
 
+@pytest.mark.ci
 def test_states_are_the_contracts(bus: AudioBus) -> None:
     block = DriveBlock(0, waves(10))
     with pytest.raises(BusStateError, match="write: the bus is idle"):
@@ -232,6 +235,7 @@ def test_states_are_the_contracts(bus: AudioBus) -> None:
         bus.start()
 
 
+@pytest.mark.ci
 def test_a_writer_that_goes_silent_is_faded_and_counted(bus: AudioBus, server: Server) -> None:
     bus.start()
     bus.write(DriveBlock(0, np.full((4800, CHANNELS), 50.0)))
@@ -247,6 +251,7 @@ def test_a_writer_that_goes_silent_is_faded_and_counted(bus: AudioBus, server: S
     bus.stop()
 
 
+@pytest.mark.ci
 def test_estop_from_another_thread_while_one_writes(bus: AudioBus, server: Server) -> None:
     bus.start()
     refused: list[str] = []

@@ -322,6 +322,7 @@ def test_readings_do_not_grow(serve: Callable[..., Served], four: Path) -> None:
         assert bus.sensed() == []
 
 
+@pytest.mark.ci
 def test_an_amplifier_that_does_not_measure(serve: Callable[..., Served], four: Path) -> None:
     report = bring_up(serve().url, four)
     assert set(verdicts(report)) == {"not measured"}
@@ -481,6 +482,7 @@ URLS = (
 )  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("url", URLS)
 def test_no_bus_gets_more_than_5_v_or_two_channels_at_once(
     url: str, four: Path, opened: list[Bus]
@@ -541,6 +543,7 @@ def test_an_e_stop_ends_it_and_is_named(four: Path, opened: list[Bus]) -> None:
     assert not put_out(opened[0])[:, 3:].any()
 
 
+@pytest.mark.ci
 def test_several_boards_show_themselves_in_turn(four: Path) -> None:
     asked = []
 
@@ -831,6 +834,7 @@ def run(capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch, *argument
     return left.value.code
 
 
+@pytest.mark.ci
 def test_the_command_finds_no_fault(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
 ) -> None:
@@ -861,6 +865,7 @@ def test_the_command_says_1_for_faults_and_2_for_what_cannot_be(
     assert "fault: channel 1, contactor 1: open" in " ".join(out.split())
 
 
+@pytest.mark.ci
 def test_the_command_asks_at_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
 ) -> None:

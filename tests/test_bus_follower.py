@@ -38,6 +38,7 @@ def test_with_clocks_together_samples_pass_as_they_are(drift: float) -> None:
     assert np.array_equal(out, noise[: len(out), 0])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("ppm", [100, -100, 2000, -2000])
 @pytest.mark.parametrize(
     ("hz", "rate", "error_db"),
@@ -54,6 +55,7 @@ def test_a_tone_is_itself_at_the_other_clocks_times(
     assert 20 * np.log10(error) < error_db
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("ppm", [50, -100, 100])
 def test_clocks_of_crystals_are_followed_within_half_a_sample(ppm: float) -> None:
     at, _, offset = followed(np.zeros((int(20 * RATE), 1)), ppm * 1e-6)

@@ -243,6 +243,7 @@ def test_an_existing_recording_is_replaced(command: Command) -> None:
 # On a terminal
 
 
+@pytest.mark.ci
 def test_on_a_terminal_a_picture_runs_while_it_plays(tmp_path: Path) -> None:
     pty = pytest.importorskip("pty")
     parent, child = pty.openpty()
@@ -357,6 +358,7 @@ def test_response_draws_a_plot(command: Command) -> None:
     assert command("response", "--plot", "response.svg", "--json").json.keys() >= {"low"}
 
 
+@pytest.mark.ci
 def test_bench_as_json_is_a_list_of_figures_with_their_goals(tmp_path: Path) -> None:
     result = started("bench", "matrix", "--json", cwd=tmp_path)
     assert (result.code, result.err) == (0, "")

@@ -748,6 +748,7 @@ def test_the_way_out_stops_and_closes(
     display.close()  # once more does nothing
 
 
+@pytest.mark.ci
 def test_the_way_out_is_bounded_where_the_daemon_does_not_read(twin: Twin, daemon: Daemon) -> None:
     with twin.connect(daemon.url, timeout=1.0) as display:
         fill(daemon, display)
@@ -789,6 +790,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(sys.platform != "linux", reason="counts what /proc lists")
 @pytest.mark.parametrize("ending", ["polite", "dropped", "refused"])
 @pytest.mark.parametrize("name", ["thread", "asyncio"])
@@ -1083,6 +1085,7 @@ def test_a_daemon_that_answers_no_ping_is_given_up(
         connected_again(daemon, 3)
 
 
+@pytest.mark.ci
 def test_a_daemon_that_does_not_read_is_given_up_and_found_again(
     twin: Twin, daemon: Daemon
 ) -> None:

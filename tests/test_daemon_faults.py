@@ -142,6 +142,7 @@ def daemon(tmp_path: Path, amplifier: VirtualAmplifier) -> Iterator[Daemon]:
     daemon.end()
 
 
+@pytest.mark.ci
 def test_a_program_that_is_killed_is_a_finger_that_lifts(daemon: Daemon) -> None:
     app = daemon.play()
     app.kill()

@@ -473,6 +473,7 @@ def test_the_check_of_the_field_counts_it(tmp_path: Path) -> None:
     assert "at most 52 V" in said
 
 
+@pytest.mark.ci
 def test_the_coupling_is_not_in_the_response_for_no_filter_of_the_equalizer_inverts_it() -> None:
     """Left alone 1 Hz costs |1/(1 − 0.1j) − 1| ≈ 0.1 at 10 Hz; designed for, it costs as much."""
     frequency = np.arange(0, 1251, 10, dtype=np.float64)

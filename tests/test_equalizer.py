@@ -126,6 +126,7 @@ RESPONSES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("rate", [8000.0, 12_500.0])
 @pytest.mark.parametrize("name", RESPONSES)
 def test_filter_times_response_is_one_within_the_stated_error(name: str, rate: float) -> None:

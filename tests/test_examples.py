@@ -56,6 +56,7 @@ def test_hand_tracking(daemon: dict[str, str]) -> None:
     assert 0 < touches <= frames
 
 
+@pytest.mark.ci
 def test_hand_tracking_of_a_recorded_path(daemon: dict[str, str], tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("time_s,x_m,y_m,z_m\n0,0,0.748,0\n1,0.08,0.748,0\n2,0.08,0.8,0\n")
@@ -66,10 +67,12 @@ def test_hand_tracking_of_a_recorded_path(daemon: dict[str, str], tmp_path: Path
     assert int(said.split()[2]) > 0
 
 
+@pytest.mark.ci
 def test_two_fingers(daemon: dict[str, str]) -> None:
     assert run("two_fingers.py", "--url", daemon["url"], "--seconds", SECONDS)
 
 
+@pytest.mark.ci
 def test_waveform_streamer(daemon: dict[str, str]) -> None:
     said = run(
         "waveform_streamer.py", "--url", daemon["url"], "--display", "right", "--seconds", SECONDS
@@ -77,6 +80,7 @@ def test_waveform_streamer(daemon: dict[str, str]) -> None:
     assert said.startswith("12000 samples at 8000 Hz in ")
 
 
+@pytest.mark.ci
 def test_osc_sender(daemon: dict[str, str]) -> None:
     pytest.importorskip("pythonosc")
     url = f"osc.udp://127.0.0.1:{daemon['osc']}"
@@ -110,6 +114,7 @@ def test_a_display_without_a_daemon_has_the_same_interface() -> None:
         assert display.stats().state == "disarmed"
 
 
+@pytest.mark.ci
 def test_a_device_that_is_not_there_is_one_line() -> None:
     with pytest.raises(BusError, match="no such port") as caught:
         open_display(device="serial:///dev/nothing")

@@ -109,6 +109,7 @@ def streams(draw: st.DrawFn) -> tuple[float, float, int, list[Floats]]:
     return voltage, step, channels, draw(st.lists(some | patterns, max_size=12))
 
 
+@pytest.mark.ci
 @ANYTHING
 @given(stream=streams())
 def test_whatever_comes_in_what_leaves_is_within_both_limits(

@@ -320,6 +320,7 @@ def test_abort_goes_to_0_volts_at_the_slew_limit(one: Rig, volts: float) -> None
     assert one.chip.volts == 0.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("drift", DRIFTS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_estop_is_at_0_volts_within_20_ms_and_high_voltage_is_off(
@@ -598,6 +599,7 @@ def test_a_drv2667_that_has_to_start_up_is_not_taken_to_play_at_once() -> None:
     built.bus.close()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("times", [10, pytest.param(1000, marks=pytest.mark.ci)])
 @pytest.mark.parametrize("power", [False, True], ids=["wire", "power"])
 def test_many_disconnects_are_all_recovered_without_a_jump(
@@ -628,6 +630,7 @@ def test_many_disconnects_are_all_recovered_without_a_jump(
     assert one.chip.volts == 0.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("times", [10, pytest.param(1000, marks=pytest.mark.ci)])
 def test_many_error_bursts_are_all_recovered_without_a_jump(one: Rig, times: int) -> None:
     rng = np.random.default_rng(3)

@@ -17,9 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import websockets.sync.client as websockets
+from websockets.typing import Subprotocol
 
 import tactile.client
 from tactile.bench.virtual import VirtualAmplifier, can_be_built
+from tactile.daemon import messages
 from tactile.errors import TactileError
 
 PROMISE = 0.3
@@ -105,7 +108,7 @@ class Daemon:
         time.sleep(2 * PROMISE)
         records = self.amplifier.take()
         times = self.amplifier.powered_up + records.tick * 1e-6
-        loud = records.codes.any(axis=1)
+        loud = np.asarray(records.codes.any(axis=1))
         assert loud[(times > moment - 0.2) & (times < moment)].mean() > 0.5, "it played before"
         assert times[-1] > moment + PROMISE, "the amplifier's clock goes on"
         return float(times[np.flatnonzero(loud)[-1]] - moment)
@@ -240,13 +243,9 @@ def test_ended_by_a_signal_it_fades_and_disarms(daemon: Daemon) -> None:
 @pytest.mark.ci
 def test_a_client_that_does_not_read_disturbs_no_other(daemon: Daemon) -> None:
     daemon.play()
-    import websockets.sync.client as websockets
-
     hello = '{"type":"hello","client":"deaf"}'
     with websockets.connect(
-        daemon.url,
-        subprotocols=["tactile.v1.json"],
-        max_queue=1,  # type: ignore[list-item]
+        daemon.url, subprotocols=[Subprotocol(messages.JSON_PROTOCOL)], max_queue=1
     ) as deaf:
         deaf.send(hello)
         deaf.send('{"type":"subscribe","display":"right","rate_hz":100}')

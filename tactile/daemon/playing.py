@@ -248,15 +248,16 @@ class Playing:
         if self._child is None or self.lost:
             raise BusError(self.failure or "playback was lost")
         self._number += 1
+        number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
-        self._asked[self._number] = future
-        self._child.tell((self._number, order))
+        self._asked[number] = future
+        self._child.tell((number, order))
         try:
             value = await asyncio.wait_for(future, within)
-        except TimeoutError:
+        except asyncio.TimeoutError:
             raise BusError(f"playback did not answer in {within:g} s") from None
         finally:
-            self._asked.pop(self._number, None)
+            self._asked.pop(number, None)
         if isinstance(order, orders.Arm | orders.Disarm):
             self._armed = isinstance(order, orders.Arm)
         return value

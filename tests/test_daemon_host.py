@@ -1,0 +1,241 @@
+"""What a client may ask of the host, answered by real playback of a simulated display."""
+
+import asyncio
+import time
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any, TypeVar
+
+import pytest
+
+from tactile.daemon import messages as m
+from tactile.daemon.config import Config, DisplayConfig
+from tactile.daemon.host import OUTBOX, Client, Host
+from tactile.errors import BusError, InputError
+
+T = TypeVar("T")
+Run = Callable[[Coroutine[Any, Any, T]], T]
+NAME = "right"
+
+
+@pytest.fixture(scope="module")
+def runner() -> Iterator[asyncio.Runner]:
+    with asyncio.Runner() as runner:
+        yield runner
+
+
+@pytest.fixture(scope="module")
+def host(runner: asyncio.Runner) -> Iterator[Host]:
+    host = Host(Config(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),)))
+    runner.run(host.start())
+    yield host
+    runner.run(host.close())
+
+
+class Program:
+    """A client, and the loop that it lives in."""
+
+    def __init__(self, runner: asyncio.Runner, host: Host, *, may_arm: bool = True) -> None:
+        self.runner = runner
+        self.client: Client = host.connect("test", may_arm=may_arm)
+
+    def ask(self, *commands: m.Command) -> list[m.Answer]:
+        async def all_at_once() -> list[m.Answer]:
+            return await asyncio.gather(*(self.client.request(c) for c in commands))
+
+        return self.runner.run(all_at_once())
+
+    def close(self) -> None:
+        async def closed() -> None:
+            self.client.close()
+            await asyncio.sleep(0.05)
+
+        self.runner.run(closed())
+
+    def touch(self, force: float = 0.5, x: float = 0.0) -> m.Failure | None:
+        contact = m.Contact(display=NAME, position_mm=(x, 0.0), normal_force_n=force)
+        return self.client.contact(contact, time.monotonic())
+
+    def stats(self) -> m.Stats:
+        (answer,) = self.ask(m.GetStats(display=NAME))
+        assert isinstance(answer, m.Stats)
+        return answer
+
+    def until(self, happens: Callable[[m.Stats], bool]) -> m.Stats:
+        deadline = time.monotonic() + 20
+        while not happens(stats := self.stats()):
+            assert time.monotonic() < deadline, stats
+            self.runner.run(asyncio.sleep(0.02))
+        return stats
+
+
+@pytest.fixture
+def program(runner: asyncio.Runner, host: Host) -> Iterator[Program]:
+    program = Program(runner, host)
+    yield program
+    program.close()
+
+
+def failure(answers: list[m.Answer]) -> m.Failure:
+    (answer,) = answers
+    assert isinstance(answer, m.Failure)
+    assert "\n" not in answer.message
+    return answer
+
+
+OAK = m.Select(display=NAME, layers=(m.Layer(texture="wood-oak"),))
+WAVE = m.Append(display=NAME, sample_rate_hz=1000.0, amplitude_um=1.0, samples=(0.5,) * 100)
+
+
+def test_many_requests_at_once_are_each_answered(program: Program) -> None:
+    assert program.ask(*[OAK] * 50) == [m.Done()] * 50
+
+
+@pytest.mark.parametrize("name", ["wood-oka", "displays", "..", "oak.toml", "C", "a b"])
+def test_a_name_chooses_among_what_there_is_and_nothing_else(program: Program, name: str) -> None:
+    layers = (m.Layer(texture="wood-oak"), m.Layer(texture=name))
+    told = failure(program.ask(m.Select(display=NAME, layers=layers)))
+    assert (told.code, told.field) == ("unknown_texture", "layers[1].texture")
+
+
+def test_an_unknown_display_is_named_with_the_nearest(program: Program) -> None:
+    told = failure(program.ask(m.Arm(display="rihgt")))
+    assert (told.code, told.field) == ("unknown_display", "display")
+    assert "'right'" in told.message
+    contact = m.Contact(display="left", position_mm=(0, 0), normal_force_n=0.5)
+    assert isinstance(program.client.contact(contact, 0.0), m.Failure)
+    assert failure(program.ask(m.EStop(display="left"))).code == "unknown_display"
+
+
+def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Program) -> None:
+    effect = m.Effect(display=NAME, amplitude_um=1.0, amplitude=(m.Point(0.0, 1.0),))
+    assert failure(program.ask(WAVE)).code == "not_armed"
+    assert failure(program.ask(effect)).code == "not_armed"
+    assert program.ask(m.Arm(display=NAME)) == [m.Done()]
+    program.until(lambda stats: stats.state == "armed")
+    (taken,) = program.ask(WAVE)
+    assert isinstance(taken, m.Appended)
+    assert taken.samples_consumed == 100
+    assert 50 < taken.buffered_ms <= 100
+    assert program.ask(effect) == [m.Done()]
+    far = m.Append(
+        display=NAME, sample_rate_hz=1e3, amplitude_um=1.0, samples=(0.5,), contactors=(24,)
+    )
+    assert failure(program.ask(far)).field == "contactors"
+    back = m.Effect(
+        display=NAME, amplitude_um=1.0, amplitude=(m.Point(5.0, 1.0), m.Point(1.0, 1.0))
+    )
+    assert failure(program.ask(back)).field == "amplitude"
+    for bad in (b"abc", b"\0\0\xc0\x7f", b"\0\0\0\x40"):
+        wave = m.Append(display=NAME, sample_rate_hz=1e3, amplitude_um=1.0, samples=bad)
+        assert failure(program.ask(wave)).field == "samples"
+
+
+def test_an_e_stop_holds_until_it_is_cleared_and_needs_arming_then(program: Program) -> None:
+    program.ask(m.Arm(display=NAME))
+    assert program.ask(m.EStop()) == [m.Done()]
+    assert program.until(lambda stats: stats.state == "estopped")
+    assert failure(program.ask(m.Arm(display=NAME))).code == "estopped"
+    assert failure(program.ask(WAVE)).code == "estopped"
+    assert program.ask(m.Clear(display=NAME)) == [m.Done()]
+    assert program.stats().state == "disarmed"
+    assert program.ask(m.Arm(display=NAME)) == [m.Done()]
+
+
+def test_who_may_not_arm_may_stop(runner: asyncio.Runner, host: Host, program: Program) -> None:
+    osc = Program(runner, host, may_arm=False)
+    assert failure(osc.ask(m.Arm(display=NAME))).code == "unauthorized"
+    assert failure(osc.ask(m.Clear(display=NAME))).code == "unauthorized"
+    program.ask(m.Arm(display=NAME))
+    assert osc.ask(m.Disarm(display=NAME)) == [m.Done()]
+    program.until(lambda stats: stats.state == "disarmed")
+    assert osc.ask(m.EStop()) == [m.Done()]
+    program.ask(m.Clear(display=NAME))
+    osc.close()
+
+
+def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
+    runner: asyncio.Runner, host: Host, program: Program
+) -> None:
+    other = Program(runner, host)
+    program.touch()
+    other.touch()
+    assert (program.stats().owner, other.stats().owner) == (True, False)
+    program.touch(0.0)
+    other.touch()
+    assert (program.stats().owner, other.stats().owner) == (False, True)
+    runner.run(asyncio.sleep(1.5 * m.SILENCE))
+    program.touch()
+    assert (program.stats().owner, other.stats().owner) == (True, False)
+    program.close()
+    other.touch()
+    assert other.stats().owner
+    other.close()
+
+
+def test_a_display_is_disarmed_when_the_last_client_that_may_arm_has_gone(
+    runner: asyncio.Runner, host: Host, program: Program
+) -> None:
+    first, second = Program(runner, host), Program(runner, host)
+    program.close()
+    watching = Program(runner, host, may_arm=False)
+    first.ask(m.Arm(display=NAME))
+    first.close()
+    runner.run(asyncio.sleep(0.1))
+    assert watching.until(lambda stats: stats.state == "armed")
+    second.close()
+    watching.until(lambda stats: stats.state == "disarmed")
+    watching.close()
+
+
+def test_limits_may_only_be_lowered(host: Host) -> None:
+    (display,) = host.displays
+    assert display.voltage_limit_v == 60.0
+    higher = DisplayConfig(name=NAME, device="sim:", voltage_limit_v=101.0)
+
+    async def opened() -> None:
+        await Host(Config(display=(higher,))).start()
+
+    with pytest.raises(InputError, match="voltage_limit_v = 101 is above"):
+        asyncio.run(opened())
+
+
+def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> None:
+    bad = DisplayConfig(name=NAME, device="serial:///dev/nothing")
+    good = DisplayConfig(name="left", device="sim:")
+
+    async def opened() -> None:
+        host = Host(Config(display=(good, bad)))
+        with pytest.raises(BusError, match="no such port") as caught:
+            await host.start()
+        assert "\n" not in str(caught.value)
+        assert not any(playing.alive for playing in host.playing.values())
+
+    asyncio.run(opened())
+
+
+def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
+    runner: asyncio.Runner, program: Program
+) -> None:
+    program.ask(m.Subscribe(display=NAME, rate_hz=100.0))
+    runner.run(asyncio.sleep(1.5))
+    assert program.client.outbox.qsize() == OUTBOX
+    program.client.post(m.Event(display=NAME, kind="fault"))
+    program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
+    found = [program.client.outbox.get_nowait() for _ in range(OUTBOX)]
+    assert any(isinstance(one, m.Event) and one.kind == "fault" for one in found)
+    told = next(one for one in found if isinstance(one, m.Telemetry))
+    assert len(told.shear_um) == len(told.drive_v) == 24
+
+
+def test_reloading_keeps_what_plays_and_tells(runner: asyncio.Runner, host: Host) -> None:
+    program = Program(runner, host)
+    program.ask(OAK)
+    before = host.playing[NAME]
+    runner.run(host.reload())
+    assert host.playing[NAME] is before
+    told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
+    assert "textures" in {one.kind for one in told if isinstance(one, m.Event)}
+    assert program.ask(OAK) == [m.Done()]
+    assert host.healthy()
+    assert host.figures()[NAME]["playback_alive"] == 1.0
+    program.close()

@@ -40,11 +40,16 @@ class GsUsb(UsbDevice):
         self.on_frame = on_frame
         self.bit_timing: tuple[int, ...] = ()
         self._held: deque[bytes] | None = None
+        self._off = False
         self._order = threading.RLock()
         super().__init__(port)
 
     def inject(self, identifier: int, data: bytes) -> None:
         """Let a frame arrive from the bus."""
+        if not self._off:
+            self._tell(identifier, data)
+
+    def _tell(self, identifier: int, data: bytes) -> None:
         self.send(1, FRAME.pack(RECEIVED, identifier, len(data), 0, 0, 0, data))
 
     def error_passive(self) -> None:
@@ -52,11 +57,13 @@ class GsUsb(UsbDevice):
         self.inject(ERROR | CONTROLLER, bytes([0, PASSIVE, 0, 0, 0, 0, 128, 128]))
 
     def bus_off(self) -> None:
-        """Leave the bus, and tell so."""
-        self.inject(ERROR | BUS_OFF, bytes(8))
+        """Leave the bus, and tell so; the interface has to be set down and up."""
+        self._off = True
+        self._tell(ERROR | BUS_OFF, bytes(8))
 
     def restarted(self) -> None:
         """Tell that the bus was entered again, as an adapter that recovers by itself does."""
+        self._off = False
         self.inject(ERROR | RESTARTED, bytes(8))
 
     def hold(self) -> None:
@@ -78,6 +85,8 @@ class GsUsb(UsbDevice):
         if request == CONSTANTS:
             features = LISTEN_ONLY | LOOP_BACK | ONE_SHOT
             return struct.pack("<10I", features, CLOCK_HZ, *TIMING_LIMITS)
+        if request == MODE:
+            self._off = False
         if request == BITTIMING:
             self.bit_timing = struct.unpack("<5I", data)
         return b""
@@ -85,6 +94,8 @@ class GsUsb(UsbDevice):
     def received(self, data: bytes) -> None:
         """Send a frame of the host's on the bus."""
         with self._order:
+            if self._off:
+                return
             if self._held is None:
                 self._transmit(data)
             else:

@@ -29,7 +29,7 @@ chmod +x "$initramfs/init"
 
 options="quiet panic=-1 nokaslr mitigations=off random.trust_cpu=on"
 run qemu-system-x86_64 -machine q35,usb=off,smm=off,graphics=off \
-    -accel tcg,thread=multi,tb-size=512 -cpu max,la57=off -smp 2 -m 1024 \
+    -accel tcg,thread=single,tb-size=512 -icount shift=0,sleep=on -cpu max,la57=off -m 1024 \
     -nodefaults -no-user-config -no-reboot -display none \
     -kernel "$kernel/linux" -initrd "$job/initramfs.cpio" \
     -append "console=ttyS0 $options job=$job kernel=$kernel" \

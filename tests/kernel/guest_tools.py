@@ -19,12 +19,12 @@ def command(*words: str) -> str:
     return done.stdout
 
 
-def wait_for(what: str, happens: Callable[[], bool]) -> None:
-    """Return as soon as something happens."""
+def wait_for(what: str, happens: Callable[[], bool], every: float = 0.05) -> None:
+    """Return as soon as something happens, for which is looked every so many seconds."""
     deadline = time.monotonic() + WAIT
     while not happens():
         assert time.monotonic() < deadline, f"{what}: not after {WAIT} s"
-        time.sleep(0.05)
+        time.sleep(every)
 
 
 @contextmanager

@@ -129,8 +129,10 @@ def test_unplugged_adapter(adapter: Adapter, bus: SocketcanBus) -> None:
 
 
 @pytest.fixture(scope="module")
-def gadget() -> SerialGadget:
-    return SerialGadget()
+def gadget() -> Iterator[SerialGadget]:
+    gadget = SerialGadget()
+    yield gadget
+    gadget.remove()
 
 
 @contextmanager

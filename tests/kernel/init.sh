@@ -5,8 +5,7 @@ export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/r
 
 if [ $# -eq 0 ]; then
     mount -t proc proc /proc
-    overlay=$(find "$kernel/lib/modules" -name overlay.ko)
-    grep -q overlay /proc/filesystems || insmod "$overlay"
+    grep -q overlay /proc/filesystems || insmod "$(find "$kernel/lib/modules" -name overlay.ko)"
     mount -t tmpfs tmpfs /mnt
     mkdir /mnt/{upper,work,root}
     mount -t overlay -o lowerdir=/,upperdir=/mnt/upper,workdir=/mnt/work overlay /mnt/root

@@ -1,5 +1,6 @@
 """A serial device behind the kernel's dummy_hcd: one end is /dev/ttyACM0, the other /dev/ttyGS0."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from guest_tools import command, wait_for
@@ -41,3 +42,11 @@ class SerialGadget:
     def unplug(self) -> None:
         """Pull the cable."""
         (GADGET / "UDC").write_text("\n")
+
+    def remove(self) -> None:
+        """Take it to pieces, so that there may be another."""
+        with suppress(OSError):  # it is unplugged
+            self.unplug()
+        (GADGET / "configs/c.1/acm.0").unlink()
+        for name in ("configs/c.1", "functions/acm.0", ENGLISH, ""):
+            (GADGET / name).rmdir()

@@ -11,6 +11,8 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -53,12 +55,20 @@ UML = Machine(
     seconds=180,
     tools=("ip", "busybox", "modprobe"),
 )
-QEMU = Machine(
+QEMU_TOOLS = ("ip", "busybox", "modprobe", "cpio", "qemu-system-x86_64")
+DEVICES = Machine(
     script="guest.sh",
-    scripts=("in_guest.py",),
+    scripts=("in_guest.py", "in_serial.py", "in_audio.py"),
     modules="can-raw gs_usb vhci-hcd dummy_hcd libcomposite cdc-acm snd-aloop",
-    seconds=400,
-    tools=("ip", "busybox", "modprobe", "cpio", "qemu-system-x86_64"),
+    seconds=600,
+    tools=QEMU_TOOLS,
+)
+BUSES = Machine(
+    script="guest.sh",
+    scripts=("in_can.py", "in_adapter.py", "in_i2c_bus.py"),
+    modules="can-raw vcan gs_usb vhci-hcd i2c-dev cuse",
+    seconds=600,
+    tools=QEMU_TOOLS,
 )
 
 
@@ -126,16 +136,14 @@ def run(machine: Machine, environment: dict[str, str]) -> Results:
     return results, done.stdout
 
 
-@pytest.fixture(scope="module")
-def uml(environment: dict[str, str]) -> Results:
-    return run(UML, environment)
+Ran = dict[Machine, Future[Results]]
+"""The machines, which run side by side."""
 
 
 @pytest.fixture(scope="module")
-def qemu(environment: dict[str, str]) -> Results:
-    if not ctypes.util.find_library("portaudio"):
-        missing("no PortAudio")
-    return run(QEMU, environment)
+def ran(environment: dict[str, str]) -> Iterator[Ran]:
+    with ThreadPoolExecutor() as pool:
+        yield {machine: pool.submit(run, machine, environment) for machine in (UML, DEVICES, BUSES)}
 
 
 def judge(results: Results, check: str) -> None:
@@ -147,10 +155,17 @@ def judge(results: Results, check: str) -> None:
 
 
 @pytest.mark.parametrize("check", UML.checks())
-def test_in_user_mode_linux(uml: Results, check: str) -> None:
-    judge(uml, check)
+def test_in_user_mode_linux(ran: Ran, check: str) -> None:
+    judge(ran[UML].result(), check)
 
 
-@pytest.mark.parametrize("check", QEMU.checks())
-def test_in_qemu(qemu: Results, check: str) -> None:
-    judge(qemu, check)
+@pytest.mark.parametrize("check", BUSES.checks())
+def test_buses(ran: Ran, check: str) -> None:
+    judge(ran[BUSES].result(), check)
+
+
+@pytest.mark.parametrize("check", DEVICES.checks())
+def test_devices(ran: Ran, check: str) -> None:
+    if not ctypes.util.find_library("portaudio"):
+        missing("no PortAudio")
+    judge(ran[DEVICES].result(), check)

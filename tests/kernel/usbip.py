@@ -48,12 +48,15 @@ class UsbDevice:
         self._data: defaultdict[int, deque[bytes]] = defaultdict(deque)
         with kernels:
             ATTACH.write_text(f"{port} {kernels.fileno()} {port + 1} {HIGH_SPEED}")
+        self._plugged = True
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def unplug(self) -> None:
         """Pull the cable."""
-        self._socket.shutdown(socket.SHUT_RDWR)
+        with self._lock:
+            self._plugged = False
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join()
         self._socket.close()
 
@@ -77,6 +80,8 @@ class UsbDevice:
             self._answer(waiting.popleft(), data.popleft())
 
     def _answer(self, sequence: int, data: bytes = b"", length: int = 0, status: int = 0) -> None:
+        if not self._plugged:
+            return
         head = HEADER.pack(RET_SUBMIT, sequence, 0, 0, 0)
         self._socket.sendall(head + SUBMITTED.pack(status, len(data) or length, 0, 0, 0) + data)
 
@@ -108,6 +113,8 @@ class UsbDevice:
                 if target in waiting:
                     waiting.remove(target)
                     status = -errno.ECONNRESET
+            if not self._plugged:
+                return
             head = HEADER.pack(RET_UNLINK, sequence, 0, 0, 0)
             self._socket.sendall(head + UNLINKED.pack(status))
 

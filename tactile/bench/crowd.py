@@ -28,8 +28,8 @@ CLIENTS, RATE = 50, 90.0
 SHORT, LONG = 20.0, 300.0
 """s."""
 SETTLED = 0.2
-"""Of the time after which memory has grown to what it needs."""
-NAME = "bench"
+"""Of the blocks after which memory has grown to what it needs."""
+NAME, BLOCKS_PER_S = "bench", 500
 CROWD = "from tactile.bench.crowd import be_many; be_many({!r}, {!r})"
 BUSY = "while True: pass"
 CHUNK = 1 << 22
@@ -98,12 +98,12 @@ async def _session(amplifier: VirtualAmplifier, seconds: float) -> Iterator[Figu
         words = CROWD.format(server.url, seconds)
         busy = subprocess.Popen([sys.executable, "-c", BUSY])
         crowd = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
-        begun, memory = time.monotonic(), [(0.0, 0.0, 0.0)]
+        memory = [(0.0, 0.0, 0.0)]
         ended = asyncio.create_task(crowd.wait())
         while not ended.done():
             await asyncio.wait({ended}, timeout=1.0)
             steps.take()
-            passed = (time.monotonic() - begun) / seconds
+            passed = host.playing[NAME].report.blocks / (seconds * BLOCKS_PER_S)
             memory.append((passed, resident(), resident(child.pid)))
         busy.kill()
         busy.wait()

@@ -254,7 +254,7 @@ class Playing:
         self._child.tell((number, order))
         try:
             value = await asyncio.wait_for(future, within)
-        except asyncio.TimeoutError:
+        except TimeoutError:
             raise BusError(f"playback did not answer in {within:g} s") from None
         finally:
             self._asked.pop(number, None)

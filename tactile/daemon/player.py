@@ -31,8 +31,10 @@ BLOCK = 16
 """Samples: 2 ms at 8 kHz."""
 MARGIN = 0.5e-3
 """s for rendering a block, before the bus wants it (measured: 0.2 ms for 24 contactors)."""
-LATENESS = 0.5
+LATENESS = 0.9
 """Of the bus's ``ahead``; a block that is later than that is skipped, for it would be late."""
+HELD_UP = 20e-3
+"""s after which one is skipped on a bus that is never late."""
 IN_AIR = 10 ** (-34 / 20)
 """Of waves while nothing touches: an unloaded bimorph rings up by 34 dB (physics.md)."""
 REPORTED = 5
@@ -315,7 +317,7 @@ class Player:
     def _catch_up(self, now: float) -> None:
         """Where it was held up, go on at what is due by now."""
         late = now - self.rendering.asked(self._position)
-        if late > max(LATENESS * self.bus.ahead, 2 * MARGIN):
+        if late > (LATENESS * self.bus.ahead or HELD_UP):
             spacing = self.rendering.spacing
             count = math.ceil(late * self._rate / spacing) * spacing
             self._position += count

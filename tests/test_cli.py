@@ -409,7 +409,8 @@ def test_every_help_text_has_an_example(
 def test_every_command_is_among_these(command: Command) -> None:
     listed = command("--help").out.partition("Commands:")[2]
     names = {line.split()[0] for line in listed.splitlines() if line.startswith("  ")}
-    assert names == {"bench", "budget", "check", "devices", "play", "response", "textures"}
+    wanted = {"bench", "budget", "check", "devices", "play", "response", "serve", "textures"}
+    assert names == wanted
 
 
 def test_every_example_of_a_help_text_can_be_asked_for(

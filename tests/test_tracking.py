@@ -651,3 +651,12 @@ def test_a_client_of_another_rate_is_a_client() -> None:
     assert len(lossy.time) == pytest.approx(0.7 * 90 * (5 + bench.LEAD), rel=0.1)
     assert np.all(np.diff(lossy.arrival) >= 0)
     assert np.all(lossy.arrival >= lossy.time)
+
+
+def test_samples_alike_but_for_a_velocity_raise_nothing() -> None:
+    for order in ((None, (0.1, 0.0)), ((0.1, 0.0), None)):
+        tracker = ContactTracker()
+        for velocity in order:
+            tracker.add(1.0, (0.0, 0.0), 0.5, velocity, arrival=1.0)
+        tracker.at(1.0 + np.arange(16) / 8000, 1.0)
+        assert tracker.touching

@@ -375,7 +375,7 @@ class ContactTracker:
 
     def _take(self, now: float) -> None:
         """Give the samples that wait to the filters, in order of their times."""
-        samples, group = sorted(self._waiting), list[Sample]()
+        samples, group = sorted(self._waiting, key=lambda s: s.time), list[Sample]()
         self._waiting.clear()
         newest = self._motion.time
         for sample in samples:

@@ -218,6 +218,21 @@ def test_playback_that_hangs_leaves_0_volts(daemon: Daemon) -> None:
 
 
 @pytest.mark.ci
+def test_playback_that_hangs_for_good_is_started_again_once(daemon: Daemon) -> None:
+    daemon.play().kill()
+    hung = daemon.children["playback_process"]
+    os.kill(hung, signal.SIGSTOP)
+    wait_for("it is gone", lambda: not alive(hung))
+    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+        wait_for("it is back", lambda: display.stats().state == "disarmed")
+        display.select("wood-oak")
+        display.arm()
+    log = (daemon.folder / "log").read_text()
+    assert log.count("playback hangs") == 1
+    assert "while it opened" not in log, "what was killed is not taken for what is opened"
+
+
+@pytest.mark.ci
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk at hand")
 def test_a_full_disk_for_logs_changes_nothing(tmp_path: Path, amplifier: VirtualAmplifier) -> None:
     daemon = Daemon(tmp_path, amplifier, log="/dev/full")

@@ -3,12 +3,13 @@
 import asyncio
 import time
 from collections.abc import Callable, Coroutine, Iterator
+from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
 from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig
+from tactile.daemon.config import Config, DisplayConfig, load_config
 from tactile.daemon.host import OUTBOX, Client, Host
 from tactile.errors import BusError, InputError
 
@@ -73,6 +74,14 @@ def program(runner: asyncio.Runner, host: Host) -> Iterator[Program]:
     program = Program(runner, host)
     yield program
     program.close()
+
+
+def children() -> set[str]:
+    """Return the processes that this one has started."""
+    if not Path("/proc/self/task").exists():
+        pytest.skip("needs Linux")
+    threads = Path("/proc/self/task").glob("*/children")
+    return {pid for one in threads for pid in one.read_text().split()}
 
 
 def failure(answers: list[m.Answer]) -> m.Failure:
@@ -208,8 +217,9 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
         with pytest.raises(BusError, match="no such port") as caught:
             await host.start()
         assert "\n" not in str(caught.value)
-        assert not any(playing.alive for playing in host.playing.values())
+        assert children() <= before
 
+    before = children()
     asyncio.run(opened())
 
 
@@ -227,15 +237,55 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     assert len(told.shear_um) == len(told.drive_v) == 24
 
 
-def test_reloading_keeps_what_plays_and_tells(runner: asyncio.Runner, host: Host) -> None:
-    program = Program(runner, host)
+def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
+    runner: asyncio.Runner, host: Host, program: Program
+) -> None:
+    program.ask(OAK, m.Select(display=NAME, layers=(m.Layer(texture="leather-calf"),)))
     program.ask(OAK)
-    before = host.playing[NAME]
+    playing = host.playing[NAME]
+    (part,) = playing.parts.values()
+    before = part.layers
     runner.run(host.reload())
-    assert host.playing[NAME] is before
+    assert host.playing[NAME] is playing
+    assert part.layers != before, "made anew"
+    assert list(playing._textures) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.Event)}
-    assert program.ask(OAK) == [m.Done()]
+    program.ask(m.Arm(display=NAME))
+    for k in range(60):
+        program.touch(x=0.9 * k)
+        runner.run(asyncio.sleep(1 / 90))
+    assert playing.memory.drive.any(), "and it plays"
     assert host.healthy()
     assert host.figures()[NAME]["playback_alive"] == 1.0
-    program.close()
+
+
+def test_reloading_another_configuration_opens_what_changed_and_tries_what_cannot_be(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "tactile.toml"
+    left = '[[display]]\nname = "left"\ndevice = "sim:"\n'
+    right = '[[display]]\nname = "right"\ndevice = "{}"\n'
+
+    async def story() -> None:
+        path.write_text(left + right.format("sim:"))
+        host = Host(load_config(path))
+        await host.start()
+        kept = host.playing["left"]
+        path.write_text(left + right.format("nonsense"))
+        with pytest.raises(BusError, match="right"):
+            await host.reload()
+        assert host.playing["left"] is kept
+        assert not host.healthy()
+        path.write_text("[[display]]\nname = 3\n")
+        with pytest.raises(InputError):
+            await host.reload()
+        assert set(host.playing) == {"left", "right"}
+        path.write_text(left)
+        await host.reload()
+        assert list(host.playing.values()) == [kept]
+        assert host.healthy()
+        await host.close()
+        assert not host.healthy()
+
+    asyncio.run(story())

@@ -69,9 +69,9 @@ class Stage:
         )
 
     def slide(self, seconds: float, force: float = 0.5, client: int = ME) -> Floats:
-        """Play, the finger sliding at `SPEED`, a sample a block; return volts put out."""
+        """Play, the finger sliding at `SPEED` from the origin, a sample a block; return volts."""
         before = len(self.bus.output)
-        begun = self.now
+        begun = self.origin = self.now
         for _ in range(int(seconds * RATE / BLOCK)):
             self.touch(SPEED * (self.now - self.origin), force, client)
             self.player.step()
@@ -119,7 +119,7 @@ def test_a_sliding_finger_feels_what_was_selected(stage: Stage, display: Display
     played = stage.slide(1.0)[2000:]
     stroke = Trajectory.line(speed=SPEED, duration=1.0, normal_force=0.5)
     wanted = render(display, load_texture("wood-oak"), stroke).drive[2000:]
-    assert rms(played) == pytest.approx(rms(wanted), rel=0.1)
+    assert rms(played) == pytest.approx(rms(wanted), rel=0.01)
 
 
 def test_the_place_is_that_of_the_time_at_which_a_block_is_put_out(stage: Stage) -> None:
@@ -142,25 +142,31 @@ def test_a_finger_that_lifts_or_is_silent_ends_in_0_volts(stage: Stage) -> None:
     assert not silent[int(0.15 * RATE) :].any(), "100 ms of silence, and the fade"
 
 
-def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage, oak: Layer) -> None:
+def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage) -> None:
+    """On the same way each time; powers add, but for what two textures have in common by chance.
+
+    Over 0.25 s that is within a tenth.
+    """
     alone = rms(stage.slide(0.5)[2000:])
     stage.player.voice(YOU).layers = ((1, 1.0), (2, 1.0))
     stage.player.refresh(YOU)
-    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone, rel=0.3), "not your finger"
     stage.slide(0.1, force=0.0)
-    yours = rms(stage.slide(0.7, client=YOU)[3600:])
+    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone, rel=1e-3), "not your finger"
+    stage.slide(0.1, force=0.0)
+    yours = rms(stage.slide(0.5, client=YOU)[2000:])
     stage.slide(0.1, force=0.0, client=YOU)
     stage.player.voice(YOU).layers = ((2, 1.0),)
     stage.player.refresh(YOU)
-    leather = rms(stage.slide(0.7, client=YOU)[3600:])
-    assert yours == pytest.approx(np.hypot(alone, leather), rel=0.3)
+    leather = rms(stage.slide(0.5, client=YOU)[2000:])
+    assert yours == pytest.approx(np.hypot(alone, leather), rel=0.1)
 
 
 def test_gains_scale_and_stop_fades(stage: Stage) -> None:
     alone = rms(stage.slide(0.5)[2000:])
     stage.player.voice(ME).gain = 0.25
     stage.player.refresh(ME)
-    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone / 4, rel=0.3)
+    stage.slide(0.1, force=0.0)
+    assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone / 4, rel=1e-3)
     stage.player.voice(ME).sounds = False
     stage.player.refresh(ME)
     assert not stage.slide(0.1)[400:].any()

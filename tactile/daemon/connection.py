@@ -9,6 +9,7 @@ import asyncio
 import logging
 import secrets
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -81,13 +82,11 @@ async def talk(socket: WebSocket, site: Site) -> None:
         await socket.close(1002, f"no subprotocol of {', '.join(ENCODINGS)}")
         return
     connection = Connection(socket, site, ENCODINGS[protocol])
-    try:
+    with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):  # nobody would read it
         ended = await connection.run()
         if ended is not GONE:
             async with asyncio.timeout(READ_WITHIN):
                 await socket.close(*ended)
-    except (TimeoutError, WebSocketDisconnect, RuntimeError):
-        pass  # there is nobody who would read it
 
 
 class Connection:

@@ -81,14 +81,12 @@ class Host:
         self._workbench.begin()
         try:
             for config in self._config.display:
-                await self._add(Playing(config, self._workbench, self._tell))
+                playing = Playing(config, self._workbench, self._tell)
+                self.playing[config.name] = playing
+                await playing.start()
         except BaseException:
             await self.close()
             raise
-
-    async def _add(self, playing: Playing) -> None:
-        self.playing[playing.config.name] = playing
-        await playing.start()
 
     async def close(self) -> None:
         """Fade out, disarm and end all of it; idempotent."""
@@ -97,35 +95,43 @@ class Host:
         self._closed = True
         for task in self.tasks:
             task.cancel()
-        await asyncio.gather(*(p.close() for p in self.playing.values()))
+        playing, self.playing = self.playing, {}
+        await asyncio.gather(*(one.close() for one in playing.values()))
         await self._workbench.close()
 
     async def reload(self) -> None:
         """Read textures and configuration again.
 
-        Displays that are configured otherwise are opened anew, the others play on.
+        Displays that are configured otherwise are opened anew, the others play on, with what is
+        selected made anew.
 
         Raises
         ------
         TactileError
-            For a configuration that cannot be used; all stays as it was.
+            For a configuration that cannot be used; all stays as it was then. For a device that
+            cannot be opened; it is tried again and again.
         """
-        config = self._config
-        if config.path is not None:
-            config = load_config(config.path)
-        wanted = {one.name: one for one in config.display}
-        self._textures = shipped_textures()
-        for name, playing in list(self.playing.items()):
-            playing.forget_textures()
-            if wanted.get(name) != playing.config:
-                await self.playing.pop(name).close()
-        self._config = config
-        for name, one in wanted.items():
-            if name not in self.playing:
-                await self._add(Playing(one, self._workbench, self._tell))
-        self.playing = {name: self.playing[name] for name in wanted}
-        for name in self.playing:
-            self._tell(Event(display=name, kind="textures"))
+        config = self._config if self._config.path is None else load_config(self._config.path)
+        before = {playing.config: playing for playing in self.playing.values()}
+        after = [
+            before.pop(one, None) or Playing(one, self._workbench, self._tell)
+            for one in config.display
+        ]
+        self._config, self._textures = config, shipped_textures()
+        await asyncio.gather(*(playing.close() for playing in before.values()))
+        self.playing = {playing.config.name: playing for playing in after}
+        failures = []
+        for playing in after:
+            new = playing.child is None
+            try:
+                await (playing.start() if new else playing.renew())
+            except BusError as error:
+                failures.append(str(error))
+                if new:
+                    playing.keep_open()
+            self._tell(Event(display=playing.config.name, kind="textures"))
+        if failures:
+            raise BusError("; ".join(failures))
 
     # What there is
 
@@ -170,7 +176,7 @@ class Host:
 
     def healthy(self) -> bool:
         """Return whether every playback lives and gets on."""
-        return all(playing.alive for playing in self.playing.values())
+        return not self._closed and all(playing.alive for playing in self.playing.values())
 
     def beat(self) -> bool:
         """Return whether every playback got on since the last call: blocks, or reports at rest."""

@@ -79,19 +79,20 @@ class Program:
     # Orders
 
     def _read(self, pipe: BinaryIO) -> None:
-        while not self._ended:
-            try:
+        try:
+            while not self._ended:
                 number, order = pickle.load(pipe)
-            except (EOFError, OSError, pickle.UnpicklingError):
-                break
-            if isinstance(order, orders.EStop):
-                self._estop()
-                self._say(Answer(number))
-            else:
-                self._orders.append((number, order))
+                if isinstance(order, orders.EStop):
+                    self._estop()
+                    self._say(Answer(number))
+                else:
+                    self._orders.append((number, order))
+                self._news.set()
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return  # the server is gone
+        finally:
+            self._ended = True
             self._news.set()
-        self._ended = True
-        self._news.set()
 
     def _estop(self) -> None:
         """Stop at once, whoever was asked first: this loop, or who reads orders."""

@@ -227,7 +227,7 @@ class Player:
         self.tracker = ContactTracker()
         self.report = Report(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
-        self._client = self._position = self._skipped = self._contacts = 0
+        self._client = self._position = self._skipped = 0
         step = 1 / (self.display.limits.fade * self._rate)
         self._air = Ramp(step, 1.0 if self.worn else IN_AIR)
         self._touching = self.worn

@@ -123,19 +123,24 @@ class Playing:
         await self._open()
         if self._armed:
             await self.ask(orders.Arm())
+        self.keep_open()
+
+    def keep_open(self) -> None:
+        """See to it from now on that it is open."""
         self._keeper = asyncio.create_task(self._keep())
 
     async def _open(self) -> None:
         config, loop = self.config, asyncio.get_running_loop()
         inherited = () if self.memory.descriptor is None else (self.memory.descriptor,)
         self._opened = loop.create_future()
-        child = self._child = Child("tactile.daemon.playback_process", self._heard, inherited)
+
+        def heard(what: Any) -> None:
+            if self._child is child:  # and not one that was killed before it
+                self._heard(what)
+
+        child = self._child = Child("tactile.daemon.playback_process", heard, inherited)
         url = config.device
-        if (
-            config.rearm
-            and "rearm=" not in url
-            and url.partition(":")[0] in ("serial", "can", "i2c")
-        ):
+        if config.rearm and url.startswith(REARMED) and "rearm=" not in url:
             url += ("&" if "?" in url else "?") + "rearm=true"
         child.tell(
             Setup(
@@ -214,11 +219,8 @@ class Playing:
             self._child.kill()
         await self._open()
         self.failure = ""
-        ready, self._textures = self._textures, {}
-        numbers = {n: await self.texture(*key) for key, n in ready.items()}
+        await self.renew()
         for client, part in self.parts.items():
-            part.layers = tuple((numbers[n], gain) for n, gain in part.layers if n in numbers)
-            await self.ask(orders.Select(client, part.layers))
             await self.ask(orders.Scale(client, part.gain, part.sounds))
         if self._armed and self.config.rearm:
             await self.ask(orders.Arm())
@@ -279,6 +281,7 @@ class Playing:
         """
         key = name, seed
         if key in self._textures:
+            self._textures[key] = self._textures.pop(key)  # the latest is the last to go
             return self._textures[key]
         if key not in self._making:
             self._making[key] = asyncio.create_task(self._made(key))
@@ -298,15 +301,31 @@ class Playing:
         return number
 
     async def _tidy(self) -> None:
-        """Let go of textures that nobody has selected, the oldest first."""
-        used = {n for part in self.parts.values() for n, _ in part.layers}
-        spare = [key for key, n in list(self._textures.items())[:-1] if n not in used]
+        """Let go of textures that nobody has selected, those first that were for longest."""
+        used = self._used
+        spare = [key for key, n in self._textures.items() if n not in used]
         for key in spare[: max(len(self._textures) - MOST_TEXTURES, 0)]:
             await self.ask(orders.Drop(self._textures.pop(key)))
 
-    def forget_textures(self) -> None:
-        """Have each texture made anew when it is selected next: their files may have changed."""
-        self._textures.clear()
+    @property
+    def _used(self) -> set[int]:
+        return {n for part in self.parts.values() for n, _ in part.layers}
+
+    async def renew(self) -> None:
+        """Have what is selected made anew, from files that may have changed, and play that."""
+        old, self._textures = self._textures, {}
+        numbers, used = dict[int, int](), self._used
+        for key, n in old.items():
+            if n in used:
+                try:
+                    numbers[n] = await self.texture(*key)
+                except BusError as error:
+                    log.error("%s: %s", self.config.name, error)
+        for client, part in list(self.parts.items()):
+            part.layers = tuple((numbers.get(n, n), gain) for n, gain in part.layers)
+            await self.ask(orders.Select(client, part.layers))
+        for n in old.values():
+            await self.ask(orders.Drop(n))
 
     def touch(self, client: int, touch: Touch) -> None:
         """Take a contact, where the finger is the client's, or nobody's."""

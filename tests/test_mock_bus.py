@@ -1,7 +1,7 @@
 """What only an ideal bus promises: what was written it has played at once, and it remembers.
 
 ``mock:`` and ``sim:`` play as fast as they are written to; what they share with all other buses
-is in `test_bus_contract`.
+is in `contract`.
 """
 
 import sys

@@ -114,7 +114,7 @@ class Host:
         config = self._config if self._config.path is None else load_config(self._config.path)
         before = {playing.config: playing for playing in self.playing.values()}
         after = [
-            before.pop(one, None) or Playing(one, self._workbench, self._tell)
+            before.pop(one) if one in before else Playing(one, self._workbench, self._tell)
             for one in config.display
         ]
         self._config, self._textures = config, shipped_textures()

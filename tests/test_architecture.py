@@ -64,6 +64,7 @@ MAP: dict[str, set[str]] = {
     },
     "printing": set(),
     "cli": {
+        "texture",
         "bench",
         "bus",
         "daemon",

@@ -20,12 +20,13 @@ Floats = NDArray[np.float64]
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10) * 1e3
 """Of the 16 third octaves, exact (IEC 61260-1) [cycles/m]; a file may round them."""
-SEGMENT = 80e-3
-"""m, of a spectrum: under a Hann window a line is 50 cycles/m wide, the lowest band 58."""
-SHORTEST = 40e-3
-"""m: a shorter stroke cannot tell the lowest bands apart."""
-END = 8e-3
-"""m at either end that filters spoil, two periods of the lowest band."""
+SEGMENT = 20
+"""Periods of the lowest band, of a spectrum: 80 mm of 0.25 cycles/mm. Under a Hann window a line is
+50 cycles/m wide there, the lowest band 58."""
+SHORTEST = 10
+"""Periods of the lowest band: a shorter stroke cannot tell the lowest bands apart."""
+END = 2
+"""Periods of the lowest band at either end that filters spoil."""
 QUIET = 1e-5
 """Of the strongest third octave's power: one that is weaker is not brought up to it."""
 HIGHEST_CORNER = 1e3
@@ -40,9 +41,9 @@ def third_octaves(center: Floats = CENTERS) -> Floats:
 def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> Floats:
     """Return the level of each band.
 
-    Welch's method: segments of 80 mm (a shorter stroke is one), half overlapping, each without
-    its straight trend and under a Hann window; power between a band's edges, bins on an edge
-    shared, over its width.
+    Welch's method: segments of 20 periods of the lowest band (a shorter stroke is one), half
+    overlapping, each without its straight trend and under a Hann window; power between a band's
+    edges, bins on an edge shared, over its width.
 
     Parameters
     ----------
@@ -58,17 +59,18 @@ def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> F
     Raises
     ------
     InputError
-        Where the stroke is shorter than 40 mm, or too coarsely sampled for the highest band.
+        Where the stroke is shorter than 10 periods of the lowest band, or too coarsely
+        sampled for the highest.
     """
     signal = _checked(signal, step, center)
-    size = min(signal.shape[-1], round(SEGMENT / step))
+    size = min(signal.shape[-1], round(SEGMENT / (center[0] * step)))
     window = np.hanning(size + 1)[:-1]
     starts = range(0, signal.shape[-1] - size + 1, max(size // 2, 1))
     density = np.mean([_periodogram(signal[..., k : k + size], window) for k in starts], axis=0)
     return 10 * np.log10(np.maximum(_band_means(density * step * 1e15, size * step, center), 1e-30))
 
 
-def _checked(signal: Floats, step: float, center: Floats = CENTERS) -> Floats:
+def _checked(signal: Floats, step: float, center: Floats) -> Floats:
     signal = np.asarray(signal, np.float64)
     top = float(third_octaves(center)[-1])
     if not 0 < step <= 1 / (2 * top):
@@ -76,11 +78,11 @@ def _checked(signal: Floats, step: float, center: Floats = CENTERS) -> Floats:
             f"step = {step * 1e6:g} µm: bands to {top * 1e-3:.3g} cycles/mm need at most "
             f"{0.5e6 / top:.3g} µm; sample faster or slide slower"
         )
-    length = signal.shape[-1] * step
-    if length < SHORTEST:
+    length, shortest = signal.shape[-1] * step, SHORTEST / float(center[0])
+    if length < shortest * (1 - 1e-9):
         raise InputError(
             f"stroke of {length * 1e3:.3g} mm: the lowest band needs at least "
-            f"{SHORTEST * 1e3:g} mm; slide farther"
+            f"{shortest * 1e3:.2g} mm; slide farther"
         )
     if not np.isfinite(signal).all():
         raise InputError("stroke: holds a number that is not finite")
@@ -102,38 +104,40 @@ def _band_means(density: Floats, length: float, center: Floats) -> Floats:
     return np.asarray(np.diff(upto, axis=-1) / np.diff(edges))
 
 
-def excess_kurtosis(signal: Floats, step: float) -> float:
+def excess_kurtosis(signal: Floats, step: float, *, center: Floats = CENTERS) -> float:
     """Return ⟨u⁴⟩/⟨u²⟩² − 3 of displacement within the bands.
 
     The signal is band-passed by a Butterworth filter of order 4, forth and back, between the
-    outer edges of the bands; 8 mm at either end are left out. Each stroke is brought to an rms of
+    outer edges of the bands; two periods of the lowest band at
+    either end are left out. Each stroke is brought to an rms of
     one, so that a level that differs from stroke to stroke is no kurtosis.
 
     Parameters
     ----------
     signal : (S,) or (R, S) displacement without lines and rare features [m]
     step : between samples [m]
+    center : (16,) of the bands [cycles/m]
 
     Raises
     ------
     InputError
         As `band_spectrum`.
     """
-    signal = _checked(signal, step)
-    edges = third_octaves()
+    signal = _checked(signal, step, center)
+    edges = third_octaves(center)
     top = min(edges[-1], 0.499 / step)
     band = butter(4, (edges[0], top), "bandpass", fs=1 / step, output="sos")
-    inner = _inner(sosfiltfilt(band, detrend(signal, axis=-1), axis=-1), step)
+    inner = _inner(sosfiltfilt(band, detrend(signal, axis=-1), axis=-1), step, center)
     unit = inner / np.sqrt(np.mean(inner**2, axis=-1, keepdims=True))
     return float(np.mean(unit**4) - 3)
 
 
-def _inner(signal: Floats, step: float) -> Floats:
-    spoiled = round(END / step)
+def _inner(signal: Floats, step: float, center: Floats) -> Floats:
+    spoiled = round(END / (center[0] * step))
     return signal[..., spoiled : signal.shape[-1] - spoiled]
 
 
-def am_depth(signal: Floats, step: float, corner: float) -> float:
+def am_depth(signal: Floats, step: float, corner: float, *, center: Floats = CENTERS) -> float:
     """Return the standard deviation over the mean of the envelope's part below a corner.
 
     The envelope is the magnitude of the analytic signal of displacement whose third octaves are
@@ -146,6 +150,7 @@ def am_depth(signal: Floats, step: float, corner: float) -> float:
     signal : (S,) or (R, S) displacement without lines and rare features [m]
     step : between samples [m]
     corner : the descriptor's ``am_corner_per_mm`` [cycles/m]
+    center : (16,) of the bands [cycles/m]
 
     Raises
     ------
@@ -159,13 +164,13 @@ def am_depth(signal: Floats, step: float, corner: float) -> float:
     ₂F₁(−½, −½; 1; k²) − 1, the covariance of a normal process's envelope over its mean squared
     (Rice 1944; Middleton 1960), k the magnitude of its analytic autocorrelation.
     """
-    frequency, found, own = _modulation(signal, step)
+    frequency, found, own = _modulation(signal, step, center)
     low = (frequency > 0) & (frequency <= corner)
     measured, chance = found[low].sum(), own[low].sum()
     return float(np.sqrt(max((measured - chance) / (1 + chance), 0.0)))
 
 
-def am_corner(signal: Floats, step: float) -> float:
+def am_corner(signal: Floats, step: float, *, center: Floats = CENTERS) -> float:
     """Return the spatial frequency up to which the envelope is modulated [cycles/m].
 
     A modulation that is even up to its corner is taken: with C(f) its power up to f, in excess of
@@ -177,13 +182,14 @@ def am_corner(signal: Floats, step: float) -> float:
     ----------
     signal : (S,) or (R, S) displacement without lines and rare features [m]
     step : between samples [m]
+    center : (16,) of the bands [cycles/m]
 
     Raises
     ------
     InputError
         As `band_spectrum`.
     """
-    frequency, found, own = _modulation(signal, step)
+    frequency, found, own = _modulation(signal, step, center)
     sought = (frequency > 0) & (frequency <= HIGHEST_CORNER)
     excess = np.maximum(np.cumsum((found - own)[sought]), 0)
     if not excess.any():
@@ -191,20 +197,20 @@ def am_corner(signal: Floats, step: float) -> float:
     return float(frequency[sought][np.argmax(excess**2 / np.cumsum(own[sought] ** 2))])
 
 
-def _modulation(signal: Floats, step: float) -> tuple[Floats, Floats, Floats]:
+def _modulation(signal: Floats, step: float, center: Floats) -> tuple[Floats, Floats, Floats]:
     """Return frequencies [cycles/m] and the power there of an envelope over its mean squared.
 
     Measured, the mean over strokes, and of a normal process of the same spectrum.
     """
-    signal = np.atleast_2d(_checked(signal, step))
+    signal = np.atleast_2d(_checked(signal, step, center))
     count = signal.shape[-1]
-    mean_power = np.mean(10 ** (band_spectrum(signal, step) / 10), axis=0)
+    mean_power = np.mean(10 ** (band_spectrum(signal, step, center=center) / 10), axis=0)
     levels = np.asarray(10 * np.log10(mean_power))
     frequency = np.asarray(np.fft.rfftfreq(count, step))
-    gain, power = _equalization(frequency, levels)
-    ends = tukey(count, min(2 * END / (count * step), 1.0))
+    gain, power = _equalization(frequency, levels, center)
+    ends = tukey(count, min(2 * END / (center[0] * count * step), 1.0))
     spectrum = np.asarray(np.fft.rfft(detrend(signal, axis=-1) * ends, axis=-1) * gain)
-    envelope = _inner(np.abs(_analytic(spectrum, count)), step)
+    envelope = _inner(np.abs(_analytic(spectrum, count)), step, center)
     envelope = envelope / envelope.mean(axis=-1, keepdims=True) - 1
     inner = envelope.shape[-1]
     bins = 2 * np.abs(np.fft.rfft(envelope, axis=-1) / inner) ** 2
@@ -222,15 +228,15 @@ def _analytic(spectrum: NDArray[np.inexact], count: int) -> NDArray[np.complex12
     return np.asarray(np.fft.ifft(wide, axis=-1))
 
 
-def _equalization(frequency: Floats, levels: Floats) -> tuple[Floats, Floats]:
+def _equalization(frequency: Floats, levels: Floats, center: Floats) -> tuple[Floats, Floats]:
     """Return the gain that brings third octaves to equal power, and the spectrum it leaves.
 
     Levels run straight between centers over the logarithm of frequency, and are held beyond them.
     """
-    edges = third_octaves()
+    edges = third_octaves(center)
     inside = (frequency >= edges[0]) & (frequency <= edges[-1])
     safe = np.where(inside, frequency, 1.0)
-    octave = 10 ** (np.interp(np.log(safe), np.log(CENTERS), levels) / 10) * safe
+    octave = 10 ** (np.interp(np.log(safe), np.log(center), levels) / 10) * safe
     strongest = np.where(inside, octave, 0.0).max()
     gain = np.where(inside, 1 / np.sqrt(np.maximum(octave, QUIET * strongest)), 0.0)
     return gain, gain**2 * octave / safe

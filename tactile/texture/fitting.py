@@ -1,0 +1,435 @@
+"""From recordings to a descriptor: bands, gratings, statistics, laws and friction.
+
+Each recording becomes strokes of displacement over place. Lines that most recordings share are
+gratings and are taken off; what is left is measured in 16 third octaves of spatial frequency, which
+lie at 25–800 Hz at the reference speed, a sensor's own noise subtracted as power. How levels differ
+between speeds and forces gives the exponents, held near what is known where the recordings tell
+little; what remains from recording to recording is the bands' spread.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from tactile.errors import InputError
+from tactile.texture import measures
+from tactile.texture.descriptor import (
+    BANDS,
+    About,
+    Descriptor,
+    Friction,
+    Laws,
+    Periodic,
+    Reference,
+    Stochastic,
+)
+from tactile.texture.friction_fit import fit_friction
+from tactile.texture.lines import Grating, gratings, without
+from tactile.texture.recorded import Recorded
+from tactile.texture.strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
+from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
+
+Floats = NDArray[np.float64]
+
+FIRST = 25.0
+"""Hz at the reference speed, of the lowest band's center."""
+SPEED_PRIOR = (-1.0, 0.25)
+"""Exponent and its standard deviation: −0.84 and −0.97 for denim and corduroy at 20–60 mm/s from
+four recordings each (Fradin et al., World Haptics 2023), spread assumed."""
+FORCE_PRIOR = (0.4, 0.3)
+"""Assumed; vibration does grow with force."""
+SCATTER = 3.0
+"""dB rms by which the level of one recording differs from the next (assumed; 2–4 dB in those)."""
+SPEEDS_APART = 1.15
+"""Ratio from which two recordings count as of different speeds, or forces."""
+DEFAULT_FORCE = 0.5
+"""N where none is told (assumed)."""
+ANCHOR = 1.0
+"""µm rms that an uncalibrated texture is given (assumed: about that of the shipped ones)."""
+SPREAD = 15.0
+"""Degrees of a surface that has a direction (assumed, as of the shipped woods)."""
+LARGEST_LOSS = 1.0
+"""dB in any band, up to which a surface is taken for isotropic."""
+USUAL_CORNER = 100.0
+"""cycles/m of modulation where none is found; a descriptor's default."""
+BURIED = 0.1
+"""Of a band's power: the least that is left of it where the noise is subtracted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A texture fitted to recordings.
+
+    Attributes
+    ----------
+    descriptor : the texture
+    names, speed : (R,) of the recordings [m/s]
+    center : (16,) of the bands [cycles/m]
+    level : (R, 16) of each recording, dB re 1 µm²·mm at its own speed; NaN where a band lies
+        outside of what it covers
+    gratings : lines that were found
+    exponent_error : standard errors of the speed and the force exponent
+    isotropic_loss : (16,) what an isotropic surface would have above the bands [dB]
+    notes : what a reader must know, a line each
+    """
+
+    descriptor: Descriptor
+    names: tuple[str, ...]
+    speed: Floats
+    center: Floats
+    level: Floats
+    gratings: tuple[Grating, ...]
+    exponent_error: tuple[float, float]
+    isotropic_loss: Floats
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A recording with its strokes (S,), and those less their gratings."""
+
+    recorded: Recorded
+    speed: float
+    force: float
+    strokes: list[Floats]
+    bare: list[Floats]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured of recordings, before a texture is made of it.
+
+    Attributes
+    ----------
+    slides : the R recordings
+    reference : speed [m/s]
+    step : of place in strokes [m]
+    center : (16,) of the bands [cycles/m]
+    level : (R, 16), as in `Fit`
+    gratings : lines that most have
+    """
+
+    slides: list[Slide]
+    reference: float
+    step: float
+    center: Floats
+    level: Floats
+    gratings: list[Grating]
+
+    def part(self, rows: Sequence[int]) -> "Measurement":
+        """Return the same of some of the recordings."""
+        owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
+        strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
+        return changed(
+            self,
+            slides=[self.slides[k] for k in rows],
+            level=self.level[list(rows)],
+            gratings=[changed(g, heights=g.heights[strokes]) for g in self.gratings],
+        )
+
+    @property
+    def speed(self) -> Floats:
+        """(R,) mean speeds [m/s]."""
+        return np.array([s.speed for s in self.slides])
+
+    @property
+    def force(self) -> Floats:
+        """(R,) mean normal forces [N]."""
+        return np.array([s.force for s in self.slides])
+
+
+def measure_slides(
+    recordings: Sequence[Recorded],
+    *,
+    noise: Recorded | None = None,
+    reference_speed: float | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Measurement:
+    """Measure bands and gratings of recordings of one surface.
+
+    Parameters
+    ----------
+    recordings : slides of one surface, at one or several speeds and forces
+    noise : the same sensor with nothing sliding
+    reference_speed : at which the texture is to be true and its bands lie at 25–800 Hz [m/s];
+        the recordings' geometric mean by default
+    progress : called with the name of each step
+
+    Raises
+    ------
+    InputError
+        Where recordings do not go together, are not steady, or cover too little.
+    """
+    _check_together(recordings, noise)
+    progress("strokes")
+    usual = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
+    reference = reference_speed or float(np.exp(np.log(usual).mean()))
+    center = centers_at(reference)
+    step = 1 / (2 * OVERSAMPLING * measures.third_octaves(center)[-1])
+    slides = [_slide(r, step, measures.SHORTEST / center[0]) for r in recordings]
+    progress("lines")
+    whole = [u for s in slides for u in s.strokes]
+    lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
+    found = gratings(whole, step, lows, measures.third_octaves(center)[-1])
+    slides = [changed(s, bare=[without(u, step, found) for u in s.strokes]) for s in slides]
+    progress("bands")
+    level = np.array([_level(s, step, center, noise) for s in slides])
+    return Measurement(slides, reference, step, center, level, found)
+
+
+def centers_at(speed: float) -> Floats:
+    """Return the centers of 16 third octaves that lie at 25–800 Hz at a speed [cycles/m]."""
+    first = round(10 * np.log10(FIRST / speed * 1e-3))
+    return np.asarray(10 ** ((first + np.arange(BANDS)) / 10) * 1e3)
+
+
+def _check_together(recordings: Sequence[Recorded], noise: Recorded | None) -> None:
+    if not recordings:
+        raise InputError("no recording; give at least one")
+    first = recordings[0]
+    for other in [*recordings, *([noise] if noise else [])]:
+        if (other.quantity, other.calibrated) != (first.quantity, first.calibrated):
+            raise InputError(
+                f"{other.name}: {other.quantity}, {'' if other.calibrated else 'un'}calibrated; "
+                f"{first.name} is {first.quantity}, {'' if first.calibrated else 'un'}calibrated: "
+                "recordings of one texture are of one kind"
+            )
+
+
+def _slide(recorded: Recorded, step: float, shortest: float) -> Slide:
+    parts = steady_parts(recorded, shortest)
+    speed = float(np.mean([recorded.speed[part].mean() for part in parts]))
+    force = recorded.normal_force
+    pressed = DEFAULT_FORCE if force is None else float(np.mean([force[p].mean() for p in parts]))
+    if pressed <= 0:
+        raise InputError(
+            f"{recorded.name}: normal force is {pressed:.3g} N; the finger must press: check its "
+            "sign and offset"
+        )
+    return Slide(recorded, speed, pressed, strokes_of(recorded, step, shortest), [])
+
+
+def _level(slide: Slide, step: float, center: Floats, noise: Recorded | None) -> Floats:
+    """Return the levels (16,) of one recording, NaN where it does not cover a band."""
+    power = mean_power(slide.bare, step, center)
+    if noise is not None:
+        still = changed(noise, speed=np.full(len(noise.signal), slide.speed))
+        own = mean_power(strokes_of(still, step, measures.SHORTEST / center[0]), step, center)
+        power = np.maximum(power - own, BURIED * power)
+    edges = measures.third_octaves(center) * slide.speed
+    covered = (edges[:-1] >= 0.9 * LOWEST) & (edges[1:] <= 0.4 * slide.recorded.sample_rate)
+    return np.where(covered, 10 * np.log10(np.maximum(power, 1e-30)), np.nan)
+
+
+def mean_power(strokes: list[Floats], step: float, center: Floats) -> Floats:
+    """Return the density (16,) of strokes in each band [µm²·mm], long ones counting for more."""
+    levels = [measures.band_spectrum(u, step, center=center) for u in strokes]
+    lengths = [len(u) for u in strokes]
+    return np.asarray(np.average(10 ** (np.array(levels) / 10), axis=0, weights=lengths))
+
+
+def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floats]:
+    """Return the exponents of speed and force, and their standard errors.
+
+    Parameters
+    ----------
+    speed, force : (R,) of recordings
+    level : (R,) their mean levels [dB]
+
+    Returns
+    -------
+    exponent, error : (2,) ndarrays
+
+    Notes
+    -----
+    Least squares of level = 20 (a lg v + b lg N) + c, weighed against what is known beforehand by
+    their variances. The scatter of levels is that of the recordings about their own line, with
+    `SCATTER` as two more of them.
+    """
+    lever = 20 * np.log10(np.stack([speed, force], axis=1))
+    lever, about = lever - lever.mean(axis=0), level - level.mean()
+    line = np.linalg.lstsq(lever, about, rcond=None)[0]
+    misses = float(np.sum((about - lever @ line) ** 2))
+    scatter = (2 * SCATTER**2 + misses) / max(len(level), 2)
+    prior, spread = np.transpose([SPEED_PRIOR, FORCE_PRIOR])
+    covariance = np.linalg.inv(lever.T @ lever / scatter + np.diag(spread**-2))
+    found = covariance @ (lever.T @ about / scatter + prior / spread**2)
+    return found, np.sqrt(np.diag(covariance))
+
+
+def describe(
+    found: Measurement, about: About, progress: Callable[[str], None] = lambda step: None
+) -> Fit:
+    """Return the texture that a measurement amounts to.
+
+    Parameters
+    ----------
+    found : by `measure_slides`
+    about : what the descriptor says of itself
+    progress : called with the name of each step
+
+    Raises
+    ------
+    InputError
+        Where recordings share no band, or forces cannot be friction.
+    """
+    mean = _over_common_bands(found.level)
+    exponent, error = exponents(found.speed, found.force, mean)
+    pressed = float(np.exp(np.log(found.force).mean()))
+    law = 20 * exponent[0] * np.log10(found.speed / found.reference)
+    law += 20 * exponent[1] * np.log10(found.force / pressed)
+    bands, spread = _bands(found.level - law[:, None], found.center)
+    calibrated = found.slides[0].recorded.calibrated
+    anchor = 0.0 if calibrated else _anchor(bands, found.center)
+    gain = np.repeat(10 ** ((anchor - law) / 20), [len(s.strokes) for s in found.slides])
+    progress("statistics")
+    stochastic = _stochastic(found, bands + anchor, spread)
+    progress("surface")
+    stochastic, loss = _with_direction(stochastic)
+    descriptor = Descriptor(
+        texture=about,
+        reference=Reference(
+            speed_mm_s=_digits(found.reference * 1e3), normal_force_n=_digits(pressed)
+        ),
+        stochastic=stochastic,
+        periodic=tuple(_periodic(g, gain) for g in found.gratings),
+        laws=_laws(found.speed, found.force, exponent),
+        friction=_friction(found.slides, pressed),
+    )
+    return Fit(
+        descriptor=descriptor,
+        names=tuple(s.recorded.name for s in found.slides),
+        speed=found.speed,
+        center=found.center,
+        level=found.level,
+        gratings=tuple(found.gratings),
+        exponent_error=(float(error[0]), float(error[1])),
+        isotropic_loss=loss,
+        notes=tuple(_notes(found)),
+    )
+
+
+def _digits(value: float, count: int = 4) -> float:
+    return float(f"{value:.{count}g}")
+
+
+def _over_common_bands(level: Floats) -> Floats:
+    """Return the mean level (R,) of the bands that every recording covers [dB]."""
+    common = np.isfinite(level).all(axis=0)
+    if not common.any():
+        raise InputError("recordings cover no band in common; fit them one by one")
+    return np.asarray(level[:, common].mean(axis=1))
+
+
+def _bands(level: Floats, center: Floats) -> tuple[Floats, Floats]:
+    """Return mean and spread (16,) over recordings; a band that none covers goes on straight."""
+    known = np.isfinite(level).any(axis=0)
+    total = np.where(np.isfinite(level), level, 0).sum(axis=0)
+    count = np.isfinite(level).sum(axis=0)
+    mean = total / np.maximum(count, 1)
+    square = np.where(np.isfinite(level), (level - mean) ** 2, 0).sum(axis=0)
+    spread = np.sqrt(square / np.maximum(count - 1, 1))
+    x = np.log10(center)
+    slope = np.polyfit(x[known], mean[known], 1)[0] if known.sum() > 1 else -10.0
+    ends = np.flatnonzero(known)[[0, -1]]
+    held = np.interp(x, x[known], mean[known])
+    held += slope * np.minimum(x - x[ends[0]], 0) + slope * np.maximum(x - x[ends[1]], 0)
+    return held, spread
+
+
+def _anchor(bands: Floats, center: Floats) -> float:
+    """Return what brings uncalibrated bands to `ANCHOR` [dB]."""
+    width = np.diff(measures.third_octaves(center)) * 1e-3
+    return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
+
+
+def _stochastic(found: Measurement, bands: Floats, spread: Floats) -> Stochastic:
+    strokes = [u for slide in found.slides for u in slide.bare]
+    lengths, step, center = [len(u) for u in strokes], found.step, found.center
+    corners = [measures.am_corner(u, step, center=center) for u in strokes]
+    corner = float(np.clip(np.nanmedian([*corners, USUAL_CORNER]), 10.0, 1000.0))
+    depth = [measures.am_depth(u, step, corner, center=center) for u in strokes]
+    kurtosis = [measures.excess_kurtosis(u, step, center=center) for u in strokes]
+    return Stochastic(
+        frequency_per_mm=tuple(_digits(c * 1e-3) for c in center),
+        level_db=tuple(np.round(bands, 1).tolist()),
+        level_sd_db=tuple(np.round(spread, 1).tolist()) if len(found.slides) > 2 else (),
+        excess_kurtosis=round(float(np.clip(np.average(kurtosis, weights=lengths), 0, 30)), 2),
+        am_depth=round(float(np.clip(np.average(depth, weights=lengths), 0, 1)), 2),
+        am_corner_per_mm=round(corner * 1e-3, 3),
+    )
+
+
+def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
+    """Return the bands as an isotropic surface's if one has them, and its error (16,) [dB]."""
+    count = 8 * BANDS
+    waves = stochastic_waves(stochastic, count)
+    levels = band_levels(*waves, stochastic, stroke_directions(stochastic))
+    loss = 10 * np.log10(np.mean(10 ** (levels / 10), axis=0)) - np.asarray(stochastic.level_db)
+    if np.abs(loss).max() <= LARGEST_LOSS:
+        return stochastic, loss
+    return replace(stochastic, direction_spread_deg=SPREAD), loss
+
+
+def _periodic(grating: Grating, gain: Floats) -> Periodic:
+    """Return a grating as of the reference, ``gain`` (R,) being what brings each stroke there."""
+    place = np.array(grating.orders) - 1
+    heights, phases = np.zeros((2, place[-1] + 1))
+    heights[place] = np.sqrt(np.nanmean((grating.heights * gain[:, None]) ** 2, axis=0)) * 1e6
+    phases[place] = np.degrees(grating.phases)
+    return Periodic(
+        wavelength_mm=_digits(1e3 / grating.frequency),
+        harmonics_um=tuple(_digits(h, 3) for h in heights),
+        phases_deg=tuple(np.round(phases).tolist()),
+    )
+
+
+def _laws(speed: Floats, force: Floats, exponent: Floats) -> Laws:
+    """Return laws that hold over what was recorded, and 15 % beyond."""
+    low, high = float(speed.min() * 1e3) / SPEEDS_APART, float(speed.max() * 1e3) * SPEEDS_APART
+    light, firm = float(force.min()) / SPEEDS_APART, float(force.max()) * SPEEDS_APART
+    return Laws(
+        speed_exponent=round(float(exponent[0]), 2),
+        speed_range_mm_s=(round(low, 1), round(high, 1)),
+        force_exponent=round(float(exponent[1]), 2),
+        force_range_n=(round(light, 3), round(firm, 3)),
+    )
+
+
+def _friction(slides: list[Slide], pressed: float) -> Friction | None:
+    known = [
+        s.recorded
+        for s in slides
+        if s.recorded.tangential_force is not None and s.recorded.normal_force is not None
+    ]
+    return fit_friction(known, pressed) if known else None
+
+
+def _notes(found: Measurement) -> Iterator[str]:
+    """Yield what a reader of the descriptor must know."""
+    first, speed, force = found.slides[0].recorded, found.speed, found.force
+    if not first.calibrated:
+        yield f"uncalibrated: its level is assumed, {ANCHOR:g} µm rms; give --full-scale"
+    if first.quantity == "force":
+        yield "from force through 1 N/mm of skin: too strong above 100 Hz"
+    if speed.max() < SPEEDS_APART * speed.min():
+        yield f"one speed: the speed exponent is assumed, {SPEED_PRIOR[0]:g}"
+        if found.gratings:
+            yield "one speed: a line may be a hum; record a second speed"
+    if first.normal_force is None:
+        yield f"normal force not told: {DEFAULT_FORCE:g} N assumed"
+    elif force.max() < SPEEDS_APART * force.min():
+        yield f"one force: the force exponent is assumed, {FORCE_PRIOR[0]:g}"
+    unknown = ~np.isfinite(found.level).any(axis=0)
+    if unknown.any():
+        bands = ", ".join(f"{c * 1e-3:.3g}" for c in found.center[unknown])
+        yield f"bands at {bands} cycles/mm were not recorded: they go on straight"
+    total = sum(s.recorded.duration for s in found.slides)
+    if total < 3.0:
+        yield f"{total:.1f} s in all: bands want 3 s or more"
+    if len(found.slides) < 3:
+        yield f"{len(found.slides)} recordings: three or more tell how bands spread"

@@ -1,0 +1,265 @@
+"""One recorded slide of a finger or sensor over a surface, read from a file and looked through.
+
+A recording is what a sensor said while something slid: acceleration, velocity, displacement or
+tangential force, with the speed it slid at. WAV holds the signal alone, so that speed and scale
+come as options; the columns of a CSV, or the arrays of an NPZ, say what they are by their names:
+
+    time_s, acceleration_m_s2 | velocity_mm_s | displacement_um | force_n,
+    and where known speed_mm_s, normal_force_n, tangential_force_n
+
+in an NPZ with ``sample_rate_hz`` in place of the time. What cannot be fitted is refused here:
+silence, clipping, a sample rate that is too low, numbers that are none, a file that was cut off.
+"""
+
+import math
+import warnings
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import wavfile
+
+from tactile import files
+from tactile.errors import InputError, NotFoundError
+
+Floats = NDArray[np.float64]
+Quantity = Literal["acceleration", "velocity", "displacement", "force"]
+
+COLUMNS: dict[str, tuple[Quantity, float]] = {
+    "acceleration_m_s2": ("acceleration", 1.0),
+    "velocity_mm_s": ("velocity", 1e-3),
+    "displacement_um": ("displacement", 1e-6),
+    "force_n": ("force", 1.0),
+}
+"""Quantity and SI units of each name that a signal may have."""
+UNITS: dict[Quantity, tuple[str, float]] = {
+    quantity: (name.partition("_")[2], scale) for name, (quantity, scale) in COLUMNS.items()
+}
+SIDES = {"speed_mm_s": 1e-3, "normal_force_n": 1.0, "tangential_force_n": 1.0}
+"""What may be recorded beside the signal, and its SI unit."""
+LOWEST_RATE = 2000.0
+"""Hz."""
+LONGEST = 1 << 26
+"""Samples of one file: 1.8 hours at 10 kHz."""
+MOST_CLIPPED = 1e-3
+"""Of all samples."""
+QUIETEST = 3.0
+"""Standard deviation in steps of the converter, the smallest that occur."""
+JITTER = 0.02
+"""Of the sampling interval, in a CSV."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """A recorded slide.
+
+    Attributes
+    ----------
+    name : of the file
+    signal : (S,) in SI units of its quantity, or in units unknown
+    quantity : what was recorded
+    sample_rate : [Hz]
+    speed : (S,) along the surface [m/s]
+    normal_force, tangential_force : (S,) [N], or None
+    calibrated : whether the signal's unit is known
+    """
+
+    name: str
+    signal: Floats
+    quantity: Quantity
+    sample_rate: float
+    speed: Floats
+    normal_force: Floats | None = None
+    tangential_force: Floats | None = None
+    calibrated: bool = True
+
+    @property
+    def duration(self) -> float:
+        """In seconds."""
+        return len(self.signal) / self.sample_rate
+
+
+def load_recorded(
+    path: str | Path,
+    *,
+    quantity: Quantity = "acceleration",
+    full_scale: float | None = None,
+    speed: float | None = None,
+    normal_force: float | None = None,
+) -> Recorded:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : a mono ``.wav``, a ``.csv`` or an ``.npz``
+    quantity : of a WAV; the other files say it
+    full_scale : what the full scale of a WAV stands for [SI]; without it the recording is taken
+        as uncalibrated
+    speed, normal_force : where the file does not say them [m/s], [N]
+
+    Raises
+    ------
+    NotFoundError, InputError
+        One line: file, what is wrong with it, and what would do.
+    """
+    path = Path(path)
+    if not files.is_file(path):
+        raise NotFoundError(f"{path}: no such file")
+    if quantity not in get_args(Quantity):
+        raise InputError(f"quantity {quantity!r}; {files.nearest(quantity, list(UNITS))}")
+    readers = {".wav": _wav, ".csv": _csv, ".npz": _npz}
+    if path.suffix.lower() not in readers:
+        raise InputError(f"{path}: is no recording; a .wav, .csv or .npz is")
+    columns, rate = readers[path.suffix.lower()](path, quantity)
+    name, own = next((n, c) for n, c in COLUMNS.items() if n in columns)
+    signal = columns[name] * own[1]
+    whole = path.suffix.lower() == ".wav"
+    _check(path, signal, rate)
+    scale = (full_scale if full_scale is not None else 1.0) / own[1] if whole else 1.0
+    sides = {side: columns[side] * unit for side, unit in SIDES.items() if side in columns}
+    return Recorded(
+        name=path.name,
+        signal=signal * scale,
+        quantity=own[0],
+        sample_rate=rate,
+        speed=_side(path, "speed_mm_s", sides, speed, signal),
+        normal_force=_side(path, "normal_force_n", sides, normal_force, signal, needed=False),
+        tangential_force=sides.get("tangential_force_n"),
+        calibrated=not whole or full_scale is not None,
+    )
+
+
+def _side(
+    path: Path,
+    name: str,
+    sides: dict[str, Floats],
+    given: float | None,
+    signal: Floats,
+    needed: bool = True,
+) -> Floats:
+    """Return what goes with each sample: from the file, or as it was given."""
+    if name in sides:
+        return sides[name]
+    option = f"--{name.replace('_', '-')}"
+    if given is None:
+        if needed:
+            raise InputError(f"{path}: speed is missing; give {option}, or a column {name}")
+        return None  # type: ignore[return-value]
+    if not (math.isfinite(given) and given > 0):
+        raise InputError(f"{path}: {option} {given:g}: must be above 0")
+    return np.full(len(signal), given)
+
+
+def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", wavfile.WavFileWarning)
+        try:
+            rate, data = wavfile.read(path)
+        except Exception as error:  # of many kinds, struct.error among them
+            raise InputError(f"{path}: no WAV that can be read: {_line(error)}") from error
+    if any("EOF" in str(warning.message) for warning in told):
+        raise InputError(f"{path}: is cut off; copy it again")
+    if data.ndim != 1:
+        raise InputError(f"{path}: has {data.shape[1]} channels; a recording has one")
+    middle = 128 if data.dtype == np.uint8 else 0
+    full = -float(np.iinfo(data.dtype).min) if data.dtype.kind == "i" else 1.0
+    full = 128.0 if data.dtype == np.uint8 else full
+    name = next(n for n, (known, _) in COLUMNS.items() if known == quantity)
+    return {name: (data.astype(np.float64) - middle) / full}, float(rate)
+
+
+def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as lines:
+        header = [cell.strip() for cell in lines.readline(4096).split(",")]
+    signal = _signal_of(path, header)
+    names = ("time_s", signal, *(side for side in SIDES if side in header))
+    table = files.numbers(path, names, files.read_columns(path, names))
+    if len(table) < 2:
+        raise InputError(f"{path}: has {len(table)} rows; a recording has seconds")
+    step = np.diff(table[:, 0])
+    usual = float(np.median(step))
+    worst = int(np.argmax(np.abs(step - usual)))
+    if usual <= 0 or abs(step[worst] - usual) > JITTER * usual + 1e-6:
+        raise InputError(
+            f"{path}: line {worst + 3}: time_s goes on by {step[worst]:g} s, elsewhere by "
+            f"{usual:g} s; must be even"
+        )
+    rate = (len(table) - 1) / float(table[-1, 0] - table[0, 0])
+    return {name: table[:, i] for i, name in enumerate(names) if i}, rate
+
+
+def _npz(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            name = _signal_of(path, archive.files)
+            if "sample_rate_hz" not in archive.files:
+                raise InputError(f"{path}: no array 'sample_rate_hz'")
+            taken = {n: np.asarray(archive[n]) for n in (name, *SIDES) if n in archive.files}
+            rate = float(archive["sample_rate_hz"])
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: no NPZ that can be read: {_line(error)}") from error
+    for n, array in taken.items():
+        if array.dtype.kind not in "iuf" or array.ndim > 1 or (n == name and array.ndim != 1):
+            raise InputError(f"{path}: {n} is {array.dtype} {array.shape}: must be numbers (S,)")
+        if array.ndim and array.shape != taken[name].shape:
+            raise InputError(
+                f"{path}: {n} has {array.shape[0]} values for {len(taken[name])} samples"
+            )
+    count = len(taken[name])
+    whole = {n: np.broadcast_to(a.astype(np.float64), (count,)) for n, a in taken.items()}
+    return whole, rate
+
+
+def _signal_of(path: Path, names: list[str]) -> str:
+    found = [name for name in COLUMNS if name in names]
+    if len(found) != 1:
+        problem = "no signal" if not found else f"{' and '.join(found)}: which is it"
+        raise InputError(f"{path}: {problem}; needs one of {', '.join(COLUMNS)}")
+    return found[0]
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _check(path: Path, signal: Floats, rate: float) -> None:
+    """Refuse what cannot be fitted."""
+    if not (math.isfinite(rate) and rate >= LOWEST_RATE):
+        raise InputError(
+            f"{path}: {rate:g} samples per second: must be at least {LOWEST_RATE:g}, for what a "
+            "finger feels goes to 1 kHz; record faster"
+        )
+    if len(signal) > LONGEST:
+        raise InputError(f"{path}: {len(signal)} samples: at most {LONGEST}; cut it")
+    bad = np.flatnonzero(~np.isfinite(signal))
+    if len(bad):
+        raise InputError(
+            f"{path}: sample {bad[0]} ({bad[0] / rate:.3f} s) is {signal[bad[0]]}: must be finite; "
+            f"{len(bad)} such"
+        )
+    steps = np.abs(np.diff(signal))
+    if np.std(signal) <= QUIETEST * steps[steps > 0].min(initial=np.inf):
+        raise InputError(
+            f"{path}: is silent; check the sensor's gain, or that the right channel was recorded"
+        )
+    if share := _clipped(signal):
+        raise InputError(
+            f"{path}: {share:.2%} of its samples are at {np.abs(signal).max():.3g}, the most "
+            "there is: clipped; record with less gain"
+        )
+
+
+def _clipped(signal: Floats) -> float:
+    """Return the share of samples in runs of three or more at one of the extremes, if many."""
+    clipped = 0
+    for extreme in (signal.max(), signal.min()):
+        at = signal == extreme
+        runs = at[:-2] & at[1:-1] & at[2:]
+        clipped += int(np.count_nonzero(runs))
+    share = clipped / len(signal)
+    return share if share > MOST_CLIPPED else 0.0

@@ -1,0 +1,278 @@
+"""A fit finds the surface that a slide was made of: bands, gratings, laws, and what it cannot know.
+
+Slides are made in `slides`, from closed forms.
+"""
+
+import numpy as np
+import pytest
+from msgspec.structs import asdict
+from slides import Floats, Surface, slide
+
+from tactile.errors import InputError
+from tactile.texture import fitting, judging
+from tactile.texture.descriptor import About
+from tactile.texture.fitting import Fit, centers_at, describe, measure_slides
+from tactile.texture.friction_fit import fit_friction
+from tactile.texture.lines import gratings
+from tactile.texture.recorded import Recorded
+
+ABOUT = About(
+    id="known", category="test", description="known", provenance="fitted", source="slides",
+    licence="CC0-1.0",
+)  # fmt: skip
+SPEEDS = (0.02, 0.03, 0.05, 0.06)
+
+
+def fit(recordings: list[Recorded], noise: Recorded | None = None) -> Fit:
+    return describe(measure_slides(recordings, noise=noise, reference_speed=0.04), ABOUT)
+
+
+def errors(found: Fit, surface: Surface) -> Floats:
+    """Return the bands' errors [dB]; a density that falls as k^slope is met at the center."""
+    stochastic = found.descriptor.stochastic
+    assert stochastic is not None
+    k = np.asarray(stochastic.frequency_per_mm)
+    edges = 10**-0.05, 10**0.05
+    power = surface.slope + 1
+    mean = 1 if power == 0 else (edges[1] ** power - edges[0] ** power) / power
+    mean = np.log(edges[1] / edges[0]) if power == 0 else mean
+    wanted = 10 * np.log10(surface.density(k) * mean / (edges[1] - edges[0]))
+    return np.asarray(np.asarray(stochastic.level_db) - wanted)
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "velocity", "displacement", "force"])
+def test_every_quantity_gives_the_bands_it_was_made_of(quantity: str) -> None:
+    surface = Surface(level_db=-5, slope=-2)
+    slides = [
+        slide(surface, v, quantity=quantity, seed=k)  # type: ignore[arg-type]
+        for k, v in enumerate(SPEEDS)
+    ]
+    error = errors(fit(slides), surface)
+    # n = 2 · 0.23 k · length per band: 1.0 dB at 0.6 cycles/mm, 0.2 dB at 20, of 480 mm in all
+    assert np.abs(error.mean()) < 0.3
+    assert np.sqrt(np.mean(error**2)) < 0.7
+
+
+def test_the_laws_are_found_from_several_speeds_and_forces() -> None:
+    surface = Surface(exponent=-0.6, force_exponent=0.9)
+    grid = [(v, n) for v in (0.02, 0.04, 0.08) for n in (0.2, 0.5, 1.5)]
+    slides = [slide(surface, v, force=n, seed=k) for k, (v, n) in enumerate(grid)]
+    found = fit(slides)
+    laws = found.descriptor.laws
+    # the prior pulls by what its variance is of the sum: 11 and 3 % of the way
+    assert laws.speed_exponent == pytest.approx(-0.6, abs=0.12)
+    assert laws.force_exponent == pytest.approx(0.9, abs=0.1)
+    assert found.exponent_error[0] < 0.15
+    assert laws.force_range_n == pytest.approx((0.2 / 1.15, 1.5 * 1.15), rel=0.01)
+
+
+def test_one_speed_and_one_force_leave_the_laws_at_what_is_known_and_say_so() -> None:
+    found = fit([slide(Surface(), 0.04, seed=k) for k in range(3)])
+    assert found.descriptor.laws.speed_exponent == -1.0
+    assert found.descriptor.laws.force_exponent == 0.4
+    assert any("speed exponent is assumed" in note for note in found.notes)
+    assert any("normal force not told" in note for note in found.notes)
+
+
+def test_exponents_are_the_posterior_of_a_normal_prior() -> None:
+    """Against the limits of no and of much evidence, and a closed form for two points."""
+    one = np.ones(2)
+    value, error = fitting.exponents(one, one, np.array([0.0, 3.0]))
+    assert value == pytest.approx([-1, 0.4])
+    assert error == pytest.approx([0.25, 0.3])
+    v, n = np.random.default_rng(0).uniform(0.1, 10, (2, 1000))
+    value, error = fitting.exponents(v, n, 20 * (0.7 * np.log10(v) - 0.3 * np.log10(n)))
+    assert value == pytest.approx([0.7, -0.3], abs=0.01)
+    assert error.max() < 0.01
+    # two points, which their line meets: the scatter is the one assumed, 3 dB
+    told = 400 * (0.25 + 0.25) / 9
+    value, error = fitting.exponents(np.array([1.0, 10.0]), one, np.array([0.0, 20.0]))
+    assert value[0] == pytest.approx((told * 1 - 16) / (told + 16))
+    assert error[0] == pytest.approx((told + 16) ** -0.5)
+
+
+def test_noise_of_the_sensor_is_taken_off_as_power() -> None:
+    surface = Surface(level_db=-5, slope=-3.5)
+    slides = [slide(surface, v, seed=k, noise=2.0) for k, v in enumerate(SPEEDS)]
+    still = slide(Surface(level_db=-300), 0.04, seed=99, noise=2.0)
+    with_noise, without = errors(fit(slides), surface), errors(fit(slides, still), surface)
+    assert with_noise[-3:].mean() > 6
+    assert np.abs(without[-3:]).max() < 2
+
+
+def test_ribs_are_found_with_wavelength_height_and_shape() -> None:
+    ribs = Surface(
+        level_db=-25, wavelength_mm=2.6, harmonics_um=(4.0, 2.0, 1.0), phases=(0.0, 1.0, -2.0)
+    )
+    slides = [slide(ribs, v, seed=k) for k, v in enumerate(SPEEDS)]
+    found = fit(slides)
+    (grating,) = found.descriptor.periodic
+    assert grating.wavelength_mm == pytest.approx(2.6, rel=2e-3)
+    assert grating.harmonics_um == pytest.approx((4, 2, 1), rel=0.08)
+    assert grating.phases_deg == pytest.approx((0, np.degrees(1), np.degrees(-2)), abs=8)
+    assert np.abs(errors(found, ribs)).max() < 4, "ribs are taken off the bands"
+
+
+def test_a_speed_that_is_a_percent_off_does_not_hide_the_ribs() -> None:
+    ribs = Surface(level_db=-20, wavelength_mm=1.3, harmonics_um=(3.0,))
+    slides = [slide(ribs, v, seed=k) for k, v in enumerate(SPEEDS)]
+    off = [
+        Recorded(
+            name=s.name, signal=s.signal, quantity=s.quantity, sample_rate=s.sample_rate,
+            speed=s.speed * f,
+        )
+        for s, f in zip(slides, (1.006, 0.994, 1.004, 0.997), strict=True)
+    ]  # fmt: skip
+    (grating,) = fit(off).descriptor.periodic
+    assert grating.wavelength_mm == pytest.approx(1.3, rel=0.01)
+    assert grating.harmonics_um[0] == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_hum_is_no_rib_where_speeds_differ() -> None:
+    slides = [slide(Surface(), v, seed=k, noise=0.05, hum_hz=120) for k, v in enumerate(SPEEDS)]
+    assert fit(slides).descriptor.periodic == ()
+    alike = [slide(Surface(), 0.04, seed=k, noise=0.05, hum_hz=120) for k in range(3)]
+    found = fit(alike)
+    assert [p.wavelength_mm for p in found.descriptor.periodic] == [pytest.approx(1 / 3, rel=0.01)]
+    assert any("may be a hum" in note for note in found.notes)
+
+
+def test_noise_alone_has_no_lines() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        strokes = [rng.standard_normal(6000) for _ in range(3)]
+        assert gratings(strokes, 1e-5, np.full(3, 200.0), 20000) == []
+
+
+def test_a_spectrum_that_no_isotropic_surface_has_is_given_a_direction_and_its_loss() -> None:
+    rising = fit([slide(Surface(slope=1.0), v, seed=k) for k, v in enumerate(SPEEDS)])
+    assert rising.descriptor.stochastic is not None
+    assert rising.descriptor.stochastic.direction_spread_deg == fitting.SPREAD
+    assert np.abs(rising.isotropic_loss).max() > 2
+    falling = fit([slide(Surface(slope=-2.5), v, seed=k) for k, v in enumerate(SPEEDS)])
+    assert falling.descriptor.stochastic is not None
+    assert falling.descriptor.stochastic.direction_spread_deg is None
+
+
+def test_bands_lie_at_25_to_800_hz_at_the_reference_speed() -> None:
+    for speed in (0.005, 0.019, 0.04, 0.0813):
+        hz = centers_at(speed) * speed
+        assert 25 / 1.13 < hz[0] < 25 * 1.13
+        assert hz[-1] / hz[0] == pytest.approx(10**1.5)
+
+
+def test_bands_beyond_what_was_recorded_go_on_straight_and_are_named() -> None:
+    surface = Surface(slope=-3.0)
+    slides = [slide(surface, 0.04, seed=k, rate=2000.0) for k in range(3)]
+    found = describe(measure_slides(slides, reference_speed=0.04), ABOUT)
+    assert np.isnan(found.level[:, -1]).all()
+    assert any("were not recorded" in note for note in found.notes)
+    assert np.abs(errors(found, surface)[-1]) < 2
+
+
+def test_an_uncalibrated_recording_gets_the_level_that_is_assumed() -> None:
+    calibrated = [slide(Surface(), v, seed=k) for k, v in enumerate(SPEEDS)]
+    counts = [
+        Recorded(
+            name=s.name, signal=s.signal * 1234, quantity=s.quantity, sample_rate=s.sample_rate,
+            speed=s.speed, calibrated=False,
+        )
+        for s in calibrated
+    ]  # fmt: skip
+    found, known = fit(counts), fit(calibrated)
+    assert found.descriptor.stochastic is not None
+    assert known.descriptor.stochastic is not None
+    level = np.asarray(found.descriptor.stochastic.level_db)
+    width = np.diff(10 ** (np.arange(-0.5, 16) / 10)) * found.center[0] * 1e-3
+    assert np.sum(10 ** (level / 10) * width) == pytest.approx(1.0, rel=0.02)
+    shift = level - np.asarray(known.descriptor.stochastic.level_db)
+    assert shift == pytest.approx(shift[0], abs=0.11)
+    assert "uncalibrated" in found.notes[0]
+
+
+def test_kurtosis_and_modulation_are_those_of_the_slide() -> None:
+    """A log-normal envelope of var s: kurtosis 3 (exp(4s) − 1), depth √(exp s − 1)."""
+    depth = 0.4
+    s = np.log(1 + depth**2)
+    slides = []
+    for seed in range(4):
+        plain = slide(Surface(slope=-2), 0.04, seed=seed, seconds=6.0, quantity="displacement")
+        place = 0.04 * np.arange(len(plain.signal)) / plain.sample_rate * 1e3
+        rng = np.random.default_rng(seed)
+        waves = np.cos(
+            np.outer(place, 2 * np.pi * np.linspace(0.02, 0.1, 8)) + rng.uniform(0, 7, 8)
+        )
+        swell = np.exp(waves @ np.full(8, np.sqrt(2 * s / 8)) - s)
+        slides.append(
+            Recorded(
+                name="m", signal=plain.signal * swell, quantity="displacement",
+                sample_rate=plain.sample_rate, speed=plain.speed,
+            )
+        )  # fmt: skip
+    stochastic = fit(slides).descriptor.stochastic
+    assert stochastic is not None
+    # four strokes of 240 mm, 24 of the envelope's shortest periods each
+    assert stochastic.am_depth == pytest.approx(depth, abs=0.08)
+    assert stochastic.excess_kurtosis == pytest.approx(3 * (np.exp(4 * s) - 1), abs=1.0)
+    assert 0.06 <= stochastic.am_corner_per_mm <= 0.25
+
+
+def test_friction_comes_from_two_forces() -> None:
+    """µ = 0.4 + 0.5 exp(−(v/12)²), N^−0.2."""
+    rng = np.random.default_rng(0)
+    rate, seconds = 2000.0, 10.0
+    t = np.arange(round(rate * seconds)) / rate
+    speed = 0.04 * (1 - np.cos(2 * np.pi * t / seconds)) / 2 + 1e-4
+    normal = 0.5 + 0.3 * np.sin(2 * np.pi * 1.7 * t)
+    mu = (0.4 + 0.5 * np.exp(-((speed / 0.012) ** 2))) * (normal / 0.5) ** -0.2
+    recorded = Recorded(
+        name="f", signal=rng.standard_normal(len(t)), quantity="acceleration", sample_rate=rate,
+        speed=speed, normal_force=normal,
+        tangential_force=mu * normal * (1 + 0.02 * rng.standard_normal(len(t))),
+    )  # fmt: skip
+    friction = fit_friction([recorded], 0.5)
+    assert friction.kinetic_coefficient == pytest.approx(0.4, abs=0.02)
+    assert friction.static_coefficient == pytest.approx(0.9, abs=0.04)
+    assert friction.stribeck_speed_mm_s == pytest.approx(12, abs=1)
+    assert friction.force_exponent == pytest.approx(-0.2, abs=0.05)
+    assert friction.stick_slip == 0.0
+
+
+def test_recordings_of_two_kinds_are_refused() -> None:
+    slides = [slide(Surface(), 0.04), slide(Surface(), 0.04, quantity="velocity")]
+    with pytest.raises(InputError, match="velocity, calibrated; slide0 is acceleration"):
+        measure_slides(slides)
+    with pytest.raises(InputError, match="no recording; give at least one"):
+        measure_slides([])
+
+
+def test_a_speed_that_is_not_steady_is_refused_with_what_would_do() -> None:
+    s = slide(Surface(), 0.04)
+    wild = 0.04 + 0.035 * np.sin(2 * np.pi * 4 * np.arange(len(s.signal)) / s.sample_rate)
+    with pytest.raises(InputError, match=r"speed is not steady: .* slide longer and more evenly"):
+        measure_slides(
+            [Recorded(name="w", signal=s.signal, quantity=s.quantity, sample_rate=1e4, speed=wild)]
+        )
+
+
+def test_only_the_steady_part_of_a_slide_is_used() -> None:
+    """A finger that rests, starts and slides: what the rest holds must not matter."""
+    s = slide(Surface(slope=-2), 0.04, seconds=4.0, quantity="displacement")
+    rest = np.zeros(10000)
+    speed = np.concatenate([rest, s.speed])
+    loud = np.concatenate([1e-3 * np.random.default_rng(0).standard_normal(10000), s.signal])
+    whole = Recorded(name="w", signal=loud, quantity="displacement", sample_rate=1e4, speed=speed)
+    error = errors(fit([whole]), Surface(slope=-2))
+    assert np.abs(error.mean()) < 0.5
+
+
+def test_a_fit_predicts_the_half_it_has_not_seen_as_well_as_the_seen_half_does() -> None:
+    surface = Surface(slope=-2.0)
+    slides = [slide(surface, v, seed=k) for k, v in enumerate(SPEEDS)]
+    fitted, verdict = judging.fit_texture(slides, ABOUT)
+    assert verdict.rendering.rms_db < verdict.ceiling.rms_db + 0.5
+    assert verdict.white.rms_db > 8
+    assert verdict.autoregressive.rms_db > verdict.rendering.rms_db
+    alone, verdict = judging.fit_texture([slides[0]], ABOUT)
+    assert verdict.rendering.rms_db < 2.5
+    assert asdict(alone.descriptor.texture)["id"] == fitted.descriptor.texture.id == "known"

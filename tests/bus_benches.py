@@ -201,7 +201,7 @@ def select_nothing(seconds: float) -> None:
 
 
 class EarlyError(AssertionError):
-    """STOP took effect before all was played: the bus was early, or the process held up."""
+    """An end took effect before all was played: the bus was early, or the process held up."""
 
 
 def heard(rows: Rows, played: list[int | None], longest_hold: float) -> Floats:
@@ -213,6 +213,8 @@ def heard(rows: Rows, played: list[int | None], longest_hold: float) -> Floats:
     running = rows["state"] == State.RUNNING
     edges = np.flatnonzero(np.diff(running.astype(np.int8), prepend=0, append=0))
     begins, ends = edges[::2], edges[1::2]
+    if len(begins) < len(played):
+        raise EarlyError(f"{len(played) - len(begins)} starts ended before their tick came")
     assert len(begins) == len(played), "starts that the amplifier did, and the bus"
     keep = np.zeros(len(rows), bool)
     for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):

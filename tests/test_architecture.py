@@ -75,6 +75,7 @@ MAP: dict[str, set[str]] = {
         "printing",
         "study",
         "terminal",
+        "texture",
     },
     "__main__": {"cli"},
 }
@@ -82,6 +83,7 @@ MAP: dict[str, set[str]] = {
 ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finger"}
 """Modules that import nothing of tactile."""
 AT_HOME = {
+    "PIL": {"texture.picture"},
     "matplotlib": {"plots"},
     "rich": {"bench.__init__", "cli", "printing", "terminal"},
     "typer": {"cli"},
@@ -90,6 +92,7 @@ AT_HOME = {
 COMPARED = {"construct", "crccheck", "crcmod", "isotp"}
 """Libraries that the benchmarks measure beside ours where they are installed; none is needed."""
 PACKAGED = {
+    "PIL": "pillow",
     "serial": "pyserial",
     "can": "python-can",
     "prometheus_client": "prometheus-client",
@@ -264,7 +267,7 @@ def test_the_protocol_keeps_the_house_too(module: str) -> None:
 def test_every_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["plot"]]
+    declared = [*project["dependencies"], *extras["plot"], *extras["picture"]]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
     used = {name for module in SOURCES for name in foreign_imports(module)} | {"cobs"}
     used -= set(sys.stdlib_module_names) | {"firmware_protocol"} | COMPARED

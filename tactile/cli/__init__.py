@@ -11,6 +11,7 @@ from tactile.cli import (  # noqa: F401
     link_commands,
     measure_commands,
     play_commands,
+    relief_commands,
     texture_commands,
 )
 from tactile.cli.app import app

@@ -107,7 +107,7 @@ def take_lines(
 
 
 def _places(count: int, pixel: float) -> Floats:
-    return (np.arange(count) - (count - 1) / 2) * pixel
+    return np.asarray((np.arange(count) - (count - 1) / 2) * pixel, np.float64)
 
 
 def _wave(line: Line, shape: tuple[int, ...], pixel: float) -> Floats:

@@ -2,8 +2,8 @@
 
 All is about relief, in meters of height; `skin` says what skin makes of it, `relief_texture` puts
 both together. The two-dimensional power spectral density comes from one Hann window over the whole
-picture and is calibrated so that its sum is the variance. A stroke meets a wave of wave vector q at
-the spatial frequency q·e along its direction e, so that bands along a stroke are a projection of it.
+picture, calibrated so that its sum is the variance. A stroke meets a wave of wave vector q at the
+spatial frequency q·e along its direction e: bands along a stroke are a projection of the spectrum.
 """
 
 from dataclasses import dataclass

@@ -100,7 +100,7 @@ def _print(f: dict[str, Any]) -> None:
     for i, part in enumerate(f["periodic"], 1):
         harmonics = ", ".join(f"{a:g}" for a in part["harmonics_um"])
         rows[f"periodic {i}"] = (
-            f"every {part['wavelength_mm']:g} mm across {part['direction_deg']:g}°, "
+            f"every {part['wavelength_mm']:.4g} mm across {part['direction_deg']:g}°, "
             f"harmonics {harmonics} µm"
         )
     rows["random"] = _random(f)

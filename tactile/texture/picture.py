@@ -121,11 +121,14 @@ def _opened(path: Path) -> "Image":
         ) from error
     if not files.is_file(path):
         raise NotFoundError(f"{path}: no such file")
-    if path.open("rb").read(len(SIGNATURE)) != SIGNATURE:
-        raise InputError(f"{path}: no PNG; export the height map as an 8- or 16-bit gray PNG")
     try:
-        with warnings.catch_warnings(action="ignore", category=images.DecompressionBombWarning):
-            image: Image = images.open(path, formats=["PNG"])
+        with (
+            path.open("rb") as file,
+            warnings.catch_warnings(action="ignore", category=images.DecompressionBombWarning),
+        ):
+            if file.read(len(SIGNATURE)) != SIGNATURE:
+                raise InputError(f"{path}: no PNG; export it as an 8- or 16-bit gray PNG")
+            image: Image = images.open(file, formats=["PNG"])
             _check_size(path, image.size)
             if getattr(image, "is_animated", False):
                 raise InputError(f"{path}: is animated: must be one picture")

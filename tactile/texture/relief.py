@@ -123,7 +123,8 @@ def stroke_levels(spectrum: Spectrum, direction: float | None) -> Floats:
     ----------
     spectrum : of relief or of what skin makes of it
     direction : of the stroke [rad], or None for the mean over all directions, of which the share
-        (2/π) (acos(a/κ) − acos(b/κ)) puts a wave number κ between a and b
+        (2/π) (acos(a/κ) − acos(b/κ)) puts a wave number κ between a and b. Along one direction
+        each bin counts as spread over its width, since the coarsest bands hold but one or two
     """
     edges = np.append(EDGES[:-1], min(EDGES[-1], spectrum.nyquist))
     if direction is None:
@@ -134,8 +135,10 @@ def stroke_levels(spectrum: Spectrum, direction: float | None) -> Floats:
         bands = -np.diff(beyond @ power[:, None], axis=0)[:, 0]
     else:
         along = np.abs(spectrum.x * np.cos(direction) + spectrum.y * np.sin(direction))
-        band = np.digitize(along, edges)
-        bands = np.bincount(band, spectrum.power, len(edges) + 1)[1:-1]
+        step = np.round(along * spectrum.side).astype(np.intp)
+        below = np.concatenate([[0.0], np.cumsum(np.bincount(step, spectrum.power))])
+        place = (np.arange(len(below)) - 0.5) / spectrum.side
+        bands = np.diff(np.interp(edges, place, below))
     density = bands * 1e12 / (np.diff(edges) * 1e-3)
     return np.asarray(10 * np.log10(np.maximum(density, 1e-12)))
 

@@ -98,7 +98,7 @@ def relief_texture(relief: HeightMap, *, name: str, category: str, picture: str)
     height, sag = leveled(relief.height[::-1])
     whole = spectrum_of(height, relief.pixel)
     lines, rest = take_lines(height, relief.pixel, finest=EDGES[-1], least=ROUNDING * relief.level)
-    gratings = gather(lines, relief.side)
+    rest, gratings = leveled(rest)[0], gather(lines, relief.side)
     periodic = tuple(_periodic(one, whole) for one in gratings)
     random = not gratings or rest.std() > ROUNDING * relief.level
     notes = list(relief.notes)

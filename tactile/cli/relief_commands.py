@@ -42,12 +42,12 @@ def make_relief(
     """
     from tactile.texture import descriptor_file
     from tactile.texture.picture import read_height
-    from tactile.texture.relief_texture import check_name, relief_texture
+    from tactile.texture.relief_texture import check_name, texture_of
 
     check_name(output.stem, category)
     descriptor_file.check_target(output, output.stem, force=force)
     heights = read_height(picture, um_per_level=um_per_level, mm_per_pixel=mm_per_pixel)
-    made = relief_texture(heights, name=output.stem, category=category, picture=picture.name)
+    made = texture_of(heights, name=output.stem, category=category, picture=picture.name)
     descriptor_file.write(made.descriptor, output, made.comments, force=force)
     facts = _facts(made, tactile.load_texture(output), output)
     if as_json:

@@ -75,7 +75,7 @@ class Relief:
     notes: tuple[str, ...]
 
 
-def relief_texture(relief: HeightMap, *, name: str, category: str, picture: str) -> Relief:
+def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> Relief:
     """Make a texture of a height map.
 
     Parameters

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.texture.recorded import Quantity, Recorded
+from tactile.texture.recorded_slide import Quantity, Recorded
 
 Floats = NDArray[np.float64]
 

@@ -64,7 +64,6 @@ MAP: dict[str, set[str]] = {
     },
     "printing": set(),
     "cli": {
-        "texture",
         "bench",
         "bus",
         "daemon",

@@ -13,8 +13,8 @@ from tactile.texture import fitting, judging
 from tactile.texture.descriptor import About
 from tactile.texture.fitting import Fit, centers_at, describe, measure_slides
 from tactile.texture.friction_fit import fit_friction
-from tactile.texture.lines import gratings
-from tactile.texture.recorded import Recorded
+from tactile.texture.lines import find_gratings
+from tactile.texture.recorded_slide import Recorded
 
 ABOUT = About(
     id="known", category="test", description="known", provenance="fitted", source="slides",
@@ -141,7 +141,7 @@ def test_noise_alone_has_no_lines() -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):
         strokes = [rng.standard_normal(6000) for _ in range(3)]
-        assert gratings(strokes, 1e-5, np.full(3, 200.0), 20000) == []
+        assert find_gratings(strokes, 1e-5, np.full(3, 200.0), 20000) == []
 
 
 def test_a_spectrum_that_no_isotropic_surface_has_is_given_a_direction_and_its_loss() -> None:

@@ -21,7 +21,7 @@ from tactile.texture.descriptor import About
 from tactile.texture.descriptor_file import check_target, write
 from tactile.texture.fitting import Fit
 from tactile.texture.judging import Distance, Verdict, fit_texture
-from tactile.texture.recorded import UNITS, load_recorded
+from tactile.texture.recorded_slide import UNITS, load_recorded
 
 STEPS = 8
 """Of the progress bar: strokes, lines and bands twice, statistics and surface."""

@@ -28,9 +28,9 @@ from tactile.texture.descriptor import (
     Stochastic,
 )
 from tactile.texture.friction_fit import fit_friction
-from tactile.texture.lines import Grating, gratings, without
-from tactile.texture.recorded import Recorded
-from tactile.texture.strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
+from tactile.texture.lines import Grating, find_gratings, without
+from tactile.texture.recorded_slide import Recorded
+from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
 
 Floats = NDArray[np.float64]
@@ -174,7 +174,7 @@ def measure_slides(
     progress("lines")
     whole = [u for s in slides for u in s.strokes]
     lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
-    found = gratings(whole, step, lows, measures.third_octaves(center)[-1])
+    found = find_gratings(whole, step, lows, measures.third_octaves(center)[-1])
     slides = [changed(s, bare=[without(u, step, found) for u in s.strokes]) for s in slides]
     progress("bands")
     level = np.array([_level(s, step, center, noise) for s in slides])

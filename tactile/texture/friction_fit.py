@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from tactile.errors import InputError
 from tactile.texture.descriptor import Friction
-from tactile.texture.recorded import Recorded
+from tactile.texture.recorded_slide import Recorded
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from scipy.linalg import solve_toeplitz
 from tactile.texture import measures
 from tactile.texture.descriptor import About, Stochastic
 from tactile.texture.fitting import Fit, Measurement, describe, measure_slides
-from tactile.texture.recorded import Recorded
-from tactile.texture.strokes import INTEGRATIONS
+from tactile.texture.recorded_slide import Recorded
+from tactile.texture.slide_strokes import INTEGRATIONS
 from tactile.texture.surface import Partials, envelope, stochastic_waves
 
 Floats = NDArray[np.float64]

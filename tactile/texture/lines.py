@@ -94,7 +94,7 @@ def common_lines(
 ) -> list[tuple[float, int]]:
     """Return spatial frequency [cycles/m] and count of the lines that most strokes have.
 
-    Most of those that reach down to it; parameters as of `gratings`.
+    Most of those that reach down to it; parameters as of `find_gratings`.
     """
     prominence = ALONE if len(strokes) == 1 else PROMINENCE
     places = [peaks(u, step, low, high, prominence) for u, low in zip(strokes, lows, strict=True)]
@@ -115,7 +115,9 @@ def common_lines(
     return lines
 
 
-def gratings(strokes: Sequence[Floats], step: float, lows: Floats, high: float) -> list[Grating]:
+def find_gratings(
+    strokes: Sequence[Floats], step: float, lows: Floats, high: float
+) -> list[Grating]:
     """Return what repeats in most of the strokes, the strongest first.
 
     Parameters

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import detrend
 
 from tactile.errors import InputError
-from tactile.texture.recorded import Quantity, Recorded
+from tactile.texture.recorded_slide import Quantity, Recorded
 
 Floats = NDArray[np.float64]
 

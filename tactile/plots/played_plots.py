@@ -1,8 +1,4 @@
-"""Figures for files: what the bimorph can do, and what was played. The only room of matplotlib.
-
-`response_figure` and `played_figure` draw, `plot_response` and `plot_played` also save. Colors are
-those of Okabe and Ito, which the color-blind tell apart; lines are named where they are drawn.
-"""
+"""What was played: tactile images that follow the finger, one contactor's shear, its drive."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.actuator.response import TipResponse
 from tactile.display import Display
 from tactile.errors import InputError
+from tactile.plots.style import BLUE, COLORS, GRAY, RED, check_file, new_figure, plain, save, tag
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,44 +19,12 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SUFFIXES = (".png", ".svg", ".pdf")
-DPI = 150
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito 2008, yellow left out since it fades on white."""
-BLUE, RED, GRAY = COLORS[0], COLORS[1], "#666666"
-BAND = (1.0, 2000.0)
-"""Hz."""
-THRESHOLD = np.array(
-    [
-        (1.0, 25.0),
-        (10.0, 8.9),
-        (20.0, 5.0),
-        (40.0, 2.8),
-        (63.0, 1.5),
-        (100.0, 0.56),
-        (160.0, 0.2),
-        (250.0, 0.1),
-        (400.0, 0.16),
-        (500.0, 0.32),
-        (630.0, 0.67),
-        (800.0, 1.6),
-        (1000.0, 3.5),
-    ]
-)
-"""Hz and µm peak at which a large contactor is just felt: shape of Verrillo and Bolanowski.
-
-For motion along the normal; along the skin 0.3–0.6 times that is felt (Biggs and Srinivasan 2002),
-so that a margin seen against it is a cautious one.
-"""
-THRESHOLD_SPREAD_DB = 5.0
 SNAPSHOTS = 4
 WINDOW = 40e-3
 """Seconds of the traces."""
 LEAD = 4e-3
 """Seconds of the traces before the first snapshot."""
 ERROR_GAIN = 100.0
-NAME_HEIGHT = 0.07
-"""Of the axes: distance kept between the names of lines."""
 
 
 @dataclass(frozen=True)
@@ -100,72 +64,6 @@ class Played:
             raise InputError(f"{samples} samples: needs at least {2 * SNAPSHOTS}")
 
 
-def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltage: float) -> None:
-    """Draw what the tip does per volt, and what it can reach, and save it.
-
-    Parameters
-    ----------
-    path : of a .png, .svg or .pdf file
-    responses : one (F,) response per finger, by its name
-    voltage : limit of the drive [V]
-
-    Raises
-    ------
-    InputError
-        Where matplotlib is missing, or the file cannot be written.
-    """
-    _check(path)
-    _save(response_figure(responses, voltage=voltage), path)
-
-
-def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Figure":
-    """Return magnitude, phase, and attainable shear against the detection threshold.
-
-    Parameters
-    ----------
-    responses : one (F,) response per finger, by its name
-    voltage : limit of the drive [V]
-
-    Raises
-    ------
-    InputError
-        Where matplotlib is missing, or a response has nothing in 1 … 2000 Hz.
-    """
-    figure = _figure(7.0, 9.0)
-    size, phase, reach = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 3))
-    ends: list[list[tuple[float, str, str]]] = [[], [], []]
-    for k, (name, r) in enumerate(responses.items()):
-        inside = (r.frequency >= BAND[0]) & (r.frequency <= BAND[1])
-        if not inside.any():
-            raise InputError(f"{name}: has no frequency in {BAND[0]:g} … {BAND[1]:g} Hz")
-        micro = np.abs(r.displacement[inside]) * 1e6
-        turn = np.degrees(np.unwrap(np.angle(r.displacement[inside])))
-        for axes, values, end in zip(
-            (size, phase, reach), (micro, turn, micro * voltage), ends, strict=True
-        ):
-            axes.plot(r.frequency[inside], values, color=COLORS[k % len(COLORS)], linewidth=1.8)
-            end.append((float(values[-1]), name, COLORS[k % len(COLORS)]))
-    size.set(yscale="log", ylabel="tip per volt [µm/V]", xscale="log", xlim=BAND)
-    phase.set(ylabel="phase [°]")
-    reach.set(yscale="log", ylabel=f"peak shear at {voltage:g} V [µm]", xlabel="frequency [Hz]")
-    _threshold(reach)
-    _plain_ticks(size, phase, reach)
-    for axes, end in zip((size, phase, reach), ends, strict=True):
-        _style(axes)
-        _name_ends(axes, end)
-    return figure
-
-
-def _threshold(axes: "Axes") -> None:
-    """Draw what a large contactor needs to be felt."""
-    frequency, micro = THRESHOLD.T
-    spread = 10 ** (THRESHOLD_SPREAD_DB / 20)
-    axes.fill_between(frequency, micro / spread, micro * spread, color="#e4e4e4", linewidth=0)
-    axes.plot(frequency, micro, color=GRAY, linewidth=1.2, linestyle="--")
-    name = f"detection threshold ± {THRESHOLD_SPREAD_DB:g} dB"
-    axes.text(1.2, 2.3, name, color=GRAY, verticalalignment="top")
-
-
 def plot_played(
     path: str | Path,
     *,
@@ -194,12 +92,12 @@ def plot_played(
     InputError
         Where matplotlib is missing, shapes differ, or the file cannot be written.
     """
-    _check(path)
+    check_file(path)
     t, target, played, volts = (
         np.asarray(side, np.float64) for side in (time, shear_target, shear_played, drive)
     )
     finger = None if position is None else np.asarray(position, np.float64)
-    _save(played_figure(Played(display, t, target, played, volts, finger), title=title), path)
+    save(played_figure(Played(display, t, target, played, volts, finger), title=title), path)
 
 
 def played_figure(play: Played, *, title: str) -> "Figure":
@@ -223,7 +121,7 @@ def played_figure(play: Played, *, title: str) -> "Figure":
     instants, followed = _snapshots(play)
     wide, high = np.ptp(play.display.contactors, axis=0) + 2 * max(play.display.opening)
     top = float(np.clip(1.7 * high / wide, 0.8, 3.0)) + 0.8
-    figure = _figure(9.0, top + 6.4)
+    figure = new_figure(9.0, top + 6.4)
     figure.suptitle(title, fontweight="bold")
     rows = figure.add_gridspec(4, SNAPSHOTS, height_ratios=(top, 2.2, 1.6, 2.0))
     images = [figure.add_subplot(rows[0, k]) for k in range(SNAPSHOTS)]
@@ -234,7 +132,7 @@ def played_figure(play: Played, *, title: str) -> "Figure":
     shear = figure.add_subplot(rows[1, :])
     error, drive = (figure.add_subplot(rows[k, :], sharex=shear) for k in (2, 3))
     _shear(shear, error, time, play.target[window] * 1e6, play.played[window] * 1e6)
-    _tag(shear, 0.01, f"contactor {contactor}, framed in image 1:", "black")
+    tag(shear, 0.01, f"contactor {contactor}, framed in image 1:", "black")
     _drive(drive, time, play.drive[window], play.display.limits.voltage)
     for number, instant in enumerate(instants):
         _mark(shear, play.time[instant] * 1e3, f"image {number + 1}")
@@ -307,7 +205,7 @@ def _images(
             text += "\nfinger at {:.1f}, {:.1f} mm".format(*play.position[sample] * 1e3)
         axes.set_title(text, fontsize=9)
         axes.tick_params(labelleft=not number)
-        _style(axes, grid=False)
+        plain(axes, grid=False)
     images[0].set_ylabel("y [mm]")
     scale = images[-1].inset_axes((1.08, 0.0, 0.07, 1.0))
     images[0].figure.colorbar(drawn, cax=scale, label="shear [µm]")
@@ -330,17 +228,17 @@ def _shear(above: "Axes", below: "Axes", time: Floats, target: Floats, played: F
     """Draw commanded and played shear [µm], and what is between them."""
     above.plot(time, target, color="#9ecae1", linewidth=4.5)
     above.plot(time, played, color=RED, linewidth=1.2)
-    _tag(above, 0.35, "commanded", BLUE)
-    _tag(above, 0.48, "played", RED)
+    tag(above, 0.35, "commanded", BLUE)
+    tag(above, 0.48, "played", RED)
     error = played - target
     below.plot(time, error * ERROR_GAIN, color="black", linewidth=1.0)
     level = float(np.sqrt(np.mean(error**2) / max(float(np.mean(target**2)), 1e-30)))
-    _tag(below, 0.01, f"error rms {level:.2%} of the commanded shear", "black")
+    tag(below, 0.01, f"error rms {level:.2%} of the commanded shear", "black")
     peak = 1.35 * float(max(np.abs(target).max(), np.abs(error).max() * ERROR_GAIN, 1e-6))
     above.set(ylabel="shear [µm]", ylim=(-peak, peak))
     below.set(ylabel=f"error × {ERROR_GAIN:g} [µm]", ylim=(-peak, peak))
     for axes in (above, below):
-        _style(axes)
+        plain(axes)
         axes.tick_params(labelbottom=False)
 
 
@@ -354,13 +252,13 @@ def _drive(axes: "Axes", time: Floats, volts: Floats, limit: float) -> None:
             axes.axhline(side, color=GRAY, linewidth=1.0, linestyle="--")
     top = 1.35 * limit if full else 1.35 * max(peak, 1e-3 * limit)
     axes.set(xlabel="time [ms]", ylabel="drive [V]", ylim=(-top, top), xlim=(time[0], time[-1]))
-    _tag(axes, 0.01, f"drive: at most {peak:.1f} V of ± {limit:g} V", "black")
+    tag(axes, 0.01, f"drive: at most {peak:.1f} V of ± {limit:g} V", "black")
     gauge = axes.inset_axes((1.02, 0.0, 0.025, 1.0))
     gauge.bar(0, np.ptp(volts), bottom=volts.min(), color=COLORS[2], width=1.0)
     gauge.set(ylim=(-limit, limit), xlim=(-0.5, 0.5), xticks=[], yticks=[-limit, 0, limit])
     gauge.yaxis.tick_right()
     gauge.set_yticklabels([f"−{limit:g} V limit", "0", f"{limit:g} V limit"], fontsize=8)
-    _style(axes)
+    plain(axes)
 
 
 def _mark(axes: "Axes", time: float, name: str) -> None:
@@ -370,69 +268,3 @@ def _mark(axes: "Axes", time: float, name: str) -> None:
         axes.axvline(time, color=GRAY, linewidth=0.8, linestyle=":")
         text = axes.text(time, 0.02, f" {name}", transform=axes.get_xaxis_transform(), fontsize=8)
         text.set_color(GRAY)
-
-
-def _tag(axes: "Axes", place: float, text: str, color: str) -> None:
-    """Write a name into the top of the axes, ``place`` of its width from the left."""
-    label = axes.text(
-        place, 0.97, text, transform=axes.transAxes, color=color, va="top", fontsize=9
-    )
-    label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0})
-
-
-def _name_ends(axes: "Axes", ends: list[tuple[float, str, str]]) -> None:
-    """Write names beside the right ends (value, name, color) of lines, kept apart."""
-    low, high = axes.get_ylim()
-    if axes.get_yscale() == "log":
-        low, high = np.log10(low), np.log10(high)
-        ends = [(float(np.log10(value)), name, color) for value, name, color in ends]
-    ends = sorted(ends)
-    place = np.array([(value - low) / (high - low) for value, _, _ in ends])
-    for _ in range(100):
-        push = np.maximum(NAME_HEIGHT - np.diff(place), 0) / 2
-        place[:-1] -= push
-        place[1:] += push
-    for at, (_, name, color) in zip(place.tolist(), ends, strict=True):
-        axes.text(1.01, at, name, transform=axes.transAxes, color=color, va="center")
-
-
-def _style(axes: "Axes", *, grid: bool = True) -> None:
-    """Leave out what carries no information."""
-    axes.spines[["top", "right"]].set_visible(False)
-    if grid:
-        axes.grid(color="#e8e8e8", linewidth=0.6)
-        axes.set_axisbelow(True)
-
-
-def _plain_ticks(size: "Axes", phase: "Axes", reach: "Axes") -> None:
-    """Write 0.1, 1, 10 at logarithmic axes, and quarter turns at the phase."""
-    from matplotlib.ticker import MultipleLocator
-
-    phase.yaxis.set_major_locator(MultipleLocator(90))
-    for axis in (size.yaxis, reach.yaxis, reach.xaxis):
-        axis.set_major_formatter("{x:g}")
-
-
-def _figure(width: float, height: float) -> "Figure":
-    """Return an empty figure [inch] that no global state knows of."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a figure needs matplotlib; pip install 'tactile-display[plot]'") from None
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _check(path: str | Path) -> None:
-    """Refuse a file that cannot be a figure before anything is drawn."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: must end in {', '.join(SUFFIXES)}")
-
-
-def _save(figure: "Figure", path: str | Path) -> None:
-    try:
-        figure.savefig(path, dpi=DPI)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error

@@ -50,8 +50,9 @@ MAP: dict[str, set[str]] = {
     "client": {"daemon", "errors"},
     "local": {"client", "daemon"},
     "study": {"actuator"},
-    "plots": {"actuator", "display", "errors"},
     "terminal": {"display"},
+    "gallery": {"display", "rendering", "terminal", "texture"},
+    "plots": {"actuator", "display", "errors", "gallery", "rendering"},
     "bench": {
         "actuator",
         "bus",
@@ -70,6 +71,7 @@ MAP: dict[str, set[str]] = {
         "devices",
         "errors",
         "files",
+        "gallery",
         "plots",
         "printing",
         "study",
@@ -84,7 +86,7 @@ ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finge
 AT_HOME = {
     "PIL": {"texture.picture"},
     "matplotlib": {"plots"},
-    "rich": {"bench.__init__", "cli", "printing", "terminal"},
+    "rich": {"bench.__init__", "cli", "gallery.terminal_view", "printing", "terminal"},
     "typer": {"cli"},
 }
 """Libraries that only some rooms or modules may import."""

@@ -12,6 +12,7 @@ from tactile.cli import (  # noqa: F401
     measure_commands,
     play_commands,
     relief_commands,
+    show_commands,
     texture_commands,
 )
 from tactile.cli.app import app

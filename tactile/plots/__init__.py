@@ -1,6 +1,7 @@
-"""Figures for files: what the bimorph can do, what was played. The only room of matplotlib.
+"""Figures for files: bimorphs, strokes, textures. The only room of matplotlib.
 
-`response_figure` and `played_figure` draw, `plot_response` and `plot_played` also save.
+What a bimorph can do (`response_plots`), what was played (`played_plots`), what a texture is
+(`texture_plots`), and many of them (`sheet_plots`). ``…_figure`` draws, ``plot_…`` also saves.
 """
 
 from tactile.plots.played_plots import Played as Played
@@ -8,3 +9,7 @@ from tactile.plots.played_plots import played_figure as played_figure
 from tactile.plots.played_plots import plot_played as plot_played
 from tactile.plots.response_plots import plot_response as plot_response
 from tactile.plots.response_plots import response_figure as response_figure
+from tactile.plots.sheet_plots import plot_sheet as plot_sheet
+from tactile.plots.sheet_plots import sheet_figure as sheet_figure
+from tactile.plots.texture_plots import plot_texture as plot_texture
+from tactile.plots.texture_plots import texture_figure as texture_figure

@@ -7,8 +7,8 @@ import numpy as np
 
 from tactile.actuator.response import TipResponse
 from tactile.errors import InputError
+from tactile.gallery.threshold import THRESHOLD, THRESHOLD_SPREAD_DB
 from tactile.plots.style import COLORS, GRAY, check_file, name_ends, new_figure, plain, save
-from tactile.plots.threshold import THRESHOLD, THRESHOLD_SPREAD_DB
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

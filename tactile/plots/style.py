@@ -68,10 +68,25 @@ def new_figure(width: float, height: float) -> "Figure":
     return figure
 
 
+def axes_at(figure: "Figure", left: float, bottom: float, width: float, height: float) -> "Axes":
+    """Return axes at a place [inch] of the figure."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
 def check_file(path: str | Path) -> None:
-    """Refuse a file that cannot be a figure before anything is drawn."""
+    """Refuse a file that cannot be a figure before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        Where its name or folder is wrong, or matplotlib is missing.
+    """
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: must end in {', '.join(SUFFIXES)}")
+    if not Path(path).parent.is_dir():
+        raise InputError(f"{path}: No such file or directory")
+    new_figure(1.0, 1.0)
 
 
 def save(figure: "Figure", path: str | Path) -> None:

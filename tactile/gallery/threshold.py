@@ -1,6 +1,9 @@
 """The least displacement that is felt, which figures draw levels against."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
 
 THRESHOLD = np.array(
     [
@@ -26,3 +29,15 @@ so that a margin seen against it is a cautious one.
 """
 THRESHOLD_SPREAD_DB = 5.0
 """Of the threshold, from person to person and study to study."""
+
+
+def threshold_at(frequency: ArrayLike) -> Floats:
+    """Return the peak [m] that is just felt at frequencies (...) [Hz].
+
+    Straight between the table's points where both are logarithmic; infinite beyond the table's
+    last, from where on nothing is known, and held below its first.
+    """
+    f = np.asarray(frequency, np.float64)
+    hz, micro = np.log(THRESHOLD.T)
+    least = np.exp(np.interp(np.log(np.maximum(f, 1e-9)), hz, micro)) * 1e-6
+    return np.where(f <= THRESHOLD[-1, 0] * (1 + 1e-9), least, np.inf)

@@ -51,7 +51,7 @@ MAP: dict[str, set[str]] = {
     "local": {"client", "daemon"},
     "study": {"actuator"},
     "terminal": {"display"},
-    "gallery": {"display", "rendering", "terminal", "texture"},
+    "gallery": {"display", "errors", "files", "rendering", "terminal", "texture"},
     "plots": {"actuator", "display", "errors", "gallery", "rendering"},
     "bench": {
         "actuator",

@@ -9,8 +9,6 @@ from rich.console import Console
 
 import tactile
 from tactile.cli.app import AsJson, DisplayOption, app, within
-from tactile.errors import InputError
-from tactile.files import nearest
 
 SPEED = (1.0, 1000.0, 80.0)
 """mm/s: least, most and default."""
@@ -66,28 +64,14 @@ def draw_sheet(
     """
     from rich.progress import track
 
-    from tactile.gallery.views import tile
+    from tactile.gallery.views import names_of, tile
     from tactile.plots import plot_sheet
     from tactile.plots.style import check_file
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_file(plot)
-    names = _of_category(category)
+    names = names_of(category)
     watched = track(names, "textures", console=Console(stderr=True), transient=True)
     tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
     plot_sheet(plot, tiles, speed=speed)
     typer.echo(f"drawn: {plot}, {len(tiles)} textures")
-
-
-def _of_category(category: str | None) -> list[str]:
-    """Return the names of the shipped textures of a category, or of all."""
-    from tactile.texture.descriptor import load
-
-    names = tactile.textures()
-    if category is None:
-        return names
-    known: dict[str, str] = {name: load(name).texture.category for name in names}
-    if category not in known.values():
-        listed = sorted(set(known.values()))
-        raise InputError(f"no texture is of category {category!r}; {nearest(category, listed)}")
-    return [name for name in names if known[name] == category]

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from tactile.display import Display
+from tactile.errors import InputError
+from tactile.files import nearest
 from tactile.gallery.threshold import threshold_at
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import BLOCK, Renderer
 from tactile.rendering.shear import FWHM, EventField, Law
+from tactile.texture import descriptor as descriptors
 from tactile.texture.descriptor import Events, Periodic
 from tactile.texture.surface import Partials, Surface, Texture
 
@@ -165,6 +168,24 @@ class Tile:
     rms: float
     surface: Floats
     spectrum: Spectrum
+
+
+def names_of(category: str | None) -> list[str]:
+    """Return the names of the shipped textures of a category, or of all.
+
+    Raises
+    ------
+    InputError
+        Where none is of that category, with the nearest.
+    """
+    names = descriptors.textures()
+    if category is None:
+        return names
+    known: dict[str, str] = {name: descriptors.load(name).texture.category for name in names}
+    if category not in known.values():
+        listed = sorted(set(known.values()))
+        raise InputError(f"no texture is of category {category!r}; {nearest(category, listed)}")
+    return [name for name in names if known[name] == category]
 
 
 def tile(texture: Texture, *, speed: float) -> Tile:

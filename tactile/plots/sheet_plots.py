@@ -96,7 +96,7 @@ def _category(
     y = top - RULE
     line = Line2D([left / across, right / across], [y / up, y / up], color="black", linewidth=1.0)
     figure.add_artist(line)
-    _write(figure, left, y + 0.13, f"{name}, continued" if again else name, 10, weight="bold")
+    _write(figure, left, y + 0.13, f"{name} …" if again else name, 10, weight="bold")
     scale = f"± {end * 1e6:.2g} µm"
     _write(figure, right, y + 0.13, scale, 8, ha="right", color=GRAY)
 

@@ -41,6 +41,8 @@ LOWEST = 20.0
 """Hz where a spectrum begins, unless the texture has something below."""
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Hz."""
+MOST_NAMED = 12
+"""Contactors of a row that have their place beside them."""
 SIZE = (10.0, 9.4)
 """Inches."""
 
@@ -76,7 +78,7 @@ def texture_figure(view: View) -> "Figure":
     for inch, text, size in (
         (0.40, f"{view.texture.name} on {view.display.name}", 15),
         (0.70, textwrap.shorten(about.description, 110, placeholder=" …"), 11),
-        (1.14, "\n".join(facts(view, 125)), 9),
+        (1.14, "\n".join(facts(view, 115)), 9),
     ):
         written = figure.text(0.08, 1 - inch / SIZE[1], text, fontsize=size, linespacing=1.4)
         written.set(weight="bold" if size == 15 else "normal", color=GRAY if size == 9 else "black")
@@ -203,8 +205,9 @@ def _sweep(axes: "Axes", view: View, peak: float) -> None:
     axes.plot(time, passes, color="black", linewidth=1.2, linestyle=(0, (4, 3)))
     y = f"{sweep.place[0, 1] * 1e3:g}".replace("-", "−")
     axes.set(xlim=(time[0], time[-1]), ylim=(x[0] - 0.7 * height, x[-1] + 0.7 * height))
-    axes.set(xlabel="time [ms]", ylabel="contactor at x [mm]", yticks=x)
-    axes.set_yticklabels([f"{at:.3g}".replace("-", "−") for at in x])
+    axes.set(xlabel="time [ms]", ylabel="contactor at x [mm]")
+    told = x[:: -(-len(x) // MOST_NAMED)]
+    axes.set_yticks(told, [f"{at:.3g}".replace("-", "−") for at in told])
     _head(axes, f"commanded to the contactors at y = {y} mm; dashed: one place of the surface")
     _color_bar(axes, drawn, "shear [µm]", 0.015)
     plain(axes, grid=False)

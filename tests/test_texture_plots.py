@@ -420,6 +420,7 @@ def test_a_sheet_of_45_keeps_all_apart_and_on_the_page() -> None:
 # Files
 
 
+@pytest.mark.ci
 def test_pictures_are_written(tmp_path: Path) -> None:
     plot_texture(tmp_path / "one.png", seen("wood-oak"))
     wide, high = texture_plots.SIZE

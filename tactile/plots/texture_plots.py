@@ -40,7 +40,8 @@ LEVELS = (0.01, 200.0)
 LOWEST = 20.0
 """Hz where a spectrum begins, unless the texture has something below."""
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""Hz."""
+WIDE = 4.0
+"""Hz; of axes that begin below it only decades are told."""
 MOST_NAMED = 12
 """Contactors of a row that have their place beside them."""
 SIZE = (10.0, 9.4)
@@ -163,7 +164,7 @@ def _attainable(axes: "Axes", view: View) -> None:
     left = min(LOWEST, EDGES[strong[0]]) / 1.26
     axes.set(xlim=(left, EDGES[-1]), ylim=(LEVELS[0], max(LEVELS[1], 2e6 * float(s.total.max()))))
     axes.set(xlabel="frequency [Hz]", ylabel="peak per third octave [µm]")
-    ticks = [f for f in TICKS if f >= left]
+    ticks = [f for f in TICKS[:: 3 if left < WIDE else 1] if f >= left]
     axes.set_xticks(ticks, [f"{f:g}" for f in ticks])
     axes.set_xticks([], minor=True)
     axes.yaxis.set_major_formatter("{x:g}")

@@ -11,7 +11,7 @@ import tactile
 from tactile.cli.app import AsJson, DisplayOption, app, within
 
 SPEED = (5.0, 1000.0, 80.0)
-"""mm/s: least, most and default. At the least a texture's lowest band, 0.25 cycles/mm, is at 1 Hz."""
+"""mm/s: least, most and default; at the least, waves of 4 mm are at 1 Hz."""
 SpeedOption = Annotated[float | None, typer.Option(help="Of the finger, 80 by default.")]
 
 

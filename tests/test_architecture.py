@@ -52,7 +52,7 @@ MAP: dict[str, set[str]] = {
     "study": {"actuator"},
     "terminal": {"display"},
     "gallery": {"display", "errors", "files", "rendering", "terminal", "texture"},
-    "plots": {"actuator", "display", "errors", "gallery", "rendering"},
+    "plots": {"actuator", "display", "errors", "gallery", "rendering", "texture"},
     "bench": {
         "actuator",
         "bus",

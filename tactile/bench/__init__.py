@@ -17,6 +17,7 @@ from tactile.bench.clock import measure_clock
 from tactile.bench.crowd import measure_crowd, measure_crowd_long
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
+from tactile.bench.fit import measure_fit
 from tactile.bench.fuzz import measure_fuzz
 from tactile.bench.latency import measure_latency, measure_latency_long
 from tactile.bench.links import measure_links, measure_streams_long
@@ -44,6 +45,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "faults": measure_faults,
     "budgets": measure_budgets,
     "links": measure_links,
+    "fit": measure_fit,
     "tracking": measure_tracking,
     "latency": measure_latency,
     "crowd": measure_crowd,

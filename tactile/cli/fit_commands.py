@@ -20,7 +20,7 @@ from tactile.files import nearest
 from tactile.texture.descriptor import About
 from tactile.texture.descriptor_file import check_target, write
 from tactile.texture.fitting import Fit
-from tactile.texture.judging import Distance, Verdict, fit_texture
+from tactile.texture.judging import Candidate, Verdict, fit_texture
 from tactile.texture.recorded_slide import UNITS, load_recorded
 
 STEPS = 8
@@ -164,7 +164,11 @@ def _facts(fit: Fit, verdict: Verdict) -> dict[str, Any]:
         "speed_exponent_error": fit.exponent_error[0],
         "force_exponent_error": fit.exponent_error[1],
         "isotropic_loss_db": _plain(fit.isotropic_loss),
-        "held_out": {name: asdict(side) for name, side in _sides(verdict).items()},
+        "held_out_level_db": _plain(verdict.held_out),
+        "held_out": {
+            name: asdict(side) | {"level": _plain(side.level)}
+            for name, side in _sides(verdict).items()
+        },
         "notes": list(fit.notes),
     }
 
@@ -173,7 +177,7 @@ def _plain(values: Any) -> list[float | None]:
     return [round(float(x), 3) if math.isfinite(x) else None for x in values]
 
 
-def _sides(verdict: Verdict) -> dict[str, Distance]:
+def _sides(verdict: Verdict) -> dict[str, Candidate]:
     return {
         "this texture": verdict.rendering,
         "the recordings themselves": verdict.ceiling,

@@ -1,9 +1,12 @@
 """Figures for files: bimorphs, strokes, textures. The only room of matplotlib.
 
 What a bimorph can do (`response_plots`), what was played (`played_plots`), what a texture is
-(`texture_plots`), and many of them (`sheet_plots`). ``…_figure`` draws, ``plot_…`` also saves.
+(`texture_plots`), many of them (`sheet_plots`), and how one was fitted (`fit_plots`).
+``…_figure`` draws, ``plot_…`` also saves.
 """
 
+from tactile.plots.fit_plots import fit_figure as fit_figure
+from tactile.plots.fit_plots import plot_fit as plot_fit
 from tactile.plots.played_plots import Played as Played
 from tactile.plots.played_plots import played_figure as played_figure
 from tactile.plots.played_plots import plot_played as plot_played

@@ -31,9 +31,17 @@ POINTS = 1 << 14
 
 
 @dataclass(frozen=True)
-class Distance:
-    """Between two spectra of 16 bands [dB]: log-spectral (rms), mean absolute, and mean."""
+class Candidate:
+    """A spectrum beside the held-out one.
 
+    Attributes
+    ----------
+    level : (16,) dB re 1 µm²·mm
+    rms_db, absolute_db, bias_db : its log-spectral distance (rms over bands), its mean absolute
+        one, and by how much it lies above
+    """
+
+    level: Floats
     rms_db: float
     absolute_db: float
     bias_db: float
@@ -45,24 +53,24 @@ class Verdict:
 
     Attributes
     ----------
-    held_out, rendered : (16,) levels of the other half and of the texture, dB re 1 µm²·mm
-    rendering, ceiling, white, autoregressive : their distances to the held-out half
+    held_out : (16,) levels of the other half, dB re 1 µm²·mm
+    rendering : a stroke over the texture that was fitted
+    ceiling : the half that was fitted to, as it was recorded
+    white, autoregressive : noise, and a model of order 8
     """
 
     held_out: Floats
-    rendered: Floats
-    rendering: Distance
-    ceiling: Distance
-    white: Distance
-    autoregressive: Distance
+    rendering: Candidate
+    ceiling: Candidate
+    white: Candidate
+    autoregressive: Candidate
 
 
-def distance(level: Floats, other: Floats) -> Distance:
-    """Return how far levels (16,) are from others, over the bands that both know."""
-    error = (level - other)[np.isfinite(level - other)]
-    return Distance(
-        float(np.sqrt(np.mean(error**2))), float(np.mean(np.abs(error))), float(error.mean())
-    )
+def beside(level: Floats, held_out: Floats) -> Candidate:
+    """Return how far levels (16,) are from those held out, over the bands that both know."""
+    error = (level - held_out)[np.isfinite(level - held_out)]
+    rms, absolute = np.sqrt(np.mean(error**2)), np.mean(np.abs(error))
+    return Candidate(level, float(rms), float(absolute), float(error.mean()))
 
 
 def halves(recordings: Sequence[Recorded]) -> list[Recorded]:
@@ -168,11 +176,10 @@ def predict(seen: Measurement, unseen: Measurement, about: About) -> Verdict:
     rendered = rendered_levels(stochastic, seen.center)
     return Verdict(
         held_out=other,
-        rendered=rendered,
-        rendering=distance(rendered, other),
-        ceiling=distance(one + anchor, other),
-        white=distance(_white(rendered, seen.center), other),
-        autoregressive=distance(_autoregressive(seen, rendered), other),
+        rendering=beside(rendered, other),
+        ceiling=beside(one + anchor, other),
+        white=beside(_white(rendered, seen.center), other),
+        autoregressive=beside(_autoregressive(seen, rendered), other),
     )
 
 

@@ -300,7 +300,29 @@ def test_textures_lists_every_shipped_texture(command: Command) -> None:
 def test_textures_as_json_is_a_list_of_facts(command: Command) -> None:
     listed = command("textures", "--json").json
     assert [t["name"] for t in listed] == list(tactile.textures())
-    assert command("textures", "wood-oak", "--json").json in listed
+    oak = command("textures", "wood-oak", "--json").json
+    (same,) = (t for t in listed if t["name"] == "wood-oak")
+    assert same.items() <= oak.items()
+
+
+def test_textures_are_listed_by_category_and_by_words(command: Command) -> None:
+    def names(*options: str) -> list[str]:
+        return [t["name"] for t in command("textures", *options, "--json").json]
+
+    wood = [name for name in tactile.textures() if name.startswith("wood-")]
+    assert names("--category", "wood") == wood
+    assert names("--category", "wood", "--search", "PORES") == ["wood-oak"]
+    assert names("--search", "quarter dollar") == ["metal-coin-reeded"]  # in its description
+    assert "abrasive-p80" in names("--search", "[Buchholz 1988]")  # in its source
+
+
+def test_a_category_that_is_none_is_answered_with_the_nearest(command: Command) -> None:
+    result = command("textures", "--category", "wod")
+    assert (result.code, result.out) == (2, "")
+    assert result.err == "tactile: no category 'wod'; did you mean 'wood'?\n"
+    result = command("textures", "--category", "glass", "--search", "no such word")
+    assert (result.code, result.out) == (2, "")
+    assert "no texture of category 'glass' has 'no such word'" in result.err
 
 
 def test_one_texture_as_json_says_what_a_surface_can_have(command: Command) -> None:
@@ -309,8 +331,8 @@ def test_one_texture_as_json_says_what_a_surface_can_have(command: Command) -> N
     assert facts["name"] == "wood-oak"
     assert facts["category"] == "wood"
     assert facts["partials"] == len(texture.partials.amplitude)
-    rms = math.sqrt(float(np.sum(texture.partials.amplitude**2)) / 2) * 1e6
-    assert facts["rms_um"] == pytest.approx(rms)
+    waves = math.sqrt(float(np.sum(texture.partials.amplitude**2)) / 2) * 1e6
+    assert facts["rms_um"] == pytest.approx(math.hypot(waves, 0.50), rel=0.01)  # README: 0.50 pores
     assert len(facts["band_frequency_per_mm"]) == len(facts["band_error_db"]) > 0
     for key in ("description", "provenance", "source", "licence"):
         assert facts[key].strip()

@@ -81,9 +81,9 @@ def rms(values: Floats) -> float:
 # Descriptors
 
 
-def test_every_shipped_descriptor_loads_and_is_realized() -> None:
-    assert descriptor.textures() == sorted(WITH_BANDS)
-    for name in descriptor.textures():
+def test_shipped_descriptors_load_and_are_realized() -> None:
+    assert set(WITH_BANDS) <= set(descriptor.textures())
+    for name in WITH_BANDS:  # the others: test_library.py
         texture = load_texture(name)
         assert texture.name == texture.descriptor.texture.id == name
         assert texture.descriptor.texture.category == name.split("-")[0]

@@ -17,7 +17,7 @@ from tactile.bench.figures import Figure, Floats, at_least, at_most
 from tactile.texture import measures
 from tactile.texture.descriptor import About
 from tactile.texture.fitting import Measurement, describe, measure_slides
-from tactile.texture.judging import fit_texture, predict, rendered_stroke
+from tactile.texture.judging import fit_texture, predict, rendered_strokes
 from tactile.texture.recorded_slide import Recorded, load_recorded
 
 ABOUT = About(
@@ -30,8 +30,6 @@ BIOTAC_STEADY = slice(1320, 7920)
 FULL_SCALE = 9.81 / 0.0938
 """m/s² of the accelerometer of 93.8 mV/g at 1 V."""
 FABRICS = {"v1": 0.02, "v2": 0.03, "v3": 0.05, "v4": 0.06}
-RENDERED = 6
-"""Strokes per material that are to be identified."""
 
 
 def recordings() -> Path | None:
@@ -151,13 +149,9 @@ def _strokes(seen: Measurement) -> list[Floats]:
     stochastic = describe(seen, ABOUT).descriptor.stochastic
     assert stochastic is not None
     anchor = np.mean(np.asarray(stochastic.level_db) - seen.level.mean(axis=0))
-    signal, step = rendered_stroke(stochastic, seen.center)
+    strokes, step = rendered_strokes(stochastic, seen.center)
     size = len(seen.slides[0].bare[0])
-    starts = np.linspace(0, len(signal) - size, RENDERED).astype(int)
-    return [
-        measures.band_spectrum(signal[k : k + size], step, center=seen.center) - anchor
-        for k in starts
-    ]
+    return [measures.band_spectrum(u[:size], step, center=seen.center) - anchor for u in strokes]
 
 
 def _predicted(folder: Path) -> Iterator[Figure]:

@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 
 ORDER = 8
 WAVES = 384
-PERIODS = 200
-"""Of the lowest band, that are slid over: 100 mm from 2 cycles/mm on."""
+PERIODS, STROKES = 200, 6
+"""Of the lowest band, that are slid over, and how often: 0.3 dB of chance in the lowest band."""
 POINTS = 1 << 14
 """Of an autoregressive model's spectrum."""
 
@@ -183,23 +183,29 @@ def predict(seen: Measurement, unseen: Measurement, about: About) -> Verdict:
     )
 
 
-def rendered_levels(stochastic: Stochastic, center: Floats, seed: int = 0) -> Floats:
-    """Return the levels (16,) of a stroke over a realized surface."""
-    return measures.band_spectrum(*rendered_stroke(stochastic, center, seed), center=center)
+def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
+    """Return the levels (16,) of strokes over a realized surface."""
+    strokes, step = rendered_strokes(stochastic, center)
+    levels = measures.band_spectrum(strokes, step, center=center)
+    return np.asarray(10 * np.log10(np.mean(10 ** (levels / 10), axis=0)))
 
 
-def rendered_stroke(stochastic: Stochastic, center: Floats, seed: int = 0) -> tuple[Floats, float]:
-    """Return a stroke (S,) [m] over a realized surface along its direction, and its step [m]."""
-    rng = np.random.default_rng(seed)
+def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, float]:
+    """Return strokes (R, S) [m] along a surface's direction, each elsewhere, and their step [m]."""
     vectors, amplitude = stochastic_waves(stochastic, WAVES)
-    waves = Partials(vectors, amplitude, rng.uniform(0, 2 * np.pi, len(amplitude)))
-    slow = envelope(stochastic, rng)
     step = 1 / (2.56 * measures.third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
     place = step * np.arange(round(PERIODS / center[0] / step))
     path = place[:, None] * [np.cos(turn), np.sin(turn)]
-    swell = np.exp(slow.at(path) - np.sum(slow.amplitude**2) / 2)
-    return np.asarray(waves.at(path) * swell), float(step)
+
+    def stroke(seed: int) -> Floats:
+        rng = np.random.default_rng(seed)
+        waves = Partials(vectors, amplitude, rng.uniform(0, 2 * np.pi, len(amplitude)))
+        slow = envelope(stochastic, rng)
+        swell = np.exp(slow.at(path) - np.sum(slow.amplitude**2) / 2)
+        return np.asarray(waves.at(path) * swell)
+
+    return np.stack([stroke(seed) for seed in range(STROKES)]), float(step)
 
 
 def _white(levels: Floats, center: Floats) -> Floats:

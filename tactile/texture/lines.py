@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import detrend, find_peaks
+from scipy.signal import detrend, find_peaks, zoom_fft
 from scipy.signal.windows import blackmanharris
 
 Floats = NDArray[np.float64]
@@ -27,6 +27,8 @@ TOLERANCE = 0.015
 NEIGHBORHOOD = 0.5
 """Octaves over whose median a line must stand out."""
 PADDING = 4
+PLACES = 61
+"""That a stroke's own fundamental is sought at, within the tolerance."""
 MOST_HARMONICS = 32
 HARMONIC = 0.02
 """Relative, of a harmonic's place from a multiple of the fundamental's."""
@@ -169,18 +171,18 @@ def _tuned(
     stroke: Floats, step: float, base: float, orders: tuple[int, ...]
 ) -> tuple[float, Complex]:
     """Return where one stroke has its fundamental [cycles/m], and its complex amplitudes (H,)."""
-    around = base * np.linspace(1 - TOLERANCE, 1 + TOLERANCE, 61)
-    waves = np.array([_amplitudes(stroke, step, one, orders) for one in around])
-    best = int(np.argmax(np.sum(np.abs(waves) ** 2, axis=1)))
-    return float(around[best]), waves[best]
-
-
-def _amplitudes(stroke: Floats, step: float, base: float, orders: tuple[int, ...]) -> Complex:
-    """Return complex peak amplitudes (H,) of multiples of a spatial frequency, under a window."""
-    place = step * np.arange(len(stroke))
     window = np.hanning(len(stroke))
-    waves = np.exp(-2j * np.pi * base * np.outer(orders, place))
-    return np.asarray(2 * (waves @ (stroke * window)) / window.sum())
+    ends = base * (1 - TOLERANCE), base * (1 + TOLERANCE)
+    around = np.array(
+        [
+            zoom_fft(
+                stroke * window, [k * ends[0], k * ends[1]], PLACES, fs=1 / step, endpoint=True
+            )
+            for k in orders
+        ]
+    )
+    best = int(np.argmax(np.sum(np.abs(around) ** 2, axis=0)))
+    return float(np.linspace(*ends, PLACES)[best]), 2 * around[:, best] / window.sum()
 
 
 def without(stroke: Floats, step: float, found: Sequence[Grating]) -> Floats:

@@ -1,0 +1,111 @@
+"""What a texture asks of the skin in a steady stroke, in closed form: a spectrum of lines.
+
+A plane wave of wave vector k sounds at |k·v|/2π with half its squared amplitude as power, times the
+square of the laws of speed and force, rolled off above 1 kHz. The envelope exp(g − ⟨g²⟩), of mean
+square one, leaves exp(−var g) of that power in its place and puts the rest into sidebands at the
+frequencies of g's waves (their first order, which takes the little of the higher ones as well).
+
+Sparse events are shot noise (Campbell): of density λ and mean square peak ⟨A²⟩, with h the shape of
+unit peak, their autocorrelation along the stroke is λ⟨A²⟩ ∫ h(r) h(r + d) dr. For Gaussian bumps of
+standard deviation σ that gives power λ⟨A²⟩πσ², of which erf(x) is below the frequency f, with
+x = 2πfσ/v; for their derivative, the edge, e λ⟨A²⟩πσ² [erf(x)/2 − cos²β x exp(−x²)/√π] is below it,
+β being the angle between stroke and edge. Their mean is zero, as often up as down.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from tactile.rendering.equalizer import roll_off
+from tactile.rendering.shear import FWHM, Law
+from tactile.texture.descriptor import Events
+from tactile.texture.surface import Surface, Texture
+
+Floats = NDArray[np.float64]
+
+EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 400))
+"""Hz between which the events' power is told as one line."""
+MILLI, MICRO = 1e-3, 1e-6
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A spectrum.
+
+    Attributes
+    ----------
+    frequency : (K,) [Hz], not ascending
+    power : (K,) mean square [m²] of each line
+    """
+
+    frequency: Floats
+    power: Floats
+
+    def times(self, factor: Floats | float) -> "Lines":
+        """Return it with its displacement multiplied."""
+        return Lines(self.frequency, self.power * np.square(factor))
+
+
+def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
+    """Return what the laws multiply displacement by at a speed [m/s] and a force [N]."""
+    law = Law(texture.descriptor)
+    return float(law(np.array([speed**2]), np.array([normal_force]))[0])
+
+
+def commanded_lines(
+    texture: Texture, *, speed: float, normal_force: float, angle: float = 0.0, seed: int = 0
+) -> Lines:
+    """Return the spectrum of shear that a texture commands in a straight stroke.
+
+    Parameters
+    ----------
+    texture : whose
+    speed, normal_force, angle : of the stroke [m/s], [N] and from the x axis [rad]
+    seed : of the surface's realization; it changes the envelope's share only
+
+    Returns
+    -------
+    Lines
+        Of what `Renderer` commands at every contactor, before what a display can do; without the
+        cosine of a display that projects.
+    """
+    surface = texture.realize(seed)
+    velocity = speed * np.array([np.cos(angle), np.sin(angle)])
+    waves = _modulated(surface, velocity)
+    parts = [waves, *(_event_lines(kind, speed, angle) for kind in texture.descriptor.events)]
+    return Lines(
+        np.concatenate([part.frequency for part in parts]),
+        np.concatenate([part.power for part in parts]),
+    ).times(law_factor(texture, speed, normal_force))
+
+
+def _modulated(surface: Surface, velocity: Floats) -> Lines:
+    """Return the waves' lines with the sidebands that the envelope makes."""
+    signed = surface.partials.wave_vector @ velocity / (2 * np.pi)
+    power = (surface.partials.amplitude * roll_off(signed)) ** 2 / 2
+    if not len(surface.envelope.amplitude):
+        return Lines(np.abs(signed), power)
+    variance = surface.envelope.amplitude**2 / 2
+    kept = np.exp(-variance.sum())
+    aside = surface.envelope.wave_vector @ velocity / (2 * np.pi)
+    share = (1 - kept) * variance / variance.sum() / 2
+    moved = np.concatenate([[0.0], aside, -aside])
+    weight = np.concatenate([[kept], share, share])
+    return Lines(
+        np.abs(np.add.outer(signed, moved)).ravel(), np.multiply.outer(power, weight).ravel()
+    )
+
+
+def _event_lines(kind: Events, speed: float, angle: float) -> Lines:
+    """Return one kind's expected spectrum; events are not rolled off."""
+    sigma = kind.width_mm * MILLI / FWHM
+    square = (kind.amplitude_um * MICRO) ** 2 * np.exp(2 * kind.amplitude_sd**2)
+    whole = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
+    x = 2 * np.pi * EVENT_EDGES * sigma / speed
+    below = erf(x)
+    if kind.shape == "edge":
+        along = np.cos(angle - np.radians(kind.direction_deg)) ** 2
+        below = np.e * (erf(x) / 2 - along * x * np.exp(-(x**2)) / np.sqrt(np.pi))
+    return Lines((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, whole * np.diff(below))

@@ -1,0 +1,458 @@
+"""How strong a texture is on a display: felt level, drive, and the gain that the limits allow.
+
+Levels come in closed form from the texture's lines (`commanded`) and what the display makes of
+them: the inverse filter in use times the response of amplifier and loaded bimorph. What the limits
+take is measured instead: a stroke of `TRIAL` seconds is rendered so faintly that no limit is near,
+and since all before the limiter is linear, its drive, scaled, is that of any gain.
+
+A limiter that touches one sample is seconds in letting go (`limiter.RELEASE`), so that "at most
+1e-4 of samples" means none in any stroke of a few seconds. `automatic_gain` therefore lets the
+trial's highest drive come up to `HEADROOM` below the limit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from tactile.display import Display
+from tactile.errors import InputError
+from tactile.rendering.commanded import Lines, commanded_lines
+from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED, Trajectory
+from tactile.rendering.limiter import Limiter
+from tactile.rendering.renderer import BLOCK, Renderer
+from tactile.rendering.shear import CONTACT_FORCE
+from tactile.texture import perception
+from tactile.texture.surface import Texture
+
+Floats = NDArray[np.float64]
+
+TRIAL = 4.0
+"""s of the stroke that drive is measured in."""
+SETTLING = 0.1
+"""s of it that are left out: the filter and the limiter fill."""
+HEADROOM = 10 ** (-1 / 20)
+"""What a minute's highest drive is above that of `TRIAL`: of n independent normal samples the
+highest grows as √(2 ln n), with 24 contactors and 500 samples a second by 1.0 dB."""
+FAINT = 1e-3
+"""Gain of the trial."""
+GRID = 5.0
+HIGHEST = 4000.0
+"""Hz between and up to which a display's reach is told."""
+FASTEST_FORCE = f"above {CONTACT_FORCE:g} and at most {LARGEST_FORCE:g} N"
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A steady stroke in a straight line.
+
+    Attributes
+    ----------
+    speed : [m/s]
+    normal_force : [N]
+    angle : of the motion, from the x axis [rad]
+
+    Raises
+    ------
+    InputError
+        Where nothing would move, or nothing be touched.
+    """
+
+    speed: float = 0.08
+    normal_force: float = 0.5
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.speed <= LARGEST_SPEED:
+            raise InputError(
+                f"speed {self.speed:g} m/s: must be above 0 and at most {LARGEST_SPEED:g} m/s: "
+                "a finger at rest feels no texture"
+            )
+        if not CONTACT_FORCE < self.normal_force <= LARGEST_FORCE:
+            raise InputError(f"normal_force {self.normal_force:g} N: must be {FASTEST_FORCE}")
+
+    @property
+    def direction(self) -> Floats:
+        """Unit vector (2,) of the motion."""
+        return np.array([np.cos(self.angle), np.sin(self.angle)])
+
+    def lines(self, texture: Texture) -> Lines:
+        """Return what a texture commands in it."""
+        return commanded_lines(
+            texture, speed=self.speed, normal_force=self.normal_force, angle=self.angle
+        )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What a display makes of commanded shear, per kind of contactor, at one normal force.
+
+    Attributes
+    ----------
+    frequency : (F,) [Hz], ascending
+    gain : (C, F) drive per commanded shear [V/m]
+    transfer : (C, F) shear that comes of it, per commanded shear: one where the inverse is not
+        bounded
+    attainable : (C, F) peak shear [m] of a sinusoid at the voltage and slew limits
+    share : (C,) mean square over all contactors of what of the shear each plays, by kind: where it
+        is projected on the motion, its cosine
+    largest : (C,) the largest of these cosines
+    """
+
+    frequency: Floats
+    gain: Floats
+    transfer: Floats
+    attainable: Floats
+    share: Floats
+    largest: Floats
+
+    def delivered(self, lines: Lines) -> Lines:
+        """Return the spectrum that the skin gets below the limits, mean over contactors."""
+        square = self.share @ self.transfer**2
+        at = np.interp(lines.frequency, self.frequency, square, right=0.0)
+        return Lines(lines.frequency, lines.power * at)
+
+    def drive_rms(self, lines: Lines) -> float:
+        """Return the drive below the limits of the contactor that needs most [V]."""
+        at = [np.interp(lines.frequency, self.frequency, g**2, right=0.0) for g in self.gain]
+        return float(np.sqrt(np.max(self.largest**2 * (np.array(at) @ lines.power))))
+
+    def least_attainable(self, frequency: Floats) -> Floats:
+        """Return the peak shear [m] that every contactor attains, at frequencies [Hz]."""
+        return np.interp(frequency, self.frequency, self.attainable.min(axis=0))
+
+
+def reach(display: Display, stroke: Stroke, sample_rate: float = 8000.0) -> Reach:
+    """Return what a display makes of shear in a stroke.
+
+    Parameters
+    ----------
+    display, stroke : what is played on, and how it is touched
+    sample_rate : of the drive [Hz]
+    """
+    frequency = np.arange(0.0, min(HIGHEST, sample_rate / 2) + GRID / 2, GRID)
+    here = replace(display, load=display.load_at(stroke.normal_force))
+    response = np.abs(here.responses(frequency, sample_rate)[0])
+    inverse = Renderer(display, None, sample_rate=sample_rate).filter
+    place = np.interp(stroke.normal_force, display.load_forces, np.arange(len(inverse.taps)))
+    near = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
+    taps = inverse.mix @ np.tensordot(near, inverse.taps, axes=1)
+    turns = np.exp(-2j * np.pi / sample_rate * np.outer(np.arange(taps.shape[1]), frequency))
+    gain = np.abs(taps @ turns)
+    steepest = 2 * sample_rate * np.sin(np.pi * np.minimum(frequency / sample_rate, 0.5))
+    volts = np.minimum(display.limits.voltage, display.slew / np.maximum(steepest, 1e-9))
+    cosine = np.ones(len(display.kind))
+    if display.projected:
+        cosine = np.abs(display.shear_axes @ stroke.direction)
+    kinds = [display.kind == c for c in range(len(gain))]
+    share = np.array([np.sum(cosine[kind] ** 2) / len(cosine) for kind in kinds])
+    largest = np.array([np.max(cosine[kind], initial=0.0) for kind in kinds])
+    return Reach(frequency, gain, gain * response, response * volts, share, largest)
+
+
+def amplified(texture: Texture, gain: float) -> Texture:
+    """Return a texture with all of its displacement multiplied.
+
+    The levels in its descriptor's ``[stochastic]`` stay what they were; its waves have the gain.
+
+    Raises
+    ------
+    InputError
+        Where the gain is negative or no number.
+    """
+    if not 0 <= gain < np.inf:
+        raise InputError(f"gain {gain:g}: must be a number from 0")
+    d = texture.descriptor
+    periodic = tuple(
+        structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um))
+        for p in d.periodic
+    )
+    events = tuple(structs.replace(e, amplitude_um=gain * e.amplitude_um) for e in d.events)
+    return replace(
+        texture,
+        amplitude=gain * texture.amplitude,
+        descriptor=structs.replace(d, periodic=periodic, events=events),
+    )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The drive of a short stroke at gain 1, without limits.
+
+    Attributes
+    ----------
+    display : on which
+    drive : (S, N) [V]
+    sample_rate : [Hz]
+    """
+
+    display: Display
+    drive: Floats
+    sample_rate: float
+
+    @property
+    def rms(self) -> float:
+        """Of the contactor that needs most [V]."""
+        return float(np.sqrt(np.mean(self.drive**2, axis=0).max()))
+
+    @property
+    def peak(self) -> float:
+        """Over all contactors [V]."""
+        return float(np.abs(self.drive).max())
+
+    @property
+    def crest(self) -> float:
+        """Of the contactor that needs most, peak over rms."""
+        return self.peak / max(self.rms, 1e-30)
+
+    @property
+    def step(self) -> float:
+        """Largest change from sample to sample [V]."""
+        return float(np.abs(np.diff(self.drive, axis=0)).max())
+
+    @property
+    def largest_gain(self) -> tuple[float, str]:
+        """The gain at which a limit is met, and the limit's name; infinite for no drive."""
+        limits = self.display.limits
+        slewing = "slew" if self.display.slew >= limits.slew else "current"
+        by_voltage = limits.voltage / max(self.peak, 1e-30)
+        by_slew = self.display.slew / self.sample_rate / max(self.step, 1e-30)
+        return (by_voltage, "voltage") if by_voltage <= by_slew else (by_slew, slewing)
+
+    def limited(self, gain: float) -> tuple[float, float]:
+        """Return the share of samples that the limiter turns down, and what is left of the rms."""
+        limiter = Limiter(
+            self.display.limits.voltage, self.display.slew / self.sample_rate,
+            sample_rate=self.sample_rate, channels=self.drive.shape[1],
+        )  # fmt: skip
+        wanted = np.concatenate([gain * self.drive, np.zeros((limiter.delay, self.drive.shape[1]))])
+        played = limiter(wanted)[limiter.delay :]
+        kept = np.sqrt(np.mean(played**2) / max(float(np.mean(wanted**2)), 1e-30))
+        return limiter.limited_samples / len(self.drive), float(min(kept, 1.0))
+
+
+def trial(
+    display: Display, texture: Texture, stroke: Stroke, sample_rate: float = 8000.0
+) -> Trial:
+    """Render a short stroke far below the limits, and return its drive at gain 1."""
+    renderer = Renderer(display, amplified(texture, FAINT), sample_rate=sample_rate)
+    line = Trajectory.line(
+        speed=stroke.speed, angle=stroke.angle, duration=SETTLING + TRIAL,
+        normal_force=stroke.normal_force,
+    )  # fmt: skip
+    blocks = [renderer.block(*block) for block in line.blocks(sample_rate, BLOCK)]
+    settled = np.concatenate(blocks)[round(SETTLING * sample_rate) :]
+    return Trial(display, settled / FAINT, sample_rate)
+
+
+@dataclass(frozen=True)
+class Strength:
+    """What a texture delivers on a display in a stroke, at a gain; see `strength`.
+
+    Attributes
+    ----------
+    gain : that it is played at
+    frequency : (B,) centers of the third octaves [Hz]
+    commanded, attained : (B,) rms shear [m], asked for and played
+    attainable : (B,) peak shear [m] of a sinusoid at the limits, of every contactor
+    threshold : (B,) peak shear [m] that is just felt
+    level : (B,) of what is played [dB SL]
+    channels : level that each channel feels [dB SL]
+    drive_rms, drive_peak : [V] of the contactor that needs most, without the limiter
+    predicted_rms : [V] the same in closed form
+    limited_share : of the samples, how many the limiter turns down
+    """
+
+    gain: float
+    frequency: Floats
+    commanded: Floats
+    attained: Floats
+    attainable: Floats
+    threshold: Floats
+    level: Floats
+    channels: dict[str, float]
+    drive_rms: float
+    drive_peak: float
+    predicted_rms: float
+    limited_share: float
+
+    @property
+    def lost_db(self) -> Floats:
+        """(B,) by which what is played is below what is asked for, by limiter and response [dB]."""
+        asked = np.maximum(self.commanded, 1e-30)
+        return np.asarray(-20 * np.log10(np.maximum(self.attained, 1e-30) / asked))
+
+    @property
+    def channel(self) -> str:
+        """The one that feels most."""
+        return perception.strongest_channel(self.channels)
+
+    @property
+    def felt_by(self) -> tuple[str, ...]:
+        """The channels above threshold; one alone is excited selectively."""
+        return tuple(name for name, level in self.channels.items() if level > 0)
+
+
+def strength(
+    display: Display, texture: Texture, stroke: Stroke | None = None, *, gain: float = 1.0
+) -> Strength:
+    """Return what a texture delivers above threshold on a display.
+
+    Parameters
+    ----------
+    display, texture : what is played on, and what
+    stroke : of the finger; by default 80 mm/s at 0.5 N along x
+    gain : of the texture
+
+    Returns
+    -------
+    Strength
+        Mean over the contactors in power; the limiter's part as measured in a short stroke, where
+        it turns all bands down alike.
+    """
+    stroke = stroke or Stroke()
+    asked, able = stroke.lines(texture).times(gain), reach(display, stroke)
+    tried = trial(display, texture, stroke)
+    share, kept = tried.limited(gain)
+    played = able.delivered(asked).times(kept)
+    return Strength(
+        gain=gain,
+        frequency=perception.CENTERS,
+        commanded=_band_rms(asked),
+        attained=_band_rms(played),
+        attainable=able.least_attainable(perception.CENTERS),
+        threshold=perception.detection_threshold(perception.CENTERS),
+        level=perception.band_sensation(played.frequency, played.power),
+        channels=perception.channel_sensation(played.frequency, played.power),
+        drive_rms=gain * tried.rms,
+        drive_peak=gain * tried.peak,
+        predicted_rms=able.drive_rms(asked),
+        limited_share=share,
+    )
+
+
+def _band_rms(lines: Lines) -> Floats:
+    count = len(perception.CENTERS)
+    power = np.bincount(perception.band_of(lines.frequency), lines.power, count + 1)
+    return np.asarray(np.sqrt(power[:count]))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A gain, and what it comes to.
+
+    Attributes
+    ----------
+    value : to multiply a texture by (`amplified`, or `Renderer.play`)
+    limit : what forbids more: "voltage", "slew", "current", or "level" for one that was asked for
+    level : of the channel that feels most [dB SL]
+    channel : that one
+    drive_rms, drive_peak : [V] of the contactor that needs most
+    """
+
+    value: float
+    limit: str
+    level: float
+    channel: str
+    drive_rms: float
+    drive_peak: float
+
+    @property
+    def crest(self) -> float:
+        """Peak over rms of the drive."""
+        return self.drive_peak / max(self.drive_rms, 1e-30)
+
+
+def automatic_gain(
+    display: Display,
+    texture: Texture,
+    stroke: Stroke | None = None,
+    *,
+    level: float | None = None,
+) -> Gain:
+    """Return the largest gain that a display's limits leave untouched.
+
+    Parameters
+    ----------
+    display, texture, stroke : as of `strength`
+    level : the level to reach instead, if that takes less [dB SL]
+
+    Raises
+    ------
+    InputError
+        Where nothing is to be felt in this stroke at any gain.
+    """
+    stroke = stroke or Stroke()
+    tried = trial(display, texture, stroke)
+    delivered = reach(display, stroke).delivered(stroke.lines(texture))
+    bands = {
+        name: perception.band_sensation(delivered.frequency, delivered.power, channel)
+        for name, channel in perception.CHANNELS.items()
+    }
+    if tried.peak == 0 or not np.isfinite(max(np.max(b) for b in bands.values())):
+        raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
+    highest, limit = tried.largest_gain
+    value = HEADROOM * highest
+    if level is not None and _levels(bands, value)[1] > level:
+        value, limit = _reaching(bands, level, value), "level"
+    channel, reached = _levels(bands, value)
+    return Gain(value, limit, reached, channel, value * tried.rms, value * tried.peak)
+
+
+def _levels(bands: dict[str, Floats], gain: float) -> tuple[str, float]:
+    """Return the channel that feels most at a gain, and its level [dB SL]."""
+    more = 20 * np.log10(gain)
+    levels = {name: perception.felt_level(at_one + more) for name, at_one in bands.items()}
+    channel = perception.strongest_channel(levels)
+    return channel, levels[channel]
+
+
+def _reaching(bands: dict[str, Floats], level: float, highest: float) -> float:
+    """Return the gain at which a level is reached: it grows with the gain, to 1e-9 dB."""
+    low, high = highest * 1e-6, highest
+    for _ in range(64):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if _levels(bands, middle)[1] <= level else (low, middle)
+    return float(low)
+
+
+@dataclass(frozen=True)
+class EqualGains:
+    """Gains with which one texture is equally strong on several displays.
+
+    Attributes
+    ----------
+    gains : of each display, in their order
+    level : that all reach [dB SL]
+    weakest : name of the display that allows no more
+    """
+
+    gains: tuple[Gain, ...]
+    level: float
+    weakest: str
+
+
+def equal_gain(
+    displays: Sequence[Display], texture: Texture, stroke: Stroke | None = None
+) -> EqualGains:
+    """Return the gains with which a texture has the same level on several displays.
+
+    It is the highest that the weakest of them reaches within its limits.
+
+    Raises
+    ------
+    InputError
+        Where there is no display, or one has nothing to play.
+    """
+    if not displays:
+        raise InputError("equal_gain: needs at least one display")
+    alone = [automatic_gain(display, texture, stroke) for display in displays]
+    least = int(np.argmin([gain.level for gain in alone]))
+    level = alone[least].level
+    gains = [
+        gain if i == least else automatic_gain(displays[i], texture, stroke, level=level)
+        for i, gain in enumerate(alone)
+    ]
+    return EqualGains(tuple(gains), level, displays[least].name)

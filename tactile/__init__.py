@@ -47,7 +47,19 @@ if TYPE_CHECKING:
     from tactile.rendering.renderer import Rendering as Rendering
     from tactile.rendering.renderer import render as render
     from tactile.rendering.spectrum import SpectrumRenderer as SpectrumRenderer
+    from tactile.rendering.spending import spend as spend
+    from tactile.rendering.strength import EqualGains as EqualGains
+    from tactile.rendering.strength import Gain as Gain
+    from tactile.rendering.strength import SteadyStroke as SteadyStroke
+    from tactile.rendering.strength import Strength as Strength
+    from tactile.rendering.strength import amplified as amplified
+    from tactile.rendering.strength import automatic_gain as automatic_gain
+    from tactile.rendering.strength import equal_gain as equal_gain
+    from tactile.rendering.strength import texture_strength as texture_strength
     from tactile.texture.descriptor import textures as textures
+    from tactile.texture.perception import TOUCH_CHANNELS as TOUCH_CHANNELS
+    from tactile.texture.perception import TouchChannel as TouchChannel
+    from tactile.texture.perception import detection_threshold as detection_threshold
     from tactile.texture.surface import Texture as Texture
     from tactile.texture.surface import load_texture as load_texture
 
@@ -77,7 +89,19 @@ _HOMES = {
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),
+    "rendering.spending": ("spend",),
+    "rendering.strength": (
+        "EqualGains",
+        "Gain",
+        "SteadyStroke",
+        "Strength",
+        "amplified",
+        "automatic_gain",
+        "equal_gain",
+        "texture_strength",
+    ),
     "texture.descriptor": ("textures",),
+    "texture.perception": ("TOUCH_CHANNELS", "TouchChannel", "detection_threshold"),
     "texture.surface": ("Texture", "load_texture"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

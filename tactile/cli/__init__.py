@@ -13,6 +13,7 @@ from tactile.cli import (  # noqa: F401
     play_commands,
     relief_commands,
     show_commands,
+    strength_commands,
     texture_commands,
 )
 from tactile.cli.app import app

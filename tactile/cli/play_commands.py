@@ -20,6 +20,7 @@ STROKE = {
     "--normal-force-n": (0.0, 20.0, 0.5),
 }
 """Least, most and default."""
+LARGEST_GAIN = 1e3
 
 
 @app.command()
@@ -43,6 +44,9 @@ def play(
     ] = None,
     display: DisplayOption = "reference-24",
     device: Annotated[str, typer.Option(help="sim:, mock:, or another device's URL.")] = "sim:",
+    gain: Annotated[
+        str, typer.Option(help="Of the texture, or auto: the largest within the limits.")
+    ] = "1",
     record: Annotated[Path | None, typer.Option(help="Write an .npz of what was played.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the surface.")] = 0,
     sample_rate_hz: Annotated[
@@ -67,6 +71,7 @@ def play(
     trajectory = _trajectory(path, stroke)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
     shown, felt = tactile.load_display(display), tactile.load_texture(texture)
+    factor = _gain(gain, shown, felt, stroke, path)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
         _live(shown, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
@@ -74,7 +79,7 @@ def play(
     with live:
         summary = run(
             shown, felt, trajectory,
-            device=device, sample_rate=sample_rate_hz, seed=seed, record=record,
+            device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
             watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json:
@@ -95,6 +100,31 @@ def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.
     return tactile.Trajectory.line(
         speed=speed * 1e-3, duration=seconds, angle=math.radians(angle), normal_force=force
     )
+
+
+def _gain(
+    told: str,
+    display: "tactile.Display",
+    texture: "tactile.Texture",
+    stroke: dict[str, float | None],
+    path: Path | None,
+) -> float:
+    """Return the gain that was told, or for "auto" the largest for the stroke."""
+    if told != "auto":
+        try:
+            return within("--gain", float(told), 0.0, LARGEST_GAIN, 1.0)
+        except ValueError:
+            raise InputError(
+                f"--gain {told}: must be auto or a number 0 … {LARGEST_GAIN:g}"
+            ) from None
+    if path is not None:
+        raise InputError(
+            "--gain auto and --path exclude each other: it is found for a straight stroke; "
+            "`tactile strength` tells it for any speed"
+        )
+    speed, _, angle, force = (within(name, stroke[name], *STROKE[name]) for name in STROKE)
+    line = tactile.SteadyStroke(speed=speed * 1e-3, normal_force=force, angle=math.radians(angle))
+    return tactile.automatic_gain(display, texture, line).value
 
 
 def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple[Any, Any]:
@@ -120,6 +150,8 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
         "on": f"{s['display']} at {s['device']}, {s['sample_rate_hz']:g} Hz",
         "length": f"{s['seconds']:.3f} s, {s['samples']} samples",
     }
+    if s["gain"] != 1:
+        rows["gain"] = f"{s['gain']:.3g}"
     rows |= _frames(s) if s["frames"] else _samples(s)
     if s["faults"] or s["invalid_samples"]:
         counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}

@@ -18,6 +18,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.rendering.strength import amplified
 from tactile.sim import Fidelity, SimulatedDisplay
 from tactile.texture.surface import Texture
 
@@ -35,6 +36,7 @@ class Summary:
     texture: str
     display: str
     device: str
+    gain: float = 1.0
     sample_rate_hz: float = 0.0
     seconds: float = 0.0
     samples: int = 0
@@ -165,6 +167,7 @@ def run(
     trajectory: Trajectory,
     *,
     device: str = "sim:",
+    gain: float = 1.0,
     sample_rate: float | None = None,
     seed: int = 0,
     record: Path | None = None,
@@ -178,6 +181,7 @@ def run(
     ----------
     display, texture, trajectory : what plays what, where
     device : URL of the bus
+    gain : of the texture's displacement
     sample_rate : of the drive [Hz]; by default what the device chooses
     seed : of the surface's realization
     record : ``.npz`` to write: drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
@@ -191,7 +195,11 @@ def run(
     TactileError
         For a device or file that cannot be used.
     """
-    summary = Summary(texture.name, display.name, device, voltage_limit_v=display.limits.voltage)
+    summary = Summary(
+        texture.name, display.name, device, gain, voltage_limit_v=display.limits.voltage
+    )
+    if gain != 1:
+        texture = amplified(texture, gain)
     with open_bus(
         device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
     ) as bus:

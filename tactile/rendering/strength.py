@@ -41,11 +41,10 @@ FAINT = 1e-3
 GRID = 5.0
 HIGHEST = 4000.0
 """Hz between and up to which a display's reach is told."""
-FASTEST_FORCE = f"above {CONTACT_FORCE:g} and at most {LARGEST_FORCE:g} N"
 
 
 @dataclass(frozen=True)
-class Stroke:
+class SteadyStroke:
     """A steady stroke in a straight line.
 
     Attributes
@@ -71,7 +70,10 @@ class Stroke:
                 "a finger at rest feels no texture"
             )
         if not CONTACT_FORCE < self.normal_force <= LARGEST_FORCE:
-            raise InputError(f"normal_force {self.normal_force:g} N: must be {FASTEST_FORCE}")
+            raise InputError(
+                f"normal_force {self.normal_force:g} N: must be above {CONTACT_FORCE:g} "
+                f"and at most {LARGEST_FORCE:g} N"
+            )
 
     @property
     def direction(self) -> Floats:
@@ -98,7 +100,6 @@ class Reach:
     attainable : (C, F) peak shear [m] of a sinusoid at the voltage and slew limits
     share : (C,) mean square over all contactors of what of the shear each plays, by kind: where it
         is projected on the motion, its cosine
-    largest : (C,) the largest of these cosines
     """
 
     frequency: Floats
@@ -106,7 +107,6 @@ class Reach:
     transfer: Floats
     attainable: Floats
     share: Floats
-    largest: Floats
 
     def delivered(self, lines: Lines) -> Lines:
         """Return the spectrum that the skin gets below the limits, mean over contactors."""
@@ -115,16 +115,20 @@ class Reach:
         return Lines(lines.frequency, lines.power * at)
 
     def drive_rms(self, lines: Lines) -> float:
-        """Return the drive below the limits of the contactor that needs most [V]."""
-        at = [np.interp(lines.frequency, self.frequency, g**2, right=0.0) for g in self.gain]
-        return float(np.sqrt(np.max(self.largest**2 * (np.array(at) @ lines.power))))
+        """Return the drive below the limits, over all contactors [V]."""
+        return float(np.sqrt(self.cost(lines.frequency) @ lines.power))
+
+    def cost(self, frequency: Floats) -> Floats:
+        """Return the mean square of drive per mean square of shear at frequencies [V²/m²]."""
+        square = self.share @ self.gain**2
+        return np.asarray(np.interp(frequency, self.frequency, square, right=0.0))
 
     def least_attainable(self, frequency: Floats) -> Floats:
         """Return the peak shear [m] that every contactor attains, at frequencies [Hz]."""
-        return np.interp(frequency, self.frequency, self.attainable.min(axis=0))
+        return np.asarray(np.interp(frequency, self.frequency, self.attainable.min(axis=0)))
 
 
-def reach(display: Display, stroke: Stroke, sample_rate: float = 8000.0) -> Reach:
+def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -> Reach:
     """Return what a display makes of shear in a stroke.
 
     Parameters
@@ -148,8 +152,7 @@ def reach(display: Display, stroke: Stroke, sample_rate: float = 8000.0) -> Reac
         cosine = np.abs(display.shear_axes @ stroke.direction)
     kinds = [display.kind == c for c in range(len(gain))]
     share = np.array([np.sum(cosine[kind] ** 2) / len(cosine) for kind in kinds])
-    largest = np.array([np.max(cosine[kind], initial=0.0) for kind in kinds])
-    return Reach(frequency, gain, gain * response, response * volts, share, largest)
+    return Reach(frequency, gain, gain * response, response * volts, share)
 
 
 def amplified(texture: Texture, gain: float) -> Texture:
@@ -166,8 +169,7 @@ def amplified(texture: Texture, gain: float) -> Texture:
         raise InputError(f"gain {gain:g}: must be a number from 0")
     d = texture.descriptor
     periodic = tuple(
-        structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um))
-        for p in d.periodic
+        structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um)) for p in d.periodic
     )
     events = tuple(structs.replace(e, amplitude_um=gain * e.amplitude_um) for e in d.events)
     return replace(
@@ -194,18 +196,13 @@ class Trial:
 
     @property
     def rms(self) -> float:
-        """Of the contactor that needs most [V]."""
-        return float(np.sqrt(np.mean(self.drive**2, axis=0).max()))
+        """Over all contactors [V]."""
+        return float(np.sqrt(np.mean(self.drive**2)))
 
     @property
     def peak(self) -> float:
         """Over all contactors [V]."""
         return float(np.abs(self.drive).max())
-
-    @property
-    def crest(self) -> float:
-        """Of the contactor that needs most, peak over rms."""
-        return self.peak / max(self.rms, 1e-30)
 
     @property
     def step(self) -> float:
@@ -230,11 +227,11 @@ class Trial:
         wanted = np.concatenate([gain * self.drive, np.zeros((limiter.delay, self.drive.shape[1]))])
         played = limiter(wanted)[limiter.delay :]
         kept = np.sqrt(np.mean(played**2) / max(float(np.mean(wanted**2)), 1e-30))
-        return limiter.limited_samples / len(self.drive), float(min(kept, 1.0))
+        return limiter.limited_samples / len(wanted), float(min(kept, 1.0))
 
 
 def trial(
-    display: Display, texture: Texture, stroke: Stroke, sample_rate: float = 8000.0
+    display: Display, texture: Texture, stroke: SteadyStroke, sample_rate: float = 8000.0
 ) -> Trial:
     """Render a short stroke far below the limits, and return its drive at gain 1."""
     renderer = Renderer(display, amplified(texture, FAINT), sample_rate=sample_rate)
@@ -249,7 +246,7 @@ def trial(
 
 @dataclass(frozen=True)
 class Strength:
-    """What a texture delivers on a display in a stroke, at a gain; see `strength`.
+    """What a texture delivers on a display in a stroke, at a gain; see `texture_strength`.
 
     Attributes
     ----------
@@ -260,7 +257,7 @@ class Strength:
     threshold : (B,) peak shear [m] that is just felt
     level : (B,) of what is played [dB SL]
     channels : level that each channel feels [dB SL]
-    drive_rms, drive_peak : [V] of the contactor that needs most, without the limiter
+    drive_rms, drive_peak : over all contactors [V], without the limiter
     predicted_rms : [V] the same in closed form
     limited_share : of the samples, how many the limiter turns down
     """
@@ -295,8 +292,8 @@ class Strength:
         return tuple(name for name, level in self.channels.items() if level > 0)
 
 
-def strength(
-    display: Display, texture: Texture, stroke: Stroke | None = None, *, gain: float = 1.0
+def texture_strength(
+    display: Display, texture: Texture, stroke: SteadyStroke | None = None, *, gain: float = 1.0
 ) -> Strength:
     """Return what a texture delivers above threshold on a display.
 
@@ -312,7 +309,7 @@ def strength(
         Mean over the contactors in power; the limiter's part as measured in a short stroke, where
         it turns all bands down alike.
     """
-    stroke = stroke or Stroke()
+    stroke = stroke or SteadyStroke()
     asked, able = stroke.lines(texture).times(gain), reach(display, stroke)
     tried = trial(display, texture, stroke)
     share, kept = tried.limited(gain)
@@ -349,7 +346,7 @@ class Gain:
     limit : what forbids more: "voltage", "slew", "current", or "level" for one that was asked for
     level : of the channel that feels most [dB SL]
     channel : that one
-    drive_rms, drive_peak : [V] of the contactor that needs most
+    drive_rms, drive_peak : over all contactors [V]
     """
 
     value: float
@@ -368,7 +365,7 @@ class Gain:
 def automatic_gain(
     display: Display,
     texture: Texture,
-    stroke: Stroke | None = None,
+    stroke: SteadyStroke | None = None,
     *,
     level: float | None = None,
 ) -> Gain:
@@ -376,7 +373,7 @@ def automatic_gain(
 
     Parameters
     ----------
-    display, texture, stroke : as of `strength`
+    display, texture, stroke : as of `texture_strength`
     level : the level to reach instead, if that takes less [dB SL]
 
     Raises
@@ -384,12 +381,12 @@ def automatic_gain(
     InputError
         Where nothing is to be felt in this stroke at any gain.
     """
-    stroke = stroke or Stroke()
+    stroke = stroke or SteadyStroke()
     tried = trial(display, texture, stroke)
     delivered = reach(display, stroke).delivered(stroke.lines(texture))
     bands = {
         name: perception.band_sensation(delivered.frequency, delivered.power, channel)
-        for name, channel in perception.CHANNELS.items()
+        for name, channel in perception.TOUCH_CHANNELS.items()
     }
     if tried.peak == 0 or not np.isfinite(max(np.max(b) for b in bands.values())):
         raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
@@ -435,7 +432,7 @@ class EqualGains:
 
 
 def equal_gain(
-    displays: Sequence[Display], texture: Texture, stroke: Stroke | None = None
+    displays: Sequence[Display], texture: Texture, stroke: SteadyStroke | None = None
 ) -> EqualGains:
     """Return the gains with which a texture has the same level on several displays.
 

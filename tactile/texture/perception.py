@@ -1,4 +1,4 @@
-"""What of a displacement is felt: detection thresholds, the four channels of touch, levels in dB SL.
+"""What of a displacement is felt: detection thresholds, four channels of touch, levels in dB SL.
 
 A sinusoid of just noticeable amplitude has the sensation level 0 dB SL; one of ten times that
 amplitude 20 dB SL. Thresholds are those of vibration along the skin's normal under a large
@@ -8,9 +8,9 @@ than they foretell what one finger feels.
 
 **Channels.** Four kinds of receptors answer, each in a range of its own, and the most sensitive one
 at a frequency sets the threshold there (Bolanowski, Gescheider, Verrillo & Checkosky, J. Acoust.
-Soc. Am. 84:1680, 1988). So the three curves that ever are the lowest are the threshold itself where
-they are the lowest, and straight lines in dB per octave beyond; `Channel.source` says which parts
-are published and which assumed.
+Soc. Am. 84:1680, 1988). So three of the curves are the threshold itself where they are the lowest,
+and straight lines in dB per octave beyond; the fourth is never the lowest. `TouchChannel.source`
+says which parts are published and which assumed.
 
 **Integration.** Within a band and within a channel *powers relative to threshold* add: a channel
 has no narrower filters of its own (none found in P by Schwendicke & Altinsoy, Vibration 3, 2020),
@@ -108,14 +108,16 @@ def _taken(low: float, high: float) -> list[tuple[float, float]]:
     return [(low, float(ends[0])), *inside, (high, float(ends[1]))]
 
 
-def _sloped(knot: tuple[float, float], frequency: float, db_per_octave: float) -> tuple[float, float]:
+def _sloped(
+    knot: tuple[float, float], frequency: float, db_per_octave: float
+) -> tuple[float, float]:
     """Return the knot (Hz, µm) at a frequency on a straight line through another."""
     octaves = np.log2(frequency / knot[0])
     return frequency, float(knot[1] * 10 ** (db_per_octave * octaves / 20))
 
 
 @dataclass(frozen=True)
-class Channel:
+class TouchChannel:
     """One of the four psychophysical channels of glabrous skin.
 
     Attributes
@@ -142,21 +144,21 @@ class Channel:
 
         Below zero it cannot be excited alone: another channel feels the frequency first.
         """
-        others = [c.threshold(frequency) for c in CHANNELS.values() if c is not self]
+        others = [c.threshold(frequency) for c in TOUCH_CHANNELS.values() if c is not self]
         return np.asarray(20 * np.log10(np.min(others, axis=0) / self.threshold(frequency)))
 
 
-def _channels() -> tuple[Channel, ...]:
-    """Return the four; see `Channel.source`."""
+def _channels() -> tuple[TouchChannel, ...]:
+    """Return the four; see `TouchChannel.source`."""
     merkel, meissner, pacini = _taken(1.0, 4.0), _taken(4.0, 40.0), _taken(40.0, 1000.0)
     ruffini = (250.0, 3.16)
     return (
-        Channel(
+        TouchChannel(
             "NP III", "Merkel", (0.4, 4.0),
             np.array([*merkel, _sloped(merkel[-1], 100.0, 0.0)]),
             "threshold below 4 Hz; above held at its value there (assumed)",
         ),
-        Channel(
+        TouchChannel(
             "NP I", "Meissner", (4.0, 40.0),
             np.array([
                 _sloped(meissner[0], 1.0, -5.0), *meissner,
@@ -166,13 +168,13 @@ def _channels() -> tuple[Channel, ...]:
             "held to 100 Hz, then rising by 12 dB per octave (both assumed; RA units are most "
             "easily excited at 8–64 Hz: Johansson, Landström & Lundström, Brain Res. 244:17, 1982)",
         ),
-        Channel(
+        TouchChannel(
             "P", "Pacini", (40.0, 1000.0),
             np.array([_sloped(pacini[0], 1.0, -12.0), *pacini]),
             "threshold from 40 Hz; below on at 12 dB per octave, the slope of the published curve "
             "between 40 and 250 Hz",
         ),
-        Channel(
+        TouchChannel(
             "NP II", "Ruffini", (15.0, 400.0),
             np.array([_sloped(ruffini, 1.0, -5.0), ruffini, _sloped(ruffini, 400.0, 6.0)]),
             "range as published, at high level; that its curve is 10 dB re 1 µm at 250 Hz, falling "
@@ -181,11 +183,11 @@ def _channels() -> tuple[Channel, ...]:
     )  # fmt: skip
 
 
-CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _channels()}
+TOUCH_CHANNELS: dict[str, TouchChannel] = {channel.name: channel for channel in _channels()}
 """By name, from low frequencies to high."""
 
 
-def band_sensation(frequency: Floats, power: Floats, channel: Channel | None = None) -> Floats:
+def band_sensation(frequency: Floats, power: Floats, channel: TouchChannel | None = None) -> Floats:
     """Return the level of each third octave of a displacement spectrum.
 
     Parameters
@@ -228,7 +230,7 @@ def channel_sensation(frequency: Floats, power: Floats) -> dict[str, float]:
     """Return the level that each channel feels of a spectrum, as of `band_sensation` [dB SL]."""
     return {
         name: felt_level(band_sensation(frequency, power, channel))
-        for name, channel in CHANNELS.items()
+        for name, channel in TOUCH_CHANNELS.items()
     }
 
 

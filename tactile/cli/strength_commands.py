@@ -74,7 +74,7 @@ def _facts(
 ) -> dict[str, Any]:  # fmt: skip
     """Return the figures of one display; levels of nothing are null."""
     s = tactile.texture_strength(display, texture, stroke, gain=gain)
-    best = tactile.automatic_gain(display, texture, stroke)
+    best = s.automatic
     rows = zip(
         s.frequency, s.commanded * 1e6, s.attained * 1e6, s.attainable * 1e6, s.threshold * 1e6,
         s.level, s.lost_db, strict=True,
@@ -97,9 +97,9 @@ def _facts(
         "drive_peak_v": s.drive_peak,
         "voltage_limit_v": display.limits.voltage,
         "limited_share": s.limited_share,
-        "automatic_gain": best.value,
-        "automatic_level_db_sl": best.level,
-        "limit": best.limit,
+        "automatic_gain": None if best is None else best.value,
+        "automatic_level_db_sl": None if best is None else best.level,
+        "limit": None if best is None else best.limit,
     }
 
 
@@ -142,10 +142,11 @@ def _print(facts: dict[str, Any]) -> None:
         f"{facts['drive_rms_v']:.2f} V rms, {facts['drive_peak_v']:.1f} V peak of "
         f"{facts['voltage_limit_v']:g} V, {facts['limited_share']:.2%} of samples limited"
     )
-    rows["automatic gain"] = (
-        f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, "
-        f"then the {facts['limit']} limits"
-    )
+    if facts["limit"] is not None:
+        rows["automatic gain"] = (
+            f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, "
+            f"then the {facts['limit']} limits"
+        )
     print_table(rows, "Levels above detection, ± 5 dB from person to person")
 
 

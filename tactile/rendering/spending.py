@@ -56,8 +56,7 @@ class Parts:
     ----------
     power : (D, P, B + 1) mean square shear [m²] per direction, part and third octave; the last is
         what is in none
-    felt : (P,) power relative to the threshold of one channel, in the bands that the gain leaves
-        above it
+    felt : (P,) power relative to the threshold of one channel, in its bands above threshold
     cost : (P,) mean square drive [V²]
     """
 
@@ -136,12 +135,12 @@ def spend(
     allowed = automatic_gain(display, texture, stroke)
     if allowed.value >= gain:
         return texture
-    able, left = reach(display, stroke), allowed.value / gain
-    parts = parts_of(amplified(texture, gain), stroke, able, TOUCH_CHANNELS[allowed.channel], left)
+    able = reach(display, stroke)
+    parts = parts_of(amplified(texture, gain), stroke, able, TOUCH_CHANNELS[allowed.channel])
     if not len(parts.cost):
         return texture
     least = np.where(parts.silent, 0.0, 10 ** (-DISTANCE_DB / 10))
-    budget = float(parts.cost.sum()) * left**2
+    budget = float(parts.cost.sum()) * (allowed.value / gain) ** 2
     spent = weighted(texture, np.sqrt(weights(parts.felt, parts.cost, least, budget)))
     drive = able.drive_rms(stroke.lines(texture).times(allowed.value))
     before, after = (level_at_drive(one, stroke, able, drive) for one in (texture, spent))
@@ -155,13 +154,10 @@ def level_at_drive(texture: Texture, stroke: SteadyStroke, able: Reach, drive: f
     return max(perception.channel_sensation(felt.frequency, felt.power).values())
 
 
-def parts_of(
-    texture: Texture, stroke: SteadyStroke, able: Reach, channel: TouchChannel, left: float = 1.0
-) -> Parts:
+def parts_of(texture: Texture, stroke: SteadyStroke, able: Reach, channel: TouchChannel) -> Parts:
     """Return what the parts of a texture give and take: rings first, then harmonics.
 
-    ``left`` is what the drive leaves of the displacement, if all is lowered alike: bands that this
-    puts below the channel's threshold count nothing in ``felt``.
+    Bands that the texture as it is leaves below the channel's threshold count nothing in ``felt``.
     """
     wave_vector, amplitude, part = _waves(texture)
     amplitude = amplitude * law_factor(texture, stroke.speed, stroke.normal_force)
@@ -176,7 +172,7 @@ def parts_of(
         band = perception.band_of(frequency)
         here = np.zeros((count, len(CENTERS) + 1))
         np.add.at(here, (part, band), lines.power)
-        heard = np.append(_felt_bands(left**2 * here.sum(axis=0)[:-1], channel), False)[band]
+        heard = np.append(_felt_bands(here.sum(axis=0)[:-1], channel), False)[band]
         delivered = able.delivered(lines).power * heard
         share = delivered * 2 / channel.threshold(frequency) ** 2
         felt += np.bincount(part, share, count) / len(directions)

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from tactile.display import Display
 from tactile.errors import InputError
 from tactile.rendering.commanded import Lines, commanded_lines
-from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED, Trajectory
+from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED
 from tactile.rendering.limiter import Limiter
-from tactile.rendering.renderer import BLOCK, Renderer
+from tactile.rendering.renderer import Renderer
 from tactile.rendering.shear import CONTACT_FORCE
 from tactile.texture import perception
 from tactile.texture.surface import Texture
@@ -235,13 +235,37 @@ def trial(
 ) -> Trial:
     """Render a short stroke far below the limits, and return its drive at gain 1."""
     renderer = Renderer(display, amplified(texture, FAINT), sample_rate=sample_rate)
-    line = Trajectory.line(
-        speed=stroke.speed, angle=stroke.angle, duration=SETTLING + TRIAL,
-        normal_force=stroke.normal_force,
-    )  # fmt: skip
-    blocks = [renderer.block(*block) for block in line.blocks(sample_rate, BLOCK)]
-    settled = np.concatenate(blocks)[round(SETTLING * sample_rate) :]
+    count = round((SETTLING + TRIAL) * sample_rate)
+    place = np.outer(np.arange(count) * stroke.speed / sample_rate, stroke.direction)
+    drive = renderer.block(place, np.full(count, stroke.normal_force))
+    settled = drive[round(SETTLING * sample_rate) :]
     return Trial(display, settled / FAINT, sample_rate)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A gain, and what it comes to.
+
+    Attributes
+    ----------
+    value : to multiply a texture by (`amplified`, or `Renderer.play`)
+    limit : what forbids more: "voltage", "slew", "current", or "level" for one that was asked for
+    level : of the channel that feels most [dB SL]
+    channel : that one
+    drive_rms, drive_peak : over all contactors [V]
+    """
+
+    value: float
+    limit: str
+    level: float
+    channel: str
+    drive_rms: float
+    drive_peak: float
+
+    @property
+    def crest(self) -> float:
+        """Peak over rms of the drive."""
+        return self.drive_peak / max(self.drive_rms, 1e-30)
 
 
 @dataclass(frozen=True)
@@ -260,6 +284,7 @@ class Strength:
     drive_rms, drive_peak : over all contactors [V], without the limiter
     predicted_rms : [V] the same in closed form
     limited_share : of the samples, how many the limiter turns down
+    automatic : what `automatic_gain` finds; None where there is nothing to play
     """
 
     gain: float
@@ -274,6 +299,7 @@ class Strength:
     drive_peak: float
     predicted_rms: float
     limited_share: float
+    automatic: Gain | None
 
     @property
     def lost_db(self) -> Floats:
@@ -310,10 +336,10 @@ def texture_strength(
         it turns all bands down alike.
     """
     stroke = stroke or SteadyStroke()
-    asked, able = stroke.lines(texture).times(gain), reach(display, stroke)
+    lines, able = stroke.lines(texture), reach(display, stroke)
     tried = trial(display, texture, stroke)
     share, kept = tried.limited(gain)
-    played = able.delivered(asked).times(kept)
+    asked, played = lines.times(gain), able.delivered(lines).times(gain * kept)
     return Strength(
         gain=gain,
         frequency=perception.CENTERS,
@@ -327,6 +353,7 @@ def texture_strength(
         drive_peak=gain * tried.peak,
         predicted_rms=able.drive_rms(asked),
         limited_share=share,
+        automatic=_largest(tried, able.delivered(lines), None),
     )
 
 
@@ -334,32 +361,6 @@ def _band_rms(lines: Lines) -> Floats:
     count = len(perception.CENTERS)
     power = np.bincount(perception.band_of(lines.frequency), lines.power, count + 1)
     return np.asarray(np.sqrt(power[:count]))
-
-
-@dataclass(frozen=True)
-class Gain:
-    """A gain, and what it comes to.
-
-    Attributes
-    ----------
-    value : to multiply a texture by (`amplified`, or `Renderer.play`)
-    limit : what forbids more: "voltage", "slew", "current", or "level" for one that was asked for
-    level : of the channel that feels most [dB SL]
-    channel : that one
-    drive_rms, drive_peak : over all contactors [V]
-    """
-
-    value: float
-    limit: str
-    level: float
-    channel: str
-    drive_rms: float
-    drive_peak: float
-
-    @property
-    def crest(self) -> float:
-        """Peak over rms of the drive."""
-        return self.drive_peak / max(self.drive_rms, 1e-30)
 
 
 def automatic_gain(
@@ -382,14 +383,21 @@ def automatic_gain(
         Where nothing is to be felt in this stroke at any gain.
     """
     stroke = stroke or SteadyStroke()
-    tried = trial(display, texture, stroke)
     delivered = reach(display, stroke).delivered(stroke.lines(texture))
+    found = _largest(trial(display, texture, stroke), delivered, level)
+    if found is None:
+        raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
+    return found
+
+
+def _largest(tried: Trial, delivered: Lines, level: float | None) -> Gain | None:
+    """Return the gain of `automatic_gain` for a trial and what is delivered at gain 1."""
     bands = {
         name: perception.band_sensation(delivered.frequency, delivered.power, channel)
         for name, channel in perception.TOUCH_CHANNELS.items()
     }
     if tried.peak == 0 or not np.isfinite(max(np.max(b) for b in bands.values())):
-        raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
+        return None
     highest, limit = tried.largest_gain
     value = HEADROOM * highest
     if level is not None and _levels(bands, value)[1] > level:

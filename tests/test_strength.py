@@ -325,13 +325,14 @@ def test_what_limits_is_told(tmp_path: Path, display: Display, limit: str) -> No
 def test_an_asked_level_is_reached_where_the_limits_allow_it(
     display: Display, calf: Texture
 ) -> None:
+    """A band that crosses its threshold begins to count: at 20 dB SL a step of 0.04 dB."""
     most = automatic_gain(display, calf)
     gain = automatic_gain(display, calf, level=20.0)
     assert gain.limit == "level"
-    assert gain.level == pytest.approx(20.0, abs=0.01)
+    assert gain.level == pytest.approx(20.0, abs=0.05)
     assert gain.value < most.value
     channels = texture_strength(display, calf, gain=gain.value).channels
-    assert max(channels.values()) == pytest.approx(20.0, abs=0.01)
+    assert max(channels.values()) == pytest.approx(20.0, abs=0.05)
     assert automatic_gain(display, calf, level=90.0) == most
 
 

@@ -390,7 +390,8 @@ def automatic_gain(
     Parameters
     ----------
     display, texture, stroke : as of `texture_strength`
-    level : the level to reach instead, if that takes less [dB SL]
+    level : the level to reach instead, if that takes less [dB SL]; met from below, for where a band
+        crosses its threshold and begins to count the level steps, by 0.04 dB at 20 dB SL
 
     Raises
     ------

@@ -201,7 +201,7 @@ def test_events_have_the_spectrum_of_their_shape(
         return float(2 * rate * across / 0.08)
 
     for low, high in ((20.0, 40.0), (200.0, 300.0)):
-        ends = EVENT_EDGES[(EVENT_EDGES >= low) & (EVENT_EDGES <= high)]
+        ends = EVENT_EDGES[(low <= EVENT_EDGES) & (high >= EVENT_EDGES)]
         inside = (lines.frequency > ends[0]) & (lines.frequency < ends[-1])
         expected = quad(density, ends[0], ends[-1], epsabs=0)[0]
         assert lines.power[inside].sum() == pytest.approx(expected, rel=1e-6, abs=0)

@@ -57,9 +57,13 @@ if TYPE_CHECKING:
     from tactile.rendering.strength import equal_gain as equal_gain
     from tactile.rendering.strength import texture_strength as texture_strength
     from tactile.texture.descriptor import textures as textures
+    from tactile.texture.descriptor_file import as_toml as as_toml
+    from tactile.texture.judging import fit_texture as fit_texture
     from tactile.texture.perception import TOUCH_CHANNELS as TOUCH_CHANNELS
     from tactile.texture.perception import TouchChannel as TouchChannel
     from tactile.texture.perception import detection_threshold as detection_threshold
+    from tactile.texture.recorded_slide import Recorded as Recorded
+    from tactile.texture.recorded_slide import load_recorded as load_recorded
     from tactile.texture.surface import Texture as Texture
     from tactile.texture.surface import load_texture as load_texture
 
@@ -101,7 +105,10 @@ _HOMES = {
         "texture_strength",
     ),
     "texture.descriptor": ("textures",),
+    "texture.descriptor_file": ("as_toml",),
+    "texture.judging": ("fit_texture",),
     "texture.perception": ("TOUCH_CHANNELS", "TouchChannel", "detection_threshold"),
+    "texture.recorded_slide": ("Recorded", "load_recorded"),
     "texture.surface": ("Texture", "load_texture"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

@@ -106,7 +106,7 @@ def _distances(materials: dict[str, Measurement]) -> Iterator[Figure]:
     verdicts = [
         predict(found.part(one), found.part(other), ABOUT)
         for found in materials.values()
-        for one, other in list(halvings(len(found.slides)))[:4]
+        for one, other in list(halvings(len(found.slides)))[:2]
     ]
     for name in ("rendering", "ceiling", "autoregressive", "white"):
         sides = [getattr(v, name) for v in verdicts]

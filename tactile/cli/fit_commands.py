@@ -67,6 +67,10 @@ def fit_recordings(
     """
     about = _about(out, category, description, source, licence)
     check_target(out, about.id, force=force)
+    if plot is not None:
+        from tactile.plots import check_file
+
+        check_file(plot)
     if quantity not in UNITS:
         raise InputError(f"--quantity {quantity!r}; {nearest(quantity, list(UNITS))}")
     scale = None if full_scale is None else full_scale * UNITS[quantity][1]

@@ -14,5 +14,6 @@ from tactile.plots.response_plots import plot_response as plot_response
 from tactile.plots.response_plots import response_figure as response_figure
 from tactile.plots.sheet_plots import plot_sheet as plot_sheet
 from tactile.plots.sheet_plots import sheet_figure as sheet_figure
+from tactile.plots.style import check_file as check_file
 from tactile.plots.texture_plots import plot_texture as plot_texture
 from tactile.plots.texture_plots import texture_figure as texture_figure

@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from tactile.texture.perception import detection_threshold as detection_threshold
     from tactile.texture.recorded_slide import Recorded as Recorded
     from tactile.texture.recorded_slide import load_recorded as load_recorded
+    from tactile.texture.formats import load_effect as load_effect
     from tactile.texture.surface import Texture as Texture
     from tactile.texture.surface import load_texture as load_texture
 
@@ -109,6 +110,7 @@ _HOMES = {
     "texture.judging": ("fit_texture",),
     "texture.perception": ("TOUCH_CHANNELS", "TouchChannel", "detection_threshold"),
     "texture.recorded_slide": ("Recorded", "load_recorded"),
+    "texture.formats": ("load_effect",),
     "texture.surface": ("Texture", "load_texture"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

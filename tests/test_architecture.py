@@ -97,6 +97,7 @@ PACKAGED = {
     "serial": "pyserial",
     "can": "python-can",
     "prometheus_client": "prometheus-client",
+    "tomli_w": "tomli-w",
 }
 """Libraries whose package has another name."""
 BY_NAME = {"__init__", "sim"}

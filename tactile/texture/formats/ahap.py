@@ -1,0 +1,329 @@
+"""AHAP, Apple's haptic patterns: events, and curves that change all of them.
+
+As Core Haptics does, values out of range are limited, unknown keys ignored and missing ones given
+their default; each is told. An entry of the pattern that is no event, parameter or curve is an
+error, since nothing would play where somebody meant something. Intensity is taken as amplitude and
+sharpness 0 … 1 as 65 … 300 Hz (MPEG's encoder for AHAP; Apple states neither).
+
+Times of a curve's points are from the curve's beginning. Lofelt Studio wrote them from the
+pattern's: a curve whose first point has the curve's own time, and not 0, is read so.
+"""
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+from tactile import files
+from tactile.errors import InputError
+from tactile.texture.formats import outline, reading
+from tactile.texture.formats.document import (
+    HIGHEST,
+    LOWEST,
+    Band,
+    Channel,
+    Effect,
+    Keyframe,
+    Segment,
+    channels_of,
+    hertz,
+    sharpness_of,
+    single,
+)
+from tactile.texture.formats.haptic_clip import FINE
+from tactile.texture.formats.synthesis import PLAIN
+
+MOST_POINTS = 16
+"""Of a curve (Core Haptics)."""
+LONGEST_EVENT = 30.0
+"""s of a continuous event (Core Haptics)."""
+DEFAULT = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
+"""Where an event says nothing (assumed: Apple states none for sharpness)."""
+KINDS = ("Event", "Parameter", "ParameterCurve")
+
+Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Seconds = Annotated[float, Meta(ge=0, le=3600)]
+
+
+class EventParameter(Struct, frozen=True, rename="pascal"):
+    """A value of one event."""
+
+    parameter_id: str = msgspec.field(name="ParameterID")
+    parameter_value: Number
+
+
+class Event(Struct, frozen=True, rename="pascal"):
+    """A tap or an oscillation."""
+
+    event_type: str
+    time: Seconds = 0.0
+    event_duration: Seconds = 0.0
+    event_parameters: tuple[EventParameter, ...] = ()
+
+
+class ControlPoint(Struct, frozen=True, rename="pascal"):
+    """Of a curve."""
+
+    time: Seconds
+    parameter_value: Number
+
+
+class Parameter(Struct, frozen=True, rename="pascal"):
+    """A value for all events from a time on."""
+
+    parameter_id: str = msgspec.field(name="ParameterID")
+    parameter_value: Number
+    time: Seconds = 0.0
+
+
+class ParameterCurve(Struct, frozen=True, rename="pascal"):
+    """Values for all events over time."""
+
+    parameter_id: str = msgspec.field(name="ParameterID")
+    parameter_curve_control_points: tuple[ControlPoint, ...]
+    time: Seconds = 0.0
+
+
+class Entry(Struct, frozen=True, rename="pascal"):
+    """Of the pattern: one of them."""
+
+    event: Event | None = None
+    parameter: Parameter | None = None
+    parameter_curve: ParameterCurve | None = None
+
+
+class Pattern(Struct, frozen=True, rename="pascal"):
+    """The file."""
+
+    pattern: tuple[Entry, ...]
+    version: Number = 1.0
+    metadata: dict[str, Any] = {}
+
+
+def load_ahap(path: Path) -> tuple[Effect, list[str]]:
+    """Return the effect of a file, and a line for each thing of it that is ignored or limited.
+
+    Raises
+    ------
+    InputError
+        One line: file, field, value and limit.
+    """
+    data = reading.parsed_json(path)
+    pattern = reading.fitted(path, data, Pattern)
+    if not 1 <= pattern.version < 2:
+        raise InputError(f"{path}: Version = {pattern.version:g}: must be 1")
+    told = reading.told("ignored:", reading.unknown(data, msgspec.inspect.type_info(Pattern)))
+    for i, raw in enumerate(data["Pattern"]):
+        said = [kind for kind in KINDS if raw.get(kind) is not None]
+        if len(said) != 1:
+            key = next((k for k in raw if k not in KINDS), "nothing")
+            reason = f"{' and '.join(said)} at once" if said else (
+                f"{reading.one_line(str(key))!r}; {files.nearest(str(key), list(KINDS))}"
+            )  # fmt: skip
+            raise InputError(f"{path}: Pattern[{i}]: holds {reason}")
+    told += reading.told("ignored: metadata", [
+        k for k, v in pattern.metadata.items() if not isinstance(v, str)
+    ])  # fmt: skip
+    limited: list[str] = []
+    events = [e.event for e in pattern.pattern if e.event]
+    told += reading.told("left out:", [
+        e.event_type for e in events if e.event_type not in ("HapticTransient", "HapticContinuous")
+    ])  # fmt: skip
+    bands = (
+        _events("transient", [e for e in events if e.event_type == "HapticTransient"], limited),
+        _events("wave", [e for e in events if e.event_type == "HapticContinuous"], limited),
+        _controls(path, pattern, told, limited),
+    )
+    effect = single(
+        tuple(band for band in bands if band.segments), origin="ahap", ticks_per_s=FINE,
+        description=str(pattern.metadata.get("Description", "")),
+        other={
+            k: v for k, v in pattern.metadata.items()
+            if isinstance(v, str) and k != "Description"
+        },
+    )  # fmt: skip
+    return effect, told + reading.told("limited to its range:", limited)
+
+
+def _limit(name: str, value: float, low: float, limited: list[str]) -> float:
+    if not low <= value <= 1:
+        limited.append(f"{name} {value:g}")
+    return min(max(value, low), 1.0)
+
+
+def _events(kind: str, events: list[Event], limited: list[str]) -> Band:
+    """Return events of one type as a band, a segment each; what is unknown here is kept."""
+    segments = []
+    for event in events:
+        said = {p.parameter_id: p.parameter_value for p in event.event_parameters}
+        intensity, sharpness = (
+            _limit(name, said.pop(name, DEFAULT[name]), 0.0, limited) for name in DEFAULT
+        )
+        times = [0.0] if kind == "transient" else [0.0, event.event_duration]
+        segments.append(Segment(
+            start_s=event.time, other=dict(said),
+            keyframes=tuple(Keyframe(time_s=t, amplitude=intensity, frequency_hz=hertz(sharpness))
+                            for t in times),
+        ))  # fmt: skip
+    return Band(kind=kind, lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,  # type: ignore[arg-type]
+                segments=tuple(segments))  # fmt: skip
+
+
+def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str]) -> Band:
+    """Return parameters and curves as a band, a segment each."""
+    segments = []
+    for i, entry in enumerate(pattern.pattern):
+        one, curve = entry.parameter, entry.parameter_curve
+        if one:
+            curve = ParameterCurve(
+                one.parameter_id, (ControlPoint(0.0, one.parameter_value),), one.time
+            )
+        if curve is None:
+            continue
+        if curve.parameter_id not in ("HapticIntensityControl", "HapticSharpnessControl"):
+            told.append(f"left out: {reading.one_line(curve.parameter_id)}")
+            continue
+        where = f"{path}: Pattern[{i}].ParameterCurve.ParameterCurveControlPoints"
+        segments.append(_control(where, curve, limited))
+    return Band(kind="control", segments=tuple(segments))
+
+
+def _control(where: str, curve: ParameterCurve, limited: list[str]) -> Segment:
+    found = curve.parameter_curve_control_points
+    if not found:
+        raise InputError(f"{where}: is empty; needs a point")
+    offset = curve.time if found[0].time == curve.time else 0.0
+    times = [p.time - offset for p in found]
+    for k, (before, after) in enumerate(itertools.pairwise(times)):
+        if after < before:
+            raise InputError(
+                f"{where}[{k + 1}].Time = {found[k + 1].time:g}: comes after {found[k].time:g}; "
+                "times must ascend"
+            )
+    intensity = curve.parameter_id == "HapticIntensityControl"
+    low, keyframes = 0.0 if intensity else -1.0, []
+    for time, point in zip(times, found, strict=True):
+        value = _limit(curve.parameter_id, point.parameter_value, low, limited)
+        shift = value * (HIGHEST - LOWEST)
+        keyframes.append(
+            Keyframe(time_s=time, amplitude=value)
+            if intensity
+            else Keyframe(time_s=time, frequency_hz=shift)
+        )
+    return Segment(start_s=curve.time, keyframes=tuple(keyframes))
+
+
+def saved_ahap(effect: Effect) -> tuple[bytes, list[str]]:
+    """Return an effect as a file, and a line for each thing that it cannot say."""
+    channels = channels_of(effect)
+    lost: list[str] = []
+    if len(channels) == 1 and _is_pattern(channels[0][1]):
+        entries = _as_it_is(channels[0][1])
+    else:
+        entries, lost = _drawn(effect)
+    other = effect.other if effect.origin == "ahap" else {}
+    content = {
+        "Version": 1.0,
+        "Metadata": {**other, "Description": effect.description},
+        "Pattern": entries,
+    }
+    return msgspec.json.format(msgspec.json.encode(content), indent=2), lost
+
+
+def _is_pattern(channel: Channel) -> bool:
+    """Return whether a channel is what events and curves can say."""
+    parts = [(b.kind, s) for b in channel.bands for s in b.segments]
+    kinds = {kind for kind, _ in parts}
+    plain = all(
+        s.type == "Basis" and s.base_signal in (None, "Sine") and not s.phase_rad and s.keyframes
+        for _, s in parts
+    )
+    steady = all(
+        len({(k.amplitude, k.frequency_hz) for k in s.keyframes}) == 1
+        and s.keyframes[0].time_s == 0
+        and 0 <= (s.keyframes[0].amplitude or 0) <= 1
+        and LOWEST <= (s.keyframes[0].frequency_hz or 0) <= HIGHEST
+        and s.keyframes[-1].time_s <= LONGEST_EVENT
+        for kind, s in parts if kind != "control"
+    )  # fmt: skip
+    return kinds <= {"wave", "transient", "control"} and plain and steady and channel.gain == 1
+
+
+def _as_it_is(channel: Channel) -> list[dict[str, Any]]:
+    entries = []
+    for band in channel.bands:
+        for s in band.segments:
+            first, last = s.keyframes[0], s.keyframes[-1]
+            if band.kind == "control":
+                for name in ("amplitude", "frequency_hz"):
+                    pairs = [(k.time_s, v) for k in s.keyframes
+                             if (v := getattr(k, name)) is not None]  # fmt: skip
+                    entries += _curves(name, pairs, s.start_s)
+                continue
+            extra = {k: v for k, v in s.other.items() if isinstance(v, int | float)}
+            duration = None if band.kind == "transient" else last.time_s
+            sharpness = sharpness_of(first.frequency_hz or LOWEST)
+            entries.append(_event(s.start_s, first.amplitude or 0.0, sharpness, duration, extra))
+    return entries
+
+
+def _drawn(effect: Effect) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return an effect's outline as events of intensity 1 under curves."""
+    drawn, lost = outline.of_effect(effect, "AHAP")
+    lost += outline.beyond_range(drawn, "AHAP")
+    end = drawn.amplitude[-1][0]
+    entries: list[dict[str, Any]] = [
+        _event(t, 1.0, 0.0, min(end - t, LONGEST_EVENT), {})
+        for t in np.arange(0.0, end, LONGEST_EVENT).tolist()
+    ]
+    pitch = [(t, min(max(f, LOWEST), HIGHEST) - LOWEST) for t, f in drawn.frequency]
+    if not pitch:
+        pitch = [(0.0, PLAIN - LOWEST)]
+    entries += _curves("amplitude", drawn.amplitude, 0.0) + _curves("frequency_hz", pitch, 0.0)
+    changed = 0
+    for time, amplitude, frequency in drawn.transients:
+        under = float(np.interp(time, *np.array(drawn.amplitude).T))
+        shift = sharpness_of(LOWEST + float(np.interp(time, *np.array(pitch).T)))
+        intensity = amplitude / under if under > 0 else 1.0
+        sharpness = sharpness_of(frequency) - shift
+        changed += under == 0 or intensity > 1 + 1e-9 or not -1e-9 <= sharpness <= 1 + 1e-9
+        entries.append(_event(time, min(intensity, 1.0), min(max(sharpness, 0.0), 1.0), None, {}))
+    if changed:
+        lost.append(
+            f"curves of AHAP change transients too: {changed} become weaker, or as dull or sharp "
+            "as these leave them"
+        )
+    return entries, lost
+
+
+def _event(
+    time: float, intensity: float, sharpness: float, duration: float | None, extra: dict[str, float]
+) -> dict[str, Any]:
+    values = {"HapticIntensity": intensity, "HapticSharpness": sharpness, **extra}
+    event: dict[str, Any] = {
+        "Time": time,
+        "EventType": "HapticTransient" if duration is None else "HapticContinuous",
+        "EventParameters": [
+            {"ParameterID": name, "ParameterValue": value} for name, value in values.items()
+        ],
+    }
+    if duration is not None:
+        event["EventDuration"] = duration
+    return {"Event": event}
+
+
+def _curves(name: str, pairs: list[tuple[float, float]], start: float) -> list[dict[str, Any]]:
+    """Return points as curves of 16 at most, each from the last point of the one before."""
+    said = "HapticIntensityControl" if name == "amplitude" else "HapticSharpnessControl"
+    scale = 1.0 if name == "amplitude" else HIGHEST - LOWEST
+    curves = []
+    for i in range(0, max(len(pairs) - 1, min(len(pairs), 1)), MOST_POINTS - 1):
+        part = pairs[i : i + MOST_POINTS]
+        begin = part[0][0]
+        points = [{"Time": t - begin, "ParameterValue": v / scale} for t, v in part]
+        curves.append({"ParameterCurve": {"ParameterID": said, "Time": start + begin,
+                                          "ParameterCurveControlPoints": points}})  # fmt: skip
+    return curves

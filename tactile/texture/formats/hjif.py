@@ -1,0 +1,399 @@
+"""``.hjif``, MPEG-I Haptics as JSON (ISO/IEC 23090-31): read and written whole.
+
+The effect document has the same layers, so a file comes back as it was: ids, effect types, phases,
+base signals, keywords, gains, devices, and in ``other`` what means nothing here (avatars, targets
+on the body, wavelet streams …). ``effect_semantic_scheme`` is left out when writing: the reference
+conformance check takes any for an error. The binary form, .hmpg, is not read.
+"""
+
+import datetime
+import itertools
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+from tactile.errors import InputError
+from tactile.texture.formats import reading
+from tactile.texture.formats.document import (
+    MOST_KEYFRAMES,
+    Band,
+    BaseSignal,
+    Channel,
+    CurveType,
+    DeviceType,
+    Effect,
+    EffectType,
+    Keyframe,
+    Perception,
+    ReferenceDevice,
+    Segment,
+    channels_of,
+)
+from tactile.texture.formats.synthesis import without_control
+
+KINDS = {
+    "Curve": "curve", "VectorialWave": "wave", "WaveletWave": "wavelet", "Transient": "transient",
+}  # fmt: skip
+BANDS_AT_LEVEL_1, CHANNELS_AT_LEVEL_1 = 7, 128
+SCHEME = "effect_semantic_scheme"
+"""Left out when writing."""
+
+Ticks = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Name = Annotated[str, Meta(max_length=10_000)]
+
+
+class HjifKeyframe(Struct, frozen=True):
+    """As in the file."""
+
+    relative_position: Ticks
+    amplitude_modulation: Annotated[float, Meta(ge=-1, le=1)] | None = None
+    frequency_modulation: Annotated[float, Meta(ge=0, le=24_000)] | None = None
+
+
+class HjifEffect(Struct, frozen=True):
+    """As in the file."""
+
+    effect_type: EffectType
+    position: Ticks = 0
+    id: int | None = None
+    phase: Annotated[float, Meta(ge=-1e3, le=1e3)] | None = None
+    base_signal: BaseSignal | None = None
+    semantic_keywords: Name | None = None
+    keyframes: tuple[HjifKeyframe, ...] = ()
+
+
+class HjifBand(Struct, frozen=True):
+    """As in the file."""
+
+    band_type: str
+    lower_frequency_limit: Annotated[float, Meta(ge=0, le=1e6)]
+    upper_frequency_limit: Annotated[float, Meta(ge=0, le=1e6)]
+    effects: tuple[HjifEffect, ...]
+    curve_type: CurveType | None = None
+
+
+class HjifChannel(Struct, frozen=True):
+    """As in the file."""
+
+    id: int
+    description: Name
+    gain: Annotated[float, Meta(ge=-1000, le=1000)]
+    mixing_coefficient: Annotated[float, Meta(ge=-1000, le=1000)]
+    body_part_mask: Ticks
+    bands: tuple[HjifBand, ...]
+    reference_device_id: int | None = None
+
+
+class HjifDevice(Struct, frozen=True):
+    """As in the file; lengths in the perception's unit."""
+
+    id: int
+    name: Name
+    type: DeviceType = "Unknown"
+    minimum_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    maximum_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    resonance_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    maximum_voltage: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    maximum_displacement: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+
+
+class HjifPerception(Struct, frozen=True):
+    """As in the file."""
+
+    id: int
+    avatar_id: int
+    description: Name
+    perception_modality: Name
+    effect_library: tuple[HjifEffect, ...]
+    channels: tuple[HjifChannel, ...]
+    reference_devices: tuple[HjifDevice, ...] = ()
+    unit_exponent: Annotated[int, Meta(ge=-12, le=12)] = -3
+
+
+class HjifFile(Struct, frozen=True):
+    """As in the file: all of it is required."""
+
+    version: Annotated[str, Meta(pattern="^[0-9]{4}(-[0-9])?$")]
+    profile: Annotated[str, Meta(pattern="^(Main|Simple Parametric)$")]
+    level: Annotated[int, Meta(ge=1, le=2)]
+    date: Name
+    description: Name
+    timescale: Annotated[int, Meta(ge=1, le=48_000)]
+    avatars: tuple[dict[str, Any], ...]
+    perceptions: tuple[HjifPerception, ...]
+    syncs: tuple[dict[str, Any], ...]
+
+
+def load_hjif(path: Path) -> tuple[Effect, list[str]]:
+    """Return the effect of a file, and a line for each thing of it that is changed.
+
+    Raises
+    ------
+    InputError
+        One line: file, field, value and limit.
+    """
+    data = reading.parsed_json(path, null=False)
+    file = reading.fitted(path, data, HjifFile)
+    perceptions = tuple(
+        _perception(path, p, raw, f"perceptions[{i}]", file.timescale)
+        for i, (p, raw) in enumerate(zip(file.perceptions, data["perceptions"], strict=True))
+    )
+    kept = {k: v for k, v in data.items()
+            if k not in ("description", "timescale", "perceptions")}  # fmt: skip
+    try:
+        effect = Effect(description=file.description, origin="hjif", ticks_per_s=file.timescale,
+                        perceptions=perceptions, other=kept)  # fmt: skip
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return effect, []
+
+
+def _other(raw: dict[str, Any], shape: type[Struct], *unsaid: str) -> dict[str, Any]:
+    """Return the fields of an object that its Struct does not have, and others by name."""
+    return {k: v for k, v in raw.items() if k not in shape.__struct_encode_fields__ or k in unsaid}
+
+
+def _perception(
+    path: Path, p: HjifPerception, raw: dict[str, Any], where: str, timescale: int
+) -> Perception:
+    millimeters = 10.0 ** (p.unit_exponent + 3)
+    return Perception(
+        id=p.id, avatar_id=p.avatar_id, description=p.description, modality=p.perception_modality,
+        reference_devices=tuple(
+            _device(d, raw_device, millimeters)
+            for d, raw_device in zip(
+                p.reference_devices, raw.get("reference_devices", ()), strict=True)
+        ),
+        library=tuple(
+            _segment(path, e, raw_effect, f"{where}.effect_library[{i}]", timescale)
+            for i, (e, raw_effect) in enumerate(
+                zip(p.effect_library, raw["effect_library"], strict=True))
+        ),
+        channels=tuple(
+            _channel(path, c, raw_channel, f"{where}.channels[{i}]", timescale)
+            for i, (c, raw_channel) in enumerate(zip(p.channels, raw["channels"], strict=True))
+        ),
+        other=_other(raw, HjifPerception, "unit_exponent"),
+    )  # fmt: skip
+
+
+def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> ReferenceDevice:
+    reach = d.maximum_displacement
+    return ReferenceDevice(
+        id=d.id, name=d.name, type=d.type, minimum_frequency_hz=d.minimum_frequency,
+        maximum_frequency_hz=d.maximum_frequency, resonance_frequency_hz=d.resonance_frequency,
+        maximum_voltage_v=d.maximum_voltage,
+        maximum_displacement_mm=None if reach is None else reach * millimeters,
+        other=_other(raw, HjifDevice),
+    )  # fmt: skip
+
+
+def _channel(
+    path: Path, c: HjifChannel, raw: dict[str, Any], where: str, timescale: int
+) -> Channel:
+    bands = []
+    for i, (band, raw_band) in enumerate(zip(c.bands, raw["bands"], strict=True)):
+        at = f"{where}.bands[{i}]"
+        if band.band_type not in KINDS:
+            raise InputError(reading.one_line(
+                f"{path}: {at}.band_type = {band.band_type!r}: must be one of {', '.join(KINDS)}"
+            ))  # fmt: skip
+        segments = [
+            _segment(path, e, raw_effect, f"{at}.effects[{k}]", timescale)
+            for k, (e, raw_effect) in enumerate(zip(band.effects, raw_band["effects"], strict=True))
+        ]
+        bands.append(Band(
+            kind=KINDS[band.band_type], curve_type=band.curve_type, segments=tuple(segments),  # type: ignore[arg-type]
+            lower_frequency_hz=band.lower_frequency_limit,
+            upper_frequency_hz=band.upper_frequency_limit, other=_other(raw_band, HjifBand),
+        ))  # fmt: skip
+    return Channel(
+        id=c.id, description=c.description, gain=c.gain, mixing_coefficient=c.mixing_coefficient,
+        body_part_mask=c.body_part_mask, reference_device_id=c.reference_device_id,
+        bands=tuple(bands), other=_other(raw, HjifChannel),
+    )  # fmt: skip
+
+
+def _segment(path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timescale: int) -> Segment:
+    at = [k.relative_position for k in e.keyframes]
+    for i, (before, after) in enumerate(itertools.pairwise(at)):
+        if after < before:
+            raise InputError(
+                f"{path}: {where}.keyframes[{i + 1}].relative_position = {after}: comes after "
+                f"{before}; must ascend"
+            )
+    if (e.position + max(at, default=0)) / timescale > 3600:
+        raise InputError(f"{path}: {where}: ends after more than an hour")
+    return Segment(
+        start_s=e.position / timescale, type=e.effect_type, id=e.id, phase_rad=e.phase,
+        base_signal=e.base_signal, keywords=e.semantic_keywords, other=_other(raw, HjifEffect),
+        keyframes=tuple(
+            Keyframe(time_s=k.relative_position / timescale, amplitude=k.amplitude_modulation,
+                     frequency_hz=k.frequency_modulation)
+            for k in e.keyframes
+        ),
+    )  # fmt: skip
+
+
+# Writing
+
+
+class _Writer:
+    """What is told of an effect as it is written, and how much was rounded."""
+
+    def __init__(self, effect: Effect) -> None:
+        self.timescale, self.ours = effect.ticks_per_s, effect.origin == "hjif"
+        self.rounded_hertz = self.rounded_times = 0
+        self.lost: list[str] = []
+
+    def ticks(self, seconds: float) -> int:
+        whole = round(seconds * self.timescale)
+        self.rounded_times += abs(whole - seconds * self.timescale) > 1e-6
+        return whole
+
+    def hertz(self, frequency: float) -> int:
+        whole = round(max(frequency, 0.0))
+        self.rounded_hertz += whole != frequency
+        return whole
+
+    def other(self, fields: dict[str, Any]) -> dict[str, Any]:
+        return {k: v for k, v in fields.items() if k != SCHEME} if self.ours else {}
+
+
+def saved_hjif(effect: Effect) -> tuple[bytes, list[str]]:
+    """Return an effect as a file, and a line for each thing that it cannot say.
+
+    Raises
+    ------
+    InputError
+        Where samples are too many for keyframes.
+    """
+    effect = _with_ticks_for_samples(effect)
+    writer = _Writer(effect)
+    perceptions = [_perception_out(writer, p) for p in effect.perceptions]
+    crowded = any(
+        len(c.bands) > BANDS_AT_LEVEL_1 for _, c in channels_of(effect)
+    ) or any(len(p.channels) > CHANNELS_AT_LEVEL_1 for p in effect.perceptions)  # fmt: skip
+    content = {
+        "version": "2023", "profile": "Main", "level": 2 if crowded else 1,
+        "date": datetime.date.today().isoformat(), "avatars": [], "syncs": [],
+        **writer.other(effect.other), "description": effect.description,
+        "timescale": effect.ticks_per_s, "perceptions": perceptions,
+    }  # fmt: skip
+    if writer.rounded_hertz:
+        writer.lost.append(f".hjif has whole Hz: {writer.rounded_hertz} frequencies rounded")
+    if writer.rounded_times:
+        writer.lost.append(f"{writer.rounded_times} times rounded to 1/{effect.ticks_per_s} s")
+    return msgspec.json.format(msgspec.json.encode(content), indent=1), writer.lost
+
+
+def _with_ticks_for_samples(effect: Effect) -> Effect:
+    """Return an effect whose ticks are those of its samples, where it has any."""
+    sampled = [
+        (b.sample_rate_hz or 1.0, sum(len(s.samples) // 4 for s in b.segments))
+        for _, c in channels_of(effect) for b in c.bands if b.kind == "samples"
+    ]  # fmt: skip
+    if not sampled:
+        return effect
+    if (count := sum(n for _, n in sampled)) > MOST_KEYFRAMES:
+        raise InputError(
+            f"{count} samples as keyframes of .hjif: {MOST_KEYFRAMES} at most; a shorter or slower "
+            "file would do"
+        )
+    rate = max(rate for rate, _ in sampled)
+    whole = rate if rate == int(rate) and rate <= 48_000 else 48_000
+    return msgspec.structs.replace(effect, ticks_per_s=int(whole))
+
+
+def _perception_out(writer: _Writer, p: Perception) -> dict[str, Any]:
+    if writer.ours and SCHEME in p.other:
+        writer.lost.append(f"perception {p.id}: {SCHEME} is left out: conformance checks refuse it")
+    units = {"unit_exponent": -3, "perception_unit_exponent": 0}
+    other = writer.other(p.other) if writer.ours else units
+    unit = 10.0 ** (-3 - other.get("unit_exponent", -3))
+    return {
+        **other, "id": p.id, "avatar_id": p.avatar_id, "description": p.description,
+        "perception_modality": p.modality,
+        "reference_devices": [_device_out(writer, d, unit) for d in p.reference_devices],
+        "effect_library": [_segment_out(writer, "wave", s) for s in p.library],
+        "channels": [_channel_out(writer, p, c) for c in p.channels],
+    }  # fmt: skip
+
+
+def _device_out(writer: _Writer, d: ReferenceDevice, unit: float) -> dict[str, Any]:
+    reach = d.maximum_displacement_mm
+    said = {
+        "minimum_frequency": d.minimum_frequency_hz, "maximum_frequency": d.maximum_frequency_hz,
+        "resonance_frequency": d.resonance_frequency_hz, "maximum_voltage": d.maximum_voltage_v,
+        "maximum_displacement": None if reach is None else reach * unit,
+    }  # fmt: skip
+    known = {k: v for k, v in said.items() if v is not None}
+    return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **known}
+
+
+def _channel_out(writer: _Writer, perception: Perception, channel: Channel) -> dict[str, Any]:
+    whole = without_control(perception, channel)
+    if whole is not channel:
+        writer.lost.append(f"channel {channel.id}: control curves are worked into its keyframes")
+    device = whole.reference_device_id
+    return {
+        **writer.other(whole.other), "id": whole.id, "description": whole.description,
+        "gain": whole.gain, "mixing_coefficient": whole.mixing_coefficient,
+        "body_part_mask": whole.body_part_mask,
+        **({} if device is None else {"reference_device_id": device}),
+        "bands": [_band_out(writer, b) for b in whole.bands if b.kind != "control"],
+    }  # fmt: skip
+
+
+def _band_out(writer: _Writer, band: Band) -> dict[str, Any]:
+    names = {ours: theirs for theirs, ours in KINDS.items()}
+    curve_type = "Linear" if band.kind == "samples" else band.curve_type
+    return {
+        **writer.other(band.other),
+        "band_type": names.get(band.kind, "Curve"),
+        **({} if curve_type is None else {"curve_type": curve_type}),
+        "lower_frequency_limit": round(band.lower_frequency_hz),
+        "upper_frequency_limit": round(band.upper_frequency_hz),
+        "effects": [_segment_out(writer, band.kind, _as_keyframes(band, s)) for s in band.segments],
+    }
+
+
+def _as_keyframes(band: Band, segment: Segment) -> Segment:
+    """Return samples as keyframes; the last is held for one more sample, as long as it lasts."""
+    if band.kind != "samples":
+        return segment
+    values = np.clip(np.frombuffer(segment.samples, "<f4").astype(np.float64), -1, 1).tolist()
+    rate = band.sample_rate_hz or 1.0
+    keyframes = tuple(
+        Keyframe(time_s=i / rate, amplitude=v) for i, v in enumerate([*values, *values[-1:]])
+    )
+    return msgspec.structs.replace(segment, samples=b"", keyframes=keyframes)
+
+
+def _segment_out(writer: _Writer, kind: str, s: Segment) -> dict[str, Any]:
+    said = {
+        "id": s.id, "phase": s.phase_rad, "base_signal": s.base_signal,
+        "semantic_keywords": s.keywords,
+    }  # fmt: skip
+    if kind == "wave" and not writer.ours and s.type == "Basis":
+        said["phase"], said["base_signal"] = s.phase_rad or 0.0, s.base_signal or "Sine"
+    out = {
+        **writer.other(s.other), "effect_type": s.type, "position": writer.ticks(s.start_s),
+        **{k: v for k, v in said.items() if v is not None},
+    }  # fmt: skip
+    if s.keyframes or not (s.other or s.type == "Reference"):
+        out["keyframes"] = [_keyframe_out(writer, k) for k in s.keyframes]
+    return out
+
+
+def _keyframe_out(writer: _Writer, k: Keyframe) -> dict[str, Any]:
+    out: dict[str, Any] = {"relative_position": writer.ticks(k.time_s)}
+    if k.amplitude is not None:
+        out["amplitude_modulation"] = k.amplitude
+    if k.frequency_hz is not None:
+        out["frequency_modulation"] = writer.hertz(k.frequency_hz)
+    return out

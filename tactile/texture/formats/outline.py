@@ -1,0 +1,197 @@
+"""A channel as one envelope of amplitude, one of frequency, and transients: what phones can say.
+
+What is already like that goes over point for point. All else (sums of waves, curves, samples) is
+synthesized and measured in windows of 10 ms: their largest value, and half their zero crossings.
+"""
+
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from tactile.errors import InputError
+from tactile.texture.formats.document import (
+    HIGHEST,
+    LOWEST,
+    Band,
+    Channel,
+    Effect,
+    Keyframe,
+    Perception,
+    Segment,
+    channels_of,
+)
+from tactile.texture.formats.synthesis import (
+    PLAIN,
+    TRANSIENT,
+    points,
+    resolved,
+    synthesize,
+    unplayed,
+    without_control,
+)
+
+WINDOW = 10e-3
+"""s: two periods of 200 Hz; shorter ones cannot tell a frequency (assumed)."""
+RATE = 8000.0
+"""Hz at which what has no envelope is synthesized."""
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """One signal.
+
+    Attributes
+    ----------
+    amplitude, frequency : time [s] and value 0 … 1, or [Hz]
+    transients : time [s], amplitude 0 … 1 and frequency [Hz]
+    lost : a line for each thing that is not in it
+    """
+
+    amplitude: list[Pair]
+    frequency: list[Pair]
+    transients: list[tuple[float, float, float]]
+    lost: list[str] = field(default_factory=list)
+
+
+def wave_band(amplitude: list[Pair], frequency: list[Pair]) -> Band:
+    """Return envelopes (time [s], value or [Hz]) as a band; points of one time are one keyframe."""
+    made: dict[tuple[float, int], dict[str, float]] = {}
+    for name, pairs in (("amplitude", amplitude), ("frequency_hz", frequency)):
+        for i, (time, value) in enumerate(pairs):
+            twin = i
+            while twin and pairs[twin - 1][0] == time:
+                twin -= 1
+            made.setdefault((time, i - twin), {})[name] = value
+    keyframes = tuple(Keyframe(time_s=t, **values) for (t, _), values in sorted(made.items()))
+    return Band(kind="wave", lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,
+                segments=(Segment(keyframes=keyframes),))  # fmt: skip
+
+
+def of_effect(effect: Effect, suffix: str) -> tuple[Outline, list[str]]:
+    """Return the outline of an effect's first channel, and a line for each thing that is lost.
+
+    Raises
+    ------
+    InputError
+        Where it has no channel, or nothing in it.
+    """
+    channels = channels_of(effect)
+    if not channels:
+        raise InputError(f"the effect has no channel: nothing to write to {suffix}")
+    perception, channel = channels[0]
+    lost = []
+    if len(channels) > 1:
+        lost.append(f"{suffix} has one channel: {len(channels) - 1} of {len(channels)} left out")
+    alone = msgspec.structs.replace(perception, channels=(channel,))
+    lost += unplayed(Effect(perceptions=(alone,)))
+    drawn = of_channel(perception, channel)
+    if not drawn.amplitude and not drawn.transients:
+        raise InputError(f"channel {channel.id} holds nothing that {suffix} could say")
+    ends = [time for time, _ in drawn.amplitude]
+    if not ends:
+        drawn = Outline([(0.0, 0.0), (max(drawn.transients)[0], 0.0)], [], drawn.transients,
+                        drawn.lost)  # fmt: skip
+    return drawn, lost + drawn.lost
+
+
+def of_channel(perception: Perception, channel: Channel) -> Outline:
+    """Return the outline of a channel, its gain and control worked in."""
+    whole, lost = without_control(perception, channel), []
+    if whole is not channel:
+        lost.append("control curves are worked into the envelopes")
+    bands = [
+        msgspec.structs.replace(b, segments=tuple(resolved(perception, s) for s in b.segments))
+        for b in whole.bands
+    ]
+    waves = sorted((s for b in bands if b.kind == "wave" for s in b.segments if s.keyframes),
+                   key=lambda s: s.start_s)  # fmt: skip
+    amplitude: list[Pair] = []
+    frequency: list[Pair] = []
+    rest = [b for b in bands if b.kind != "transient" and b.segments]
+    taps = [
+        (s.start_s + k.time_s, abs(k.amplitude or 0.0) * abs(channel.gain),
+         k.frequency_hz or 2 / TRANSIENT)
+        for b in bands if b.kind == "transient" for s in b.segments for k in s.keyframes
+    ]  # fmt: skip
+    if all(b.kind == "wave" for b in rest) and _follow(waves):
+        amplitude, frequency = _joined(waves, abs(channel.gain))
+        turned = any(s.phase_rad or any((k.amplitude or 0) < 0 for k in s.keyframes) for s in waves)
+        if turned:
+            lost.append("phases, and the sign of amplitudes, have no place in an envelope")
+    elif rest:
+        lost.append("what is more than one wave is told by its envelope in windows of 10 ms")
+        amplitude, frequency = _measured(perception, channel, rest)
+    if any(a > 1 for _, a in amplitude) or any(a > 1 for _, a, _ in taps):
+        lost.append("amplitudes above 1 are limited to it")
+    return Outline([(t, min(a, 1.0)) for t, a in amplitude], frequency,
+                   [(t, min(a, 1.0), f) for t, a, f in taps], lost)  # fmt: skip
+
+
+def _follow(waves: list[Segment]) -> bool:
+    """Return whether waves are sines that come after each other."""
+    ends = [s.start_s + s.keyframes[-1].time_s for s in waves]
+    after = all(s.start_s >= end for s, end in zip(waves[1:], ends, strict=False))
+    return after and all(s.base_signal in (None, "Sine") for s in waves)
+
+
+def _joined(waves: list[Segment], gain: float) -> tuple[list[Pair], list[Pair]]:
+    """Return the envelopes of waves that come after each other, 0 between them."""
+    amplitude: list[Pair] = []
+    frequency: list[Pair] = []
+    before = 0.0
+    for s in waves:
+        end = s.keyframes[-1].time_s
+        size, pitch = (
+            points(s.keyframes, name).T.tolist() for name in ("amplitude", "frequency_hz")
+        )
+        size = size or [[0.0, 1.0], [end, 1.0]]
+        if size[-1][0] < end:
+            size.append([end, size[-1][1]])
+        if s.start_s > before:
+            amplitude += [(before, 0.0), (s.start_s, 0.0)]
+        amplitude += [(s.start_s + t, abs(a) * gain) for t, a in size]
+        frequency += [(s.start_s + t, f) for t, f in pitch]
+        before = s.start_s + end
+        if s is not waves[-1]:
+            amplitude.append((before, 0.0))
+    return _single_steps(amplitude), frequency
+
+
+def _single_steps(pairs: list[Pair]) -> list[Pair]:
+    """Return points without those that say again what the one before said at that time."""
+    return [p for i, p in enumerate(pairs) if not i or p != pairs[i - 1]]
+
+
+def _measured(
+    perception: Perception, channel: Channel, bands: list[Band]
+) -> tuple[list[Pair], list[Pair]]:
+    """Return the envelopes of a synthesized channel."""
+    only = msgspec.structs.replace(channel, bands=tuple(bands))
+    alone = msgspec.structs.replace(perception, channels=(only,))
+    x = synthesize(Effect(perceptions=(alone,)), RATE)[:, 0]
+    size = round(WINDOW * RATE)
+    x = np.pad(x, (0, -len(x) % size)).reshape(-1, size)
+    middle = (np.arange(len(x)) + 0.5) * WINDOW
+    crossings = np.count_nonzero(np.diff(np.signbit(x), axis=1), axis=1)
+    pitch = np.where(crossings > 0, crossings / 2 / (WINDOW - 1 / RATE), PLAIN)
+    peak = np.abs(x).max(axis=1)
+    times = [0.0, *middle.tolist(), len(x) * WINDOW]
+    amplitude = list(zip(times, [peak[0], *peak, peak[-1]], strict=True)) if len(x) else []
+    return [(t, float(a)) for t, a in amplitude], list(
+        zip(middle.tolist(), pitch.tolist(), strict=True)
+    )
+
+
+def beyond_range(drawn: Outline, suffix: str) -> list[str]:
+    """Return a line where a frequency is outside what sharpness 0 … 1 is taken to mean."""
+    pitches = [f for _, f in drawn.frequency] + [f for _, _, f in drawn.transients]
+    beyond = sum(not LOWEST - 1e-6 <= f <= HIGHEST + 1e-6 for f in pitches)
+    if not beyond:
+        return []
+    return [
+        f"{suffix} knows no frequency in Hz, 0 … 1 is taken as {LOWEST:g} … {HIGHEST:g} Hz: "
+        f"{beyond} beyond it are limited"
+    ]

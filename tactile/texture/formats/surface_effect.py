@@ -1,0 +1,245 @@
+"""Between a texture, which lives in space, and an effect, which lives in time: by a speed.
+
+A stroke at a steady speed turns every wave of the surface into an oscillation, of its spatial
+frequency along the stroke times the speed. An effect made so is one second that repeats: its
+oscillations are those of the surface's waves, in whole Hz, waves that fall on the same one added in
+power. The way back takes each oscillation for a grating.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError
+from tactile.texture.descriptor import About, Descriptor, Periodic, Reference
+from tactile.texture.formats import reading
+from tactile.texture.formats.document import (
+    Band,
+    Channel,
+    Effect,
+    Keyframe,
+    Perception,
+    ReferenceDevice,
+    Segment,
+)
+from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_control
+from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
+
+Floats = NDArray[np.float64]
+
+MODALITY = "Vibrotactile Texture"
+KEYWORDS = {
+    "wood": "Wood", "metal": "Metal", "plastic": "Plastic", "stone": "Rock", "abrasive": "Sand",
+}  # fmt: skip
+"""MPEG's texture keyword of a category; there is none for the others."""
+CATEGORIES = {
+    "Wood": "wood", "Metal": "metal", "Plastic": "plastic", "Rock": "stone", "Gravel": "stone",
+    "Sand": "abrasive",
+}  # fmt: skip
+SECONDS = 1.0
+TOP = 1000
+"""Hz."""
+PARTIALS = 384
+"""Waves of a surface, as of `load_texture`."""
+MOST_GRATINGS = 300
+ASSUMED_REACH_UM = 10.0
+"""Of an amplitude of 1 where no device tells its maximum_displacement (assumed)."""
+
+
+def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
+    """Return a texture as it sounds along x at a speed [m/s], and a line for each thing lost.
+
+    Raises
+    ------
+    InputError
+        Where the speed is out of range, or nothing of it would sound.
+    """
+    if not 1e-3 <= speed <= 1.0:
+        raise InputError(f"--speed-mm-s {speed * 1e3:g}: must be 1 … 1000")
+    hertz, amplitude, phase, share = _lines(_partials(texture), speed)
+    if not len(hertz):
+        raise InputError(f"{texture.texture.id}: nothing sounds at {speed * 1e3:g} mm/s")
+    amplitude = amplitude * _speed_law(texture, speed)
+    time = np.arange(8000) / 8000
+    reach = np.abs(np.sin(2 * np.pi * np.outer(time, hertz) + phase) @ amplitude).max()
+    keyword = KEYWORDS.get(texture.texture.category)
+    segments = tuple(
+        Segment(
+            phase_rad=float(p), base_signal="Sine",
+            keywords=None if keyword is None else f"Texture/{keyword}",
+            keyframes=tuple(
+                Keyframe(time_s=t, amplitude=float(a / reach), frequency_hz=float(f))
+                for t in (0.0, SECONDS)
+            ),
+        )
+        for f, a, p in zip(hertz, amplitude, phase, strict=True)
+    )  # fmt: skip
+    device = ReferenceDevice(
+        id=0, name="piezoelectric bimorph", type="Piezo", minimum_frequency_hz=1.0,
+        maximum_frequency_hz=float(TOP), maximum_displacement_mm=float(reach * 1e3),
+    )  # fmt: skip
+    perception = Perception(
+        description=texture.texture.description, modality=MODALITY, reference_devices=(device,),
+        channels=(Channel(
+            description=texture.texture.id, reference_device_id=0,
+            bands=(Band(kind="wave", upper_frequency_hz=TOP, segments=segments),),
+        ),),
+    )  # fmt: skip
+    effect = Effect(description=texture.texture.description, origin="texture",
+                    perceptions=(perception,))  # fmt: skip
+    return effect, _lost(texture, speed, float(reach), share)
+
+
+def _partials(texture: Descriptor) -> Partials:
+    """Return the waves of a texture, of seed 0."""
+    gratings = sum(
+        len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in texture.periodic
+    )
+    drawn = np.zeros((0, 2)), np.zeros(0)
+    if texture.stochastic:
+        drawn = stochastic_waves(texture.stochastic, max(PARTIALS - gratings, PARTIALS // 2))
+    return Texture(texture.texture.id, texture, *drawn, np.zeros(0), np.zeros(0)).partials
+
+
+def _lines(partials: Partials, speed: float) -> tuple[Floats, Floats, Floats, float]:
+    """Return whole Hz, peaks [m], phases of a sine [rad], and the share of power left out."""
+    signed = partials.wave_vector[:, 0] * speed / (2 * np.pi)
+    whole = np.rint(np.abs(signed)).astype(np.intp)
+    phase = np.where(signed < 0, -partials.phase, partials.phase) + np.pi / 2
+    heard = (whole >= 1) & (whole <= TOP) & (partials.amplitude > 0)
+    power = np.bincount(whole[heard], partials.amplitude[heard] ** 2, TOP + 1)
+    order = np.argsort(partials.amplitude)
+    strongest = np.zeros(TOP + 1)
+    kept = order[heard[order]]
+    strongest[whole[kept]] = phase[kept]
+    hertz = np.flatnonzero(power)
+    share = 1 - power.sum() / max(float(np.sum(partials.amplitude**2)), 1e-30)
+    turned = (strongest[hertz] + np.pi) % (2 * np.pi) - np.pi
+    return hertz.astype(np.float64), np.sqrt(power[hertz]), turned, float(share)
+
+
+def _speed_law(texture: Descriptor, speed: float) -> float:
+    low, high = texture.laws.speed_range_mm_s
+    v, v0 = (min(max(s, low), high) for s in (speed * 1e3, texture.reference.speed_mm_s))
+    return float((v / v0) ** texture.laws.speed_exponent)
+
+
+def _lost(texture: Descriptor, speed: float, reach: float, share: float) -> list[str]:
+    lost = [
+        f"a texture is rendered at {speed * 1e3:g} mm/s along x, 1 s that repeats, in whole Hz",
+        f"an amplitude of 1 is {reach * 1e6:.3g} µm of displacement",
+    ]
+    if share > 0.001:
+        lost.append(f"{share:.1%} of its power is below 1 or above {TOP} Hz and left out")
+    if texture.texture.category not in KEYWORDS:
+        lost.append(f"MPEG has no texture keyword for {texture.texture.category}: none is written")
+    stochastic = texture.stochastic
+    if stochastic and (stochastic.am_depth or stochastic.excess_kurtosis):
+        lost.append("amplitude modulation and kurtosis are left out: the waves are steady")
+    if texture.events:
+        lost.append("sparse events are left out")
+    if texture.friction:
+        lost.append("friction is left out")
+    return lost
+
+
+def texture_from(
+    effect: Effect, speed: float, name: str, source: str
+) -> tuple[Descriptor, list[str]]:
+    """Return an effect's texture at a speed [m/s], and a line for each thing assumed or lost.
+
+    Raises
+    ------
+    InputError
+        Where the effect has no "Vibrotactile Texture", or nothing of it can be a grating.
+    """
+    if not 1e-3 <= speed <= 1.0:
+        raise InputError(f"--speed-mm-s {speed * 1e3:g}: must be 1 … 1000")
+    found = [p for p in effect.perceptions if p.modality == MODALITY and p.channels]
+    if not found:
+        raise InputError(
+            f"{source}: has no perception {MODALITY!r}: without --speed-mm-s it is an effect"
+        )
+    perception, channel = found[0], found[0].channels[0]
+    lost = [f"each oscillation is a grating, as at {speed * 1e3:g} mm/s"]
+    others = sum(len(p.channels) for p in effect.perceptions) - 1
+    if others:
+        lost.append(f"a texture is one surface: {others} more channels left out")
+    reach, told = _reach(perception, channel)
+    gratings, dropped = _gratings(perception, channel, speed * 1e3, reach * abs(channel.gain))
+    if not gratings:
+        raise InputError(f"{source}: has no oscillation that could be a grating")
+    category, more = _category(perception, channel)
+    texture = Descriptor(
+        texture=About(
+            id=name, category=category, provenance="authored", source=reading.one_line(source),  # type: ignore[arg-type]
+            description=reading.one_line(effect.description) or name, licence="as of its source",
+        ),
+        reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=1.0),
+        periodic=tuple(gratings),
+    )  # fmt: skip
+    return texture, lost + told + dropped + more
+
+
+def _reach(perception: Perception, channel: Channel) -> tuple[float, list[str]]:
+    """Return the displacement of an amplitude of 1 [µm]."""
+    for device in perception.reference_devices:
+        reach = device.maximum_displacement_mm
+        if device.id == channel.reference_device_id and reach is not None:
+            return reach * 1e3, []
+    return ASSUMED_REACH_UM, [
+        f"an amplitude of 1 is taken as {ASSUMED_REACH_UM:g} µm (assumed: no maximum_displacement)"
+    ]
+
+
+def _gratings(
+    perception: Perception, channel: Channel, speed_mm_s: float, reach_um: float
+) -> tuple[list[Periodic], list[str]]:
+    """Return a grating for each oscillation, at its mean amplitude and frequency."""
+    gratings, wrong, varying = [], 0, 0
+    for band in without_control(perception, channel).bands:
+        for segment in (resolved(perception, s) for s in band.segments):
+            if band.kind != "wave":
+                wrong += 1
+                continue
+            size, low = _mean(segment, "amplitude", 1.0)
+            pitch, high = _mean(segment, "frequency_hz", PLAIN)
+            varying += low or high
+            wavelength = speed_mm_s / pitch if pitch > 0 else 0.0
+            if not 0.02 <= wavelength <= 100 or not 0 < abs(size) * reach_um <= 500:
+                wrong += 1
+                continue
+            turn = np.degrees(segment.phase_rad or 0.0) - 90 + (180 if size < 0 else 0)
+            gratings.append(Periodic(
+                wavelength_mm=wavelength, harmonics_um=(abs(size) * reach_um,),
+                phases_deg=(float((turn + 180) % 360 - 180),),
+            ))  # fmt: skip
+    gratings.sort(key=lambda p: -p.harmonics_um[0])
+    lost = []
+    if wrong or len(gratings) > MOST_GRATINGS:
+        left = wrong + max(len(gratings) - MOST_GRATINGS, 0)
+        lost.append(f"{left} effects are no grating of 0.02 … 100 mm, or too many: left out")
+    if varying:
+        lost.append(f"{varying} oscillations change over time: their mean is taken")
+    return gratings[:MOST_GRATINGS], lost
+
+
+def _mean(segment: Segment, name: str, empty: float) -> tuple[float, bool]:
+    """Return the mean of a curve over its time, and whether it changes."""
+    at, value = points(segment.keyframes, name)
+    if not len(at):
+        return empty, False
+    if at[-1] <= at[0]:
+        return float(value[-1]), False
+    return float(np.trapezoid(value, at) / (at[-1] - at[0])), bool(np.ptp(value) > 0)
+
+
+def _category(perception: Perception, channel: Channel) -> tuple[str, list[str]]:
+    words = [
+        resolved(perception, s).keywords or s.keywords or ""
+        for band in channel.bands for s in band.segments
+    ]  # fmt: skip
+    for word in words:
+        last = word.rpartition("/")[2]
+        if last in CATEGORIES:
+            return CATEGORIES[last], []
+    return "test", ["it has no texture keyword: its category is test"]

@@ -1,0 +1,300 @@
+"""An effect as samples: bands added up, each channel limited to ± 1 and scaled by its gain.
+
+The rules are those of the reference software of MPEG-I Haptics (ISO/IEC 23090-31), re-stated:
+amplitude and frequency straight between keyframes, the phase the integral of the frequency; curves
+Cubic (flat at each keyframe) unless they say otherwise; a transient two periods of a sine in 22 ms.
+A transient that has a frequency of its own, which MPEG does not know, is as many whole periods of
+it as come nearest to 22 ms. Wavelets and composite effects are left out; `unplayed` says so.
+"""
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import Akima1DInterpolator
+
+from tactile.errors import InputError
+from tactile.texture.formats.document import (
+    Band,
+    BaseSignal,
+    Channel,
+    Effect,
+    Keyframe,
+    Perception,
+    Segment,
+    channels_of,
+)
+
+Floats = NDArray[np.float64]
+
+TRANSIENT = 22e-3
+"""s that a transient lasts (MPEG)."""
+PLAIN = 160.0
+"""Hz of a wave without a frequency: that of most phones' actuators (assumed)."""
+MOST_SAMPLES = 32_000_000
+"""Of all channels."""
+LOWEST_RATE, HIGHEST_RATE = 100.0, 192_000.0
+
+SHAPES: dict[str, Callable[[Floats], Floats]] = {
+    "Sine": lambda turns: np.sin(2 * np.pi * turns),
+    "Square": lambda turns: np.where(turns % 1 < 0.5, 1.0, -1.0),
+    "Triangle": lambda turns: 1 - 4 * np.abs((turns - 0.25) - np.round(turns - 0.25)),
+    "SawToothUp": lambda turns: 2 * (turns - np.floor(turns + 0.5)),
+    "SawToothDown": lambda turns: 2 * (np.floor(turns + 0.5) - turns),
+}
+
+
+def duration(effect: Effect) -> float:
+    """Return when the last of an effect is over [s]."""
+    ends = [
+        end_of(band, resolved(perception, segment))
+        for perception, channel in channels_of(effect)
+        for band in channel.bands
+        for segment in band.segments
+    ]
+    return max(ends, default=0.0)
+
+
+def end_of(band: Band, segment: Segment) -> float:
+    """Return when a segment of a band is over [s]."""
+    end = segment.start_s + (segment.keyframes[-1].time_s if segment.keyframes else 0.0)
+    if band.kind == "transient":
+        taps = [(k.time_s, *_tap_shape(k)) for k in segment.keyframes]
+        end = segment.start_s + max((t + n / f for t, n, f in taps), default=0.0)
+    if band.kind == "samples" and band.sample_rate_hz:
+        end += len(segment.samples) / 4 / band.sample_rate_hz
+    return end if band.kind != "control" else 0.0
+
+
+def resolved(perception: Perception, segment: Segment) -> Segment:
+    """Return a segment, or what it refers to, at its time.
+
+    Raises
+    ------
+    InputError
+        Where the library does not have it.
+    """
+    if segment.type != "Reference":
+        return segment
+    for entry in perception.library:
+        if entry.id == segment.id:
+            return msgspec.structs.replace(entry, start_s=segment.start_s, keywords=None)
+    raise InputError(
+        f"perception {perception.id}: effect {segment.id} is referred to, and not in the library"
+    )
+
+
+def synthesize(effect: Effect, sample_rate: float) -> Floats:
+    """Return an effect as samples.
+
+    Parameters
+    ----------
+    effect : the document
+    sample_rate : [Hz], 100 … 192 000; what oscillates faster than half of it is left out
+
+    Returns
+    -------
+    (S, C) ndarray
+        One column per channel, all perceptions' in order; 1 is what the device can do.
+
+    Raises
+    ------
+    InputError
+        Where the rate is out of range, the result too long, or a reference leads nowhere.
+    """
+    if not LOWEST_RATE <= sample_rate <= HIGHEST_RATE:
+        raise InputError(
+            f"sample rate {sample_rate:g} Hz: must be {LOWEST_RATE:g} … {HIGHEST_RATE:g}"
+        )
+    channels = channels_of(effect)
+    count = round(duration(effect) * sample_rate)
+    if count * len(channels) > MOST_SAMPLES:
+        raise InputError(
+            f"{count} samples of {len(channels)} channels: {MOST_SAMPLES} at most; "
+            "a lower sample rate would do"
+        )
+    columns = [_signal(perception, c, count, sample_rate) for perception, c in channels]
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+
+
+def _signal(perception: Perception, channel: Channel, count: int, rate: float) -> Floats:
+    """Return a channel's samples (S,)."""
+    whole, out = without_control(perception, channel), np.zeros(count)
+    for band in whole.bands:
+        for segment in band.segments:
+            played = resolved(perception, segment)
+            first = min(int(np.ceil(played.start_s * rate - 1e-9)), count)
+            last = min(int(np.floor(end_of(band, played) * rate + 1e-9)) + 1, count)
+            time = np.arange(first, max(last, first)) / rate - played.start_s
+            if len(time) and (played.keyframes or played.samples):
+                out[first : first + len(time)] += _played(band, played, time, rate)
+    return np.asarray(np.clip(out, -1, 1) * channel.gain)
+
+
+def _played(band: Band, segment: Segment, time: Floats, rate: float) -> Floats:
+    """Return a segment at times after its start [s]."""
+    if band.kind == "wave":
+        return _wave(segment, time, rate)
+    if band.kind == "curve":
+        return _curve(segment, band.curve_type or "Unknown", time)
+    if band.kind == "samples":
+        values = np.frombuffer(segment.samples, "<f4").astype(np.float64)
+        at = np.arange(len(values)) / (band.sample_rate_hz or 1.0)
+        return np.asarray(np.interp(time, at, values, right=0.0))
+    if band.kind == "transient":
+        return np.asarray(sum((_tap(k, time) for k in segment.keyframes), np.zeros(len(time))))
+    return np.zeros(len(time))
+
+
+def points(keyframes: tuple[Keyframe, ...], name: str) -> Floats:
+    """Return time [s] and value (2, P) of the keyframes that have a value of that name."""
+    pairs = [(k.time_s, v) for k in keyframes if (v := getattr(k, name)) is not None]
+    return np.array(pairs, np.float64).reshape(-1, 2).T
+
+
+def _wave(segment: Segment, time: Floats, rate: float) -> Floats:
+    amplitude, frequency = (points(segment.keyframes, n) for n in ("amplitude", "frequency_hz"))
+    size = np.interp(time, *amplitude) if amplitude.size else np.ones(len(time))
+    if not frequency.size:
+        frequency = np.array([[0.0], [PLAIN]])
+    turns = _turns(time, *frequency) + (segment.phase_rad or 0.0) / (2 * np.pi)
+    audible = np.abs(np.interp(time, *frequency)) <= rate / 2
+    shape: BaseSignal = segment.base_signal or "Sine"
+    return np.asarray(size * audible * SHAPES[shape](turns))
+
+
+def _turns(time: Floats, at: Floats, frequency: Floats) -> Floats:
+    """Return the integral from 0 of a frequency that is straight between points, held beyond."""
+    if at[0] > 0:
+        at, frequency = np.append(0.0, at), np.append(frequency[0], frequency)
+    step = np.diff(at)
+    whole = np.append(0.0, np.cumsum(step * (frequency[1:] + frequency[:-1]) / 2))
+    slope = np.append(np.diff(frequency) / np.where(step > 0, step, np.inf), 0.0)
+    k = np.maximum(np.searchsorted(at, time, side="right") - 1, 0)
+    rest = time - at[k]
+    return np.asarray(whole[k] + rest * (frequency[k] + slope[k] * rest / 2))
+
+
+def _curve(segment: Segment, curve_type: str, time: Floats) -> Floats:
+    at, value = points(segment.keyframes, "amplitude")
+    if not len(at):
+        return np.zeros(len(time))
+    if curve_type == "Linear" or len(at) < 3:
+        return np.asarray(np.interp(time, at, value))
+    if curve_type == "Akima" and np.all(np.diff(at) > 0):
+        inside = np.clip(time, at[0], at[-1])
+        return np.asarray(Akima1DInterpolator(at, value)(inside))
+    k = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
+    step = at[k + 1] - at[k]
+    way = np.clip((time - at[k]) / np.where(step > 0, step, np.inf), 0, 1)
+    return np.asarray(value[k] + (value[k + 1] - value[k]) * way**2 * (3 - 2 * way))
+
+
+def _tap(keyframe: Keyframe, time: Floats) -> Floats:
+    periods, frequency = _tap_shape(keyframe)
+    way = (time - keyframe.time_s) * frequency
+    size = 1.0 if keyframe.amplitude is None else keyframe.amplitude
+    return np.where((way >= 0) & (way < periods), size * np.sin(2 * np.pi * way), 0.0)
+
+
+def _tap_shape(keyframe: Keyframe) -> tuple[int, float]:
+    """Return a transient's number of periods and frequency [Hz]."""
+    frequency = abs(keyframe.frequency_hz or 0.0) or 2 / TRANSIENT
+    return max(1, round(frequency * TRANSIENT)), max(frequency, 1.0)
+
+
+# Control
+
+
+def control(channel: Channel, name: str) -> Floats | None:
+    """Return time [s] and value (2, P) of what a channel's control bands say, all in one.
+
+    Held before the first point at its neutral value, and between and after segments at the last.
+    None where there is none.
+    """
+    parts = [s for band in channel.bands if band.kind == "control" for s in band.segments]
+    said = [(0.0, 1.0 if name == "amplitude" else 0.0)]
+    for segment in sorted(parts, key=lambda s: s.start_s):
+        time, value = points(segment.keyframes, name)
+        if len(time):
+            begin = segment.start_s + time[0]
+            while len(said) > 1 and said[-1][0] > begin:
+                said.pop()
+            said += [(begin, said[-1][1]), *zip(segment.start_s + time, value, strict=True)]
+    return np.array(said).T if len(said) > 1 else None
+
+
+def without_control(perception: Perception, channel: Channel) -> Channel:
+    """Return a channel with its control bands worked into its waves and transients."""
+    amplitude, frequency = control(channel, "amplitude"), control(channel, "frequency_hz")
+    if amplitude is None and frequency is None:
+        return channel
+    bands = []
+    for band in channel.bands:
+        if band.kind in ("wave", "transient"):
+            segments = [
+                _controlled(band, resolved(perception, s), amplitude, frequency)
+                for s in band.segments
+            ]
+            bands.append(msgspec.structs.replace(band, segments=tuple(segments)))
+        elif band.kind != "control":
+            bands.append(band)
+    return msgspec.structs.replace(channel, bands=tuple(bands))
+
+
+def _controlled(
+    band: Band, segment: Segment, amplitude: Floats | None, frequency: Floats | None
+) -> Segment:
+    """Return a segment multiplied and shifted; keyframes at all points of either."""
+    a, f = (points(segment.keyframes, name) for name in ("amplitude", "frequency_hz"))
+    at = np.array([k.time_s for k in segment.keyframes])
+    factor = np.array([[0.0], [1.0]]) if amplitude is None else amplitude
+    shift = np.array([[0.0], [0.0]]) if frequency is None else frequency
+    if band.kind == "wave" and len(at):
+        extra = np.concatenate([factor[0], shift[0]]) - segment.start_s
+        at = _steps(np.concatenate([at, extra[(extra > at[0]) & (extra < at[-1])]]))
+    size = _read(at, a, 1.0) * _read(at + segment.start_s, factor, 1.0)
+    pitch = _read(at, f, PLAIN) + _read(at + segment.start_s, shift, 0.0)
+    keyframes = tuple(
+        Keyframe(time_s=float(t), amplitude=float(s), frequency_hz=float(max(p, 0.0)))
+        for t, s, p in zip(at, np.clip(size, -1, 1), pitch, strict=True)
+    )
+    return msgspec.structs.replace(segment, type="Basis", keyframes=keyframes)
+
+
+def _steps(at: Floats) -> Floats:
+    """Return times in order, each once, or twice where something may step there."""
+    value, count = np.unique(at, return_counts=True)
+    return np.asarray(np.repeat(value, np.minimum(count, 2)))
+
+
+def _read(at: Floats, pairs: Floats, empty: float) -> Floats:
+    """Return a curve at ascending times; of a time that is there twice, before and after a step."""
+    if not pairs.size:
+        return np.full(len(at), empty)
+    value = np.interp(at, *pairs)
+    before = np.append(np.diff(at) == 0, False)
+    index = np.searchsorted(pairs[0], at[before], side="left")
+    stepped = (index < pairs.shape[1]) & (pairs[0][np.minimum(index, pairs.shape[1] - 1)]
+                                          == at[before])  # fmt: skip
+    value[before] = np.where(
+        stepped, pairs[1][np.minimum(index, pairs.shape[1] - 1)], value[before]
+    )
+    return np.asarray(value)
+
+
+def unplayed(effect: Effect) -> list[str]:
+    """Return a line for each thing that `synthesize` leaves out or draws in another way."""
+    lines = []
+    for perception, channel in channels_of(effect):
+        where = f"perception {perception.id}, channel {channel.id}"
+        for band in channel.bands:
+            parts = [resolved(perception, s) for s in band.segments]
+            if band.kind == "wavelet":
+                lines.append(f"{where}: wavelets are not decoded, {len(parts)} blocks left out")
+            if band.kind == "curve" and band.curve_type in ("Bezier", "Bspline"):
+                lines.append(f"{where}: a {band.curve_type} curve is drawn as Cubic")
+            if composite := sum(s.type == "Composite" for s in parts):
+                lines.append(f"{where}: composite effects are not played, {composite} left out")
+    return lines

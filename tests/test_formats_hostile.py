@@ -199,6 +199,10 @@ def test_a_wav_cut_short_is_refused_in_a_line(cut: int, tmp_path: Path) -> None:
     refused(tmp_path, sound(bytes(400))[:cut], "x.wav")
 
 
+def test_a_wav_without_samples_is_refused(tmp_path: Path) -> None:
+    assert "has no samples" in refused(tmp_path, sound(b""), "x.wav")
+
+
 def test_a_wav_of_what_is_no_number_is_refused(tmp_path: Path) -> None:
     floats = np.array([0.5, np.nan], "<f4").tobytes()
     head = sound(floats, width=4)

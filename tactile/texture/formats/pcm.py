@@ -60,11 +60,13 @@ def read_wav(path: Path) -> tuple[float, Floats]:
             raise InputError(
                 reading.one_line(f"{path}: no WAV that can be read: {error}")
             ) from error
+    if not samples.size:
+        raise InputError(f"{path}: has no samples")
     if any("EOF" in str(warning.message) for warning in said):
         raise InputError(f"{path}: is cut short: its header promises more than there is")
     if samples.dtype not in (np.uint8, np.int16, np.int32, np.float32, np.float64):
         raise InputError(f"{path}: samples are {samples.dtype}: must be 8 to 32 bits or float")
-    samples = samples.reshape(len(samples), -1)
+    samples = samples[:, None] if samples.ndim == 1 else samples
     if not 1 <= rate <= 400_000 or not 1 <= samples.shape[1] <= MOST_CHANNELS:
         raise InputError(
             f"{path}: {samples.shape[1]} channels at {rate} Hz: must be 1 … {MOST_CHANNELS} at "

@@ -290,7 +290,11 @@ def test_what_is_written_is_what_the_format_says(
 ) -> None:
     target = tmp_path / f"out{suffix}"
     save_effect(load_effect(sample(name)), target)
-    jsonschema.validate(content(target), schema)
+    written = content(target)
+    jsonschema.validate(written, schema)
+    for entry in written.get("Pattern", ()):
+        if found := entry.get("ParameterCurve"):
+            assert found["ParameterCurveControlPoints"][0]["Time"] == 0, "from the curve's start"
     load_effect(target)
 
 

@@ -257,16 +257,33 @@ def test_a_texture_comes_back_from_hjif_with_its_keyword_and_its_power(
     assert ours == pytest.approx(theirs, rel=1e-6)
 
 
-def test_a_grating_comes_back_with_wavelength_amplitude_and_place(tmp_path: Path) -> None:
-    part = descriptors.Periodic(wavelength_mm=0.8, harmonics_um=(2.0, 0.5), phases_deg=(30.0, -60))
-    texture = descriptors.Descriptor(
-        texture=descriptors.About(
-            id="ribs", category="metal", description="", provenance="authored", source="x",
-            licence="CC0-1.0"),
-        reference=descriptors.Reference(speed_mm_s=80, normal_force_n=1),
-        periodic=(part,),
+def grating(direction_deg: float) -> descriptors.Descriptor:
+    part = descriptors.Periodic(
+        wavelength_mm=0.8, harmonics_um=(2.0, 0.5), phases_deg=(30.0, -60),
+        direction_deg=direction_deg,
     )  # fmt: skip
-    effect, _ = surface_effect.effect_of(texture, 0.08)
+    about = descriptors.About(
+        id="ribs", category="metal", description="", provenance="authored", source="x",
+        licence="CC0-1.0",
+    )  # fmt: skip
+    reference = descriptors.Reference(speed_mm_s=80, normal_force_n=1)
+    return descriptors.Descriptor(texture=about, reference=reference, periodic=(part,))
+
+
+@pytest.mark.parametrize("direction_deg", [0, 180, 60])
+def test_a_grating_sounds_as_its_displacement_along_the_stroke(direction_deg: float) -> None:
+    effect, _ = surface_effect.effect_of(grating(direction_deg), 0.08)
+    reach = effect.perceptions[0].reference_devices[0].maximum_displacement_mm
+    assert reach is not None
+    x = 0.08 * np.arange(8000) / 8000 * math.cos(math.radians(direction_deg)) / 0.8e-3
+    want = 2e-3 * np.cos(2 * np.pi * x + math.radians(30)) + 0.5e-3 * np.cos(
+        4 * np.pi * x - math.radians(60)
+    )
+    assert synthesize(effect, 8000)[:, 0] * reach == pytest.approx(want, abs=1e-9)
+
+
+def test_a_grating_comes_back_with_wavelength_amplitude_and_place(tmp_path: Path) -> None:
+    effect, _ = surface_effect.effect_of(grating(0), 0.08)
     back, lost = surface_effect.texture_from(effect, 0.08, "ribs", "ribs.hjif")
     assert [p.wavelength_mm for p in back.periodic] == pytest.approx([0.8, 0.4])
     assert [p.harmonics_um[0] for p in back.periodic] == pytest.approx([2.0, 0.5])

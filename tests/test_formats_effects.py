@@ -331,6 +331,29 @@ def test_a_pattern_sounds_the_same_as_a_clip(tmp_path: Path) -> None:
     assert synthesize(clip, 8000)[:, 0] == pytest.approx(want, abs=1e-9)
 
 
+@pytest.mark.parametrize("suffix", [None, ".haptic", ".hjif"])
+def test_a_parameter_steps_where_it_is_set_and_stays(suffix: str | None, tmp_path: Path) -> None:
+    hum = {"Event": {"Time": 0.05, "EventDuration": 0.2, "EventType": "HapticContinuous",
+                     "EventParameters": [
+        {"ParameterID": "HapticIntensity", "ParameterValue": 1.0},
+        {"ParameterID": "HapticSharpness", "ParameterValue": 0.2}]}}  # fmt: skip
+    soft = {"Parameter": {"ParameterID": "HapticIntensityControl", "Time": 0.1,
+                          "ParameterValue": 0.25}}  # fmt: skip
+    source = tmp_path / "in.ahap"
+    source.write_text(json.dumps({"Version": 1.0, "Pattern": [hum, soft]}))
+    effect = load_effect(source)
+    played = effect if suffix is None else through(effect, tmp_path / f"out{suffix}")
+    time = np.arange(2000) / 8000
+    want = np.where(time < 0.1, 1.0, 0.25) * np.sin(2 * np.pi * 112 * (time - 0.05))
+    got = synthesize(played, 8000)[:, 0]
+    assert np.all(got[:400] == 0)
+    if suffix == ".haptic":
+        level_there = np.abs(got[400:2000]).reshape(-1, 200).max(axis=1)
+        assert level_there == pytest.approx([1, 1, *[0.25] * 6], abs=0.01)
+    else:
+        assert np.delete(got, 800)[400:1990] == pytest.approx(np.delete(want, 800)[400:1990])
+
+
 def test_core_haptics_limits_and_ignores_and_each_is_told(tmp_path: Path) -> None:
     source = tmp_path / "in.ahap"
     source.write_text(json.dumps({"Version": 1.0, "Colour": "red", "Pattern": [

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import typer
 
 from tactile.cli.app import AsJson, app, within
-from tactile.texture.formats.conversion import convert_file
 
 
 @app.command()
@@ -28,6 +27,8 @@ def convert(
 
     Example: tactile convert wood-oak oak.hjif --speed-mm-s 80
     """
+    from tactile.texture.formats.conversion import convert_file
+
     speed = None
     if speed_mm_s is not None:
         speed = within("--speed-mm-s", speed_mm_s, 1.0, 1000.0, 80.0) * 1e-3

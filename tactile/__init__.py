@@ -58,13 +58,13 @@ if TYPE_CHECKING:
     from tactile.rendering.strength import texture_strength as texture_strength
     from tactile.texture.descriptor import textures as textures
     from tactile.texture.descriptor_file import as_toml as as_toml
+    from tactile.texture.formats import load_effect as load_effect
     from tactile.texture.judging import fit_texture as fit_texture
     from tactile.texture.perception import TOUCH_CHANNELS as TOUCH_CHANNELS
     from tactile.texture.perception import TouchChannel as TouchChannel
     from tactile.texture.perception import detection_threshold as detection_threshold
     from tactile.texture.recorded_slide import Recorded as Recorded
     from tactile.texture.recorded_slide import load_recorded as load_recorded
-    from tactile.texture.formats import load_effect as load_effect
     from tactile.texture.surface import Texture as Texture
     from tactile.texture.surface import load_texture as load_texture
 

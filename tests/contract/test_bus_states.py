@@ -163,6 +163,18 @@ class TestStates:
         assert bus.status == base.Status("idle")
         assert_played(played(bench, bus, level(1, 2, 3)), level(1, 2, 3), bench.wire)
 
+    def test_positions_are_due_one_after_another_at_the_sample_rate(
+        self, bench: Bench, display: Display
+    ) -> None:
+        bus = bench.open(display)
+        bus.start(1000)
+        bus.write(DriveBlock(1000, level(1, 2, 3)))
+        steps = np.diff([bus.due(1000 + k) for k in (0, 16, 8000)])
+        # a clock of the amplifier's own is known to 200 ppm and rounds to ticks of 1 µs
+        assert steps == pytest.approx(np.array([16, 7984]) / bus.wiring.sample_rate, rel=1e-3)
+        assert bus.ahead >= 0
+        bus.stop()
+
     def test_estop_holds_where_nothing_played(self, bench: Bench, display: Display) -> None:
         bus = bench.open(display)
         bus.estop()

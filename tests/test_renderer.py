@@ -50,12 +50,18 @@ def grating(folder: Path, wavelength: float = 1.0, amplitude: float = 5.0) -> ta
 
 
 def plain(name: str) -> tactile.Texture:
-    """Return a shipped texture without envelope, events and laws."""
+    """Return a shipped texture without envelope, events, laws and friction."""
     texture = tactile.load_texture(name)
     assert texture.descriptor.stochastic is not None
     even = changed(texture.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
-    bare = changed(texture.descriptor, stochastic=even, events=(), laws=Laws())
+    bare = changed(texture.descriptor, stochastic=even, events=(), laws=Laws(), friction=None)
     return replace(texture, descriptor=bare)
+
+
+def without_friction(name: str) -> tactile.Texture:
+    """Return a shipped texture without friction, so that shear is a function of place."""
+    texture = tactile.load_texture(name)
+    return replace(texture, descriptor=changed(texture.descriptor, friction=None))
 
 
 def one(display: tactile.Display) -> tactile.Display:
@@ -205,7 +211,7 @@ def test_the_equalizer_inverts_the_amplifier_too(amplifier: Amplifier) -> None:
 def test_out_and_back_the_same_place_gives_the_same_shear(display: tactile.Display) -> None:
     n = np.arange(8001)
     x = 0.08 / RATE * np.minimum(n, 8000 - n)
-    renderer = tactile.Renderer(display, tactile.load_texture("wood-oak"))
+    renderer = tactile.Renderer(display, without_friction("wood-oak"))
     _, shear = run(renderer, np.column_stack([x, 0 * x]), 0.5, 64)
     at_place = shear[renderer.delay :]  # of sample k, as far as they have come out
     k = np.arange(20, 3980)
@@ -219,7 +225,7 @@ def test_out_and_back_the_same_place_gives_the_same_shear(display: tactile.Displ
 def test_out_and_back_through_a_smooth_turn_too(display: tactile.Display) -> None:
     n = np.arange(8001)
     x = 0.0127 * np.cos(2 * np.pi * n / RATE)
-    renderer = tactile.Renderer(display, tactile.load_texture("wood-oak"))
+    renderer = tactile.Renderer(display, without_friction("wood-oak"))
     _, shear = run(renderer, np.column_stack([x, 0 * x]), 0.5, 64)
     at_place = shear[renderer.delay :]
     k = np.arange(20, 3980)
@@ -255,7 +261,7 @@ def test_a_lifted_finger_gets_no_drive(display: tactile.Display) -> None:
 
 
 def test_laws_scale_shear_with_speed_and_force(display: tactile.Display) -> None:
-    texture = tactile.load_texture("leather-calf")
+    texture = without_friction("leather-calf")
     bare = replace(texture, descriptor=changed(texture.descriptor, laws=Laws()))
     path = tactile.Trajectory.line(speed=0.03, duration=0.2, normal_force=1.1)
     scaled, unscaled = (tactile.render(display, t, path).shear for t in (texture, bare))
@@ -290,7 +296,7 @@ def test_polarity_turns_the_drive_and_not_the_skin(display: tactile.Display) -> 
 
 
 def test_projected_shear_follows_the_cosine_of_the_motion(display: tactile.Display) -> None:
-    texture = tactile.load_texture("leather-calf")
+    texture = without_friction("leather-calf")
     path = tactile.Trajectory.line(speed=0.08, angle=np.radians(60), duration=0.2)
     whole = tactile.render(display, texture, path).shear
     part = tactile.render(replace(display, projected=True), texture, path).shear

@@ -18,6 +18,7 @@ from tactile.bench.crowd import measure_crowd, measure_crowd_long
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fit import measure_fit
+from tactile.bench.friction import measure_friction
 from tactile.bench.fuzz import measure_fuzz
 from tactile.bench.latency import measure_latency, measure_latency_long
 from tactile.bench.links import measure_links, measure_streams_long
@@ -34,6 +35,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "response": measure_response,
     "grating": measure_grating,
     "wood": measure_wood,
+    "friction": measure_friction,
     "bands": measure_bands,
     "place": measure_place,
     "speed": measure_speed,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tactile.display import Display
 from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
+from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
 from tactile.texture.surface import Partials, Texture
 
@@ -106,12 +107,18 @@ class Layer:
     ----------
     display, texture : what is played on, and what
     seed : of the surface's realization
+
+    Attributes
+    ----------
+    friction : law of the quasi-static part, which `skin_stretch` renders; None where there is none
     """
 
     def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
         surface = texture.realize(seed)
         contactors, partials = display.contactors, surface.partials
         self._law = Law(texture.descriptor)
+        with_friction = texture.descriptor.friction is not None
+        self.friction = FrictionLaw(texture.descriptor) if with_friction else None
         self._waves = _Waves((partials + surface.envelope).wave_vector)
         self._roll_off = _RollOff(partials.wave_vector)
         mean = np.exp(-np.sum(surface.envelope.amplitude**2) / 2)

@@ -1,9 +1,10 @@
 """The renderer: position and force in, volts out, block by block.
 
 The finger's places become strokes (`stroke`), each texture's `Layer` turns these into shear, and
-layers, each with its gain, and streamed waveforms add up; then the `Equalizer` turns shear into
-volts and the `Limiter` lets them out. Layers may be changed while it plays: new ones fade in as
-old ones fade out. Nothing depends on how the stream is cut.
+layers, each with its gain, what friction stretches the skin by (`skin_stretch`) and streamed
+waveforms add up; then the `Equalizer` turns shear into volts and the `Limiter` lets them out.
+Layers may be changed while it plays: new ones fade in as old ones fade out. Nothing depends on how
+the stream is cut.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import Limiter
+from tactile.rendering.skin_stretch import Bristles, Stretch
 from tactile.rendering.stroke import FARTHEST, NODE, Motion, Stroke
 from tactile.texture.surface import Texture
 
@@ -67,6 +69,10 @@ class Ramp:
     def to(self, value: float) -> None:
         """Go to a value, from where it is now."""
         self._from, self._to, self._way = self._at(self._way), value, 0.0
+
+    def after(self, samples: int) -> float:
+        """Return the gain some samples after the next."""
+        return self._to if self._way == 1 else self._at(min(self._way + self._step * samples, 1.0))
 
     def _at(self, way: float) -> float:
         return self._from + (self._to - self._from) * (1 - float(np.cos(np.pi * way))) / 2
@@ -134,12 +140,14 @@ class Renderer:
         self._fade_step = 1 / (display.limits.fade * sample_rate)
         self._fade = Ramp(self._fade_step, 1.0)
         self._layers: list[tuple[Layer, Ramp]] = []
+        self._rubbing: list[tuple[Bristles, Ramp]] = []
         if texture is not None:
-            whole = Layer(display, texture, seed=seed), Ramp(self._fade_step, 1.0)
-            self._layers.append(whole)
+            self._add(Layer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
         self.delay = self.filter.delay + self.limiter.delay
         self.frequency = frequency
         self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
+        at_rest = self.attainable[:, :, 0].min(axis=1)
+        self._stretch = Stretch(display, at_rest, sample_rate, CHUNK + NODE)
         self._invalid = 0
         self._late = np.zeros((self.delay, self._contactors), np.float32)
         self._nothing = self._waveform = np.zeros((0, self._contactors))
@@ -173,7 +181,12 @@ class Renderer:
             if id(layer) in gains:
                 ramp = Ramp(self._fade_step, 0.0)
                 ramp.to(gain)
-                self._layers.append((layer, ramp))
+                self._add(layer, ramp)
+
+    def _add(self, layer: Layer, ramp: Ramp) -> None:
+        self._layers.append((layer, ramp))
+        if layer.friction is not None:
+            self._rubbing.append((Bristles(layer.friction), ramp))
 
     @overload
     def block(
@@ -263,6 +276,7 @@ class Renderer:
 
     def _shear(self, stroke: Stroke, waveform: Floats) -> Singles:
         """Return what each contactor is to do (S, N) [m]."""
+        stretch = self._stretch(stroke, self._rubbing)  # before the ramps go on
         parts = [ramp(layer(stroke)) for layer, ramp in self._layers]
         shear = (
             parts[0]
@@ -273,6 +287,11 @@ class Renderer:
             shear = shear + part
         if any(ramp.silent for _, ramp in self._layers):
             self._layers = [(layer, ramp) for layer, ramp in self._layers if not ramp.silent]
+            self._rubbing = [
+                (bristles, ramp) for bristles, ramp in self._rubbing if not ramp.silent
+            ]
+        if stretch is not None:
+            shear += stretch
         if waveform.size:
             shear += waveform
         return self._fade(shear)

@@ -32,7 +32,9 @@ ends. Frames are turned down, all contactors alike, until that holds the voltage
 slope the slew: no clamp ever acts, at the price of 1–2 dB below what a limiter of samples allows.
 
 **Not carried**: sparse events and streamed waveforms, which are no partials. Of the shipped
-textures only wood-oak has events; `tactile bench spectrum` tells what is lost.
+textures only wood-oak has events; `tactile bench spectrum` tells what is lost. Nor friction
+(`skin_stretch`), which has a memory of the way that frames, each made from where the finger is now,
+do not have: on a link of frames no texture stretches the skin.
 """
 
 import math

@@ -147,7 +147,7 @@ class Laws(_Part, frozen=True, kw_only=True):
 
 
 class Friction(_Part, frozen=True, kw_only=True):
-    """The quasi-static force that the finger meets; stored, rendered as skin stretch later."""
+    """The quasi-static force that the finger meets, rendered as skin stretch (`skin_stretch`)."""
 
     static_coefficient: Annotated[float, Meta(gt=0, le=5)]
     kinetic_coefficient: Annotated[float, Meta(gt=0, le=5)]

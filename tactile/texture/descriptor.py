@@ -64,6 +64,11 @@ class Stochastic(_Part, frozen=True, kw_only=True):
     that a band's variance is 10^(level/10) times its width. Bands hold along ``direction_deg``;
     wave vectors scatter about it with standard deviation ``direction_spread_deg``, and without
     that key the surface is isotropic and the bands hold in every direction.
+
+    ``excess_kurtosis``, ``am_depth`` and ``am_corner_per_mm`` are what `tactile.texture.measures`
+    reads from this part's displacement within the bands along the direction, without the lines of
+    ``[[periodic]]`` and without ``[[events]]``. A depth d alone brings an excess kurtosis of
+    3 ((1 + d²)⁴ − 1): less cannot be had with it.
     """
 
     frequency_per_mm: tuple[SpatialFrequency, ...]

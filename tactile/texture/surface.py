@@ -30,10 +30,12 @@ DIRECTIONS = 72
 """In which an isotropic surface's bands are met, 2.5° apart."""
 NEARNESS = 0.05
 """Weight that keeps a wave's power near its ring's: 0.1 dB of fit for a spread within ± 25 %."""
+KEPT = 0.75
+"""Of the kurtosis of bursts, within the bands: they carry power beyond, mostly below (measured)."""
 JITTER_LINES = 5
 ENVELOPE_WAVES = 12
-BURST_RATIO = 4.0
-"""How much faster than the AM corner the envelope that carries the remaining kurtosis varies."""
+BURSTS = 3.0, 4.5
+"""Times the AM corner: where the envelope that carries the remaining kurtosis varies."""
 MICRO, PER_MM = 1e-6, 1e3
 
 
@@ -195,16 +197,23 @@ def stochastic_waves(stochastic: Stochastic, count: int) -> tuple[Floats, Floats
     """
     edges = band_edges(stochastic)
     number = edges[0] * (edges[-1] / edges[0]) ** ((np.arange(count) + 0.5) / count)
-    spread = (np.arange(count) * GOLDEN + 0.5) % 1
-    turn = np.pi * spread
-    if stochastic.direction_spread_deg is not None:
-        normal = ndtri(np.clip(spread, 1e-3, 1 - 1e-3))
-        turn = np.radians(stochastic.direction_deg + stochastic.direction_spread_deg * normal)
+    turn = _directions(stochastic, count)
     waves = number[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     width = np.diff(edges) / (2 * np.pi * PER_MM)
     target = 10 ** (np.asarray(stochastic.level_db) / 10) * width * MICRO**2
     share = band_shares(waves, edges, stroke_directions(stochastic)) / target[None, :, None]
     return waves, np.sqrt(2 * _powers(share.reshape(-1, count), np.digitize(number, edges) - 1))
+
+
+def _directions(stochastic: Stochastic, count: int) -> Floats:
+    """Return where wave vectors point [rad]: everywhere, or scattered about the direction."""
+    spread = (np.arange(count) * GOLDEN + 0.5) % 1
+    if stochastic.direction_spread_deg is None:
+        return np.asarray(np.pi * spread)
+    normal = ndtri(np.clip(spread, 1e-3, 1 - 1e-3))
+    return np.asarray(
+        np.radians(stochastic.direction_deg + stochastic.direction_spread_deg * normal)
+    )
 
 
 def _powers(share: Floats, ring: NDArray[np.intp]) -> Floats:
@@ -270,26 +279,50 @@ def grating(part: Periodic, rng: np.random.Generator) -> Partials:
 def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partials:
     """Return the waves g of the envelope exp(g − ⟨g²⟩), whose mean square is one.
 
-    A log-normal envelope of var(g) = s has the depth std/mean = √(exp(s) − 1) and gives the
-    product with a normal process the excess kurtosis 3 (exp(4s) − 1). The AM depth sets waves up
-    to the AM corner; what kurtosis is left sets faster ones.
+    Slow waves spread evenly, along a stroke, from nothing to the AM corner, bursts beyond it; of
+    an isotropic surface their wave vectors point everywhere, of a grained one along its direction
+    with the bands' scatter.
     """
-    if stochastic is None:
-        return Partials(*_no_waves(), np.zeros(0))
-    slow = np.log(1 + stochastic.am_depth**2)
-    burst = np.log(1 + stochastic.excess_kurtosis / 3) / 4 - slow
-    corner = 2 * np.pi * PER_MM * stochastic.am_corner_per_mm
     total = Partials(*_no_waves(), np.zeros(0))
-    for variance, top in ((slow, corner), (burst, BURST_RATIO * corner)):
+    if stochastic is None:
+        return total
+    place = (np.arange(ENVELOPE_WAVES) + 0.5) / ENVELOPE_WAVES
+    turn, burst = _directions(stochastic, ENVELOPE_WAVES), BURSTS[0] + place * np.ptp(BURSTS)
+    if stochastic.direction_spread_deg is None:
+        slow, heard = np.sqrt(1 - (1 - place) ** 2), 2 / np.pi * np.arcsin(1 / burst)
+    else:
+        across = np.cos(turn - np.radians(stochastic.direction_deg))
+        slow, heard = place, (burst * np.abs(across) <= 1).astype(np.float64)
+    corner = 2 * np.pi * PER_MM * stochastic.am_corner_per_mm
+    unit = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    shares = _variances(stochastic, float(heard.mean()))
+    for number, variance in zip((slow, burst), shares, strict=True):
         if variance > 0:
-            turn = np.pi * ((np.arange(ENVELOPE_WAVES) * GOLDEN) % 1)
-            number = top * (np.arange(ENVELOPE_WAVES) + 0.5) / ENVELOPE_WAVES
             total = total + Partials(
-                number[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1),
+                corner * number[:, None] * unit,
                 np.full(ENVELOPE_WAVES, np.sqrt(2 * variance / ENVELOPE_WAVES)),
                 rng.uniform(0, 2 * np.pi, ENVELOPE_WAVES),
             )
     return total
+
+
+def _variances(stochastic: Stochastic, heard: float) -> tuple[float, float]:
+    """Return the variance of the slow waves and of the bursts.
+
+    ``heard`` is the share of the bursts that a stroke meets below the AM corner. A log-normal
+    envelope of var(g) = s has the depth std/mean = √(exp(s) − 1) and gives the product with a
+    normal process the excess kurtosis 3 (exp(4s) − 1): below the corner s is to give the depth,
+    in all the kurtosis. A sum of n waves lacks some of a normal g's tail, which the next term of
+    ln I₀ makes up for, s (1 + 7s/2n), as `KEPT` does for the band limits. A depth alone brings
+    the kurtosis 3 ((1 + d²)⁴ − 1); where less is stated, that remains.
+    """
+    below = float(np.log(1 + stochastic.am_depth**2))
+    total = float(np.log(1 + stochastic.excess_kurtosis / 3)) / 4
+    total *= 1 + 3.5 * total / ENVELOPE_WAVES
+    if total <= below:
+        return below, 0.0
+    burst = min((total - below) / (KEPT - heard), total / KEPT)
+    return max(below - heard * burst, 0.0), burst
 
 
 def scatter(

@@ -90,7 +90,7 @@ AT_HOME = {
     "typer": {"cli"},
 }
 """Libraries that only some rooms or modules may import."""
-COMPARED = {"construct", "crccheck", "crcmod", "isotp"}
+COMPARED = {"construct", "crccheck", "crcmod", "isotp", "vibromaf"}
 """Libraries that the benchmarks measure beside ours where they are installed; none is needed."""
 PACKAGED = {
     "PIL": "pillow",

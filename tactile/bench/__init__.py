@@ -21,6 +21,7 @@ from tactile.bench.fit import measure_fit
 from tactile.bench.friction import measure_friction
 from tactile.bench.fuzz import measure_fuzz
 from tactile.bench.latency import measure_latency, measure_latency_long
+from tactile.bench.library import measure_library
 from tactile.bench.links import measure_links, measure_streams_long
 from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
@@ -58,6 +59,7 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "streams": measure_streams_long,
     "latency-long": measure_latency_long,
     "crowd-long": measure_crowd_long,
+    "library": measure_library,
 }
 """Those that take minutes."""
 

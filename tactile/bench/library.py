@@ -1,9 +1,10 @@
 """The library of textures: what is rendered is what each descriptor says, and what is played.
 
 **Rendered**: long straight cuts by the `Layer` that plays, at the reference speed and without laws,
-measured with what a fit measures recordings with. The bands' part alone is cut, as the numbers of
-``[stochastic]`` are about it; coherence between contactors is that of all waves. An isotropic
-surface is cut in eight directions, each of another seed, a grained one along its direction.
+measured with what a fit measures recordings with. The bands' part alone is cut, under its envelope,
+as the numbers of ``[stochastic]`` are about it; lines of a grating are the same at all contactors
+but for their phase. An isotropic surface is cut in eight directions, each of another seed, a
+grained one along its direction.
 **Played**: every texture on ``sim:``, shear commanded against shear played, of the same seed.
 
 Figures name the worst texture; one beyond a goal has a figure of its own.
@@ -47,11 +48,6 @@ FIDELITY, SIMILARITY = 40.0, 0.99
 """What played shear must reach: signal-to-error ratio [dB] and ST-SIM."""
 
 Complex = NDArray[np.complex128]
-
-
-def bare(texture: Texture) -> Texture:
-    """Return a texture without laws and events, for which the waves' closed forms hold."""
-    return replace(texture, descriptor=changed(texture.descriptor, laws=Laws(), events=()))
 
 
 def bands_alone(texture: Texture) -> Texture:
@@ -120,10 +116,12 @@ class Statistics:
     depth_error: float
 
 
-def statistics(texture: Texture, stated: Stochastic, *, seeds: int = SEEDS) -> Statistics:
-    """Return the statistics of a texture's bands, cut at all spots of the first seeds."""
-    only, turn = bands_alone(texture), directions(texture)
-    cuts = [cut(only, turn[k], k, spots(k)) for k in range(seeds)]
+def statistics(
+    texture: Texture, stated: Stochastic, *, seeds: int = SEEDS, length: float = LENGTH
+) -> Statistics:
+    """Return the statistics of a texture's bands from cuts of a length [m] over some seeds."""
+    only, turn = bands_alone(texture), directions(texture)[:: SEEDS // seeds]
+    cuts = [cut(only, turn[k], k, spots(k), length=length) for k in range(seeds)]
     halves = [np.concatenate(cuts[k::2]) for k in range(2)]
     corner = stated.am_corner_per_mm * 1e3
     kurtosis = np.array([measures.excess_kurtosis(half, STEP) for half in halves])
@@ -174,7 +172,7 @@ def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
 
     Parameters
     ----------
-    waves : of the surface, as `modulated`
+    waves : of the surface
     turns : directions of the strokes [rad]
     offset : (2,) from one contactor to the other along and across the motion [m]
     """
@@ -192,26 +190,6 @@ def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
     return np.asarray(np.abs(cross) ** 2 / np.maximum(power, 1e-300) ** 2)
 
 
-def modulated(texture: Texture) -> Partials:
-    """Return a texture's waves with the sidebands that its envelope gives the gratings.
-
-    exp(g − ⟨g²⟩) leaves exp(−⟨g²⟩/2) of a wave and gives it a half of that times each amplitude
-    of g on either side, to first order. Beside a band's own waves those of its other waves do not
-    count; a grating's may be stronger than a band.
-    """
-    surface, bands = texture.realize(), len(texture.amplitude)
-    waves, slow = surface.partials, surface.envelope
-    kept = float(np.exp(-np.sum(slow.amplitude**2) / 4))
-    vectors, amplitudes = [waves.wave_vector], [waves.amplitude.copy()]
-    amplitudes[0][bands:] *= kept
-    for side in (1, -1):
-        apart = waves.wave_vector[bands:, None] + side * slow.wave_vector
-        vectors.append(apart.reshape(-1, 2))
-        amplitudes.append(np.outer(amplitudes[0][bands:], slow.amplitude / 2).ravel())
-    amplitude = np.concatenate(amplitudes)
-    return Partials(np.concatenate(vectors), amplitude, np.zeros_like(amplitude))
-
-
 def hann_power(bins: Floats) -> Floats:
     """Return |W|² of a Hann window, one at zero, at distances in bins (Harris 1978)."""
     shape = np.sinc(bins) + 0.5 * np.sinc(bins - 1) + 0.5 * np.sinc(bins + 1)
@@ -220,16 +198,16 @@ def hann_power(bins: Floats) -> Floats:
 
 def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Floats]:
     """Return rendered − own coherence per band, of contactors along and across the motion."""
-    waves, turns = bare(texture), directions(texture)[:seeds]
+    waves, turns = bands_alone(texture), directions(texture)[:: SEEDS // seeds]
     gaps = np.array([[0, 0], [ALONG, 0], [0, ACROSS]])
     rows = [
         spectra(cut(waves, turn, k, (gaps[:, None] + spots(k)).reshape(-1, 2), length=LENGTH / 2))
         for k, turn in enumerate(turns)
     ]
     base, *others = np.stack(rows, axis=1).reshape(3, SPOTS * seeds, -1, rows[0].shape[-1])
-    lines = modulated(waves)
+    surface = waves.realize().partials
     return {
-        name: rendered_coherence(base, other) - own_coherence(lines, turns, gap)
+        name: rendered_coherence(base, other) - own_coherence(surface, turns, gap)
         for name, other, gap in zip(("along", "across"), others, gaps[1:], strict=True)
     }
 
@@ -289,7 +267,8 @@ def similarity(commanded: Floats, felt: Floats) -> float:
     except ImportError:
         return float("nan")
     scale = max(np.abs(commanded).max(), np.abs(felt).max())
-    scores = [st_sim(f / scale, c / scale) for f, c in zip(felt.T, commanded.T, strict=True)]
+    with np.errstate(divide="ignore"):
+        scores = [st_sim(f / scale, c / scale) for f, c in zip(felt.T, commanded.T, strict=True)]
     return min(0.0 if isinstance(score, complex) else float(score) for score in scores)
 
 

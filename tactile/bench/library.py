@@ -3,7 +3,7 @@
 **Rendered**: long straight cuts by the `Layer` that plays, at the reference speed and without laws,
 measured with what a fit measures recordings with. The bands' part alone is cut, under its envelope,
 as the numbers of ``[stochastic]`` are about it; lines of a grating are the same at all contactors
-but for their phase. An isotropic surface is cut in eight directions, each of another seed, a
+but for their phase. An isotropic surface is cut in 16 directions, each of another seed, a
 grained one along its direction.
 **Played**: every texture on ``sim:``, shear commanded against shear played, of the same seed.
 
@@ -32,7 +32,7 @@ from tactile.texture.surface import Partials, Texture, load_texture
 
 STEP = 50e-6
 """m between samples of a cut."""
-SEEDS, SPOTS = 8, 8
+SEEDS, SPOTS = 16, 4
 """Cuts: so many surfaces, and places on each too far apart to have anything in common."""
 LENGTH = 1.2
 """m of a cut; all are 77 m, 19 000 periods of the lowest band."""

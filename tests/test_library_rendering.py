@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile.bench import library
 from tactile.display import load_display
-from tactile.texture.descriptor import textures
+from tactile.texture.descriptor import Laws, textures
 from tactile.texture.surface import Partials, Texture, load_texture
 
 Floats = NDArray[np.float64]
@@ -74,19 +74,26 @@ def test_other_numbers_give_other_statistics(
     assert np.abs(found.level).max() < 1.0
 
 
-def test_a_cut_is_the_surface_under_its_envelope_at_each_place() -> None:
+def test_a_cut_is_bands_under_their_envelope_and_a_grating_as_it_is() -> None:
     """Waves added up in double precision at p + x_i, contactors turned with the motion."""
-    texture = library.bands_alone(load_texture("wood-pine-sanded"))
+    pine = load_texture("wood-pine-sanded")
+    texture = replace(pine, descriptor=changed(pine.descriptor, laws=Laws()))
     offsets, angle = np.array([[0.0, 0.0], [2.0, 0.5]]), 0.7
     shear = library.cut(texture, angle, 3, offsets, length=0.02)
     surface = texture.realize(3)
+    waves, bands = surface.partials, len(texture.amplitude)
+    assert len(waves.amplitude) - bands == surface.gratings == 15
+    parts = [
+        Partials(waves.wave_vector[part], waves.amplitude[part], waves.phase[part])
+        for part in (slice(bands), slice(bands, None))
+    ]
     along = np.array([math.cos(angle), math.sin(angle)])
     beside = np.array([-math.sin(angle), math.cos(angle)])
     way = np.arange(400) * 50e-6
     for (x, y), row in zip(offsets, shear, strict=True):
         place = way[:, None] * along + x * along + y * beside
         exponent = surface.envelope.at(place) - np.sum(surface.envelope.amplitude**2) / 2
-        wanted = surface.partials.at(place) * np.exp(exponent)
+        wanted = parts[0].at(place) * np.exp(exponent) + parts[1].at(place)
         assert np.std(row - wanted) < 1e-3 * np.std(wanted)
 
 

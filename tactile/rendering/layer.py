@@ -9,8 +9,9 @@ separable, so a block of samples is a product of matrices,
 Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, in what
 is commanded and played alike). The roll-off W follows the velocity at nodes every 8 samples of the
 stream, ramped between them; while the finger is too slow for any partial to leave the band it is
-one. The envelope multiplies, sparse events add, the laws of speed and force multiply. A layer
-remembers nothing of the stream, so that it may be made anywhere and sent to who plays it.
+one. The envelope multiplies what is no grating, sparse events add, the laws of speed and force
+multiply. A layer remembers nothing of the stream, so that it may be made anywhere and sent to who
+plays it.
 """
 
 import numpy as np
@@ -121,8 +122,9 @@ class Layer:
         self.friction = FrictionLaw(texture.descriptor) if with_friction else None
         self._waves = _Waves((partials + surface.envelope).wave_vector)
         self._roll_off = _RollOff(partials.wave_vector)
-        mean = np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
-        self._to_shear = _interleaved(_at_contactors(partials, contactors) * mean)
+        self._bands = 2 * (len(partials.amplitude) - surface.gratings)
+        self._to_shear = _interleaved(_at_contactors(partials, contactors))
+        self._to_shear[: self._bands] *= np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
         self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
         self._axes = display.shear_axes if display.projected else None
         self._events = None
@@ -135,9 +137,12 @@ class Layer:
         sides, split = phasors.view(np.float32), len(self._to_shear)
         if not stroke.squares.max() <= self._roll_off.slow_squared:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
-        shear = sides[:, :split] @ self._to_shear
+        whole = self._bands if len(self._to_envelope) else split
+        shear = sides[:, :whole] @ self._to_shear[:whole]
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
+        if whole < split:
+            shear += sides[:, whole:split] @ self._to_shear[whole:]
         if self._events is not None:
             shear += self._events.at(stroke.place[:2])
         shear *= self._scale(

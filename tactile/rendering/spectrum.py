@@ -24,8 +24,9 @@ Images of one partial fall on the same frequencies from every carrier, so its ne
 them: shares are the least-squares solution that leaves least in the images, held near the
 partial's own carrier, then scaled to unit power, which for one carrier is the known
 compensation. They change continuously with frequency, sub-band edges included. The texture's own
-envelope makes sidebands of a partial, at f_m ± v·q for its waves q; they take the shares of
-their place, all its waves at their rms frequency and to first order in its logarithm.
+envelope makes sidebands of a partial, unless it is a grating's, at f_m ± v·q for its waves q; they
+take the shares of their place, all its waves at their rms frequency and to first order in its
+logarithm.
 
 **Limits**. A sum of carriers never exceeds Σ|Z_p|, between frames no more than at the larger of its
 ends. Frames are turned down, all contactors alike, until that holds the voltage limit and its
@@ -271,6 +272,7 @@ class SpectrumRenderer:
         surface = texture.realize(seed)
         self._display, self._waves = display, surface.partials
         self._law, self._envelope = Law(texture.descriptor), surface.envelope
+        self._bands = len(self._waves.amplitude) - surface.gratings
         self.spacing = round(sample_rate / frame_rate)
         self._rate = rate = sample_rate / self.spacing
         sizes = np.linalg.norm(self._waves.wave_vector, axis=1) / (2 * np.pi)
@@ -327,18 +329,21 @@ class SpectrumRenderer:
         sign = np.where(signed < 0, -1.0, 1.0)
         turn = np.exp(1j * sign * (self._waves.wave_vector @ place)).astype(np.complex64)
         at = np.where(sign[:, None] < 0, self._at.conj(), self._at)
-        factor, even, odd, aside = self._factor(place, velocity, force)
+        rise, even, odd, aside = self._rise(place, velocity)
         sides = (0.0, aside, -aside) if aside else (0.0,)
         table = [self._played(np.abs(signed) + side, force) for side in sides]
         found = np.empty((at.shape[1], len(self.carriers)), np.complex128)
+        bands = self._bands
         for kind, members in enumerate(self._kinds):
             waves = at[:, members].T * turn
-            plain, *pair = [waves @ played[kind] for played in table]
+            plain, *pair = [waves[:, :bands] @ played[kind, :bands] for played in table]
             found[members] = plain
             if pair:
                 both, apart = pair[0] + pair[1] - 2 * plain, pair[0] - pair[1]
                 found[members] += even[members, None] * both + odd[members, None] * apart
-        return found * factor[:, None]
+            found[members] *= rise[members, None]
+            found[members] += waves[:, bands:] @ table[0][kind, bands:]
+        return found * self._factor(velocity, force)[:, None]
 
     def _played(self, frequency: Floats, force: float) -> NDArray[np.complex64]:
         """Return (C, M, P) of the table at frequencies (M,) [Hz] and a force [N]."""
@@ -355,27 +360,30 @@ class SpectrumRenderer:
             found += (here + (table[:, index + 1] - here) * part) * np.float32(1 - abs(load - k))
         return found
 
-    def _factor(
-        self, place: Floats, velocity: Floats, force: float
-    ) -> tuple[Floats, Floats, Complex, float]:
-        """Return what multiplies each contactor's waves and how that moves on.
+    def _factor(self, velocity: Floats, force: float) -> Floats:
+        """Return what multiplies each contactor (N,): laws, axis and polarity."""
+        law = self._law(np.array([velocity @ velocity]), np.array([force]))
+        factor = law * self._display.polarity
+        if self._display.projected:
+            factor *= self._display.shear_axes @ velocity / math.hypot(*velocity, STILL)
+        return np.asarray(factor)
+
+    def _rise(self, place: Floats, velocity: Floats) -> tuple[Floats, Floats, Complex, float]:
+        """Return the envelope at each contactor, which multiplies what is no grating.
 
         Returns
         -------
-        factor : (N,) laws, envelope, axis and polarity
-        even, odd, aside : (N,), (N,) and [Hz]; the envelope goes on as 1 + even (e₊ + e₋ − 2) +
+        rise : (N,) now
+        even, odd, aside : (N,), (N,) and [Hz]; it goes on as 1 + even (e₊ + e₋ − 2) +
             odd (e₊ − e₋) with e± = exp(±2πj aside t), to first order in its logarithm
         """
         slow, signed = self._envelope, self._envelope.wave_vector @ velocity
         log = np.exp(1j * (slow.wave_vector @ place))[:, None] * self._at_envelope
         now, growth = log.sum(axis=0).real, (1j * signed @ log).real
         mean_square = np.sum(slow.amplitude**2) / 2
-        law = self._law(np.array([velocity @ velocity]), np.array([force]))
-        factor = law * np.exp(now - mean_square) * self._display.polarity
-        if self._display.projected:
-            factor *= self._display.shear_axes @ velocity / math.hypot(*velocity, STILL)
         omega = math.sqrt(np.sum((slow.amplitude * signed) ** 2) / max(2 * mean_square, 1e-12))
-        return factor, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
+        rise = np.exp(now - mean_square)
+        return rise, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
 
     def sensation_level(self, velocity: ArrayLike, normal_force: float) -> Floats:
         """Return how far what each carrier plays is above detection, (P,) [dB].

@@ -93,7 +93,8 @@ class Stochastic(_Part, frozen=True, kw_only=True):
 class Periodic(_Part, frozen=True, kw_only=True):
     """A grating: peak amplitude and phase of each harmonic, locked to place.
 
-    ``jitter`` is the relative standard deviation of its wavelength from place to place.
+    ``jitter`` is the relative standard deviation of its wavelength from place to place. The
+    envelope of ``[stochastic]`` leaves a grating as it is.
     """
 
     wavelength_mm: Annotated[float, Meta(ge=0.02, le=100)]

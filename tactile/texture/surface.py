@@ -75,6 +75,7 @@ class Surface:
     ----------
     partials : the waves
     envelope : exponent of the positive envelope that multiplies them, itself slow waves (no unit)
+    gratings : how many of the partials, the last, are a grating's, which no envelope multiplies
     events : place (E, 2) [m], peak (E,) [m] and kind (index into the descriptor's) of the sparse
         features in one tile of ``tile`` [m], which repeats
     """
@@ -85,6 +86,7 @@ class Surface:
     event_peak: Floats
     event_kind: NDArray[np.intp]
     tile: float = 25.6e-3
+    gratings: int = 0
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ class Texture:
             scaled,
             envelope(self.descriptor.stochastic, rng),
             *scatter(self.descriptor.events, Surface.tile, rng),
+            gratings=len(partials.amplitude) - len(self.amplitude),
         )
 
 

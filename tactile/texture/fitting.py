@@ -348,18 +348,22 @@ def _anchor(bands: Floats, center: Floats) -> float:
 
 
 def _stochastic(found: Measurement, bands: Floats, spread: Floats) -> Stochastic:
+    """Return the random part; its kurtosis is at least what its modulation alone brings."""
     strokes = [u for slide in found.slides for u in slide.bare]
     lengths, step, center = [len(u) for u in strokes], found.step, found.center
     corners = [measures.am_corner(u, step, center=center) for u in strokes]
     corner = float(np.clip(np.nanmedian([*corners, USUAL_CORNER]), 10.0, 1000.0))
-    depth = [measures.am_depth(u, step, corner, center=center) for u in strokes]
-    kurtosis = [measures.excess_kurtosis(u, step, center=center) for u in strokes]
+    depths = [measures.am_depth(u, step, corner, center=center) for u in strokes]
+    depth = float(np.clip(np.average(depths, weights=lengths), 0, 1))
+    peaked = [measures.excess_kurtosis(u, step, center=center) for u in strokes]
+    kurtosis = float(np.average(peaked, weights=lengths))
+    alone = 3 * ((1 + depth**2) ** 4 - 1)
     return Stochastic(
         frequency_per_mm=tuple(_digits(c * 1e-3) for c in center),
         level_db=tuple(np.round(bands, 1).tolist()),
         level_sd_db=tuple(np.round(spread, 1).tolist()) if len(found.slides) > 2 else (),
-        excess_kurtosis=round(float(np.clip(np.average(kurtosis, weights=lengths), 0, 30)), 2),
-        am_depth=round(float(np.clip(np.average(depth, weights=lengths), 0, 1)), 2),
+        excess_kurtosis=round(float(np.clip(kurtosis, alone, 30)), 2),
+        am_depth=round(depth, 2),
         am_corner_per_mm=round(corner * 1e-3, 3),
     )
 

@@ -776,6 +776,13 @@ async def ause():
 def held():
     return threading.active_count(), len(os.listdir("/proc/self/fd"))
 
+def files():
+    found = []
+    for name in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            found.append(os.readlink(f"/proc/self/fd/{name}"))
+    return found
+
 async def main():
     before = held()
     for _ in range(4):
@@ -783,7 +790,7 @@ async def main():
             await ause() if twin == "asyncio" else use()
         deadline = time.monotonic() + 20
         while held() != before:
-            assert time.monotonic() < deadline, (before, held(), threading.enumerate())
+            assert time.monotonic() < deadline, (before, held(), threading.enumerate(), files())
             time.sleep(0.01)
 
 asyncio.run(main())

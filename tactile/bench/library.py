@@ -36,6 +36,8 @@ SEEDS, SPOTS = 16, 4
 """Cuts: so many surfaces, and places on each too far apart to have anything in common."""
 LENGTH = 1.2
 """m of a cut; all are 77 m, 19 000 periods of the lowest band."""
+SEGMENT = 80e-3
+"""m of a spectrum's segment, 20 periods of the lowest band."""
 ALONG, ACROSS = 2.5e-3, 3.5e-3
 """m between contactors along and across the motion: the pitch of reference-24."""
 SPEEDS = (0.04, 0.08)
@@ -138,7 +140,7 @@ def statistics(
 
 def spectra(signal: Floats) -> Complex:
     """Return the transforms (..., P, F) of half overlapping Hann segments of 80 mm."""
-    size = round(measures.SEGMENT / STEP)
+    size = round(SEGMENT / STEP)
     window = np.hanning(size + 1)[:-1].astype(np.float32)
     starts = range(0, signal.shape[-1] - size + 1, size // 2)
     parts = [np.fft.rfft(signal[..., k : k + size] * window) for k in starts]
@@ -147,7 +149,7 @@ def spectra(signal: Floats) -> Complex:
 
 def bands_of_bins(count: int) -> Floats:
     """Return (16, F) ones where a bin of `spectra` lies in a band."""
-    frequency = np.arange(count) / measures.SEGMENT
+    frequency = np.arange(count) / SEGMENT
     band = np.digitize(frequency, measures.third_octaves()) - 1
     return np.asarray(band == np.arange(len(measures.CENTERS))[:, None], np.float64)
 
@@ -176,14 +178,14 @@ def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
     turns : directions of the strokes [rad]
     offset : (2,) from one contactor to the other along and across the motion [m]
     """
-    bins = np.arange(round(measures.SEGMENT / STEP) // 2 + 1)
+    bins = np.arange(round(SEGMENT / STEP) // 2 + 1)
     bands = bands_of_bins(len(bins))
     cross, power = np.zeros(len(bands), np.complex128), np.zeros(len(bands))
     for turn in turns:
         along = np.array([np.cos(turn), np.sin(turn)])
         signed = waves.wave_vector @ along
         gap = waves.wave_vector @ (offset @ np.array([along, [-along[1], along[0]]]))
-        beside = bins[:, None] - np.abs(signed) / (2 * np.pi) * measures.SEGMENT
+        beside = bins[:, None] - np.abs(signed) / (2 * np.pi) * SEGMENT
         share = waves.amplitude**2 * (bands @ hann_power(beside))
         power += share.sum(axis=1)
         cross += share @ np.exp(1j * np.sign(signed) * gap)

@@ -80,7 +80,7 @@ def test_without_color_the_surface_is_height_and_the_spectrum_bars(command: Comm
     (felt,) = [line for line in lines if line[43:].startswith("   251 ")]
     micro, decibels = felt.split()[-4], felt.split()[-2]
     assert float(micro) == pytest.approx(seen("wood-oak").spectrum.total[24] * 1e6, abs=0.005)
-    assert float(decibels) == pytest.approx(20 * np.log10(float(micro) / 0.1005), abs=0.6)
+    assert float(decibels) == pytest.approx(20 * np.log10(float(micro) / (0.45 * 0.1)), abs=0.6)
     assert "1.19 µm rms at 80 mm/s and 0.5 N" in lines[-2]
     assert lines[-1].startswith("source: Level: reference")
 
@@ -187,7 +187,7 @@ def test_a_picture_is_written(command: Command) -> None:
 
 def test_a_sheet_of_one_category_is_written(command: Command) -> None:
     result = command("sheet", "wood.svg", "--category", "wood")
-    assert (result.code, result.out) == (0, "drawn: wood.svg, 2 textures\n")
+    assert (result.code, result.out) == (0, "drawn: wood.svg, 5 textures\n")
     drawn = Path("wood.svg").read_text("utf-8")
     assert "pine-sanded" in drawn
     assert "calf" not in drawn

@@ -23,8 +23,9 @@ from scipy.signal import welch
 from tactile.files import shipped, shipped_names
 from tactile.rendering.shear import EventField
 from tactile.texture import descriptor
+from tactile.texture.amplitudes import strength_of
 from tactile.texture.descriptor import About, Descriptor, Events
-from tactile.texture.strength import event_variance, strength_of
+from tactile.texture.event_power import mean_square
 from tactile.texture.surface import Texture, load_texture
 
 Floats = NDArray[np.float64]
@@ -204,7 +205,7 @@ def test_events_are_as_strong_as_campbell_says(shape: Literal["pulse", "edge"]) 
     places = np.random.default_rng(0).uniform(0, surface.tile, (2, 100_000))
     shear = np.asarray(EventField(surface, (kind,), np.zeros((1, 2))).at(places), np.float64)
     expected_square = kind.density_per_mm2 * kind.amplitude_um**2 * math.exp(2 * 0.3**2)
-    area_mm2 = event_variance(kind) / expected_square
+    area_mm2 = mean_square(kind) * 1e12 / expected_square
     total = np.sum(surface.event_peak**2) * area_mm2 / (surface.tile * 1e3) ** 2
     assert np.mean(shear**2) == pytest.approx(total, rel=0.06)
 
@@ -240,7 +241,7 @@ def events_of(kind: Events) -> Floats:
     density = 4 * sigma * math.sqrt(math.pi) * np.exp(-steep)
     if kind.shape == "edge":
         density = density * 2 * steep
-    return np.asarray(event_variance(kind) * np.trapezoid(density, k, axis=0), np.float64)
+    return np.asarray(mean_square(kind) * 1e12 * np.trapezoid(density, k, axis=0), np.float64)
 
 
 def felt_levels(d: Descriptor) -> Floats:

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from tactile.display import load_display
 from tactile.errors import InputError
 from tactile.gallery import views
-from tactile.gallery.threshold import THRESHOLD, threshold_at
 from tactile.gallery.views import CENTER, EDGES, Tile, View, view_texture
 from tactile.plots import plot_sheet, plot_texture, sheet_figure, texture_figure, texture_plots
 from tactile.plots.sheet_plots import COLUMNS
+from tactile.rendering.commanded import commanded_lines
+from tactile.texture.perception import band_sensation, detection_threshold
 from tactile.texture.surface import Texture, load_texture
 
 Floats = NDArray[np.float64]
@@ -189,18 +190,31 @@ def test_a_grating_across_the_stroke_does_not_sound(tmp_path: Path) -> None:
     assert not len(views.shown_bands(across))
 
 
-def test_the_threshold_is_the_tables_and_straight_between() -> None:
-    np.testing.assert_allclose(threshold_at(THRESHOLD[:, 0]), THRESHOLD[:, 1] * 1e-6)
-    assert threshold_at(np.sqrt(100 * 160)) == pytest.approx(np.sqrt(0.56 * 0.2) * 1e-6)
-    assert threshold_at(0.1) == pytest.approx(25e-6)
-    assert threshold_at(1001.0) == np.inf
+def test_just_felt_is_the_published_table_for_motion_along_the_skin_up_to_1_khz() -> None:
+    """0.45 times that along the normal, straight between where both are logarithmic."""
+    hz = np.array([10.0, 100.0, 250.0, np.sqrt(100 * 125), 1000.0, 0.1, 1001.0])
+    normal = np.array([8.91, 0.562, 0.1, np.sqrt(0.562 * 0.355), 3.55, 25.1, np.inf])
+    np.testing.assert_allclose(views.just_felt(hz), 0.45e-6 * normal)
 
 
-@pytest.mark.parametrize(("micro", "felt"), [(0.099, []), (0.102, [251.19])])
+@pytest.mark.parametrize("speed", [0.04, 0.12])
+def test_show_and_strength_tell_the_same_level(speed: float, tmp_path: Path) -> None:
+    """Of a grating in the band that it is in, 46.8 or 140.4 Hz, before what the display plays."""
+    grating = "[[periodic]]\nwavelength_mm = 0.8547\nharmonics_um = [3.0]\n"
+    texture = made(tmp_path, grating + "[laws]\nspeed_exponent = 0.0\n")
+    shown = views.texture_spectrum(texture, speed=speed)
+    lines = commanded_lines(texture, speed=speed, normal_force=0.5)
+    level = band_sensation(lines.frequency, lines.power)
+    band = int(np.argmax(level))
+    center, own = detection_threshold(np.array([CENTER[band], speed / 0.8547e-3]))
+    assert shown.excess_db[band] + 20 * np.log10(center / own) == pytest.approx(level[band], abs=0.01)
+
+
+@pytest.mark.parametrize(("micro", "felt"), [(0.0445, []), (0.0459, [251.19])])
 def test_a_texture_is_felt_from_the_threshold_on(
     micro: float, felt: list[float], tmp_path: Path
 ) -> None:
-    """A grating of 0.16 mm sounds at 250 Hz at 40 mm/s, where 0.1005 µm is just felt."""
+    """One of 0.16 mm sounds at 250 Hz at 40 mm/s, where 0.45 × 0.1 µm is just felt."""
     content = f"[[periodic]]\nwavelength_mm = 0.16\nharmonics_um = [{micro}]\n"
     view = view_texture(made(tmp_path, content), DISPLAY, speed=0.04)
     figures = views.view_figures(view)
@@ -270,7 +284,10 @@ def test_the_figure_draws_bands_stems_threshold_and_reach() -> None:
     view = seen("plastic-acrylic-ribbed", 0.4)
     axes = texture_figure(view).axes[1]
     lines = [np.asarray(line.get_xydata(), np.float64) for line in axes.lines]
-    np.testing.assert_array_equal(lines[0], THRESHOLD)
+    published = np.array([[1, 25.1], [40, 2.82], [250, 0.1], [630, 0.668], [1000, 3.55]])
+    told = lines[0][np.isin(lines[0][:, 0], published[:, 0])]
+    np.testing.assert_allclose(told, published * [1, 0.45])
+    assert lines[0][-1, 0] == 1000
     stems = [line for line in lines[1:] if len(line) == 2]
     np.testing.assert_allclose([stem[0, 0] for stem in stems], np.arange(1, 6) * 400 / 1.69)
     np.testing.assert_allclose([stem[1, 1] for stem in stems], view.spectrum.grating_peak * 1e6)
@@ -318,7 +335,8 @@ def test_facts_are_told_above() -> None:
     told = " ".join(texts(texture_figure(view)))
     for fact in ("wood-oak on reference-24", f"{view.rms * 1e6:.2f} µm rms", "European oak",
                  "authored", "friction 0.5 at rest, 0.35 sliding", "source: Level: reference",
-                 "sparse events, in the mean", "detection threshold ± 5 dB"):  # fmt: skip
+                 "sparse events, in the mean",
+                 "tangential detection threshold ± 5 dB"):  # fmt: skip
         assert fact in told
     assert "gratings" not in told
 

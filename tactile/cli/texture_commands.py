@@ -12,8 +12,8 @@ from tactile.cli.app import AsJson, app, print_table
 from tactile.errors import NotFoundError
 from tactile.files import nearest
 from tactile.texture import descriptor
+from tactile.texture.amplitudes import strength_of
 from tactile.texture.descriptor import About, Descriptor
-from tactile.texture.strength import strength_of
 
 CATEGORIES = [str(name) for name in get_args(About.__annotations__["category"])]
 

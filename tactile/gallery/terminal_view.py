@@ -15,8 +15,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
-from tactile.gallery.threshold import threshold_at
-from tactile.gallery.views import CENTER, PIXELS, SIDE, View, facts, shown_bands
+from tactile.gallery.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
 from tactile.terminal import (
     BADGE,
     HEIGHTS,
@@ -114,7 +113,7 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
     for band in shown:
-        micro, least = s.total[band] * 1e6, float(threshold_at(CENTER[band])) * 1e6
+        micro, least = s.total[band] * 1e6, float(just_felt(CENTER[band])) * 1e6
         excess = s.excess_db[band]
         style = FELT if excess >= 0 else HIDDEN
         part, mark = (math.log(max(v / low, 1.0)) / math.log(high / low) for v in (micro, least))

@@ -13,17 +13,20 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from tactile.display import Display
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.gallery.threshold import threshold_at
+from tactile.rendering.commanded import law_factor
 from tactile.rendering.contact import Trajectory
+from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
-from tactile.rendering.shear import FWHM, EventField, Law
+from tactile.rendering.shear import EventField
 from tactile.texture import descriptor as descriptors
+from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Events, Periodic
+from tactile.texture.event_power import mean_square, power_below
+from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Surface, Texture
 
 Floats = NDArray[np.float64]
@@ -31,7 +34,7 @@ Floats = NDArray[np.float64]
 BANDS = 34
 """Third octaves from 1 Hz to 2 kHz."""
 CENTER = 10 ** (np.arange(BANDS) / 10)
-EDGES = 10 ** ((np.arange(BANDS + 1) - 0.5) / 10)
+EDGES = third_octaves(CENTER)
 """Hz; centers and edges of base ten (IEC 61260-1)."""
 NORMAL_FORCE = 0.5
 """N."""
@@ -48,6 +51,15 @@ SETTLED = 16
 """Samples of a stroke's start that are left out, until the finger's velocity is known."""
 SLOWEST = 0.1
 """Hz; a grating that sounds below it is not crossed but followed."""
+
+
+def just_felt(frequency: Floats) -> Floats:
+    """Return the peak of motion along the skin that is just felt at frequencies (...) [Hz], [m].
+
+    Infinite beyond 1 kHz, where no display plays and nothing normally is felt.
+    """
+    inside = frequency <= PASS_BAND * (1 + 1e-9)
+    return np.where(inside, detection_threshold(frequency), np.inf)
 
 
 @dataclass(frozen=True)
@@ -76,7 +88,7 @@ class Spectrum:
     def excess_db(self) -> Floats:
         """Of each third octave above the detection threshold, (34,); −inf beyond 1 kHz."""
         with np.errstate(divide="ignore"):
-            return np.asarray(20 * np.log10(self.total / threshold_at(CENTER)))
+            return np.asarray(20 * np.log10(self.total / just_felt(CENTER)))
 
 
 @dataclass(frozen=True)
@@ -199,16 +211,15 @@ def tile(texture: Texture, *, speed: float) -> Tile:
     )
 
 
-def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
-    """Return what the laws of speed [m/s] and force [N] make of a displacement of one."""
-    law = Law(texture.descriptor)
-    return float(law(np.array([speed**2]), np.array([normal_force]))[0])
-
-
 def texture_rms(texture: Texture, speed: float, normal_force: float) -> float:
-    """Return the root mean square of the displacement [m]: waves, gratings and events."""
+    """Return the root mean square of the displacement at a speed [m/s] and a force [N], [m].
+
+    Of the realized waves and gratings, what lies below the lowest band and ``contact_length_mm``
+    included, and of events; `tactile.texture.amplitudes.strength_of` is what a descriptor says at
+    its reference, without either.
+    """
     waves = float(np.sum(texture.partials.amplitude**2)) / 2
-    events = sum(float(_event_power(kind, np.array([np.inf]))[0]) for kind in _kinds(texture))
+    events = sum(mean_square(kind) for kind in _kinds(texture))
     return law_factor(texture, speed, normal_force) * float(np.sqrt(waves + events))
 
 
@@ -276,7 +287,7 @@ def texture_spectrum(
     waves = _by_band(sounds, drawn.amplitude[:count] ** 2)
     events = np.zeros(BANDS)
     for kind in _kinds(texture):
-        events += 2 * np.diff(_event_power(kind, 2 * np.pi * EDGES / speed))
+        events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))
     frequency, peak = _gratings(texture, speed)
     return Spectrum(factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak)
 
@@ -288,23 +299,6 @@ def _kinds(texture: Texture) -> tuple[Events, ...]:
 def _by_band(frequency: Floats, power: Floats) -> Floats:
     """Return the sums of what lies in each third octave, (34,)."""
     return np.histogram(frequency, EDGES, weights=power)[0]
-
-
-def _event_power(kind: Events, wave_number: Floats) -> Floats:
-    """Return the mean square [m²] that events have along x up to wave numbers (K,) [rad/m].
-
-    Campbell's theorem for events scattered at random: density × mean square amplitude × the power
-    spectrum of one, here a Gaussian or its derivative, integrated over the wave numbers across.
-    """
-    sigma = kind.width_mm * 1e-3 / FWHM
-    square = (kind.amplitude_um * 1e-6) ** 2 * np.exp(2 * kind.amplitude_sd**2)
-    whole = kind.density_per_mm2 * 1e6 * square * np.pi * sigma**2
-    u = np.minimum(sigma * wave_number, 10.0)
-    if kind.shape == "pulse":
-        return np.asarray(whole * erf(u))
-    turn = np.radians(kind.direction_deg)
-    ahead = erf(u) / 2 - u * np.exp(-(u**2)) / np.sqrt(np.pi)
-    return np.asarray(whole * np.e * (np.cos(turn) ** 2 * ahead + np.sin(turn) ** 2 * erf(u) / 2))
 
 
 def _gratings(texture: Texture, speed: float) -> tuple[Floats, Floats]:
@@ -397,7 +391,7 @@ def view_figures(view: View) -> dict[str, object]:
         "kinetic_friction": None if friction is None else friction.kinetic_coefficient,
         "third_octave_hz": [round(float(f), 2) for f in center],
         "third_octave_um": (s.total[shown] * 1e6).tolist(),
-        "threshold_um": (threshold_at(center) * 1e6).tolist(),
+        "threshold_um": (just_felt(center) * 1e6).tolist(),
         "attainable_um": (np.interp(center, view.frequency, view.attainable) * 1e6).tolist(),
         "felt_hz": [round(float(f), 2) for f in center[s.excess_db[shown] >= 0]],
         "grating_hz": s.grating_frequency.tolist(),

@@ -7,8 +7,17 @@ import numpy as np
 
 from tactile.actuator.response import TipResponse
 from tactile.errors import InputError
-from tactile.gallery.threshold import THRESHOLD, THRESHOLD_SPREAD_DB
-from tactile.plots.style import COLORS, GRAY, check_file, name_ends, new_figure, plain, save
+from tactile.plots.style import (
+    COLORS,
+    GRAY,
+    THRESHOLD_NAME,
+    check_file,
+    draw_threshold,
+    name_ends,
+    new_figure,
+    plain,
+    save,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,6 +25,8 @@ if TYPE_CHECKING:
 
 BAND = (1.0, 2000.0)
 """Hz."""
+NAMED_AT = 1.0
+"""µm, below the threshold at its low end."""
 
 
 def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltage: float) -> None:
@@ -66,22 +77,13 @@ def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Fi
     size.set(yscale="log", ylabel="tip per volt [µm/V]", xscale="log", xlim=BAND)
     phase.set(ylabel="phase [°]")
     reach.set(yscale="log", ylabel=f"peak shear at {voltage:g} V [µm]", xlabel="frequency [Hz]")
-    _threshold(reach)
+    draw_threshold(reach)
+    reach.text(1.2, NAMED_AT, THRESHOLD_NAME, color=GRAY, verticalalignment="top")
     _plain_ticks(size, phase, reach)
     for axes, end in zip((size, phase, reach), ends, strict=True):
         plain(axes)
         name_ends(axes, end)
     return figure
-
-
-def _threshold(axes: "Axes") -> None:
-    """Draw what a large contactor needs to be felt."""
-    frequency, micro = THRESHOLD.T
-    spread = 10 ** (THRESHOLD_SPREAD_DB / 20)
-    axes.fill_between(frequency, micro / spread, micro * spread, color="#e4e4e4", linewidth=0)
-    axes.plot(frequency, micro, color=GRAY, linewidth=1.2, linestyle="--")
-    name = f"detection threshold ± {THRESHOLD_SPREAD_DB:g} dB"
-    axes.text(1.2, 2.3, name, color=GRAY, verticalalignment="top")
 
 
 def _plain_ticks(size: "Axes", phase: "Axes", reach: "Axes") -> None:

@@ -127,8 +127,8 @@ def _legend(figure: "Figure", speed: float) -> None:
         f"stroke (left to right, {speed * 1e3:g} mm/s, {NORMAL_FORCE:g} N), blue against it; one "
         "scale per category. Strips: peak of each third octave, "
         f"{LEVELS[0]:g} to {LEVELS[1]:g} µm over {BAND[0]:g} to {BAND[1]:g} Hz, both logarithmic: "
-        "blue the surface, green sparse events, stems gratings, against the detection threshold "
-        "(dashed, gray)."
+        "blue the surface, green sparse events, stems gratings, against the tangential "
+        "detection threshold (dashed, gray)."
     )
     _write(figure, MARGIN, 0.38, textwrap.fill(said, width), 9, color="#333333")
 

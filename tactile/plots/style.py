@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile.errors import InputError
+from tactile.texture.perception import THRESHOLD, THRESHOLD_SPREAD_DB, detection_threshold
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ DPI = 150
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito 2008, yellow left out since it fades on white."""
 BLUE, RED, GRAY = COLORS[0], COLORS[1], "#666666"
+THRESHOLD_NAME = f"tangential detection threshold ± {THRESHOLD_SPREAD_DB:g} dB"
 NAME_HEIGHT = 0.07
 """Of the axes: distance kept between the names of lines."""
 
@@ -46,6 +48,15 @@ def name_ends(axes: "Axes", ends: list[tuple[float, str, str]]) -> None:
         place[1:] += push
     for at, (_, name, color) in zip(place.tolist(), ends, strict=True):
         axes.text(1.01, at, name, transform=axes.transAxes, color=color, va="center")
+
+
+def draw_threshold(axes: "Axes", *, bold: float = 1.0) -> None:
+    """Draw what motion along the skin must have to be felt, up to 1 kHz [Hz], [µm peak]."""
+    frequency = THRESHOLD[:, 0]
+    micro = detection_threshold(frequency) * 1e6
+    spread = 10 ** (THRESHOLD_SPREAD_DB / 20)
+    axes.fill_between(frequency, micro / spread, micro * spread, color="#e4e4e4", linewidth=0)
+    axes.plot(frequency, micro, color=GRAY, linewidth=1.2 * bold, linestyle="--")
 
 
 def plain(axes: "Axes", *, grid: bool = True) -> None:

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.gallery.threshold import THRESHOLD, THRESHOLD_SPREAD_DB
 from tactile.gallery.views import BANDS, CENTER, EDGES, SIDE, Spectrum, Sweep, View, facts
 from tactile.plots.style import (
     BLUE,
     COLORS,
     GRAY,
     RED,
+    THRESHOLD_NAME,
     axes_at,
     check_file,
+    draw_threshold,
     new_figure,
     plain,
     save,
@@ -133,10 +134,7 @@ def draw_spectrum(axes: "Axes", spectrum: Spectrum, *, bold: float = 1.0) -> Non
 
     What lies beyond 1 kHz is pale. ``bold`` scales the widths of the lines.
     """
-    frequency, micro = THRESHOLD.T
-    spread = 10 ** (THRESHOLD_SPREAD_DB / 20)
-    axes.fill_between(frequency, micro / spread, micro * spread, color="#e4e4e4", linewidth=0)
-    axes.plot(frequency, micro, color=GRAY, linewidth=1.2 * bold, linestyle="--")
+    draw_threshold(axes, bold=bold)
     inside = np.arange(BANDS) < np.searchsorted(CENTER, PASS_BAND * 1.01)
     for values, color, strength in ((spectrum.waves, BLUE, 0.35), (spectrum.events, GREEN, 0.0)):
         shown = np.maximum(values * 1e6, 1e-6)
@@ -179,7 +177,7 @@ def _name_parts(axes: "Axes", view: View) -> None:
     s = view.spectrum
     parts = ((s.waves, "surface", BLUE), (s.grating_peak, "gratings", RED),
              (s.events, "sparse events, in the mean", GREEN))  # fmt: skip
-    names = [(f"detection threshold ± {THRESHOLD_SPREAD_DB:g} dB", GRAY)]
+    names = [(THRESHOLD_NAME, GRAY)]
     names += [(name, color) for values, name, color in parts if values.max(initial=0.0) > 0]
     level = np.log10(view.attainable[view.frequency <= PASS_BAND].min() * 1e6 / LEVELS[0])
     low, high = np.log10(axes.get_ylim())

@@ -5,29 +5,24 @@ square of the laws of speed and force, rolled off above 1 kHz. The envelope exp(
 square one, leaves exp(−var g) of that power in its place and puts the rest into sidebands at the
 frequencies of g's waves (their first order, which takes the little of the higher ones as well).
 
-Sparse events are shot noise (Campbell): of density λ and mean square peak ⟨A²⟩, with h the shape of
-unit peak, their autocorrelation along the stroke is λ⟨A²⟩ ∫ h(r) h(r + d) dr. For Gaussian bumps of
-standard deviation σ that gives power λ⟨A²⟩πσ², of which erf(x) is below the frequency f, with
-x = 2πfσ/v; for their derivative, the edge, e λ⟨A²⟩πσ² [erf(x)/2 − cos²β x exp(−x²)/√π] is below it,
-β being the angle between stroke and edge. Their mean is zero, as often up as down.
+Sparse events have the expected spectrum of `tactile.texture.event_power`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from tactile.rendering.equalizer import roll_off
-from tactile.rendering.shear import FWHM, Law
+from tactile.rendering.shear import Law
 from tactile.texture.descriptor import Events
+from tactile.texture.event_power import power_below
 from tactile.texture.surface import Surface, Texture
 
 Floats = NDArray[np.float64]
 
 EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 400))
 """Hz between which the events' power is told as one line."""
-MILLI, MICRO = 1e-3, 1e-6
 
 
 @dataclass(frozen=True)
@@ -100,12 +95,5 @@ def _modulated(surface: Surface, velocity: Floats) -> Lines:
 
 def _event_lines(kind: Events, speed: float, angle: float) -> Lines:
     """Return one kind's expected spectrum; events are not rolled off."""
-    sigma = kind.width_mm * MILLI / FWHM
-    square = (kind.amplitude_um * MICRO) ** 2 * np.exp(2 * kind.amplitude_sd**2)
-    whole = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
-    x = 2 * np.pi * EVENT_EDGES * sigma / speed
-    below = erf(x)
-    if kind.shape == "edge":
-        along = np.cos(angle - np.radians(kind.direction_deg)) ** 2
-        below = np.e * (erf(x) / 2 - along * x * np.exp(-(x**2)) / np.sqrt(np.pi))
-    return Lines((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, whole * np.diff(below))
+    below = power_below(kind, 2 * np.pi * EVENT_EDGES / speed, angle)
+    return Lines((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, np.diff(below))

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.texture.descriptor import Descriptor, Events
+from tactile.texture.event_power import FWHM
 from tactile.texture.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -15,7 +16,6 @@ SHIFT = 11
 PIXELS = 1 << SHIFT
 """Of an event field's side: 12.5 µm on a tile of 25.6 mm."""
 LAST = PIXELS - 1
-FWHM = 2 * np.sqrt(2 * np.log(2))
 
 
 def held_power_law(

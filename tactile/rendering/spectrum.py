@@ -32,10 +32,10 @@ logarithm.
 ends. Frames are turned down, all contactors alike, until that holds the voltage limit and its
 slope the slew: no clamp ever acts, at the price of 1–2 dB below what a limiter of samples allows.
 
-**Not carried**: sparse events and streamed waveforms, which are no partials. Of the shipped
-textures only wood-oak has events; `tactile bench spectrum` tells what is lost. Nor friction
-(`skin_stretch`), which has a memory of the way that frames, each made from where the finger is now,
-do not have: on a link of frames no texture stretches the skin.
+**Not carried**: sparse events and streamed waveforms, which are no partials. `tactile bench
+spectrum` tells what textures with events lose by it. Nor friction (`skin_stretch`), which has a
+memory of the way that frames, each made from where the finger is now, do not have: on a link of
+frames no texture stretches the skin.
 """
 
 import math
@@ -50,6 +50,7 @@ from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import FARTHEST, STILL
+from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Texture
 
 Complex = NDArray[np.complex128]
@@ -77,19 +78,6 @@ ROUNDING = 10 ** (0.125 / 20)
 MOST = 64
 SLOWEST = 20.0
 """Carriers and frames a second that the protocol allows."""
-THRESHOLD = np.array(
-    [
-        [1, 10, 20, 40, 63, 100, 160, 250, 400, 500, 630, 800, 1000],
-        [25, 8.9, 5, 2.8, 1.5, 0.56, 0.2, 0.1, 0.16, 0.32, 0.67, 1.6, 3.5],
-    ]
-)
-"""Detection of vibration, large contactor: Hz and µm peak, ± 5 dB (Verrillo and Bolanowski)."""
-
-
-def detection_threshold(frequency: Floats) -> Floats:
-    """Return the shear [m peak] that is just felt at frequencies [Hz], held beyond 1 … 1000 Hz."""
-    f, size = np.log(THRESHOLD)
-    return np.asarray(1e-6 * np.exp(np.interp(np.log(np.maximum(frequency, 1e-3)), f, size)))
 
 
 def carrier_frequencies(count: int, frame_rate: float, highest: float = HIGHEST) -> Floats:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import InputError
 from tactile.texture import measures
+from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import (
     BANDS,
     About,
@@ -169,12 +170,12 @@ def measure_slides(
     usual = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
     reference = reference_speed or float(np.exp(np.log(usual).mean()))
     center = centers_at(reference)
-    step = 1 / (2 * OVERSAMPLING * measures.third_octaves(center)[-1])
+    step = 1 / (2 * OVERSAMPLING * third_octaves(center)[-1])
     slides = [_slide(r, step, measures.SHORTEST / center[0]) for r in recordings]
     progress("lines")
     whole = [u for s in slides for u in s.strokes]
     lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
-    found = find_gratings(whole, step, lows, measures.third_octaves(center)[-1])
+    found = find_gratings(whole, step, lows, third_octaves(center)[-1])
     slides = [changed(s, bare=[without(u, step, found) for u in s.strokes]) for s in slides]
     progress("bands")
     level = np.array([_level(s, step, center, noise) for s in slides])
@@ -220,7 +221,7 @@ def _level(slide: Slide, step: float, center: Floats, noise: Recorded | None) ->
         still = changed(noise, speed=np.full(len(noise.signal), slide.speed))
         own = mean_power(strokes_of(still, step, measures.SHORTEST / center[0]), step, center)
         power = np.maximum(power - own, BURIED * power)
-    edges = measures.third_octaves(center) * slide.speed
+    edges = third_octaves(center) * slide.speed
     covered = (edges[:-1] >= 0.9 * LOWEST) & (edges[1:] <= 0.4 * slide.recorded.sample_rate)
     return np.where(covered, 10 * np.log10(np.maximum(power, 1e-30)), np.nan)
 
@@ -343,7 +344,7 @@ def _bands(level: Floats, center: Floats) -> tuple[Floats, Floats]:
 
 def _anchor(bands: Floats, center: Floats) -> float:
     """Return what brings uncalibrated bands to `ANCHOR` [dB]."""
-    width = np.diff(measures.third_octaves(center)) * 1e-3
+    width = np.diff(third_octaves(center)) * 1e-3
     return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
 
 

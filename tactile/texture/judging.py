@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from tactile.texture import measures
+from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import About, Stochastic
 from tactile.texture.fitting import Fit, Measurement, describe, measure_slides
 from tactile.texture.recorded_slide import Recorded
@@ -193,7 +194,7 @@ def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
 def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, float]:
     """Return strokes (R, S) [m] along a surface's direction, each elsewhere, and their step [m]."""
     vectors, amplitude = stochastic_waves(stochastic, WAVES)
-    step = 1 / (2.56 * measures.third_octaves(center)[-1])
+    step = 1 / (2.56 * third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
     place = step * np.arange(round(PERIODS / center[0] / step))
     path = place[:, None] * [np.cos(turn), np.sin(turn)]
@@ -210,7 +211,7 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
 
 def _white(levels: Floats, center: Floats) -> Floats:
     """Return white noise of the power that levels (16,) have."""
-    width = np.diff(measures.third_octaves(center))
+    width = np.diff(third_octaves(center))
     power = np.sum(10 ** (levels / 10) * width) / width.sum()
     return np.full(len(levels), 10 * np.log10(power))
 
@@ -229,7 +230,7 @@ def _autoregressive(seen: Measurement, levels: Floats) -> Floats:
     model = solve_toeplitz(autocorrelation[:ORDER], autocorrelation[1:])
     turn = np.exp(-2j * np.pi * np.outer(frequency * seen.step, np.arange(1, ORDER + 1)))
     density = 1 / np.abs(1 - turn @ model) ** 2 / weight
-    edges = measures.third_octaves(seen.center)
+    edges = third_octaves(seen.center)
     band = np.digitize(frequency, edges) - 1
     mean = np.array([10 * np.log10(density[band == k].mean()) for k in range(len(levels))])
     return np.asarray(mean + np.mean(levels - mean))

@@ -15,6 +15,7 @@ from scipy.signal.windows import tukey
 from scipy.special import hyp2f1
 
 from tactile.errors import InputError
+from tactile.texture.bands import third_octaves
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +32,6 @@ QUIET = 1e-5
 """Of the strongest third octave's power: one that is weaker is not brought up to it."""
 HIGHEST_CORNER = 1e3
 """cycles/m up to which modulation is sought, as far as a descriptor goes."""
-
-
-def third_octaves(center: Floats = CENTERS) -> Floats:
-    """Return the 17 edges of the bands around 16 centers, in the centers' unit."""
-    return np.append(center * 10**-0.05, center[-1] * 10**0.05)
 
 
 def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> Floats:

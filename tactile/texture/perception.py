@@ -33,6 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.texture.bands import third_octaves
+
 Floats = NDArray[np.float64]
 
 THRESHOLD = np.array(
@@ -78,7 +80,7 @@ FREQUENCY_JND = (0.18, 0.25)
 MICRO = 1e-6
 CENTERS = 10 ** (np.arange(32) / 10)
 """Hz: third octaves 1 … 1000 Hz and the one above, in which commanded shear ends (IEC 61260)."""
-EDGES = np.append(CENTERS * 10**-0.05, CENTERS[-1] * 10**0.05)
+EDGES = third_octaves(CENTERS)
 
 
 def _straight(frequency: Floats, knots: Floats) -> Floats:

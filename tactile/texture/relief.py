@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter
 
+from tactile.texture.bands import third_octaves
 from tactile.texture.gratings import hann
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,7 @@ CENTERS = (
     0.25, 0.316, 0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0,
 )  # fmt: skip
 """Cycles/mm, of the shipped textures."""
-EDGES = np.append(np.array(CENTERS) * 10**-0.05, CENTERS[-1] * 10**0.05) * 1e3
+EDGES = third_octaves(np.array(CENTERS)) * 1e3
 """Cycles/m, as `surface.band_edges` draws them."""
 PERIODS = 4
 """Fewest periods of a band's center in the shorter side; a Hann window is good to 2."""

@@ -21,6 +21,7 @@ from scipy.special import ndtri
 
 from tactile.errors import InputError
 from tactile.texture import descriptor as descriptors
+from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
 
 Floats = NDArray[np.float64]
@@ -181,9 +182,8 @@ def _no_waves() -> tuple[Floats, Floats]:
 
 def band_edges(stochastic: Stochastic) -> Floats:
     """Return the 17 edges of the third-octave bands [rad/m]."""
-    center = np.asarray(stochastic.frequency_per_mm)
-    edges = np.append(center * 10**-0.05, center[-1] * 10**0.05)
-    return np.asarray(edges * 2 * np.pi * PER_MM)
+    edges = third_octaves(np.asarray(stochastic.frequency_per_mm))
+    return edges * 2 * np.pi * PER_MM
 
 
 def stroke_directions(stochastic: Stochastic) -> Floats:

@@ -1,21 +1,18 @@
 """How strong a descriptor is, in closed form: no surface is drawn, so that all can be listed.
 
 The variance of skin displacement along a stroke is a sum over the three parts: of a band, its
-density times its width; of a grating, half the square of each harmonic; of sparse events,
-Campbell's theorem (Rice 1944): density × mean square amplitude × the integral of the squared
-shape. Displacement holds at the reference speed and force, before ``contact_length_mm``; what an
-isotropic surface adds below its lowest band is not counted.
+density times its width; of a grating, half the square of each harmonic; of sparse events, see
+`event_power`. Displacement holds at the reference speed and force, before ``contact_length_mm``;
+what an isotropic surface adds below its lowest band is not counted. What a realized surface has at
+another speed and force, with both, is `tactile.gallery.views.texture_rms`.
 """
 
 import math
 from dataclasses import dataclass
 
-from tactile.texture.descriptor import Descriptor, Events
-
-FWHM = math.sqrt(8 * math.log(2))
-"""Full width at half maximum of a Gaussian, in standard deviations."""
-RELATIVE_WIDTH = 10**0.05 - 10**-0.05
-"""Width of a third octave over its center (IEC 61260-1, base ten)."""
+from tactile.texture.bands import RELATIVE_WIDTH
+from tactile.texture.descriptor import Descriptor
+from tactile.texture.event_power import MICRO, mean_square
 
 
 @dataclass(frozen=True)
@@ -44,16 +41,5 @@ def strength_of(descriptor: Descriptor) -> Strength:
         pairs = zip(stochastic.frequency_per_mm, stochastic.level_db, strict=True)
         bands = sum(10 ** (level / 10) * RELATIVE_WIDTH * center for center, level in pairs)
     peaks = [peak for part in descriptor.periodic for peak in part.harmonics_um]
-    events = sum(event_variance(kind) for kind in descriptor.events)
+    events = sum(mean_square(kind) for kind in descriptor.events) / MICRO**2
     return Strength(math.sqrt(bands), math.hypot(*peaks) / math.sqrt(2), math.sqrt(events))
-
-
-def event_variance(kind: Events) -> float:
-    """Return the variance [µm²] of events at a place.
-
-    A pulse is the Gaussian b = exp(−r²/2σ²), ∫b² = πσ²; an edge its derivative with the same
-    peak, b·(x/σ)·√e, ∫ = e·πσ²/2. Log-normal amplitudes have the mean square a² exp(2s²).
-    """
-    sigma = kind.width_mm / FWHM
-    area = math.pi * sigma**2 * (math.e / 2 if kind.shape == "edge" else 1.0)
-    return kind.density_per_mm2 * kind.amplitude_um**2 * math.exp(2 * kind.amplitude_sd**2) * area

@@ -13,6 +13,21 @@ Floats = NDArray[np.float64]
 
 RATE = 8000.0
 """Hz of every drive that is measured."""
+HANDFUL = (
+    "abrasive-p120",
+    "foam-reticulated-30ppi",
+    "glass-ribbed",
+    "leather-calf",
+    "metal-knurled-rge08",
+    "paper-laid",
+    "plastic-acrylic-ribbed",
+    "rubber-crumb",
+    "stone-granite-flamed",
+    "textile-corduroy",
+    "wood-oak",
+)
+"""Shipped textures that stand for all where each takes seconds: one of each category, gratings and
+sparse events among them. The figures keep their names as the library grows."""
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
+from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, seconds
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
-from tactile.texture.descriptor import textures
 from tactile.texture.surface import Texture, load_texture
 
 
@@ -48,7 +47,7 @@ def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -
 def measure_speed() -> Iterator[Figure]:
     """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
 
-    The plain surface is waves and laws; the textures as shipped have an envelope, and two of them
+    The plain surface is waves and laws; textures as shipped have an envelope, and some of them
     sparse events.
     """
     from msgspec.structs import replace as changed
@@ -63,7 +62,7 @@ def measure_speed() -> Iterator[Figure]:
     yield at_least("speed.64.with_shear", times_real(many, plain, 64, shear=True), "×", 15)
     yield at_least("speed.1024.blocks_of_64", times_real(more, plain, 64, shear=False), "×", 2)
     yield Figure("speed.1024.blocks_of_16", times_real(more, plain, 16, shear=False), "×")
-    for name in textures():
+    for name in HANDFUL:
         as_shipped = times_real(many, load_texture(name), 64, shear=False)
         yield Figure(f"speed.64.blocks_of_64.{name}", as_shipped, "×")
 

@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import spectrum as wire
-from tactile.bench.figures import RATE, Figure, Floats, at_most, seconds
+from tactile.bench.figures import HANDFUL, RATE, Figure, Floats, at_most, seconds
 from tactile.bench.rendering import without_events, without_friction
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.rendering.spectrum import SpectrumRenderer
-from tactile.texture.descriptor import textures
 from tactile.texture.surface import Texture, load_texture
 
 SECONDS = 6.0
@@ -124,9 +123,9 @@ def compared(
 
 
 def measure_spectrum() -> Iterator[Figure]:
-    """Compare spectrum frames with samples, for every shipped texture: its waves alone."""
+    """Compare spectrum frames with samples, for a handful of textures: their waves alone."""
     display = load_display("reference-24")
-    whole = [without_friction(load_texture(name)) for name in textures()]
+    whole = [without_friction(load_texture(name)) for name in HANDFUL]
     waves = [replace(t, descriptor=without_events(t.descriptor)) for t in whole]
     for case, found in compared(display, waves, SPEEDS, CASES).items():
         yield from _judged(f"spectrum.{case[0]}_at_{case[1]:g}_hz", found, GOALS.get(case))

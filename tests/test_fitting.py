@@ -5,7 +5,6 @@ Slides are made in `slides`, from closed forms.
 
 import numpy as np
 import pytest
-from msgspec.structs import asdict
 from slides import Floats, Surface, slide
 
 from tactile.errors import InputError
@@ -40,7 +39,15 @@ def errors(found: Fit, surface: Surface) -> Floats:
     return np.asarray(np.asarray(stochastic.level_db) - wanted)
 
 
-@pytest.mark.parametrize("quantity", ["acceleration", "velocity", "displacement", "force"])
+@pytest.mark.parametrize(
+    "quantity",
+    [
+        "acceleration",
+        "force",
+        pytest.param("velocity", marks=pytest.mark.ci),
+        pytest.param("displacement", marks=pytest.mark.ci),
+    ],
+)
 def test_every_quantity_gives_the_bands_it_was_made_of(quantity: str) -> None:
     surface = Surface(level_db=-5, slope=-2)
     slides = [
@@ -266,6 +273,7 @@ def test_only_the_steady_part_of_a_slide_is_used() -> None:
     assert np.abs(error.mean()) < 0.5
 
 
+@pytest.mark.ci
 def test_a_fit_predicts_the_half_it_has_not_seen_as_well_as_the_seen_half_does() -> None:
     surface = Surface(slope=-2.0)
     slides = [slide(surface, v, seed=k) for k, v in enumerate(SPEEDS)]
@@ -273,6 +281,10 @@ def test_a_fit_predicts_the_half_it_has_not_seen_as_well_as_the_seen_half_does()
     assert verdict.rendering.rms_db < verdict.ceiling.rms_db + 0.5
     assert verdict.white.rms_db > 8
     assert verdict.autoregressive.rms_db > verdict.rendering.rms_db
-    alone, verdict = judging.fit_texture([slides[0]], ABOUT)
+    assert fitted.descriptor.texture.id == "known"
+
+
+def test_one_recording_is_judged_by_its_halves() -> None:
+    alone, verdict = judging.fit_texture([slide(Surface(slope=-2.0), SPEEDS[0], seed=0)], ABOUT)
     assert verdict.rendering.rms_db < 2.5
-    assert asdict(alone.descriptor.texture)["id"] == fitted.descriptor.texture.id == "known"
+    assert alone.descriptor.texture.id == "known"

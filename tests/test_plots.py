@@ -270,7 +270,13 @@ def save_played(path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize(("save", "inches"), [(save_response, (7.0, 9.0)), (save_played, (9.0, 0))])
+@pytest.mark.parametrize(
+    ("save", "inches"),
+    [
+        (save_response, (7.0, 9.0)),
+        pytest.param(save_played, (9.0, 0), marks=pytest.mark.ci),
+    ],
+)
 def test_a_png_has_150_dots_per_inch_and_is_not_blank(
     save: Any, inches: tuple[float, float], tmp_path: Path
 ) -> None:
@@ -282,6 +288,7 @@ def test_a_png_has_150_dots_per_inch_and_is_not_blank(
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+@pytest.mark.ci
 def test_other_files(suffix: str, start: bytes, tmp_path: Path) -> None:
     path = tmp_path / f"a.{suffix}"
     save_response(path)
@@ -309,6 +316,7 @@ def test_without_matplotlib_one_line_tells_what_to_install(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.ci
 def test_matplotlib_is_imported_late_and_its_state_left_alone() -> None:
     script = (
         "import sys, tactile.plots as p\n"

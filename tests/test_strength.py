@@ -225,6 +225,7 @@ def test_bands_are_those_of_a_rendered_stroke(name: str) -> None:
     assert np.abs(difference.mean()) < 0.15
 
 
+@pytest.mark.ci
 def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_path: Path) -> None:
     """Few waves far apart, with an envelope of half depth: 20 s hold them within 0.5 dB."""
     level = ", ".join(["-10.0"] * 16)
@@ -354,6 +355,7 @@ def test_a_trial_settles_at_every_place(display: Display, calf: Texture) -> None
     np.testing.assert_allclose(found, whole[160 - late : 2160 - late], atol=2e-3)
 
 
+@pytest.mark.ci
 def test_two_displays_are_equally_strong_as_rendered(
     display: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

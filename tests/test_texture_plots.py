@@ -103,7 +103,9 @@ def test_sparse_events_are_on_the_surface() -> None:
     np.testing.assert_allclose(patch - waves, expected, atol=0.02 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ["wood-oak", "plastic-acrylic-ribbed"])
+@pytest.mark.parametrize(
+    "name", ["wood-oak", pytest.param("plastic-acrylic-ribbed", marks=pytest.mark.ci)]
+)
 def test_the_rms_is_that_of_a_large_piece_of_surface(name: str) -> None:
     texture = shipped(name)
     patch = views.surface_patch(texture, side=8.0, pixels=300, speed=0.08)
@@ -132,7 +134,12 @@ def test_third_octaves_are_those_of_a_long_stroke() -> None:
 
 
 @pytest.mark.parametrize(
-    "shape", ['shape = "pulse"', 'shape = "edge"', 'shape = "edge"\ndirection_deg = 60.0']
+    "shape",
+    [
+        'shape = "pulse"',
+        pytest.param('shape = "edge"', marks=pytest.mark.ci),
+        'shape = "edge"\ndirection_deg = 60.0',
+    ],
 )
 def test_events_have_the_spectrum_of_many_of_them(shape: str, tmp_path: Path) -> None:
     """By the Fourier transform of the tile that they repeat on, along every line of it."""
@@ -207,7 +214,8 @@ def test_show_and_strength_tell_the_same_level(speed: float, tmp_path: Path) -> 
     level = band_sensation(lines.frequency, lines.power)
     band = int(np.argmax(level))
     center, own = detection_threshold(np.array([CENTER[band], speed / 0.8547e-3]))
-    assert shown.excess_db[band] + 20 * np.log10(center / own) == pytest.approx(level[band], abs=0.01)
+    expected = level[band] + 20 * np.log10(own / center)
+    assert shown.excess_db[band] == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize(("micro", "felt"), [(0.0445, []), (0.0459, [251.19])])

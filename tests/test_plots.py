@@ -227,8 +227,8 @@ def test_silence_is_white() -> None:
     nothing = np.zeros_like(play.target)
     quiet = plots.Played(DISPLAY, play.time, nothing, nothing, nothing, play.position)
     figure = plots.played_figure(quiet, title="silence")
-    figure.canvas.draw()
     for _, contactors, _ in images(figure):
+        contactors.update_scalarmappable()
         assert np.asarray(contactors.get_facecolor())[:, :3].min() > 0.95
 
 

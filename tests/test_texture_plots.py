@@ -353,7 +353,7 @@ def test_facts_are_told_above() -> None:
     ("name", "speed"),
     [
         pytest.param("wood-oak", 0.08, marks=pytest.mark.ci),
-        ("plastic-acrylic-ribbed", 0.4),
+        pytest.param("plastic-acrylic-ribbed", 0.4, marks=pytest.mark.ci),
     ],
 )
 def test_no_text_lies_on_another_or_beyond_the_page(name: str, speed: float) -> None:

@@ -27,6 +27,7 @@ from tactile.rendering.layer import Layer
 from tactile.rendering.stroke import HISTORY, Stroke
 from tactile.sim import Fidelity
 from tactile.texture import measures
+from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Laws, Stochastic, textures
 from tactile.texture.surface import Partials, Texture, load_texture
 
@@ -150,7 +151,7 @@ def spectra(signal: Floats) -> Complex:
 def bands_of_bins(count: int) -> Floats:
     """Return (16, F) ones where a bin of `spectra` lies in a band."""
     frequency = np.arange(count) / SEGMENT
-    band = np.digitize(frequency, measures.third_octaves()) - 1
+    band = np.digitize(frequency, third_octaves(measures.CENTERS)) - 1
     return np.asarray(band == np.arange(len(measures.CENTERS))[:, None], np.float64)
 
 

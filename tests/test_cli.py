@@ -431,8 +431,19 @@ def test_every_help_text_has_an_example(
 def test_every_command_is_among_these(command: Command) -> None:
     listed = command("--help").out.partition("Commands:")[2]
     names = {line.split()[0] for line in listed.splitlines() if line.startswith("  ")}
-    wanted = {"bench", "budget", "check", "devices", "fit", "play", "relief", "response", "serve"}
-    wanted |= {"sheet", "show", "strength", "textures"}
+    wanted = {
+        "bench",
+        "budget",
+        "check",
+        "convert",
+        "devices",
+        "fit",
+        "play",
+        "relief",
+        "response",
+        "serve",
+    }
+    wanted |= {"response", "serve", "sheet", "show", "strength", "textures"}
     assert names == wanted
 
 

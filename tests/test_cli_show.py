@@ -76,7 +76,7 @@ def test_without_color_the_surface_is_height_and_the_spectrum_bars(command: Comm
     assert "spectrum at 80 mm/s, µm peak per third octave" in lines[3]
     surface = [line[:40] for line in lines[4:24]]
     assert {sign for line in surface for sign in line} <= set(HEIGHTS)
-    assert lines[24].startswith("−4 µm ▁")
+    assert lines[24].startswith("−5 µm ▁")
     (felt,) = [line for line in lines if line[43:].startswith("   251 ")]
     micro, decibels = felt.split()[-4], felt.split()[-2]
     assert float(micro) == pytest.approx(seen("wood-oak").spectrum.total[24] * 1e6, abs=0.005)

@@ -81,7 +81,8 @@ def test_the_surface_is_the_sum_of_the_partials_times_their_envelope() -> None:
     y, x = np.meshgrid(*[(np.arange(31) - 15) * 4e-3 / 31] * 2, indexing="ij")
     place = np.stack([x, y], axis=-1)
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    expected = surface.partials.at(place) * np.exp(surface.envelope.at(place) - spread)
+    bands, gratings = surface.split
+    expected = bands.at(place) * np.exp(surface.envelope.at(place) - spread) + gratings.at(place)
     np.testing.assert_allclose(patch, expected, atol=1e-4 * np.abs(expected).max())
 
 
@@ -239,7 +240,8 @@ def test_the_stroke_is_the_surface_under_each_contactor() -> None:
         sweep.place[:, None, 0] + sweep.position, sweep.place[:, None, 1]
     ), axis=-1)[:, ::10]  # fmt: skip
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    expected = surface.partials.at(place) * np.exp(surface.envelope.at(place) - spread)
+    bands, gratings = surface.split
+    expected = bands.at(place) * np.exp(surface.envelope.at(place) - spread) + gratings.at(place)
     # the renderer's phasors are within −73 dB
     np.testing.assert_allclose(sweep.shear[:, ::10], expected, atol=1e-3 * expected.std() * 5)
     assert np.ptp(sweep.position) == pytest.approx(1.5 * 12.5e-3, rel=0.01)

@@ -14,13 +14,12 @@ from tactile.bench.rendering import (
     grating_texture,
     ratio_db,
     swing,
-    without_friction,
 )
 from tactile.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
 from tactile.texture.descriptor import Friction, textures
-from tactile.texture.surface import Texture, load_texture
+from tactile.texture.surface import Texture, load_texture, without_friction
 
 BLOCK = 16
 SLOW = 20.0

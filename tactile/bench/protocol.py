@@ -31,7 +31,7 @@ from tactile.bus.wire_time import (
 from tactile.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
-from tactile.texture.surface import load_texture
+from tactile.texture.surface import load_texture, without_friction
 
 Codes = NDArray[np.int16]
 
@@ -50,7 +50,8 @@ LARGEST = 2047 * 16
 def oak_drive() -> Floats:
     """Return the drive (S, C) [V] of a stroke over oak on the display of 24 contactors."""
     stroke = Trajectory.line(speed=0.08, duration=1.0)
-    return render(load_display("reference-24"), load_texture("wood-oak"), stroke).drive
+    oak = without_friction(load_texture("wood-oak"))
+    return render(load_display("reference-24"), oak, stroke).drive
 
 
 def _of_peak(drive: Floats) -> Codes:

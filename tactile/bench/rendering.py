@@ -14,7 +14,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, Rendering, render
 from tactile.sim import Fidelity
 from tactile.texture.descriptor import Descriptor, Laws, Periodic, textures
-from tactile.texture.surface import Texture, band_levels, load_texture
+from tactile.texture.surface import Texture, band_levels, load_texture, without_friction
 
 FINGERS = {"low": FingerLoad.low, "high": FingerLoad.high}
 GRATING = 1e-3
@@ -163,13 +163,6 @@ def measure_wood() -> Iterator[Figure]:
         r = render(display, waves, path)
         spectral = felt(display, quasi_static(display, waves, r))
         yield Figure(f"wood.{name}.quasi_static_inverse_instead", ratio_db(r.shear, spectral), "dB")
-
-
-def without_friction(texture: Texture) -> Texture:
-    """Return a texture whose shear is a function of place."""
-    from msgspec.structs import replace as changed
-
-    return replace(texture, descriptor=changed(texture.descriptor, friction=None))
 
 
 def without_events(descriptor: Descriptor) -> Descriptor:

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from firmware_protocol import spectrum as wire
 from tactile.bench.figures import HANDFUL, RATE, Figure, Floats, at_most, seconds
-from tactile.bench.rendering import without_events, without_friction
+from tactile.bench.rendering import without_events
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.rendering.spectrum import SpectrumRenderer
-from tactile.texture.surface import Texture, load_texture
+from tactile.texture.surface import Texture, load_texture, without_friction
 
 SECONDS = 6.0
 FORCE = 0.5

@@ -27,7 +27,7 @@ from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Events, Periodic
 from tactile.texture.event_power import mean_square, power_below
 from tactile.texture.perception import detection_threshold
-from tactile.texture.surface import Partials, Surface, Texture
+from tactile.texture.surface import Partials, Surface, Texture, without_friction
 
 Floats = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A stroke as the contactors of one row are commanded to move.
+    """A stroke as the contactors of one row are commanded to move, friction left out.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def view_texture(
     texture, display : which
     speed, normal_force : of the finger [m/s] and [N]
     """
-    renderer = Renderer(display, texture, sample_rate=SAMPLE_RATE)
+    renderer = Renderer(display, without_friction(texture), sample_rate=SAMPLE_RATE)
     finger = int(np.argmin(np.abs(np.asarray(display.load_forces) - normal_force)))
     return View(
         texture, display, speed, normal_force,
@@ -241,10 +241,12 @@ def surface_patch(
     """
     surface = texture.realize()
     place = pixel_places(side, pixels)
-    field = _waves_on(surface.partials, place)
+    bands, gratings = surface.split
+    field = _waves_on(bands, place)
     if len(surface.envelope.amplitude):
         mean_square = np.sum(surface.envelope.amplitude**2) / 2
         field *= np.exp(_waves_on(surface.envelope, place) - mean_square)
+    field += _waves_on(gratings, place)
     if len(surface.event_peak):
         field += _events_on(surface, _kinds(texture), place)
     return law_factor(texture, speed, normal_force) * field

@@ -17,7 +17,7 @@ from tactile.rendering.equalizer import roll_off
 from tactile.rendering.shear import Law
 from tactile.texture.descriptor import Events
 from tactile.texture.event_power import power_below
-from tactile.texture.surface import Surface, Texture
+from tactile.texture.surface import Partials, Texture
 
 Floats = NDArray[np.float64]
 
@@ -68,28 +68,34 @@ def commanded_lines(
     """
     surface = texture.realize(seed)
     velocity = speed * np.array([np.cos(angle), np.sin(angle)])
-    waves = _modulated(surface, velocity)
-    parts = [waves, *(_event_lines(kind, speed, angle) for kind in texture.descriptor.events)]
+    bands, gratings = surface.split
+    waves = _modulated(bands, surface.envelope, velocity), _lines(gratings, velocity)
+    parts = [*waves, *(_event_lines(kind, speed, angle) for kind in texture.descriptor.events)]
     return Lines(
-        np.concatenate([part.frequency for part in parts]),
+        np.abs(np.concatenate([part.frequency for part in parts])),
         np.concatenate([part.power for part in parts]),
     ).times(law_factor(texture, speed, normal_force))
 
 
-def _modulated(surface: Surface, velocity: Floats) -> Lines:
-    """Return the waves' lines with the sidebands that the envelope makes."""
-    signed = surface.partials.wave_vector @ velocity / (2 * np.pi)
-    power = (surface.partials.amplitude * roll_off(signed)) ** 2 / 2
-    if not len(surface.envelope.amplitude):
-        return Lines(np.abs(signed), power)
-    variance = surface.envelope.amplitude**2 / 2
+def _lines(waves: Partials, velocity: Floats) -> Lines:
+    """Return the lines of waves, signed in frequency."""
+    signed = waves.wave_vector @ velocity / (2 * np.pi)
+    return Lines(signed, (waves.amplitude * roll_off(signed)) ** 2 / 2)
+
+
+def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> Lines:
+    """Return the waves' lines with the sidebands that the envelope makes, signed in frequency."""
+    plain = _lines(waves, velocity)
+    if not len(envelope.amplitude):
+        return plain
+    variance = envelope.amplitude**2 / 2
     kept = np.exp(-variance.sum())
-    aside = surface.envelope.wave_vector @ velocity / (2 * np.pi)
+    aside = envelope.wave_vector @ velocity / (2 * np.pi)
     share = (1 - kept) * variance / variance.sum() / 2
     moved = np.concatenate([[0.0], aside, -aside])
     weight = np.concatenate([[kept], share, share])
     return Lines(
-        np.abs(np.add.outer(signed, moved)).ravel(), np.multiply.outer(power, weight).ravel()
+        np.add.outer(plain.frequency, moved).ravel(), np.multiply.outer(plain.power, weight).ravel()
     )
 
 

@@ -10,11 +10,12 @@ An isotropic surface cannot have every spectrum: whatever has a wave number κ a
 so bands cannot rise or peak. The nearest surface is taken and its error told per band.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtri
@@ -62,6 +63,10 @@ class Partials:
             np.concatenate([self.phase, other.phase]),
         )
 
+    def part(self, members: slice) -> "Partials":
+        """Return some of the waves."""
+        return Partials(self.wave_vector[members], self.amplitude[members], self.phase[members])
+
     def at(self, place: Floats) -> Floats:
         """Return the displacement [m] at places (..., 2) [m]."""
         phase = place @ self.wave_vector.T + self.phase
@@ -88,6 +93,12 @@ class Surface:
     event_kind: NDArray[np.intp]
     tile: float = 25.6e-3
     gratings: int = 0
+
+    @property
+    def split(self) -> tuple[Partials, Partials]:
+        """The waves that the envelope multiplies, and those of gratings."""
+        count = len(self.partials.amplitude) - self.gratings
+        return self.partials.part(slice(count)), self.partials.part(slice(count, None))
 
 
 @dataclass(frozen=True)
@@ -174,6 +185,11 @@ def load_texture(name_or_path: str | Path, *, partials: int = 384) -> Texture:
         power = np.mean(10 ** (levels / 10), axis=0)
         error = 10 * np.log10(np.maximum(power, 1e-30)) - np.asarray(stochastic.level_db)
     return Texture(descriptor.texture.id, descriptor, *drawn, frequency, error)
+
+
+def without_friction(texture: Texture) -> Texture:
+    """Return a texture whose shear is a function of place alone."""
+    return replace(texture, descriptor=structs.replace(texture.descriptor, friction=None))
 
 
 def _no_waves() -> tuple[Floats, Floats]:

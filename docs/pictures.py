@@ -6,6 +6,7 @@ import numpy as np
 
 import tactile
 from tactile.plots import plot_played, plot_response
+from tactile.texture.surface import without_friction
 
 HERE = Path(__file__).parent
 FINGERS = {
@@ -17,7 +18,7 @@ FINGERS = {
 display = tactile.load_display("reference-24")
 played = tactile.render(
     display,
-    tactile.load_texture("wood-oak"),
+    without_friction(tactile.load_texture("wood-oak")),
     tactile.Trajectory.line(speed=0.08, duration=1.0),
 )
 plant = tactile.Plant(display.bimorph, display.load_at(0.5), played.sample_rate, contactors=24)
@@ -31,7 +32,7 @@ plot_played(
     shear_target=played.shear,
     shear_played=shear[plant.delay :],
     drive=played.drive,
-    title="wood-oak on reference-24: 80 mm/s, 0.5 N",
+    title="wood-oak on reference-24: 80 mm/s, 0.5 N, friction left out",
 )
 frequency = np.geomspace(1, 2000, 2000)
 plot_response(

@@ -44,6 +44,7 @@ class LocalTransport:
         self._config = config
         self._started: Future[Host] = Future()
         self._closed: Future[None] = Future()
+        self._closed.set_running_or_notify_cancel()  # who waits for it may give up, it goes on
         self._thread = threading.Thread(target=self._run, name="tactile-local", daemon=True)
 
     def start(self) -> None:

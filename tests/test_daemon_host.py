@@ -11,6 +11,7 @@ import pytest
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig, load_config
 from tactile.daemon.host import OUTBOX, Client, Host
+from tactile.daemon.playing import STILL, hangs
 from tactile.errors import BusError, InputError
 
 T = TypeVar("T")
@@ -221,6 +222,14 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
 
     before = children()
     asyncio.run(opened())
+
+
+def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None:
+    """One that was opened a moment ago has reported nothing yet: its last report is of time 0."""
+    assert not hangs(100.0, 0.0, 99.9)
+    assert not hangs(100.0 + STILL, 100.0, 50.0)
+    assert hangs(100.0 + STILL + 0.1, 0.0, 100.0)
+    assert hangs(100.0 + STILL + 0.1, 100.0, 50.0)
 
 
 def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(

@@ -119,6 +119,7 @@ class WebSocketTransport:
         self._rate = 0
         self._next_contact = 0.0
         self._closed: Future[None] = Future()
+        self._closed.set_running_or_notify_cancel()  # who waits for it may give up, it goes on
 
     def open(self, receiver: Receiver) -> None:
         """Begin to connect."""

@@ -40,6 +40,14 @@ MOST_TEXTURES = 16
 """That are kept ready for one display."""
 
 
+def hangs(now: float, reported: float, opened: float) -> bool:
+    """Return whether playback hangs: long after it was opened, and no report for long [s].
+
+    One that was opened a moment ago may not have reported yet.
+    """
+    return now - max(reported, opened) > STILL
+
+
 def configured(config: DisplayConfig) -> Display:
     """Return a display as the configuration allows it.
 
@@ -103,6 +111,7 @@ class Playing:
         self._asked: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
         self._opened: asyncio.Future[Opened] | None = None
+        self._since = 0.0
         self._textures: dict[tuple[str, int], int] = {}
         self._about = self._described()
         self._making: dict[tuple[str, int], asyncio.Task[int]] = {}
@@ -155,7 +164,7 @@ class Playing:
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
-        self.lost, self._about = False, self._described()
+        self.lost, self._about, self._since = False, self._described(), time.monotonic()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
@@ -197,8 +206,8 @@ class Playing:
         retry = FIRST_RETRY
         while not self._ended.is_set():
             await asyncio.sleep(0.1)
-            hangs = not self.lost and time.monotonic() - self.memory.report().time > STILL
-            if hangs and self._child is not None:
+            reported, now = self.memory.report().time, time.monotonic()
+            if self._child is not None and not self.lost and hangs(now, reported, self._since):
                 log.error("%s: playback hangs", self.config.name)
                 self._child.kill()
                 self._gone()

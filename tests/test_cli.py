@@ -128,6 +128,7 @@ def test_play_writes_a_recording_with_exactly_these_arrays(command: Command) -> 
     assert os.listdir() == ["oak.npz"]
 
 
+@pytest.mark.ci
 def test_as_a_process_it_plays_records_and_prints_one_line_of_json(
     command: Command, tmp_path: Path
 ) -> None:

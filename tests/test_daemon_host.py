@@ -269,6 +269,7 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     assert host.figures()[NAME]["playback_alive"] == 1.0
 
 
+@pytest.mark.ci
 def test_reloading_another_configuration_opens_what_changed_and_tries_what_cannot_be(
     tmp_path: Path,
 ) -> None:

@@ -364,6 +364,7 @@ def test_boards_start_at_one_instant_whatever_their_clocks(bench: Callable[..., 
 SHARES = st.sampled_from([0.0, 0.0, 0.01, 0.1])
 
 
+@pytest.mark.ci
 @settings(deadline=None, max_examples=6, suppress_health_check=list(HealthCheck))
 @given(
     link=st.sampled_from(sorted(LINKS)),

@@ -270,6 +270,7 @@ def save_played(path: Path) -> None:
     )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("save", "inches"),
     [

@@ -171,6 +171,7 @@ def test_ticks_that_are_one_off_are_taken() -> None:
 NUMBER = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0])
 
 
+@pytest.mark.ci
 @given(
     st.lists(
         st.tuples(NUMBER, st.integers(-1, 2**64), st.integers(-1, 2**64), NUMBER), max_size=20

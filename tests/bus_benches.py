@@ -49,7 +49,7 @@ SETTLING = 30e-3
 """s in which an amplifier in memory, whose time goes only while somebody waits, is at 0 V."""
 SWITCH, FAST_SWITCH = sys.getswitchinterval(), 5e-4
 """s after which Python's threads take turns: 5 ms, and while bridge and host are in one process."""
-TRIES = 5
+TRIES = 12
 """Runs of a test, where the machine stalls."""
 STALLS = ("underruns", "late_blocks", "dropped_samples", "disconnects")
 

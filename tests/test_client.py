@@ -763,6 +763,22 @@ def test_who_gives_up_waiting_for_the_end_does_not_take_it_away() -> None:
     assert not local.LocalTransport(Config())._closed.cancel()
 
 
+def test_who_is_cancelled_while_it_hangs_up_leaves_no_connection(daemon: Daemon) -> None:
+    """The daemon refuses, the client hangs up of itself, and the program closes meanwhile."""
+
+    async def hang_up() -> bool:
+        transport = websocket.TaskTransport(daemon.url, timeout=PATIENCE)
+        connection = await transport._connect()
+        hanging_up = asyncio.create_task(transport._hang_up(connection))
+        await asyncio.sleep(0)  # it has begun, and nothing can have been answered
+        assert not hanging_up.done()
+        hanging_up.cancel()
+        await asyncio.gather(hanging_up, return_exceptions=True)
+        return bool(connection.connection_lost_waiter.done())
+
+    assert asyncio.run(hang_up())
+
+
 LEAKS = """
 import asyncio, contextlib, os, sys, threading, time
 from tactile.client import aio, connect

@@ -208,11 +208,12 @@ class WebSocketTransport:
         return connection
 
     async def _hang_up(self, connection: ClientConnection) -> None:
-        """Close politely, or at once where the daemon does not even read."""
+        """Close politely; at once where the daemon does not even read, or nobody waits for it."""
         try:
-            async with asyncio.timeout(self._timeout / 2):
-                await connection.close()
-        except TimeoutError:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._timeout / 2):
+                    await connection.close()
+        finally:
             connection.transport.abort()
             await connection.wait_closed()
 

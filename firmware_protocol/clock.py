@@ -74,6 +74,10 @@ class Exchange:
         fastest, slowest = 1 + DRIFT_LIMIT, 1 - DRIFT_LIMIT
         return shortest * slowest - tick <= passed <= longest * fastest + tick
 
+    def is_anew(self, last: "Exchange") -> bool:
+        """Tell whether it alone tells of another run: ticks went back, or there was silence."""
+        return self.t2 < last.t2 or not last.t1 - SILENCE <= self.t1 <= last.t4 + SILENCE
+
 
 class ClockEstimator:
     """What an amplifier's clock shows, and when it will show it.
@@ -88,7 +92,8 @@ class ClockEstimator:
 
     Attributes
     ----------
-    accepted, rejected : exchanges taken, and those that cannot be (also repeated or overtaken ones)
+    accepted, rejected : exchanges taken, and those that cannot be (also repeated or overtaken ones,
+        and a leap that the next does not bear out)
     restarts : times that the estimate began anew: the amplifier's clock did, or there was silence
 
     Raises
@@ -103,6 +108,7 @@ class ClockEstimator:
         self.tick_hz = float(tick_hz)
         self.accepted = self.rejected = self.restarts = 0
         self._window: deque[Exchange] = deque(maxlen=WINDOW)
+        self._leap: Exchange | None = None
         self._next_probe = -math.inf
         self._begin(Exchange(0.0, 0, 0, 0.0))
 
@@ -125,6 +131,9 @@ class ClockEstimator:
     def add(self, t1: float, t2: int, t3: int, t4: float) -> bool:
         """Take an exchange; return False, and count it, where it cannot be.
 
+        One that leaps ahead or lags where no oscillator does may be a single wrong stamp, of a
+        process that was held up: it is dropped, and the next, soon, tells whether the clock leapt.
+
         Parameters
         ----------
         t1, t4 : sent and received by the host [s]
@@ -136,13 +145,23 @@ class ClockEstimator:
             self.rejected += 1
             return False
         if last is None or not new.continues(last, self.tick_hz):
+            self._next_probe = min(self._next_probe, t4 + FIRST_INTERVAL)
+            if last is not None and not self._has_leapt(new, last):
+                self._leap = new
+                self.rejected += 1
+                return False
             self.restarts += last is not None
             self._begin(new)
-            self._next_probe = min(self._next_probe, t4 + FIRST_INTERVAL)
+        self._leap = None
         self.accepted += 1
         self._window.append(new)
         self._feed()
         return True
+
+    def _has_leapt(self, new: Exchange, last: Exchange) -> bool:
+        """Tell whether a clock that does not go on began anew, and not one stamp is wrong."""
+        again = self._leap is not None and new.continues(self._leap, self.tick_hz)
+        return again or new.is_anew(last)
 
     def _feed(self) -> None:
         """Take the middle between the tightest bounds of the window into the regression."""

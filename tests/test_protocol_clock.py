@@ -191,18 +191,39 @@ def test_no_exchange_whatever_raises_or_stays(junk: list[tuple[float, int, int, 
 
 
 @pytest.mark.parametrize(
-    "start", [START - 20 * 10**9, START + 3600 * 10**9], ids=["backward", "forward"]
+    ("start", "leap"),
+    [(START - 20 * 10**9, 0), (START + 3600 * 10**9, 1)],
+    ids=["backward", "forward"],
 )
-def test_an_amplifier_that_restarts_is_begun_anew(start: int) -> None:
-    """Its ticks run backward, or jump by more than any oscillator drifts."""
+def test_an_amplifier_that_restarts_is_begun_anew(start: int, leap: int) -> None:
+    """Its ticks run backward, or jump by more than any oscillator drifts, as two exchanges say."""
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, steady(100, 20.0, drift_ppm=30.0))
     assert estimator.locked
+    for e in steady(leap, 49.75, start=start):
+        assert not estimator.add(e.t1, e.t2, e.t3, e.t4)
+        assert estimator.next_probe <= e.t4 + 0.01
     for k, e in enumerate(steady(FIRST_PROBES, 50.0, start=start)):
         assert estimator.add(e.t1, e.t2, e.t3, e.t4)
         assert estimator.restarts == 1
         assert estimator.locked == (k == FIRST_PROBES - 1)
         assert abs(estimator.ticks_at(e.t4) - ticks(e.t4, start=start)) <= 2
+
+
+@pytest.mark.parametrize("stale", [0.02, 0.1])
+def test_one_stamp_of_a_process_that_was_held_up_is_no_restart(stale: float) -> None:
+    """It says that it received before it was asked, and the answer is read late."""
+    estimator, plain = ClockEstimator(TICK_HZ), ClockEstimator(TICK_HZ)
+    feed(estimator, steady(20, 5.0))
+    feed(plain, steady(20, 5.0))
+    at = 10.0 - stale
+    held = Exchange(10.0, ticks(at), ticks(10.0 + 1e-3), 10.15 + stale)
+    assert held.is_possible(TICK_HZ)
+    assert not estimator.add(held.t1, held.t2, held.t3, held.t4)
+    feed(estimator, steady(20, 10.2))
+    feed(plain, steady(20, 10.2))
+    assert (estimator.restarts, estimator.rejected) == (0, 1)
+    assert estimator.ticks_at(15.0) == plain.ticks_at(15.0)
 
 
 def test_a_probe_received_before_the_last_was_answered_is_no_restart() -> None:

@@ -1,9 +1,9 @@
 """A sweep: every combination of some parameters, solved over frequency, as a labeled array.
 
 A `Study` says what is asked. It is cut into blocks (`blocks`), each of which is solved by itself
-(`solve_block`); `frame` is the empty data
-set that they fill, with coordinates, units and how it came to be. `solve_study` does all of it in memory
-and in this process; `tactile.study.running` stores as it goes, on several processes or machines.
+(`solve_block`); `frame` is the empty data set that they fill, with coordinates, units and how it
+came to be. `solve_study` does all of it in memory and in this process; `tactile.study.running`
+stores as it goes, on several processes or machines.
 """
 
 import datetime

@@ -159,6 +159,10 @@ def _check_frequencies(study: Study) -> None:
     f, band = np.asarray(study.frequency), study.conditions.band
     if study.responses and not f.size:
         raise InputError(f"{study.responses[0]}: needs frequencies, as frequency_hz=10:1000:5")
+    if "displacement_at_point" in study.responses and not (
+        "measuring_point_mm" in study.axes or "measuring_point_mm" in study.fixed
+    ):
+        raise InputError("displacement_at_point: needs measuring_point_mm, an axis or fixed")
     for name in study.criteria:
         if not CRITERIA[name].needs_band:
             continue

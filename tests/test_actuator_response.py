@@ -123,8 +123,7 @@ def random_designs(count: int, seed: int) -> list[dict[str, float]]:
 def test_random_designs_at_once_are_those_of_the_finite_elements(
     name: str, axial_force: float, count: int, seed: int
 ) -> None:
-    """1e-6 is asked for, over 1 Hz to 5 kHz; 2e-10 measured, near resonances
-    and the zeros of an admittance.
+    """1e-6 is asked for, over 1 Hz to 5 kHz; 2e-10 is measured, near a resonance.
 
     All designs are one call, so that short ones share the terms and pieces of the longest.
     """

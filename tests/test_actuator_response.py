@@ -90,11 +90,11 @@ def test_tip_response_is_that_of_the_finite_elements(name: str) -> None:
 def test_short_and_long_beams_are_as_right(length: float) -> None:
     """The ends of the range over which designs are swept.
 
-    A piece of λ1 ≤ 8 may cost exp(16) epsilon = 2e-9, here 9e-9: hence 1e-7, not 1e-9.
+    As the drive is carried as moments at the ends, a piece costs no more than exp(λ1) epsilon.
     """
     beam, design = pair(length=length, width=1e-3, piezo_height=0.15e-3, clamped_length=0.0)
     found = tip_response(design, FingerLoad.high(), FREQUENCIES)
-    assert from_reference(found, beam, HIGH_FINGER) < 1e-7
+    assert from_reference(found, beam, HIGH_FINGER) < 1e-9
 
 
 @pytest.mark.parametrize("axial_force", [5.0, -0.1, -5.0])
@@ -102,6 +102,40 @@ def test_axial_force_is_that_of_the_finite_elements(axial_force: float) -> None:
     """Tension and compression; 5 N moves the result by several percent, 0.1 N by 0.02 dB."""
     found = tip_response(Bimorph(), FingerLoad.low(), FREQUENCIES, axial_force=axial_force)
     assert from_reference(found, Beam(), LOW_FINGER, axial_force=axial_force) < 1e-9
+
+
+def random_designs(count: int, seed: int) -> list[dict[str, float]]:
+    """Return geometries over the range of a sweep: 5–45 mm long, 0.25–1.5 mm thick."""
+    rng = np.random.default_rng(seed)
+    ranges = {
+        "length": (5e-3, 45e-3),
+        "width": (0.5e-3, 5e-3),
+        "clamped_length": (0.0, 9e-3),
+        "piezo_height": (0.1e-3, 0.5e-3),
+        "shim_height": (0.05e-3, 0.5e-3),
+    }
+    return [{name: rng.uniform(*r) for name, r in ranges.items()} for _ in range(count)]
+
+
+@each_load
+@pytest.mark.parametrize("axial_force", [0.0, 5.0, -5.0])
+@pytest.mark.parametrize(("count", "seed"), [(2, 1), pytest.param(24, 2, marks=pytest.mark.ci)])
+def test_random_designs_at_once_are_those_of_the_finite_elements(
+    name: str, axial_force: float, count: int, seed: int
+) -> None:
+    """1e-6 is asked for, over 1 Hz to 5 kHz; 2e-10 is measured, near a resonance.
+
+    All designs are one call, so that short ones share the terms and pieces of the longest.
+    """
+    designs, frequencies = random_designs(count, seed), np.geomspace(1, 5000, 10)
+    constants, load = LOADS[name]
+    arrays = {key: np.array([design[key] for design in designs]) for key in designs[0]}
+    found = tip_response(Bimorph(**arrays), load, frequencies, axial_force=axial_force)
+    for i, design in enumerate(designs):
+        beam, row = replace(Beam(), **design), {k: v[i] for k, v in figures(found).items()}
+        exact = response(beam, frequencies, load=constants, axial_force=axial_force)
+        for figure in ("displacement", "rotation", "force", "admittance"):
+            assert distance(row[figure], getattr(exact, figure)) < 1e-8, (figure, design)
 
 
 def test_rotational_load_is_that_of_the_finite_elements() -> None:
@@ -156,14 +190,14 @@ def test_chain_is_that_of_the_finite_elements() -> None:
 def test_long_beam_at_60_khz_loses_no_more_than_its_pieces() -> None:
     """45 mm is λ1 = 32 long at 60 kHz, where one matrix would have no digit left.
 
-    Pieces of λ1 ≤ 8 cost exp(16) epsilon = 2e-9 each; 3e-8 is measured with a measuring point.
+    Pieces of λ1 ≤ 10 cost exp(10) epsilon = 5e-12 each; 6e-12 is measured.
     The reference needs 24 elements there, and agrees with 60-digit exponentials to 1e-13.
     """
     frequencies = np.array([10e3, 30e3, 50e3, 60e3])
     beam, design = pair(length=45e-3)
     found = tip_response(design, FingerLoad.low(), frequencies, measuring_point=20e-3)
     options: dict[str, Any] = {"point": 20e-3, "segments": 24, "order": 12}
-    assert from_reference(found, beam, LOW_FINGER, **options) < 1e-6
+    assert from_reference(found, beam, LOW_FINGER, **options) < 1e-9
 
 
 @each_load

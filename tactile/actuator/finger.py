@@ -72,8 +72,7 @@ class FingerLoad:
         for k, d in self.branches:
             if np.any(k) and np.any(d):
                 spring, damper = np.asarray(k)[..., None], rate * np.asarray(d)[..., None]
-                joint = spring + damper
-                total = total + spring * damper / np.where(joint == 0, 1, joint)
+                total = total + spring * damper / (np.where(spring > 0, spring, 1) + damper)
         return np.asarray(total, np.complex128)
 
     def impedance(self, frequency: ArrayLike) -> Complex:

@@ -151,7 +151,7 @@ def _series(total: Complex, product: Complex, reach: float) -> Four:
     h = np.empty((terms, *total.shape), np.complex128)
     h[0], h[1] = 1, total
     for n in range(2, terms):
-        np.subtract(total * h[n - 1], product * h[n - 2], out=h[n])
+        np.subtract(total * h[n - 1], product * h[n - 2], out=h[n, ...])
     sums = SERIES[:, :terms] @ h.reshape(terms, -1).view(np.float64)
     c2, c3, c0, c1 = sums.view(np.complex128).reshape(4, *total.shape)
     return 1 - product * c0, 1 - product * c1, c2, c3

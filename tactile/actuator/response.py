@@ -12,7 +12,7 @@ transfer matrices this loses nothing to the growth of cosh λ, so that long segm
 
 Everything broadcasts: designs (...,) in front, frequency (F,) last. It is arithmetic on whole
 arrays and so as fast as the processor's cache: several thousand points (designs × frequencies)
-at a time are best, `POINTS_AT_ONCE`; a sweep that is larger is done design by design in blocks.
+at a time are best, so that a larger sweep is done in blocks.
 """
 
 from dataclasses import dataclass, replace

@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 Block = tuple[slice, ...]
 """A slice of each axis."""
 
-PIECE_POINTS = 2**12
+PIECE_POINTS = 2**13
 """Designs × frequencies that are solved at once: their arrays stay in a processor's cache."""
 LARGEST = 2**31
 """Bytes of a data set that is made in memory."""

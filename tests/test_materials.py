@@ -31,10 +31,11 @@ PRINTED_K31 = {
     "pzt-5h": (0.388, 0.001),
     "pzt-8": (0.30, 0.005),
 }
-"""k31 as printed, and how far its own sheet's other constants are from it. They agree to the last
-digit for 3203hd, pzt-5a, pzt-5h and pzt-8. Typical values, each the mean of its own samples, are 2 to
-3 % off for apc-855, pic-255 and pzt-4, and 11 % for 5a4e: a flaw of its sheet, where d31 and
-permittivity do not give the printed g31 of -11.3e-3 V m/N either."""
+"""k31 as printed, and how far its own sheet's other constants are from it.
+
+They agree to the last digit for 3203hd, pzt-5a, pzt-5h and pzt-8. Typical values, each the mean of
+its own samples, are 2 to 3 % off for apc-855, pic-255 and pzt-4, and 11 % for 5a4e: a flaw of its
+sheet, where d31 and permittivity do not give the printed g31 of -11.3e-3 V m/N either."""
 
 PRINTED_MODULUS = {"3203hd": 62, "5a4e": 66, "pzt-4": 81, "pzt-5a": 61, "pzt-8": 87}
 """GPa, Y11E; that of apc-855 is what its s11E was made of."""

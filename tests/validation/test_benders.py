@@ -15,8 +15,9 @@
 | mtp60x20x0.7 | | ≥ 2.6 mm | 0.89 mm |
 
 The t226 was measured by Erturk & Inman, "An experimentally validated bimorph cantilever model for
-piezoelectric energy harvesting from base excitations", Smart Mater. Struct. 18, 2009, 025009. The
-mtp benders are from a maker's sheet, rphotronics.com/b/product05/1536.
+piezoelectric energy harvesting from base excitations", Smart Mater. Struct. 18, 2009, 025009
+(both frequencies quoted at second hand). The mtp benders are from a maker's sheet,
+rphotronics.com/b/product05/1536.
 
 The finding: the sheet's displacements are 2.9 to 4.2 times the model's, while force and
 capacitance agree. The sheet's stiffness is its force over its displacement, so it is as much

@@ -6,6 +6,7 @@ forms; `tests/validation` compares them with the paper.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,9 @@ from hypothesis import strategies as st
 
 from tactile.actuator.bimorph import Bimorph, section
 from tactile.actuator.finger import FingerLoad
+from tactile.actuator.materials import PIEZOS, SHIMS
 from tactile.actuator.resonance import first_resonance
+from tactile.actuator.response import tip_response
 from tactile.errors import InputError
 from tactile.study import sweep as sweeps
 from tactile.study.criteria import CRITERIA, Conditions, variable
@@ -169,6 +172,26 @@ def test_first_resonance_follows_axial_force_up_to_buckling() -> None:
 
 
 # Parameters
+
+
+def test_named_materials_and_wiring_are_those_of_the_library() -> None:
+    axes = {
+        "piezo": ["pzt-5a", "3203hd"],
+        "shim": ["brass", "cfrp"],
+        "wiring": ["parallel", "series"],
+    }
+    found = solve_study(study(axes=axes, fixed={"load": "high"})).smallest_displacement_um_per_v
+    for piezo, shim, wiring in itertools.product(*axes.values()):
+        alone = Bimorph(piezo=PIEZOS[piezo], shim=SHIMS[shim], series=wiring == "series")
+        size = np.abs(tip_response(alone, FingerLoad.high(), FREQUENCY).displacement)
+        ours = found.sel(piezo=piezo, shim=shim, wiring=wiring)
+        assert float(ours) == pytest.approx(size.min() * 1e6, rel=1e-12)
+
+
+def test_a_constant_beside_a_named_material_replaces_that_of_the_material() -> None:
+    named = specimen({"shim": ["brass", "steel"], "shim_density_kg_m3": 5000.0}).bimorph.shim
+    assert np.array_equal(named.density, 5000.0)
+    assert list(np.asarray(named.s11)) == [SHIMS["brass"].s11, SHIMS["steel"].s11]
 
 
 def test_standard_values_are_the_default_design() -> None:

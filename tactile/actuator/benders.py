@@ -14,7 +14,7 @@ import numpy as np
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import PIEZOS, SHIMS, VACUUM_PERMITTIVITY
-from tactile.actuator.plant import beam_modes
+from tactile.actuator.resonance import first_resonance
 from tactile.actuator.response import blocked_force, tip_response
 
 _MTP_PIEZO = replace(PIEZOS["pzt-5h"], eps33T=3300 * VACUUM_PERMITTIVITY, loss_tangent=0.022)
@@ -58,7 +58,7 @@ layers are not printed: equal ones around 0.2 mm of brass are assumed. The defau
 class of the first.
 
 t226-a4-503x: Piezo Systems, mounted as by Erturk & Inman, Smart Mater. Struct. 18, 2009, 025009:
-brass between 5A4E, in series; the 63.5 mm part with 50.8 mm free.
+brass between 5A4E, in series; the 63.5 mm part with 50.8 mm free (quoted at second hand).
 """
 
 
@@ -78,5 +78,5 @@ def bender_figures(bimorph: Bimorph) -> dict[str, float]:
         "blocked_force_mn_per_v": float(np.abs(force[0])) * 1e3,
         "stiffness_n_per_m": float(stiffness[0].real),
         "capacitance_nf": float((r.admittance[1] / (2j * np.pi)).real) * 1e9,
-        "first_resonance_hz": float(beam_modes(bimorph, 1).frequency[0]) / (2 * np.pi),
+        "first_resonance_hz": float(first_resonance(bimorph)),
     }

@@ -11,7 +11,7 @@ of φ a log-normal one of every constant (assumed; two fingers are all that is p
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
-from tactile.actuator.materials import VACUUM_PERMITTIVITY, Real
+from tactile.actuator.materials import PIEZOS, SHIMS, VACUUM_PERMITTIVITY, Real
 from tactile.errors import InputError
 from tactile.files import nearest
 
@@ -101,8 +101,14 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "firmness": Parameter("1", "finger from low (0) to high (1)", -4, 5, "", "firmness"),
 }
-NAMED = {"load": "finger that loads the tip"}
+NAMED = {
+    "load": "finger that loads the tip",
+    "piezo": "piezoceramic",
+    "shim": "material of the shim",
+    "wiring": "of the two piezo layers",
+}
 """Parameters that are names, and what they mean."""
+WIRINGS = ("parallel", "series")
 FINGERS: dict[str, FingerLoad] = {
     "low": FingerLoad.low(),
     "high": FingerLoad.high(),
@@ -129,7 +135,12 @@ class Specimen:
 
 def names_of(fingers: Mapping[str, FingerLoad]) -> dict[str, list[str]]:
     """Return which names each named parameter may take."""
-    return {"load": list(fingers)}
+    return {
+        "load": list(fingers),
+        "piezo": list(PIEZOS),
+        "shim": list(SHIMS),
+        "wiring": list(WIRINGS),
+    }
 
 
 def check_value(name: str, value: Any, fingers: Mapping[str, FingerLoad] = FINGERS) -> None:
@@ -199,6 +210,15 @@ def gathered(names: NDArray[np.str_], known: Mapping[str, Any], *path: str | int
     return np.array([constant(known[str(name)]) for name in found])[place].reshape(names.shape)
 
 
+def _constants(names: ArrayLike | None, known: Mapping[str, Any]) -> dict[str, Floats]:
+    """Return all constants of the materials that are named, by field."""
+    if names is None:
+        return {}
+    spelled = np.asarray(names).astype(str)
+    owner = next(iter(known.values()))
+    return {each.name: gathered(spelled, known, each.name) for each in fields(owner)}
+
+
 def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
     """Return the loads of these names as one, its constants arrays; the shorter have no branch."""
     names = np.asarray(names).astype(str)
@@ -215,6 +235,28 @@ def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
             for i in range(most)
         ),
     )
+
+
+def _bimorph(values: Values, base: Bimorph) -> tuple[Bimorph, dict[str, Floats]]:
+    """Return the benders, and what of the values is not theirs."""
+    parts: dict[str, dict[str, Any]] = {
+        "bimorph": {},
+        "piezo": _constants(values.get("piezo"), PIEZOS),
+        "shim": _constants(values.get("shim"), SHIMS),
+        "": {},
+    }
+    if "wiring" in values:
+        parts["bimorph"]["series"] = np.asarray(values["wiring"]) == "series"
+    for name, value in values.items():
+        if name in PARAMETERS:
+            parameter = PARAMETERS[name]
+            parts[parameter.part][parameter.constant] = parameter.to_si(value)
+    try:
+        piezo = replace(base.piezo, **parts["piezo"])
+        shim = replace(base.shim, **parts["shim"])
+        return replace(base, piezo=piezo, shim=shim, **parts["bimorph"]), parts[""]
+    except ValueError as error:
+        raise InputError(f"impossible bender: {error}") from None
 
 
 def specimen(
@@ -241,21 +283,7 @@ def specimen(
         check_value(name, value, fingers)
     if {"load", "firmness"} <= set(values):
         raise InputError("load and firmness: both are the finger; give one of them")
-    bimorph = base or Bimorph()
-    parts: dict[str, dict[str, Any]] = {"bimorph": {}, "piezo": {}, "shim": {}, "": {}}
-    for name, value in values.items():
-        if name in PARAMETERS:
-            parameter = PARAMETERS[name]
-            parts[parameter.part][parameter.constant] = parameter.to_si(value)
-    try:
-        piezo, shim = (
-            replace(bimorph.piezo, **parts["piezo"]),
-            replace(bimorph.shim, **parts["shim"]),
-        )
-        bimorph = replace(bimorph, piezo=piezo, shim=shim, **parts["bimorph"])
-    except ValueError as error:
-        raise InputError(f"impossible bender: {error}") from None
-    rest = parts[""]
+    bimorph, rest = _bimorph(values, base or Bimorph())
     point = rest.get("measuring_point")
     if point is not None and np.any(point > bimorph.length):
         raise InputError(

@@ -1,5 +1,9 @@
-"""Draw what becomes of a stroke whose cable is pulled: ``python docs/links_picture.py``."""
+"""Draw what becomes of a stroke whose cable is pulled: ``python docs/links_picture.py``.
 
+Friction is left out: its steady drive would hide what the texture does.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -7,6 +11,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE
@@ -17,7 +23,9 @@ from tactile.devices import KINDS
 from tactile.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
-from tactile.texture.surface import load_texture
+from tactile.texture.surface import load_texture, without_friction
+
+Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 URL = "mock:?link=serial&bit_rate=3000000&rearm=true"
@@ -32,12 +40,17 @@ def listening(self: Heard, run: Played, begun: int, end: int | None) -> None:
     runs.append(run)
 
 
-def main() -> None:
-    """Play, pull the cable, put it back, and draw."""
-    assert KINDS
-    Heard.add = listening  # type: ignore[method-assign]
+def played() -> tuple[Floats, int, int]:
+    """Play while the cable is pulled and put back.
+
+    Returns
+    -------
+    (S,) float64 ndarray  Drive of contactor 0 as rendered [V]
+    int  The amplifier's tick [µs] at which the stroke begins
+    int  Samples that were dropped
+    """
     display = load_display("reference-24")
-    renderer = Renderer(display, load_texture("wood-oak"))
+    renderer = Renderer(display, without_friction(load_texture("wood-oak")))
     renderer.fade_in()
     sent = []
     with open_bus(URL, display) as bus:
@@ -55,12 +68,34 @@ def main() -> None:
             sent.append(drive[:, 0])
             bus.write(DriveBlock(k * BLOCK, drive))
         bus.stop()
-        counters = bus.counters
+        return np.concatenate(sent), begun, bus.counters.dropped_samples
+
+
+def label(axes: Sequence[Axes], dropped: int) -> None:
+    """Say what is seen."""
+    axes[0].axvspan(PULLED * 1e3, (PULLED + AWAY) * 1e3, color=RED, alpha=0.12, lw=0)
+    axes[0].text((PULLED + AWAY / 2) * 1e3, 9.4, "cable out", ha="center", va="center", color=RED)
+    axes[0].legend(loc="upper right", ncols=2, frameon=False)
+    axes[0].set_title(
+        f"Oak over a UART of 3 Mbit/s whose cable is pulled for {AWAY * 1e3:.0f} ms: the amplifier "
+        "fades by itself,\nthe host connects again, "
+        f"{dropped / 8000 * 1e3:.0f} ms of samples are dropped and counted",
+        fontsize=10, loc="left",
+    )  # fmt: skip
+    axes[1].set_title("It fades in at the position that the finger has reached", fontsize=10,
+                      loc="left")  # fmt: skip
+    axes[1].set_xlabel("time since the start of the stroke [ms]")
+
+
+def main() -> None:
+    """Play, pull the cable, put it back, and draw."""
+    assert KINDS
+    Heard.add = listening  # type: ignore[method-assign]
+    wanted, begun, dropped = played()
     ticks = np.concatenate([run.ticks for run in runs])
     volts = np.concatenate([run.codes[:, 0] for run in runs]) * (100 / FULL_SCALE_CODE)
     time = (ticks - begun) * 1e-6
     figure, axes = plt.subplots(2, 1, figsize=(10, 5.2), layout="constrained")
-    wanted = np.concatenate(sent)
     back = time[(time > PULLED + AWAY) & (volts != 0)].min()
     spans = ((0.3, 1.4), (back - 0.012, back + 0.048))
     for axis, (low, high) in zip(axes, spans, strict=True):
@@ -69,19 +104,8 @@ def main() -> None:
         axis.plot(time * 1e3, volts, color=BLUE, lw=1.2, label="put out")
         axis.set_xlim(low * 1e3, high * 1e3)
         axis.set_ylabel("drive of contactor 0 [V]")
-        axis.set_ylim(-7, 9.5)
-    axes[0].axvspan(PULLED * 1e3, (PULLED + AWAY) * 1e3, color=RED, alpha=0.12, lw=0)
-    axes[0].text((PULLED + AWAY / 2) * 1e3, 8.4, "cable out", ha="center", va="center", color=RED)
-    axes[0].legend(loc="upper right", ncols=2, frameon=False)
-    axes[0].set_title(
-        f"Oak over a UART of 3 Mbit/s whose cable is pulled for {AWAY * 1e3:.0f} ms: the amplifier "
-        "fades by itself,\nthe host connects again, "
-        f"{counters.dropped_samples / 8000 * 1e3:.0f} ms of samples are dropped and counted",
-        fontsize=10, loc="left",
-    )  # fmt: skip
-    axes[1].set_title("It fades in at the position that the finger has reached", fontsize=10,
-                      loc="left")  # fmt: skip
-    axes[1].set_xlabel("time since the start of the stroke [ms]")
+        axis.set_ylim(-11, 11)
+    label(axes, dropped)
     figure.savefig(HERE / "links.png", dpi=110)
 
 

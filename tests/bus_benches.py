@@ -20,8 +20,8 @@ from typing import IO, Any, Protocol, TypeVar, cast
 import numpy as np
 import pytest
 from bus_bridges import bridge, virtual_can
+from c_amplifier_rig import SOURCE, compiler
 from numpy.typing import NDArray
-from test_c_amplifier import SOURCE, compiler
 
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.bus.base import Bus

@@ -85,6 +85,14 @@ class Connection:
             self._stream.sendall(data)
 
 
+def received(stream: socket.socket) -> bytes:
+    """Return what a client sent; nothing where it has left, also by a reset."""
+    try:
+        return stream.recv(4096)
+    except OSError:
+        return b""
+
+
 @contextmanager
 def rfc2217_server(path: str) -> Iterator[int]:
     """Serve a terminal by RFC 2217; yield the TCP port."""
@@ -106,9 +114,7 @@ def rfc2217_server(path: str) -> Iterator[int]:
             return
         stream, _, manager = clients[-1]
         if ready(stream):
-            data = b""
-            with suppress(OSError):  # reset by a client that has left
-                data = stream.recv(4096)
+            data = received(stream)
             if data:
                 port.write(b"".join(manager.filter(data)))
             else:

@@ -2,13 +2,13 @@
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from bus_benches import PCM16, RATE, Bench, Floats
+from bus_benches import PCM16, RATE, Bench, Floats, Test, steadied
 
 from tactile.bus.base import Bus, DriveBlock
 from tactile.display import Display, load_display
@@ -60,6 +60,17 @@ class Follower:
 def make(display, sample_rate):
     return Follower()
 '''
+
+
+def on(benches: Sequence[object]) -> Callable[[Test], Test]:
+    """Run a class of tests on each bench, steadied, whatever pyserial calls deprecated."""
+
+    def marked(cases: Test) -> Test:
+        quiet = pytest.mark.filterwarnings("ignore:set(Daemon|Name).*:DeprecationWarning")
+        each = pytest.mark.parametrize("bench", benches, indirect=True)
+        return each(quiet(steadied(cases)))
+
+    return marked
 
 
 def planted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import httpx
 import msgspec
+import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -269,6 +270,7 @@ def figure(there: Server, name: str, **labels: str) -> float:
 
 
 BOTH = [JSON_PROTOCOL, MSGPACK_PROTOCOL]
+each_encoding = pytest.mark.parametrize("protocol", BOTH)
 
 CONTACT = {
     "type": "contact", "display": "right", "position_mm": [1.0, 2.0], "normal_force_n": 0.5,
@@ -299,3 +301,75 @@ GOOD: dict[str, tuple[dict[str, Any], str]] = {
     "get_stats": ({"type": "get_stats", "display": "right"}, "stats"),
     "ping": ({"type": "ping", "time_us": 77}, "pong"),
 }  # fmt: skip
+
+
+async def unread(there: Server) -> socket.socket:
+    """Return a socket that said `Hello`, and reads no further."""
+    loop = asyncio.get_running_loop()
+    link = socket.socket()
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.setblocking(False)
+    await loop.sock_connect(link, ("127.0.0.1", there.port))
+    request = (
+        f"GET /v1 HTTP/1.1\r\nHost: 127.0.0.1:{there.port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {JSON_PROTOCOL}\r\n\r\n"
+    )
+    await loop.sock_sendall(link, request.encode())
+    assert (await loop.sock_recv(link, 4096)).startswith(b"HTTP/1.1 101")
+    await loop.sock_sendall(link, frame(0x81, b'{"type":"hello","client":"deaf"}'))
+    return link
+
+
+def frame(head: int, payload: bytes) -> bytes:
+    """Return a frame of a client, masked with zeros."""
+    length = bytes([0x80 | len(payload)])
+    if len(payload) > 125:
+        length = bytes([0x80 | 126]) + len(payload).to_bytes(2)
+    return bytes([head]) + length + bytes(4) + payload
+
+
+class Bad(msgspec.Struct, frozen=True):
+    """A message, what is wrong with it, and where."""
+
+    content: Any
+    code: str
+    field: str = ""
+
+
+BAD = [
+    Bad({"type": "bogus", "id": 7}, "unknown_type", "type"),
+    Bad({"type": 5, "id": 7}, "unknown_type", "type"),
+    Bad({"id": 7}, "invalid_field", "type"),
+    Bad([], "invalid_field"),
+    Bad(7, "invalid_field"),
+    Bad("estop", "invalid_field"),
+    Bad(dict(CONTACT, position_mm=[0, 1e9]), "invalid_field", "position_mm[1]"),
+    Bad(dict(CONTACT, position_mm=[0]), "invalid_field", "position_mm"),
+    Bad(dict(CONTACT, position_mm=["0", 0]), "invalid_field", "position_mm[0]"),
+    Bad(dict(CONTACT, normal_force_n=-0.1), "invalid_field", "normal_force_n"),
+    Bad(dict(CONTACT, normal_force_n=50.1), "invalid_field", "normal_force_n"),
+    Bad(dict(CONTACT, velocity_mm_s=[0, 2e4]), "invalid_field", "velocity_mm_s[1]"),
+    Bad(dict(CONTACT, time_us=1.5), "invalid_field", "time_us"),
+    Bad({"type": "contact", "display": "right"}, "invalid_field", "position_mm"),
+    Bad({"type": "play", "display": "../../etc/passwd"}, "invalid_field", "display"),
+    Bad({"type": "play", "display": "x" * 65}, "invalid_field", "display"),
+    Bad({"type": "play", "id": 7}, "invalid_field", "display"),
+    Bad({"type": "play", "display": "right", "id": -1}, "invalid_field", "id"),
+    Bad({"type": "gain", "display": "right", "gain": 2, "id": 7}, "invalid_field", "gain"),
+    Bad(
+        dict(SELECT, layers=[{"texture": "a"}, {"texture": "b", "gain": 9}], id=7),
+        "invalid_field", "layers[1].gain",
+    ),
+    Bad(dict(SELECT, layers=[{"gain": 1}], id=7), "invalid_field", "layers[0].texture"),
+    Bad(dict(SELECT, layers=[{"texture": "a"}] * 5, id=7), "invalid_field", "layers"),
+    Bad(
+        dict(GOOD["append"][0], samples=[0] * 3999 + [1.01], id=7),
+        "invalid_field", "samples[3999]",
+    ),
+    Bad(dict(GOOD["append"][0], samples=[0] * 4001, id=7), "invalid_field", "samples"),
+    Bad(dict(GOOD["effect"][0], amplitude=[[0, 2]], id=7), "invalid_field", "amplitude[0][1]"),
+    Bad({"type": "subscribe", "display": "right", "rate_hz": 1e9}, "invalid_field", "rate_hz"),
+    Bad({"type": "hello", "client": "again", "id": 7}, "unsupported", "type"),
+    Bad(dict(CONTACT, display="middle"), "unknown_display", "display"),
+]  # fmt: skip

@@ -124,6 +124,10 @@ PROTOCOL_TREES = {
     for path in sorted(PROTOCOL.glob("*.py"))
     if path.stem not in GENERATED
 }
+AROUND = [
+    path for folder in ("tests", "docs", "examples") for path in (PROJECT / folder).rglob("*.py")
+]
+"""Files outside the package that are held to its lengths."""
 TREES = {module: ast.parse(path.read_text("utf-8")) for module, path in SOURCES.items()}
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -387,6 +391,20 @@ def length(function: Function) -> int:
 @each_module
 def test_no_function_is_longer_than_40_lines(module: str) -> None:
     long = {f.name: length(f) for f in functions(TREES[module]) if length(f) > LONGEST_FUNCTION}
+    assert long == {}
+
+
+def test_tests_and_examples_are_no_longer_than_what_they_are_of() -> None:
+    texts = {str(path.relative_to(PROJECT)): path.read_text("utf-8") for path in AROUND}
+    assert len(texts) > 100, "the checkout is whole"
+    files = {name: len(text.splitlines()) for name, text in texts.items()}
+    assert {name: lines for name, lines in files.items() if lines > LONGEST_FILE} == {}
+    long = {
+        f"{name}: {f.name}": length(f)
+        for name, text in texts.items()
+        for f in functions(ast.parse(text))
+        if length(f) > LONGEST_FUNCTION
+    }
     assert long == {}
 
 

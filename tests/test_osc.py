@@ -7,13 +7,13 @@ import asyncio
 import math
 import random
 import socket
-import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 from daemon_rig import Hands, daemon, figure, free_port, run, until
+from osc_faults import bundle, mutated, packet
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder, build_msg
 from pythonosc.osc_packet import OscPacket
@@ -33,16 +33,6 @@ async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.s
         link.connect(("127.0.0.1", port))
         async with daemon(osc=port, **options) as (there, hands):
             yield there, hands, link
-
-
-def packet(address: str, *values: Any) -> bytes:
-    return bytes(build_msg(address, values).dgram)
-
-
-def bundle(*parts: bytes, time: float = IMMEDIATELY) -> bytes:
-    """Return a bundle, written from the specification."""
-    head = b"#bundle\0" + struct.pack(">Q", 1 if time == IMMEDIATELY else int(time) << 32)
-    return head + b"".join(struct.pack(">i", len(part)) + part for part in parts)
 
 
 # What is read
@@ -315,22 +305,6 @@ def test_it_listens_on_loopback_only_and_a_port_that_is_taken_is_one_line() -> N
 
 
 # Fuzz
-
-
-def mutated(rng: random.Random) -> bytes:
-    """Return a packet with a few faults, or with none."""
-    verbs = [*osc.VERBS, "arm", "clear", "disarm", "right/contact", "left/arm", "x/y/z", ""]
-    odd = [0.0, 1.0, -1.0, math.nan, math.inf, 1e9, 7, -1, "", "wood-oak", "../x", "a" * 100, True]
-    values = [rng.choice(odd) for _ in range(rng.randrange(7))]
-    data = bytes(packet(f"/tactile/{rng.choice(verbs)}", *values))
-    while rng.random() < 0.3:
-        data = bundle(*[data] * rng.randrange(1, 4))
-    if rng.random() < 0.5:
-        broken = bytearray(data)
-        for _ in range(rng.randrange(1, 5)):
-            broken[rng.randrange(len(broken))] = rng.randrange(256)
-        data = bytes(broken[: rng.randrange(len(broken) + 1)])
-    return data[: osc.LARGEST_PACKET + 1]
 
 
 @pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.ci)])

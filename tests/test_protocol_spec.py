@@ -6,7 +6,7 @@ SPEC.md is read as text; whoever changes one of the two and not the other fails 
 import re
 from pathlib import Path
 
-from test_protocol_codec import slow_crc
+from slow_codec import slow_crc
 
 from firmware_protocol import generate
 from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC

@@ -1,36 +1,38 @@
-"""A texture from a picture of relief: what is known of the relief is found again in the texture.
+"""A texture from a picture of relief: what is known of the relief is found in the texture.
 
-Height maps are synthetic, with closed forms for wavelength, direction, amplitude and spectrum;
-bands along a stroke are also compared with one-dimensional periodograms of the picture's own rows
-and of the realized surface, which share no code with the two-dimensional ones. Pictures are 384
-pixels of 53.5 µm: 20.5 mm, five periods of the coarsest band.
+Height maps are synthetic; bands along a stroke are also compared with one-dimensional periodograms
+of the picture's own rows and of the realized surface, which share no code with the two-dimensional
+ones.
 """
 
-import json
 import math
-import struct
-import sys
-import zlib
 from collections.abc import Callable
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.fft import irfft2, rfft2
+from relief_rig import (
+    COUNT,
+    LEVEL,
+    PIXEL,
+    Floats,
+    X,
+    Y,
+    along,
+    bands_of,
+    field,
+    isotropic,
+    made,
+    plane_wave,
+)
 from scipy.signal import welch
 
-from tactile.cli import main
-from tactile.cli.app import app
-from tactile.errors import InputError, NotFoundError
-from tactile.texture import descriptor as descriptors
+from tactile.errors import InputError
 from tactile.texture import skin
 from tactile.texture.descriptor_file import write
 from tactile.texture.gratings import take_lines
-from tactile.texture.picture import HeightMap, read_height
+from tactile.texture.picture import HeightMap
 from tactile.texture.relief import (
     CENTERS,
     EDGES,
@@ -40,69 +42,8 @@ from tactile.texture.relief import (
     stroke_levels,
     unsteadiness_of,
 )
-from tactile.texture.relief_texture import Relief, texture_of
+from tactile.texture.relief_texture import texture_of
 from tactile.texture.surface import load_texture
-
-Image = pytest.importorskip("PIL.Image")
-
-Floats = NDArray[np.float64]
-
-COUNT, PIXEL, LEVEL = 384, 53.5e-6, 10e-9
-X, Y = np.meshgrid(
-    (np.arange(COUNT) - (COUNT - 1) / 2) * PIXEL, (np.arange(COUNT) - (COUNT - 1) / 2) * -PIXEL
-)
-"""Places of the pixels as seen: y up."""
-
-
-def plane_wave(wavelength: float, degrees: float, amplitude: float, phase: float = 0.0) -> Floats:
-    turn = math.radians(degrees)
-    along = X * math.cos(turn) + Y * math.sin(turn)
-    return np.asarray(amplitude * np.cos(2 * np.pi * along / wavelength + phase))
-
-
-def field(seed: int, shape: Callable[[Floats, Floats], Floats], rms: float = 2e-6) -> Floats:
-    """Return a Gaussian field whose amplitude spectrum is shape(wave number, direction).
-
-    Cut from one of twice the size, so that it does not repeat.
-    """
-    count = 2 * COUNT
-    y, x = np.meshgrid(-np.fft.fftfreq(count, PIXEL), np.fft.rfftfreq(count, PIXEL), indexing="ij")
-    number = np.hypot(x, y)
-    number[0, 0] = np.inf
-    field = irfft2(white(seed) * shape(number, np.arctan2(y, x)), (count, count))
-    return np.asarray(field[:COUNT, :COUNT] * (rms / field.std()))
-
-
-@lru_cache
-def white(seed: int) -> NDArray[np.complex128]:
-    noise = np.random.default_rng(seed).standard_normal((2 * COUNT, 2 * COUNT))
-    return np.asarray(rfft2(noise))
-
-
-def isotropic(number: Floats, direction: Floats) -> Floats:
-    return np.asarray((number**2 + 500.0**2) ** -0.75)
-
-
-def along(degrees: float, spread: float) -> Callable[[Floats, Floats], Floats]:
-    """Return a falling spectrum whose directions are normally distributed."""
-
-    def shape(number: Floats, direction: Floats) -> Floats:
-        off = (direction - math.radians(degrees) + np.pi / 2) % np.pi - np.pi / 2
-        return np.asarray(number**-1.2 * np.exp(-0.25 * (off / math.radians(spread)) ** 2))
-
-    return shape
-
-
-def made(height: Floats, pixel: float = PIXEL, level: float = LEVEL) -> Relief:
-    """Return the texture of heights, rounded to gray levels as a picture would."""
-    relief = HeightMap(np.round(height / level) * level, pixel, level)
-    return texture_of(relief, name="some-relief", category="test", picture="some.png")
-
-
-def bands_of(result: Relief) -> Floats:
-    assert result.descriptor.stochastic is not None
-    return np.array(result.descriptor.stochastic.level_db)
-
 
 # Gratings
 
@@ -373,168 +314,3 @@ def test_an_unknown_category_or_a_bad_name_is_refused() -> None:
         texture_of(relief, name="a", category="woood", picture="")
     with pytest.raises(InputError, match="name 'My Oak': must be small letters"):
         texture_of(relief, name="My Oak", category="wood", picture="")
-
-
-# Pictures
-
-
-SCALES: dict[str, Any] = {"um_per_level": 0.5, "mm_per_pixel": 0.02}
-RAMP = (np.arange(96 * 80) % 199 + 20).reshape(96, 80)
-
-
-def save(path: Path, array: NDArray[Any], mode: str | None = None, **more: Any) -> Path:
-    image = Image.fromarray(array)
-    (image if mode is None else image.convert(mode)).save(path, **more)
-    return path
-
-
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_gray_of_8_and_16_bits_becomes_meters(kind: type, tmp_path: Path) -> None:
-    relief = read_height(save(tmp_path / "a.png", RAMP.astype(kind)), **SCALES)
-    assert relief.height == pytest.approx(RAMP * 0.5e-6, rel=1e-12)
-    assert relief.pixel == pytest.approx(20e-6)
-    assert relief.notes == ()
-
-
-def test_colors_become_luminance_and_that_is_said(tmp_path: Path) -> None:
-    color = np.zeros((80, 80, 3), np.uint8)
-    color[:, :40, 1], color[:, 40:, 2] = 100, 200
-    relief = read_height(save(tmp_path / "a.png", color), **SCALES)
-    assert relief.height[0, [0, -1]] == pytest.approx([58.7 * 0.5e-6, 22.8 * 0.5e-6])
-    assert "luminance" in relief.notes[0]
-
-
-def test_clipping_is_told(tmp_path: Path) -> None:
-    clipped = np.where(RAMP < 30, 0, RAMP).astype(np.uint8)
-    (note,) = read_height(save(tmp_path / "a.png", clipped), **SCALES).notes
-    assert note.startswith("clipped: 5.1% of the pixels are at gray 0")
-
-
-def huge(path: Path) -> None:
-    """Write a PNG that says it has 60000 × 60000 pixels."""
-    header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
-    chunk = b"IHDR" + header
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
-        + struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
-    )  # fmt: skip
-
-
-def truncated(path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (100, 100))
-    save(path, noise.astype(np.uint8))
-    path.write_bytes(path.read_bytes()[:2000])
-
-
-def animated(path: Path) -> None:
-    frames = [Image.fromarray((RAMP + i).astype(np.uint8)) for i in range(2)]
-    frames[0].save(path, save_all=True, append_images=frames[1:])
-
-
-def transparent(path: Path) -> None:
-    save(path, np.dstack([RAMP] * 3 + [RAMP]).astype(np.uint8))
-
-
-@pytest.mark.parametrize(
-    ("make", "problem"),
-    [
-        (lambda p: p.write_bytes(b""), "no PNG; export"),
-        (lambda p: p.write_bytes(b"GIF89a, but called a PNG"), "no PNG; export"),
-        (lambda p: p.write_bytes(b"\x89PNG\r\n\x1a\n" + b"\0" * 40), "cannot be read"),
-        (lambda p: save(p, RAMP.astype(np.uint8), format="JPEG"), "no PNG"),
-        (truncated, "cannot be read: .*truncated"),
-        (animated, "is animated: must be one picture"),
-        (transparent, "has transparent pixels"),
-        (lambda p: save(p, RAMP.astype(np.uint8), "P"), "a palette: must be an 8- or 16-bit gray"),
-        (lambda p: save(p, RAMP.astype(np.uint8), "1"), "black and white only"),
-        (lambda p: save(p, np.full((80, 80), 7, np.uint8)), "every pixel is 7: a flat picture"),
-        (lambda p: save(p, RAMP[:50].astype(np.uint8)), "80 × 50 pixels: at least 64 a side"),
-        (lambda p: save(p, np.zeros((64, 5000), np.uint8)), "5000 × 64 pixels: at most 4096"),
-        (huge, "60000 × 60000|too large"),
-    ],
-)
-def test_a_picture_that_cannot_be_used_is_one_clear_line(
-    make: Callable[[Path], object], problem: str, tmp_path: Path
-) -> None:
-    make(tmp_path / "a.png")
-    with pytest.raises(InputError, match=problem) as caught:
-        read_height(tmp_path / "a.png", **SCALES)
-    assert "\n" not in str(caught.value)
-    assert str(tmp_path / "a.png") in str(caught.value)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, 1e9])
-@pytest.mark.parametrize("name", SCALES)
-def test_a_scale_outside_its_limits_is_refused(name: str, value: float, tmp_path: Path) -> None:
-    option = "--" + name.replace("_", "-")
-    with pytest.raises(InputError, match=f"^{option} {value:g}: must be ".replace("+", r"\+")):
-        read_height(tmp_path / "a.png", **SCALES | {name: value})
-
-
-def test_a_photograph_without_a_scale_is_refused_and_told_what_would_do(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"--um-per-level is needed: gray is no height.*photograph"
-    ):
-        read_height(tmp_path / "a.png", um_per_level=None, mm_per_pixel=0.02)
-    with pytest.raises(NotFoundError, match=r"a\.png: no such file"):
-        read_height(tmp_path / "a.png", **SCALES)
-
-
-def test_without_pillow_one_line_tells_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in [name for name in sys.modules if name.startswith("PIL")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(InputError) as caught:
-        read_height(tmp_path / "a.png", **SCALES)
-    expected = "a picture needs Pillow; pip install 'tactile-display[picture]'"
-    assert str(caught.value) == expected
-
-
-# Command
-
-
-def relief_command(*arguments: object) -> int:
-    return int(app([str(a) for a in ("relief", *arguments)], standalone_mode=False) or 0)
-
-
-def test_the_command_writes_a_texture_that_can_be_played_and_tells_what_it_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    height = field(8, along(0, 15), 3e-6) + plane_wave(1.25e-3, 0, 3e-6)
-    gray = np.round((height - height.min()) / 10e-9).astype(np.uint16)
-    picture, output = save(tmp_path / "board.png", gray), tmp_path / "my-board.toml"
-    scales = ("--um-per-level", 0.01, "--mm-per-pixel", 0.0535, "--category", "wood")
-    relief_command(picture, "-o", output, *scales, "--json")
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["periodic"][0]["wavelength_mm"] == pytest.approx(1.25, rel=0.01)
-    assert facts["direction_spread_deg"] == pytest.approx(15, rel=0.25)
-    assert len(facts["band_error_db"]) == 16
-    written = descriptors.load(output)
-    assert written.texture.id == "my-board"
-    assert written.texture.provenance == "fitted"
-    for word in ("board.png", "0.01 µm per gray level", "0.0535 mm", "factor of 2", "Assumed"):
-        assert word in written.texture.source
-    with pytest.raises(InputError, match="is there already; --force overwrites it"):
-        relief_command(picture, "-o", output, *scales)
-    relief_command(picture, "-o", output, *scales, "--force")
-    told = capsys.readouterr().out
-    shown = f"every {written.periodic[0].wavelength_mm:.4g} mm across"
-    for word in (shown, "known within a factor of 2", "Bands along a stroke"):
-        assert word in " ".join(told.split())
-
-
-def test_a_mistake_on_the_command_line_is_one_line_and_exit_code_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    picture, output = save(tmp_path / "a.png", RAMP.astype(np.uint8)), tmp_path / "a.toml"
-    command = ["tactile", "relief", str(picture), "-o", str(output), "--category", "wood"]
-    monkeypatch.setattr(sys, "argv", command)
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    told = capsys.readouterr().err
-    assert told.startswith("tactile: --um-per-level is needed")
-    assert told.count("\n") == 1
-    assert not output.exists()

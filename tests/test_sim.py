@@ -1,184 +1,36 @@
-"""``sim:``, the simulated display: shear aligned with drive, anyone's plant, and the judge."""
+"""``sim:``, the simulated display: shear aligned with drive, and anyone's plant."""
 
 import math
 import sys
 import tracemalloc
-from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+import sim_rig
+from sim_rig import (
+    CHANNEL,
+    HIGH,
+    LOW,
+    POLARITY,
+    RATE,
+    SLOW_AMPLIFIER,
+    THREE_FORCES,
+    noise,
+    on_wire,
+    opened,
+    play,
+    shuffled,
+)
 
 from tactile.actuator.plant import Plant
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display import Display
 from tactile.errors import InputError
-from tactile.sim import Fidelity, SimulatedDisplay
 
-Floats = NDArray[np.float64]
-
-RATE = 8000.0
-DISPLAY = """
-[display]
-id = "shuffled"
-description = "Four contactors on shuffled lines, two of them mounted the other way round"
-opening_mm = [2.0, 3.0]
-[[contactor]]
-position_mm = [0.0, 0.0]
-channel = 5
-[[contactor]]
-position_mm = [3.0, 0.0]
-channel = 0
-polarity = -1
-[[contactor]]
-position_mm = [6.0, 0.0]
-channel = 3
-polarity = -1
-[[contactor]]
-position_mm = [9.0, 0.0]
-channel = 1
-[limits]
-voltage_v = 100.0
-"""
-LOW = '[finger]\npreset = "low"\n'
-HIGH = '[finger]\npreset = "high"\n'
-THREE_FORCES = """
-[finger]
-[[finger.table]]
-normal_force_n = 0.2
-k0_n_per_m = 200.0
-d0_n_s_per_m = 0.1
-[[finger.table]]
-normal_force_n = 0.7
-k0_n_per_m = 700.0
-d0_n_s_per_m = 0.4
-[[finger.table]]
-normal_force_n = 2.0
-k0_n_per_m = 2000.0
-d0_n_s_per_m = 1.0
-"""
-SLOW_AMPLIFIER = LOW + (
-    "[amplifier]\ngain = 0.5\nbandwidth_hz = 3000.0\noutput_resistance_ohm = 2000.0\n"
-    "delay_us = 700.0\n"
-)
-CHANNEL = [5, 0, 3, 1]
-POLARITY = np.array([1.0, -1.0, -1.0, 1.0])
-
-PLANTS = '''
-given = []
-
-
-class Late:
-    """1, 2, 3 and 4 nm/V, so many samples late; draws 1 µA/V."""
-
-    def __init__(self, delay, contactors):
-        self.delay, self._past = delay, [[0.0] * contactors] * delay
-
-    def step(self, drive):
-        import numpy as np
-
-        line = np.concatenate([np.reshape(self._past, (-1, drive.shape[1])), drive])
-        self._past = line[len(drive):]
-        return 1e-9 * np.arange(1, 5) * line[: len(drive)], 1e-6 * drive
-
-
-class Bare:
-    pass
-
-
-def late(display, sample_rate):
-    given.append((display, sample_rate))
-    return Late(3, len(display.contactors))
-
-
-def at_once(display, sample_rate):
-    return Late(0, len(display.contactors))
-
-
-def nothing(display, sample_rate):
-    return None
-
-
-def without_step(display, sample_rate):
-    plant = Bare()
-    plant.delay = 3
-    return plant
-
-
-def without_delay(display, sample_rate):
-    plant = Late(3, 4)
-    del plant.delay
-    return plant
-
-
-def with_half_a_sample(display, sample_rate):
-    plant = Late(3, 4)
-    plant.delay = 0.5
-    return plant
-
-
-def with_negative_delay(display, sample_rate):
-    plant = Late(3, 4)
-    plant.delay = -3
-    return plant
-
-
-def of_one_argument(display):
-    return Late(3, 4)
-
-
-constant = 3.0
-'''
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _plants(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    folder = tmp_path_factory.mktemp("plants")
-    (folder / "plants_of_the_sim_test.py").write_text(PLANTS, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        yield
-    sys.modules.pop("plants_of_the_sim_test", None)
-
-
-def shuffled(folder: Path, rest: str) -> Display:
-    path = folder / "shuffled.toml"
-    path.write_text(DISPLAY + rest, encoding="utf-8")
-    return load_display(path)
-
-
-@pytest.fixture
-def display(tmp_path: Path) -> Display:
-    return shuffled(tmp_path, LOW)
-
-
-def opened(display: Display, url: str = "sim:") -> SimulatedDisplay:
-    bus = open_bus(url, display, sample_rate=RATE)
-    assert isinstance(bus, SimulatedDisplay)
-    return bus
-
-
-def noise(count: int, seed: int = 0) -> Floats:
-    """Return samples for six lines [V] that the wire carries exactly, within the slew limit."""
-    return on_wire(np.random.default_rng(seed).uniform(-40, 40, (count, 6)))
-
-
-def on_wire(volts: Floats) -> Floats:
-    """Return volts rounded to the amplifier's codes, 32767 for the limit of 100 V."""
-    return np.asarray(np.rint(volts * 327.67) / 327.67)
-
-
-def play(bus: SimulatedDisplay, volts: Floats, edges: list[int]) -> Floats:
-    """Write blocks that end at the edges, taking the shear after each; return all of it."""
-    taken = []
-    for start, end in pairwise([0, *edges, len(volts)]):
-        bus.write(DriveBlock(start, volts[start:end]))
-        taken.append(bus.take_shear())
-    return np.concatenate(taken)
+_plants = sim_rig._plants
+display = sim_rig.display
 
 
 # Shear
@@ -447,74 +299,3 @@ def test_what_is_no_plant_is_one_line_that_names_it(display: Display, spec: str)
         open_bus(f"sim:?plant={spec}", display)
     assert repr(spec) in str(found.value)
     assert "\n" not in str(found.value)
-
-
-# The judge
-
-
-def direct(commanded: Floats, played: Floats) -> float:
-    """Return the ratio in 20–1000 Hz of whole recordings [dB], by scipy alone."""
-    sos = butter(4, [20, 1000], "bandpass", fs=RATE, output="sos")
-    signal = sosfilt(sos, commanded, axis=0)
-    error = sosfilt(sos, played - commanded, axis=0)
-    return float(10 * np.log10(np.sum(signal**2) / np.sum(error**2)))
-
-
-@pytest.mark.parametrize(
-    "edges", [[], [1, 2, 3], list(range(64, 4000, 64)), [0, 0, 7, 3999]], ids=str
-)
-def test_fidelity_is_that_of_the_whole_recording_however_it_is_cut(edges: list[int]) -> None:
-    rng = np.random.default_rng(0)
-    commanded = np.cumsum(rng.normal(0, 1e-7, (4000, 3)), axis=0)
-    played = 1.01 * commanded + rng.normal(0, 1e-8, (4000, 3))
-    judge = Fidelity(RATE)
-    for start, end in pairwise([0, *edges, 4000]):
-        judge.add(commanded[start:end], played[start:end])
-    # a filter's state carries rounding, no more
-    assert judge.signal_to_error_db == pytest.approx(direct(commanded, played), abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("gain", "ratio"), [(1.01, 40.0), (0.9, 20.0), (0.0, 0.0), (-1.0, -6.0206)]
-)
-def test_a_wrong_gain_is_told_exactly(gain: float, ratio: float) -> None:
-    commanded = np.random.default_rng(0).normal(0, 1e-6, (1000, 2))
-    judge = Fidelity(RATE)
-    judge.add(commanded, gain * commanded)
-    assert judge.signal_to_error_db == pytest.approx(ratio, abs=1e-3)
-
-
-def test_errors_that_are_not_heard_do_not_count() -> None:
-    """Offset and drift lie below 20 Hz, a tone at 3 kHz is 45 dB down in the judge's filter."""
-    t = np.arange(16000)[:, None] / RATE
-    commanded = 1e-6 * np.sin(2 * np.pi * 200 * t)
-    heard = 1e-8 * np.sin(2 * np.pi * 300 * t)
-    ramped = np.minimum(t / 0.5, 1)
-    unheard = 1e-7 * ramped * (1 + np.sin(2 * np.pi * 3000 * t) + np.sin(2 * np.pi * 0.5 * t))
-    judge = Fidelity(RATE)
-    judge.add(commanded, commanded + heard + unheard)
-    # 1 % of error alone is 40 dB
-    assert judge.signal_to_error_db == pytest.approx(40.0, abs=0.3)
-
-
-def test_fidelity_is_nan_before_any_signal() -> None:
-    judge = Fidelity(RATE)
-    assert math.isnan(judge.signal_to_error_db)
-    judge.add(np.zeros((0, 3)), np.zeros((0, 3)))
-    assert math.isnan(judge.signal_to_error_db)
-    judge.add(np.zeros((100, 3)), np.zeros((100, 3)))
-    assert math.isnan(judge.signal_to_error_db)
-
-
-def test_what_is_played_without_error_is_infinitely_good() -> None:
-    commanded = np.random.default_rng(0).normal(0, 1e-6, (1000, 2))
-    judge = Fidelity(RATE)
-    judge.add(commanded, commanded)
-    assert judge.signal_to_error_db == math.inf
-
-
-def test_fidelity_leaves_its_arguments_alone() -> None:
-    commanded, played = np.ones((10, 2)), np.zeros((10, 2))
-    Fidelity(RATE).add(commanded, played)
-    assert np.all(commanded == 1)
-    assert not played.any()

@@ -1,8 +1,4 @@
-"""How strong a texture is on a display: closed forms against strokes, gains against limits.
-
-Measured shear is the drive of `render` through the display's own response, by Fourier transform,
-which is no part of what is tested.
-"""
+"""How strong a texture is on a display: closed forms against strokes, gains against limits."""
 
 import json
 import sys
@@ -12,21 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+import strength_rig
 from scipy.integrate import quad
-from scipy.optimize import linprog
-from scipy.signal import welch
+from strength_rig import STROKE, authored, felt, few, played, ribs, skin, spectrum
 
 from tactile import cli
 from tactile.actuator.finger import FingerLoad
 from tactile.daemon.session import run
 from tactile.display import Display, load_display
 from tactile.errors import InputError
-from tactile.rendering import spending, strength
+from tactile.rendering import strength
 from tactile.rendering.commanded import EVENT_EDGES, commanded_lines
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import roll_off
-from tactile.rendering.renderer import Renderer, Rendering, render
+from tactile.rendering.renderer import Renderer, render
 from tactile.rendering.skin_stretch import STROKE_SHARE
 from tactile.rendering.strength import (
     HEADROOM,
@@ -38,106 +33,13 @@ from tactile.rendering.strength import (
     texture_strength,
     trial,
 )
-from tactile.texture.perception import (
-    CENTERS,
-    EDGES,
-    band_sensation,
-    channel_sensation,
-    detection_threshold,
-)
+from tactile.texture.perception import CENTERS, EDGES, band_sensation, detection_threshold
 from tactile.texture.surface import GOLDEN, Texture, load_texture, without_friction
 
-Floats = NDArray[np.float64]
-
-RATE = 8000.0
-STROKE = SteadyStroke()
-HEAD = """
-[texture]
-id = "authored"
-category = "test"
-description = "for a test"
-provenance = "authored"
-source = "a test"
-licence = "CC0-1.0"
-
-[reference]
-speed_mm_s = 80.0
-normal_force_n = 0.5
-"""
-
-
-def few(display: Display, *which: int, volts: float | None = None) -> Display:
-    """Return a display with some of its contactors, and another limit."""
-    index = list(which)
-    limits = display.limits if volts is None else replace(display.limits, voltage=volts)
-    return replace(
-        display,
-        contactors=display.contactors[index],
-        shear_direction=display.shear_direction[index],
-        polarity=display.polarity[index],
-        channel=np.arange(len(index), dtype=np.intp),
-        kind=display.kind[index],
-        limits=limits,
-    )
-
-
-@pytest.fixture(autouse=True)
-def brief(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Shorten the trial, for time; the full one is for CI."""
-    if request.node.get_closest_marker("ci") is None:
-        monkeypatch.setattr(strength, "PLACES", 4)
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return few(load_display("reference-24"), 0, 13)
-
-
-@pytest.fixture(scope="module")
-def suede() -> Texture:
-    return without_friction(load_texture("leather-suede", partials=128))
-
-
-@pytest.fixture(scope="module")
-def calf() -> Texture:
-    return without_friction(load_texture("leather-calf", partials=128))
-
-
-def authored(folder: Path, parts: str) -> Texture:
-    """Return a texture of some parts."""
-    (folder / "authored.toml").write_text(HEAD + parts, encoding="utf-8")
-    return load_texture(folder / "authored.toml")
-
-
-def ribs(folder: Path, frequency: float, micro: float) -> Texture:
-    """Return a grating that sounds at a frequency [Hz] at 80 mm/s."""
-    return authored(
-        folder, f"[[periodic]]\nwavelength_mm = {80 / frequency}\nharmonics_um = [{micro}]\n"
-    )
-
-
-def played(display: Display, texture: Texture, seconds: float) -> Rendering:
-    line = Trajectory.line(speed=0.08, duration=seconds, normal_force=0.5)
-    return render(display, texture, line)
-
-
-def skin(display: Display, drive: Floats) -> Floats:
-    """Return the shear (S, N) [m] that drive makes, by the model's response."""
-    frequency = np.fft.rfftfreq(len(drive), 1 / RATE)
-    grid = np.append(np.arange(0, 1500, 2.0), 4000.0)
-    response = display.responses(grid, RATE)[0, 0]
-    at = np.interp(frequency, grid, response.real) + 1j * np.interp(frequency, grid, response.imag)
-    return np.fft.irfft(np.fft.rfft(drive, axis=0) * at[:, None], len(drive), axis=0)
-
-
-def spectrum(shear: Floats, segment: int = 32768) -> tuple[Floats, Floats]:
-    """Return frequencies and powers of a shear's spectrum, mean over contactors."""
-    frequency, density = welch(shear.T, RATE, nperseg=segment)
-    return frequency, np.asarray(density.mean(axis=0) * frequency[1])
-
-
-def felt(frequency: Floats, power: Floats) -> float:
-    return max(channel_sensation(frequency, power).values())
+brief = strength_rig.brief
+calf = strength_rig.calf
+display = strength_rig.display
+suede = strength_rig.suede
 
 
 # Closed form
@@ -386,93 +288,6 @@ def test_two_displays_are_equally_strong_as_rendered(
         levels.append(felt(*spectrum(skin(shown, stroke.drive)[800:-800], 8000)))
     assert levels[0] == pytest.approx(levels[1], abs=0.1)
     assert levels[0] == pytest.approx(equal.level, abs=0.5)
-
-
-# Spending
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_weights_solve_the_linear_program(seed: int) -> None:
-    """Against scipy's solver, over weights and the common gain."""
-    rng = np.random.default_rng(seed)
-    count = 8
-    value, cost = rng.lognormal(0, 2, count), rng.lognormal(0, 1, count)
-    value[rng.random(count) < 0.2] = 0.0
-    least = np.where(value > 0, rng.uniform(0.2, 0.9), 0.0)
-    budget = rng.uniform(0.05, 1.1) * cost.sum()
-    found = spending.weights(value, cost, least, budget)
-    found = found * min(1.0, budget / (found @ cost))
-    scale = np.ones((count, 1))
-    above = np.hstack([np.eye(count), -scale])
-    below = np.hstack([-np.eye(count), least[:, None]])
-    rows = np.vstack([above, below, np.append(cost, 0.0)])
-    right = np.append(np.zeros(2 * count), budget)
-    best = linprog(np.append(-value, 0.0), A_ub=rows, b_ub=right, bounds=[(0, 1)] * (count + 1))
-    assert best.fun is not None
-    assert found @ value == pytest.approx(-best.fun, rel=1e-7)
-
-
-def test_nothing_changes_where_the_drive_suffices(display: Display, calf: Texture) -> None:
-    assert spending.spend(display, calf) is calf
-    np.testing.assert_array_equal(spending.weights(np.ones(3), np.ones(3), np.zeros(3), 3.0), 1.0)
-
-
-@pytest.mark.parametrize("volts", [4.0, 1.0])
-def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
-    suede: Texture, display: Display, volts: float
-) -> None:
-    """Dropped is what a band has no more of: it lies below 0 dB SL at full strength already."""
-    weak = few(display, 0, volts=volts)
-    spent = spending.spend(weak, suede)
-    before, after = STROKE.lines(suede), STROKE.lines(spent)
-    own, left = (band_sensation(one.frequency, one.power) for one in (before, after))
-    some = np.isfinite(own)
-    dropped = np.zeros(len(own), bool)
-    dropped[some] = own[some] - left[some] > spending.DISTANCE_DB + 0.1
-    assert dropped.any()
-    assert own[dropped].max() < 0
-    able = reach(weak, STROKE)
-    same = able.drive_rms(before) / able.drive_rms(after)
-    at_once = able.delivered(before.times(0.1)), able.delivered(after.times(0.1 * same))
-    plain, better = (felt(one.frequency, one.power) for one in at_once)
-    assert better > plain + 0.5
-    assert automatic_gain(weak, spent).level > automatic_gain(weak, suede).level + 0.3
-
-
-def test_a_part_that_is_felt_is_lowered_by_no_more_than_the_distance(
-    display: Display, calf: Texture
-) -> None:
-    """At a gain at which everything between 20 and 640 Hz is felt."""
-    spent = spending.spend(display, calf, gain=60.0)
-    ratio = 20 * np.log10(spent.amplitude[calf.amplitude > 0] / calf.amplitude[calf.amplitude > 0])
-    assert ratio.min() == pytest.approx(-spending.DISTANCE_DB)
-    assert ratio.max() == pytest.approx(0, abs=1e-12)
-
-
-def test_an_isotropic_texture_stays_isotropic(display: Display, calf: Texture) -> None:
-    """The weight of a wave goes with its wave number alone."""
-    spent = spending.spend(few(display, 0, volts=2.0), calf)
-    size = np.linalg.norm(calf.wave_vector, axis=1)
-    some = calf.amplitude > 0
-    ratio, order = (spent.amplitude[some] / calf.amplitude[some]), np.argsort(size[some])
-    changes = np.count_nonzero(np.abs(np.diff(ratio[order])) > 1e-9)
-    assert 1 <= changes < 16
-    np.testing.assert_array_equal(spent.wave_vector, calf.wave_vector)
-
-
-def test_harmonics_below_threshold_are_dropped_and_the_felt_one_is_kept(
-    tmp_path: Path, display: Display
-) -> None:
-    """10 Hz of 1 µm is below threshold and takes most of the drive, 250 Hz of 0.5 µm is felt."""
-    both = authored(
-        tmp_path,
-        "[[periodic]]\nwavelength_mm = 8.0\nharmonics_um = [1.0]\n"
-        "[[periodic]]\nwavelength_mm = 0.32\nharmonics_um = [0.5]\n",
-    )
-    spent = spending.spend(few(display, 0, volts=1.0), both)
-    slow, fast = (part.harmonics_um[0] for part in spent.descriptor.periodic)
-    assert slow == 0
-    assert fast == 0.5
 
 
 # Doors

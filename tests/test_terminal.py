@@ -14,7 +14,8 @@ from rich.segment import Segment
 
 from tactile import terminal
 from tactile.display import Display, load_display
-from tactile.terminal import Picture, Trace, braille, nice, pitch, rasterize
+from tactile.terminal import Picture, nice, pitch, rasterize
+from tactile.terminal.trace import Trace, braille
 
 Floats = NDArray[np.float64]
 Pixels = dict[tuple[int, int], tuple[int, int, int]]
@@ -156,6 +157,55 @@ def test_positive_is_red_negative_blue_and_zero_white() -> None:
     assert low[0] > 120 > 60 > low[2]
     assert high[2] > 120 > 60 > high[0]
     assert sorted(set(colors.values())) == sorted({low, high, (242, 242, 242)})
+
+
+def stroked(stretch_um: float, millimeters: int, *, force: float = 0.5) -> Picture:
+    """Return a picture after a stroke at 80 mm/s over waves of 4 mm, on a skin that is stretched.
+
+    The waves are 1 µm high and run along x.
+    """
+    picture, speed = Picture(SMALL, texture="waves"), 0.08
+    step = speed / 8000
+    for k in range(round(millimeters * 1e-3 / (BLOCK * step))):
+        way = step * np.arange(k * BLOCK, (k + 1) * BLOCK)[:, None]
+        waves = np.cos(2 * np.pi * (way + SMALL.contactors[:, 0]) / 4e-3)
+        place = (float(way[-1, 0]), 0.0)
+        shear = (waves + stretch_um) * 1e-6
+        picture.update(way[-1, 0] / speed, place, speed, force, shear, 0 * shear, 0)
+    return picture
+
+
+@pytest.mark.parametrize("stretch_um", [-5.0, 12.0])
+def test_a_stretch_of_all_contactors_changes_no_cell(stretch_um: float) -> None:
+    evenly, stretched = stroked(0.0, 60), stroked(stretch_um, 60)
+    colors = pixels(drawn(evenly))
+    scale = terminal.SMALLEST_SCALE
+    for picture in (evenly, stretched):  # what the first ways showed has decayed
+        picture.state = replace(
+            picture.state, peak_um=max(abs(picture.state.image_um).max(), scale)
+        )
+    assert pixels(drawn(stretched)) == pixels(drawn(evenly))
+    assert len(set(colors.values())) > 3, "waves are seen"
+
+
+def test_waves_of_4_mm_keep_their_height_beside_a_stretch() -> None:
+    picture = stroked(-5.0, 60)
+    x, way = SMALL.contactors[:, 0], picture.state.place_mm[0] * 1e-3
+    waves = np.cos(2 * np.pi * (way + x) / 4e-3)
+    # a low-pass of first order over 5 mm lets 4 / (2π 5) = 13 % of the waves into the mean
+    assert picture.state.image_um == pytest.approx(waves, abs=0.14)
+
+
+def test_a_finger_that_rests_keeps_its_image_and_one_that_left_has_no_stretch() -> None:
+    picture, still = stroked(-5.0, 60), np.zeros((BLOCK, len(SMALL.contactors)))
+    shear = np.tile((picture.state.image_um + picture.state.stretch_um) * 1e-6, (BLOCK, 1))
+    picture.update(1.0, (0.06, 0.0), 0.0, 0.5, shear, still, 0)
+    before = picture.state.image_um
+    for k in range(250):
+        picture.update(1.0 + 8e-3 * k, (0.06, 0.0), 0.0, 0.5, shear, still, 0)
+    assert np.array_equal(picture.state.image_um, before)
+    picture.update(4.0, (0.06, 0.0), 0.0, 0.0, still, still, 0)
+    assert not picture.state.image_um.any()
 
 
 def test_every_contactor_of_an_irregular_layout_has_a_cell_of_its_own() -> None:

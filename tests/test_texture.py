@@ -1,82 +1,32 @@
-"""A texture's file becomes a surface whose statistics are those that the file states.
+"""A texture's file becomes a surface whose spectra are those that the file states.
 
-Spectra are counted here from the waves themselves, by another definition of the bands than the
-package's (exact base-10 third octaves, IEC 61260-1), and once from a sampled cut that knows
-nothing of waves. Statistics of events and envelopes are compared with closed forms; the tolerance
-is four standard errors where the sample is random.
+Spectra are counted here from the waves themselves, and once from a sampled cut that knows nothing
+of waves; the tolerance is four standard errors where the sample is random.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.special import i0
+from texture_rig import (
+    BETWEEN,
+    CENTERS,
+    EDGES,
+    WITH_BANDS,
+    Floats,
+    bands,
+    counted,
+    misses,
+    rms,
+    write,
+)
 
 from tactile.errors import InputError, NotFoundError
-from tactile.rendering.shear import EventField
 from tactile.texture import descriptor
-from tactile.texture.surface import Partials, Surface, Texture, load_texture
-
-Floats = NDArray[np.float64]
-
-CENTERS = 10 ** (np.arange(-6, 10) / 10)
-"""Cycles/mm, exact."""
-EDGES = 10 ** (np.arange(-6.5, 10) / 10)
-FALLING = tuple(-1.5 * n for n in range(16))
-"""Levels [dB] that an isotropic surface can have."""
-BETWEEN: Floats = 1.25 + 5.0 * np.arange(36, dtype=np.float64)
-"""36 directions [deg], each halfway between two of those that a surface is fitted in."""
-WITH_BANDS = ["leather-calf", "leather-suede", "plastic-abs-vdi27", "plastic-acrylic-ribbed",
-              "wood-oak", "wood-pine-sanded"]  # fmt: skip
-
-
-def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]]) -> Path:
-    """Write a descriptor of the given tables and return its path."""
-    lines = [
-        f'[texture]\nid = "{path.stem}"\ncategory = "test"\ndescription = ""',
-        'provenance = "authored"\nsource = "a test"\nlicence = "CC0-1.0"',
-        "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5",
-    ]
-    for name, content in tables.items():
-        for table in content if isinstance(content, list) else [content]:
-            lines.append(f"[[{name}]]" if isinstance(content, list) else f"[{name}]")
-            lines += [f"{k} = {v!r}".replace("(", "[").replace(")", "]") for k, v in table.items()]
-    path.write_text("\n".join(lines))
-    return path
-
-
-def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, object]:
-    """Return the table of a stochastic part at the exact centers."""
-    return {"frequency_per_mm": tuple(CENTERS.tolist()), "level_db": levels, **more}
-
-
-def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:
-    """Return the 16 band levels [dB re 1 µm²·mm] along a direction, wave by wave."""
-    power = np.zeros(16)
-    for (kx, ky), a in zip(wave_vector, amplitude, strict=True):
-        along = kx * math.cos(math.radians(degrees)) + ky * math.sin(math.radians(degrees))
-        band = math.floor(10 * math.log10(abs(along) / (2 * math.pi) * 1e-3 + 1e-9) + 6.5)
-        if 0 <= band < 16:
-            power[band] += (a * 1e6) ** 2 / 2
-    return np.asarray(10 * np.log10(np.maximum(power / np.diff(EDGES), 1e-12)))
-
-
-def misses(texture: Texture, degrees: Floats) -> Floats:
-    """Return by how much [dB] each band along each direction differs from the descriptor."""
-    assert texture.descriptor.stochastic is not None
-    wanted = np.asarray(texture.descriptor.stochastic.level_db)
-    return np.array([counted(texture.wave_vector, texture.amplitude, d) - wanted for d in degrees])
-
-
-def rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
+from tactile.texture.surface import Partials, load_texture
 
 # Descriptors
 
@@ -408,210 +358,3 @@ def test_contact_length_is_a_low_pass_in_space(tmp_path: Path, length: float) ->
         soft.amplitude, plain.amplitude / np.sqrt(1 + turn**2), rtol=1e-12, atol=0
     )
     assert plain.amplitude[-1] == 1e-6
-
-
-# Envelope
-
-
-@dataclass(frozen=True)
-class Statistics:
-    depth: float
-    mean_square: float
-    excess_kurtosis: float
-
-
-def along_a_path(folder: Path, seed: int, *, length: float = 300.0, **more: float) -> Statistics:
-    """Return what an envelope does along 300 m of a straight path, sampled every 1.7 mm."""
-    texture = load_texture(write(folder / "varied.toml", stochastic=bands(FALLING, **more)))
-    waves = texture.realize(seed).envelope
-    s = np.arange(0, length, 1.7e-3)
-    path = s[:, None] * np.array([math.cos(0.5), math.sin(0.5)])
-    variance = float(np.sum(waves.amplitude**2) / 2)
-    e = np.concatenate([np.exp(waves.at(p) - variance) for p in np.array_split(path, 40)])
-    square = float(np.mean(e**2))
-    kurtosis = 3 * float(np.mean(e**4)) / square**2 - 3
-    return Statistics(float(np.std(e) / np.mean(e)), square, kurtosis)
-
-
-@pytest.mark.parametrize("depth", [0.1, 0.3, 0.6])
-def test_the_envelope_has_the_stated_depth(tmp_path: Path, depth: float) -> None:
-    """And its mean square is one, so that bands keep their levels.
-
-    Twelve sinusoids are nearly a normal process: ∏ I₀(2a)/∏ I₀(a)² − 1 is 1.3 % low in its root at
-    0.6, less below. A path of 300 m holds 3·10⁴ periods of the fastest, so that sampling adds 1 %.
-    """
-    measured = along_a_path(tmp_path, 1, am_depth=depth)
-    assert measured.depth == pytest.approx(depth, rel=0.03)
-    assert measured.mean_square == pytest.approx(1, abs=0.02)
-    waves = load_texture(tmp_path / "varied.toml").realize(1).envelope.amplitude
-    exact = math.sqrt(np.prod(i0(2 * waves)) / np.prod(i0(waves)) ** 2 - 1)
-    assert measured.depth == pytest.approx(exact, rel=0.02)
-
-
-@pytest.mark.parametrize("depth", [0.1, 0.3, 0.6])
-def test_a_modulation_alone_has_the_excess_kurtosis_of_the_closed_form(
-    tmp_path: Path, depth: float
-) -> None:
-    """Of a normal process that it multiplies, 3⟨e⁴⟩/⟨e²⟩² − 3 = 3 ((1 + d²)⁴ − 1).
-
-    12 sinusoids lack some of a normal process's tail, 10 % of the kurtosis at 0.6 (from
-    ∏ I₀(4a)/∏ I₀(2a)²); a fourth moment over 300 m errs by 3 %.
-    """
-    measured = along_a_path(tmp_path, 2, am_depth=depth)
-    wanted = 3 * ((1 + depth**2) ** 4 - 1)
-    assert measured.excess_kurtosis == pytest.approx(wanted, rel=0.15)
-    assert measured.mean_square == pytest.approx(1, abs=0.02)
-
-
-def test_a_surface_under_its_envelope_has_the_excess_kurtosis_of_its_depth(
-    tmp_path: Path,
-) -> None:
-    """Sampled along 100 m at 7·10⁴ places 1.37 mm apart, far beyond what correlates.
-
-    Of the surface alone it is that of 384 sinusoids, −1.5 Σa⁴/(Σa²)², above −0.01, ± √(24/n).
-    Under the envelope, 3 (1.09⁴ − 1) = 1.23, fourth powers have four times the spread: ± 0.15.
-    """
-    texture = load_texture(write(tmp_path / "varied.toml", stochastic=bands(am_depth=0.3)))
-    surface = texture.realize(3)
-    path = np.arange(0, 100, 1.37e-3)[:, None] * np.array([math.cos(0.3), math.sin(0.3)])
-    parts = np.array_split(path, 60)
-    plain = np.concatenate([surface.partials.at(part) for part in parts])
-    exponent = np.concatenate([surface.envelope.at(part) for part in parts])
-    varied = plain * np.exp(exponent - np.sum(surface.envelope.amplitude**2) / 2)
-
-    def excess(x: Floats) -> float:
-        return float(np.mean(x**4) / np.mean(x**2) ** 2 - 3)
-
-    assert excess(plain) == pytest.approx(0, abs=4 * math.sqrt(24 / len(path)))
-    assert excess(varied) == pytest.approx(1.23, abs=0.15)
-    assert rms(varied) == pytest.approx(rms(plain), rel=0.02)
-
-
-def test_modulation_is_no_faster_than_its_corner_and_bursts_are_three_times_it_and_more(
-    tmp_path: Path,
-) -> None:
-    """Below the corner, counted along 720 strokes, both together have the depth's variance."""
-    stochastic = bands(am_depth=0.2, excess_kurtosis=1.0, am_corner_per_mm=0.3)
-    texture = load_texture(write(tmp_path / "varied.toml", stochastic=stochastic))
-    waves = texture.realize().envelope
-    cycles = np.linalg.norm(waves.wave_vector, axis=1) / (2 * np.pi) * 1e-3
-    slow, fast = np.split(cycles, 2)
-    assert 0.8 * 0.3 < slow.max() <= 0.3
-    assert 0.9 < fast.min() < fast.max() <= 1.35
-    turn = np.arange(720) * np.pi / 720
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=1) @ waves.wave_vector.T
-    below = np.abs(along) <= 0.3e3 * 2 * np.pi
-    variance = np.mean(below @ waves.amplitude**2 / 2)
-    assert math.sqrt(math.expm1(variance)) == pytest.approx(0.2, rel=1e-2)
-
-
-def test_the_envelope_of_a_grained_surface_lies_along_its_grain(tmp_path: Path) -> None:
-    """Its depth and corner hold along the stroke that the bands hold for."""
-    stochastic = bands(am_depth=0.2, excess_kurtosis=1.0, direction_deg=40.0)
-    path = write(tmp_path / "grain.toml", stochastic=stochastic | {"direction_spread_deg": 10.0})
-    waves = load_texture(path).realize().envelope
-    turn = np.degrees(np.arctan2(waves.wave_vector[:, 1], waves.wave_vector[:, 0]))
-    assert np.mean(turn) == pytest.approx(40, abs=2)
-    assert np.std(turn) == pytest.approx(10, rel=0.25)
-
-
-def test_depth_that_brings_more_kurtosis_than_stated_adds_no_bursts(tmp_path: Path) -> None:
-    """A depth of 0.3 alone gives 3 (1.09⁴ − 1) = 1.2."""
-    for kurtosis, waves in ((0.0, 12), (1.1, 12), (1.3, 24)):
-        stochastic = bands(am_depth=0.3, excess_kurtosis=kurtosis)
-        texture = load_texture(write(tmp_path / "varied.toml", stochastic=stochastic))
-        assert len(texture.realize().envelope.amplitude) == waves
-
-
-def test_without_depth_and_kurtosis_there_is_no_envelope(tmp_path: Path) -> None:
-    even = load_texture(write(tmp_path / "even.toml", stochastic=bands()))
-    ribs = write(tmp_path / "ribs.toml", periodic=[{"wavelength_mm": 2.0, "harmonics_um": (1.0,)}])
-    for texture in (even, load_texture(ribs)):
-        assert len(texture.realize().envelope.amplitude) == 0
-
-
-# Events
-
-PORES = {"density_per_mm2": 0.7, "amplitude_um": 2.5, "amplitude_sd": 0.6, "width_mm": 0.4}
-GRIT = {"density_per_mm2": 0.1, "amplitude_um": 9.0, "width_mm": 1.0, "shape": "edge"}
-TILE = 25.6
-"""mm"""
-
-
-def scattered(folder: Path, seeds: int) -> list[Surface]:
-    texture = load_texture(write(folder / "pores.toml", events=[PORES, GRIT]))
-    return [texture.realize(seed) for seed in range(seeds)]
-
-
-def test_events_are_as_dense_as_stated_and_poisson_in_number(tmp_path: Path) -> None:
-    """Variance over mean of n Poisson counts is 1 ± √(2/n)."""
-    surfaces, seeds = scattered(tmp_path, 200), 200
-    for kind, density in enumerate((0.7, 0.1)):
-        counts = np.array([np.count_nonzero(s.event_kind == kind) for s in surfaces])
-        mean = density * TILE**2
-        assert counts.mean() == pytest.approx(mean, abs=4 * math.sqrt(mean / seeds))
-        assert counts.var() / counts.mean() == pytest.approx(1, abs=4 * math.sqrt(2 / seeds))
-
-
-def test_events_are_scattered_evenly_over_the_tile(tmp_path: Path) -> None:
-    """Counts in 64 cells: χ² of 63 degrees of freedom, 63 ± 4 √126."""
-    surfaces = scattered(tmp_path, 40)
-    place = np.concatenate([s.event_place for s in surfaces]) * 1e3
-    assert surfaces[0].tile == TILE * 1e-3
-    assert place.min() >= 0
-    assert place.max() < TILE
-    cells = np.bincount(np.ravel_multi_index(tuple((place / TILE * 8).astype(int).T), (8, 8)))
-    chi = np.sum((cells - cells.mean()) ** 2) / cells.mean()
-    assert chi == pytest.approx(63, abs=4 * math.sqrt(126))
-
-
-def test_event_amplitudes_are_log_normal_with_the_stated_median_and_spread(
-    tmp_path: Path,
-) -> None:
-    """ln|a| of n events is normal: mean ± σ/√n, deviation ± σ/√(2n), skewness ± √(6/n)."""
-    surfaces = scattered(tmp_path, 40)
-    peak = np.concatenate([s.event_peak[s.event_kind == 0] for s in surfaces]) * 1e6
-    log, n = np.log(np.abs(peak)), len(peak)
-    assert np.mean(log) == pytest.approx(math.log(2.5), abs=4 * 0.6 / math.sqrt(n))
-    assert np.std(log) == pytest.approx(0.6, abs=4 * 0.6 / math.sqrt(2 * n))
-    assert np.mean(((log - log.mean()) / log.std()) ** 3) == pytest.approx(
-        0, abs=4 * math.sqrt(6 / n)
-    )
-    grit = np.concatenate([s.event_peak[s.event_kind == 1] for s in surfaces])
-    np.testing.assert_allclose(np.abs(grit), 9e-6, rtol=1e-12)
-
-
-def displacement(field: EventField, place: Floats) -> Floats:
-    """Return what a single contactor is moved by at places (S, 2) [m]."""
-    return np.asarray(field.at(place.T)[:, 0], np.float64)
-
-
-@pytest.mark.parametrize("width", [0.2, 0.4, 2.0])
-def test_a_pulse_has_the_stated_height_and_width_at_half_maximum(
-    tmp_path: Path, width: float
-) -> None:
-    """Read every µm along a line through it; 1 % for the 12.5 µm pixels it is drawn on."""
-    pulse = PORES | {"width_mm": width, "density_per_mm2": 0.002}
-    texture = load_texture(write(tmp_path / "pores.toml", events=[pulse]))
-    surfaces = (texture.realize(seed) for seed in range(100))
-    surface = next(s for s in surfaces if len(s.event_peak) == 1)
-    field = EventField(surface, texture.descriptor.events, np.zeros((1, 2)))
-    offset = np.arange(-3e-3, 3e-3, 1e-6)
-    for axis in (0, 1):
-        line = np.repeat(surface.event_place, len(offset), axis=0)
-        line[:, axis] += offset
-        shear = displacement(field, line) / surface.event_peak[0]
-        assert shear.max() == pytest.approx(1, abs=0.01)
-        assert np.ptp(offset[shear > 0.5]) * 1e3 == pytest.approx(width, rel=0.01)
-
-
-def test_the_tile_of_events_repeats_over_the_whole_plane(tmp_path: Path) -> None:
-    texture = load_texture(write(tmp_path / "pores.toml", events=[PORES, GRIT]))
-    field = EventField(texture.realize(1), texture.descriptor.events, np.zeros((1, 2)))
-    place = np.random.default_rng(0).uniform(0, TILE * 1e-3, (500, 2))
-    here = displacement(field, place)
-    assert rms(here) > 1e-7
-    for tiles in ((1, 0), (0, -1), (-3, 7), (40, -40)):
-        there = displacement(field, place + np.array(tiles) * TILE * 1e-3)
-        np.testing.assert_allclose(there, here, atol=1e-11)  # float32 of 10 µm
-    assert rms(displacement(field, place + np.array([TILE * 0.5e-3, 0])) - here) > 1e-7

@@ -11,12 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from bus_benches import Bench, bench_of, built
-from bus_contract import (
-    SLOW,
-    limited,
-    planted,
-    three,
-)
+from bus_contract import SLOW, limited, planted, three
 
 from tactile.display import Display
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from bus_benches import BENCHES, Bench, steadied
+from bus_benches import BENCHES, Bench
 from bus_contract import (
     FADE,
     VOLTAGE,
@@ -13,6 +13,7 @@ from bus_contract import (
     assert_rests,
     level,
     noise,
+    on,
     play,
     played,
 )
@@ -21,13 +22,8 @@ from tactile.bus.base import DriveBlock
 from tactile.display import Display
 from tactile.errors import InputError
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:set(Daemon|Name).*:DeprecationWarning"
-)  # pyserial's
 
-
-@pytest.mark.parametrize("bench", BENCHES, indirect=True)
-@steadied
+@on(BENCHES)
 class TestBlocks:
     """What arrives, also where it is wrong."""
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bus_benches import BENCHES, Bench, steadied
+from bus_benches import BENCHES, Bench
 from bus_contract import (
     RATE,
     ROUNDING,
@@ -16,6 +16,7 @@ from bus_contract import (
     level,
     limited,
     noise,
+    on,
     played,
 )
 
@@ -23,13 +24,8 @@ from tactile.bus.base import DriveBlock
 from tactile.display import Display
 from tactile.errors import InputError
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:set(Daemon|Name).*:DeprecationWarning"
-)  # pyserial's
 
-
-@pytest.mark.parametrize("bench", BENCHES, indirect=True)
-@steadied
+@on(BENCHES)
 class TestRamps:
     """How it comes to 0 V, and how fast it moves at all."""
 

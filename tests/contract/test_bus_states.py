@@ -4,7 +4,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from bus_benches import BENCHES, REAL, Bench, steadied
+from bus_benches import BENCHES, REAL, Bench
 from bus_contract import (
     RATE,
     SLOW,
@@ -13,6 +13,7 @@ from bus_contract import (
     assert_played,
     climb,
     level,
+    on,
     played,
 )
 
@@ -21,13 +22,8 @@ from tactile.bus.base import DriveBlock, HostDeath, Wiring
 from tactile.display import Display
 from tactile.errors import BusError, BusStateError
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:set(Daemon|Name).*:DeprecationWarning"
-)  # pyserial's
 
-
-@pytest.mark.parametrize("bench", BENCHES, indirect=True)
-@steadied
+@on(BENCHES)
 class TestStates:
     """Which calls are allowed, and what ends."""
 
@@ -190,8 +186,7 @@ class TestStates:
 SLCAN = pytest.param("slcan", marks=pytest.mark.ci)  # has the least time to spare
 
 
-@pytest.mark.parametrize("bench", [*REAL[:-1], SLCAN], indirect=True)
-@steadied
+@on([*REAL[:-1], SLCAN])
 class TestRealLinks:
     """What the default run sees of each link in real time; all else runs with ``-m ci``."""
 

@@ -1,4 +1,4 @@
-/* The core without its amplifier, for tests/test_protocol_vectors.py: a command per line on standard
+/* The core without its amplifier, for tests/test_protocol_vectors_c.py: a command per line on standard
  * input, an answer per line on standard output. Bytes are hex, "-" is none of them.
  *
  *   packet HEX                          type flags node seq payload, or "none"

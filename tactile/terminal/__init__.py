@@ -5,6 +5,10 @@ contactor is a rectangle of characters at its place, seen from above with y upwa
 pitch along x and along y makes a cell, so that contactors of an irregular layout stay apart. Where
 the terminal is too small, a cell is the mean of its contactors. Colored cells are drawn with half
 blocks, two to a character; without color a cell fills with height instead.
+
+Friction stretches the skin under all contactors alike, by more than most textures move it, and one
+color all over would be all that is seen. The image is therefore of what changes along the way: each
+contactor's mean over the last `WAY` is taken off. The trace has the whole.
 """
 
 import itertools
@@ -21,6 +25,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from tactile.display import Display
+from tactile.terminal.trace import Trace, braille
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -28,12 +33,13 @@ Line = list[Segment]
 
 DECAY = 2.0
 """Seconds in which the image's scale falls to 1/e once the contactors move less."""
+WAY = 5e-3
+"""m of the finger's way after which a mean has forgotten all but 1/e (assumed): waves of 4 mm, the
+longest that bands describe, keep 99 % of their height; stretch is gone after a few ways."""
 SMALLEST_SCALE = 0.1
 """µm; what skin feels at best (250 Hz), so that less is not made to look like much."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Ends that a scale may have, times powers of ten."""
-SPAN, BINS = 1.0, 250
-"""Seconds that the trace looks back, and bins that it keeps of them."""
 TALLEST, LOWEST_SIDE, TRACE_LINES = 39, 18, 6
 """Lines of the whole, of drive with trace, and of the trace with its frame."""
 TWO_COLUMNS, ONE_LINE = 64, 100
@@ -50,8 +56,6 @@ DIVERGING = "#083096 #2166d2 #5496ec #a0c8f6 #f2f2f2 #fabca2 #f07456 #d8282c #a8
 """Colors from the most negative shear to the most positive, evenly spaced."""
 HEIGHTS = " ▁▂▃▄▅▆▇█"
 PARTS = " ▏▎▍▌▋▊▉"
-BRAILLE = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-"""Bits of the dots of a Braille character, 4 × 2 (Unicode block U+2800)."""
 
 LABEL = FRAME = Style.parse("bright_black")
 VALUE = TITLE = Style.parse("bold")
@@ -186,46 +190,6 @@ def height_lines(raster: Raster, part: Floats) -> list[Line]:
     return [[Segment("".join(HEIGHTS[k] for k in row))] for row in fill.astype(np.intp).tolist()]
 
 
-class Trace:
-    """Lowest and highest value of one signal in each bin of the last second."""
-
-    def __init__(self) -> None:
-        self._bins = np.full((2, BINS), np.nan)
-        self._last: int | None = None
-
-    def add(self, values: Floats, end: float, step: float) -> None:
-        """Take values (S,) at intervals of ``step``, the last at ``end`` [s]."""
-        time = end - step * np.arange(len(values) - 1, -1, -1)
-        number = np.floor(time * (BINS / SPAN) + 1e-6).astype(np.int64)
-        newest = int(number[-1])
-        if self._last is None or not 0 <= newest - self._last < BINS:
-            self._bins[:] = np.nan
-            self._last = newest
-        self._bins[:, np.arange(self._last + 1, newest + 1) % BINS] = np.nan
-        self._last, recent = newest, number > newest - BINS
-        np.fmin.at(self._bins[0], number[recent] % BINS, values[recent])
-        np.fmax.at(self._bins[1], number[recent] % BINS, values[recent])
-
-    def envelope(self, count: int) -> tuple[Floats, Floats]:
-        """Return the lowest and highest (count,), the oldest first; NaN where nothing is known."""
-        low, high = np.roll(self._bins, -1 - (self._last or 0) % BINS, axis=1)
-        start = np.arange(count) * BINS // count
-        return np.fmin.reduceat(low, start), np.fmax.reduceat(high, start)
-
-
-def braille(low: Floats, high: Floats, lines: int) -> list[str]:
-    """Draw the band between two signals, −1 … 1 (2W,), in lines of W characters."""
-    top, bottom = ((1 - side) / 2 * (4 * lines - 1) for side in (high, low))
-    before_top, before_bottom = (np.concatenate([side[:1], side[:-1]]) for side in (top, bottom))
-    top, bottom = np.fmin(top, before_bottom), np.fmax(bottom, before_top)
-    known = np.isfinite(low)
-    row = np.arange(4 * lines)[:, None]
-    dots = (row >= np.rint(top)) & (row <= np.rint(bottom)) & known
-    cells = dots.reshape(lines, 4, -1, 2) * BRAILLE[:, None]
-    codes = 0x2800 + cells.sum(axis=(1, 3))
-    return ["".join(map(chr, line)) for line in codes.tolist()]
-
-
 def _bar(part: float, width: int, color: bool) -> Line:
     """Draw a part, 0 … 1, of a bar and a space in ``width`` characters; only at 1 is it full."""
     width, part = width - 1, min(part + NEAR, 1.0) if part > 0 else 0.0
@@ -283,6 +247,7 @@ class _State:
     image_um: Floats
     drive_v: Floats
     limited_samples: int
+    stretch_um: Floats
     peak_um: float = SMALLEST_SCALE
 
 
@@ -316,7 +281,7 @@ class Picture:
         self.contactor = int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
         self.trace = Trace()
         nothing = np.zeros(len(self.places))
-        self.state = _State(0.0, (0.0, 0.0), 0.0, 0.0, nothing, nothing, 0)
+        self.state = _State(0.0, (0.0, 0.0), 0.0, 0.0, nothing, nothing, 0, nothing)
         self._rasters: dict[tuple[int, int, bool], Raster] = {}
 
     def update(
@@ -337,7 +302,7 @@ class Picture:
         position : (2,) of the finger [m]
         speed : of the finger [m/s]
         normal_force : of the finger [N]
-        shear : (S, N) [m]; the image shows the last sample
+        shear : (S, N) [m]; the image shows the last sample, less the mean over the way before
         drive : (S, N) [V]
         limited_samples : how many samples the limiter has turned down so far
         """
@@ -345,9 +310,13 @@ class Picture:
         volts = np.nan_to_num(np.asarray(drive, np.float64))
         old = self.state
         faded = old.peak_um * math.exp(-max(time_s - old.time_s, 0.0) / DECAY)
-        image, peaks = old.image_um, old.drive_v
+        image, peaks, stretch = old.image_um, old.drive_v, old.stretch_um
+        if normal_force <= 0 or time_s < old.time_s:
+            stretch = np.zeros_like(stretch)
         if len(moved):
-            image, peaks = moved[-1], np.abs(volts).max(axis=0)
+            image, peaks = moved[-1] - stretch, np.abs(volts).max(axis=0)
+            kept = math.exp(-abs(speed) * len(moved) * self._step / WAY)
+            stretch = kept * stretch + (1 - kept) * moved.mean(axis=0)
             self.trace.add(moved[:, self.contactor], time_s, self._step)
         self.state = _State(
             time_s,
@@ -357,6 +326,7 @@ class Picture:
             image_um=image,
             drive_v=peaks,
             limited_samples=limited_samples,
+            stretch_um=stretch,
             peak_um=max(float(np.abs(image).max()), faded, SMALLEST_SCALE),
         )
 

@@ -1,0 +1,92 @@
+"""The command ``tactile`` to test: called in this process, which is quicker, or started."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile import cli
+
+Floats = NDArray[np.float64]
+
+KEYS = {
+    "drive_v", "shear_target_m", "shear_played_m", "time_s", "position_mm", "sample_rate_hz",
+    "contactors_mm",
+}  # fmt: skip
+SHORT = ["--seconds", "0.1"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command did."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """Read all of what was printed as strict JSON, without NaN and infinity."""
+
+        def refuse(name: str) -> float:
+            raise AssertionError(f"{name} is no JSON")
+
+        return json.loads(self.out, parse_constant=refuse)
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    """Run the command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", ["tactile", *map(str, arguments)])
+        monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # a script's
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        out, err = capsys.readouterr()
+        assert isinstance(left.value.code, int)
+        return Result(left.value.code, out, err)
+
+    return run
+
+
+def started(*arguments: object, cwd: Path) -> Result:
+    """Run the command as a process of its own, warnings being errors."""
+    line = [sys.executable, "-W", "error", "-m", "tactile", *map(str, arguments)]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
+    p = subprocess.run(
+        line, cwd=cwd, env=environment, capture_output=True, encoding="utf-8", check=False
+    )
+    return Result(p.returncode, p.stdout, p.stderr)
+
+
+def recorded(path: Path) -> dict[str, Floats]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def assert_mistake(result: Result, *said: str) -> None:
+    """See that it is one line on standard error, and exit code 2."""
+    assert result.code == 2, result
+    assert result.out == ""
+    assert result.err.endswith("\n")
+    assert len(result.err.splitlines()) == 1, result.err
+    assert result.err.startswith(("tactile", "python -m tactile"))
+    assert "Traceback" not in result.err
+    for part in said:
+        assert part in result.err

@@ -1,0 +1,23 @@
+"""What a reader says of a file that it refuses, and that nothing makes it panic."""
+
+from collections.abc import Callable
+
+from hypothesis import settings
+
+from tactile.errors import InputError
+
+NO_PANIC = settings(deadline=None, derandomize=True, max_examples=150)
+
+
+def has(message: str, *words: str) -> None:
+    missing = [word for word in words if word not in message]
+    assert not missing, f"{missing} not in {message!r}"
+
+
+def refusal(read: Callable[[], object]) -> str | None:
+    """Return what an input is refused with, or None; any other exception passes."""
+    try:
+        read()
+    except InputError as error:
+        return str(error)
+    return None

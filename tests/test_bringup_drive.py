@@ -1,0 +1,209 @@
+"""Bring-up never exceeds 5 V nor drives two channels at once, on any bus; and its command."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import bringup_rig
+import numpy as np
+import pytest
+from bringup_rig import FOUR, LOADS, Served, check_drive, put_out, same, verdicts
+
+from firmware_protocol import messages as m
+from tactile import cli
+from tactile.bus.base import Bus, DriveBlock
+from tactile.bus.inspection import amplifiers, identify, measuring, readings
+from tactile.bus.link_bus import LinkBus
+from tactile.daemon import probe
+from tactile.daemon.bringup import Report, bring_up
+from tactile.daemon.probe import INTERVAL
+from tactile.devices import open_bus
+from tactile.display import load_display
+
+built = bringup_rig.built
+four = bringup_rig.four
+opened = bringup_rig.opened
+serve = bringup_rig.serve
+
+
+# What is put out, on any bus
+
+
+URLS = (
+    "mock:?keep=all", "sim:?keep=all", "mock:?link=serial&keep=all", "mock:?link=can&keep=all",
+    "mock:?link=can&format=spectrum&keep=all",
+)  # fmt: skip
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("url", URLS)
+def test_no_bus_gets_more_than_5_v_or_two_channels_at_once(
+    url: str, four: Path, opened: list[Bus]
+) -> None:
+    report = bring_up(url, four, ask=lambda question: "")
+    volts = put_out(opened[0])
+    check_drive(volts)
+    assert np.abs(volts).max() > 4.7
+    assert [bool(np.any(column)) for column in volts.T] == [True, True, False, True, True]
+    assert opened[0].state == "closed"
+    assert report.faults == []
+    assert len(report.amplifiers) == ("link" in url)
+    assert any("CAPS" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(("gain", "limit", "most"), [(1, 3, 3), (20, 5, 0.25), (0.5, 100, 5)])
+def test_neither_drive_nor_electrodes_see_more_than_5_v(
+    gain: float, limit: float, most: float, four: Path, opened: list[Bus]
+) -> None:
+    text = FOUR.replace("voltage_v = 100.0", f"voltage_v = {limit}")
+    four.write_text(f"{text}[amplifier]\ngain = {gain}\n", encoding="utf-8")
+    report = bring_up("mock:?keep=all", four, ask=lambda question: "")
+    assert report.voltage_v == pytest.approx(most)
+    check_drive(put_out(opened[0]), most=most)
+    assert np.abs(put_out(opened[0])).max() > 0.95 * most
+    assert opened[0].wiring.voltage == pytest.approx(most)
+
+
+def test_tones_fade_in_and_out(four: Path) -> None:
+    display = probe.cautious(load_display(four))
+    signal = probe.tone(display)
+    gain = np.array([signal.envelope(np.array([t]))[0] for t in (0, 0.01, 0.02, 0.32, 0.33, 0.34)])
+    assert gain == pytest.approx(np.array([0, 0.5, 1, 1, 0.5, 0]) * 0.98 * 5)
+
+
+def test_a_slow_display_is_driven_less(four: Path) -> None:
+    """A current limit of 4 µA is 0.31 V/ms into 12.8 nF: 0.3 V at 161.8 Hz, 1.5 V in an edge."""
+    four.write_text(FOUR + "current_ma = 0.004\n", encoding="utf-8")
+    display = probe.cautious(load_display(four))
+    time = np.arange(0, 0.34, 1e-5)
+    steepest = np.abs(np.diff(probe.tone(display).at(time))).max() / 1e-5
+    assert 0.95 * display.slew < steepest <= display.slew
+    pulses = np.diff(probe.train(display, 1.0).at(time)) / 1e-5
+    assert np.abs(pulses).max() <= display.slew
+
+
+def test_an_e_stop_ends_it_and_is_named(four: Path, opened: list[Bus]) -> None:
+    def progress(done: int, total: int) -> None:
+        if done == 2:
+            opened[0].estop()
+
+    report = bring_up(
+        "mock:?link=serial&keep=all", four, progress=progress, ask=lambda question: "1"
+    )
+    assert verdicts(report) == ["not measured", "not measured", "stopped", "not measured"]
+    assert report.faults[0].startswith("stopped at channel 3: ")
+    assert not any(one.asked for one in report.channels)
+    assert not put_out(opened[0])[:, 3:].any()
+
+
+@pytest.mark.ci
+def test_several_boards_show_themselves_in_turn(four: Path) -> None:
+    asked = []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return "" if "board" in question else "q"
+
+    report = bring_up("mock:?link=can&boards=2", four, ask=ask)
+    assert asked[:2] == [
+        "board 1 of 2, node 1, shows itself; enter to go on: ",
+        "board 2 of 2, node 2, shows itself; enter to go on: ",
+    ]
+    assert [(one.node, one.first_channel) for one in report.amplifiers] == [(1, 0), (2, 3)]
+
+
+def test_what_is_asked_aside_disturbs_nothing(four: Path) -> None:
+    with open_bus("mock:?link=serial&keep=all", load_display(four)) as bus:
+        assert isinstance(bus, LinkBus)
+        refused = bus.ask(m.Set(bus.peers[0].host.session, m.Parameter.SENSE_MS, 10), 1)
+        assert isinstance(refused, m.Nak)
+        assert refused.code == m.NakCode.PARAMETER
+        bus.start()
+        bus.write(DriveBlock(0, np.full((800, 5), 3.0)))
+        refused = bus.ask(m.Get(m.Parameter.TEMPERATURE_MK), 1)
+        assert isinstance(refused, m.Nak)
+        assert identify(bus, 1, 1)
+        value = bus.ask(m.Get(m.Parameter.PULSE_MS), 1)
+        assert isinstance(value, m.Value)
+        assert value.value == 10
+        bus.write(DriveBlock(800, np.full((800, 5), 3.0)))
+        assert (bus.state, bus.status.detail) == ("running", "")
+    assert np.count_nonzero(put_out(bus)[:, 0] > 2.99) >= 1600
+
+
+def test_a_request_is_repeated_and_given_up(four: Path) -> None:
+    """Of 40 requests over a line that loses a third of all, each is tried three times."""
+    with open_bus("mock:?link=serial&loss=0.33&seed=3", load_display(four)) as bus:
+        assert isinstance(bus, LinkBus)
+        answers = [bus.ask(m.Get(m.Parameter.PULSE_MS), 1) for _ in range(40)]
+    answered = [one for one in answers if one is not None]
+    assert all(isinstance(one, m.Value) for one in answered)
+    assert 25 <= len(answered) < 40  # (1 − (2/3)²)³ of them fail: 17 %
+
+
+def test_a_bus_without_amplifiers_of_ours_tells_nothing(four: Path) -> None:
+    with open_bus("mock:", load_display(four)) as bus:
+        assert amplifiers(bus) == ()
+        assert not identify(bus, 1, 1)
+        with measuring(bus, INTERVAL) as nodes:
+            assert nodes == set()
+        assert readings(bus) == []
+
+
+# The command
+
+
+def run(capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch, *arguments: object) -> int:
+    patch.setattr(sys, "argv", ["tactile", "check", *map(str, arguments)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert isinstance(left.value.code, int)
+    return left.value.code
+
+
+@pytest.mark.ci
+def test_the_command_finds_no_fault(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
+) -> None:
+    assert run(capsys, monkeypatch, "mock:?link=serial", "--display", four) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "four at mock:?link=serial, tried with 5 V at most" in out
+    assert "node 1: 'virtual', firmware 0x00010000, channels 0 … 4" in out
+    assert "no fault found in what was looked at" in out
+    assert run(capsys, monkeypatch, "mock:?link=serial", "--display", four, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == set(Report.__dataclass_fields__)
+    assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum8"]
+
+
+def test_the_command_says_1_for_faults_and_2_for_what_cannot_be(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path,
+    serve: Callable[..., Served],
+) -> None:  # fmt: skip
+    assert run(capsys, monkeypatch, "serial:///dev/nothing", "--display", four) == 2
+    assert "no such port" in capsys.readouterr().err
+    target = four.with_name("new.toml")
+    assert run(capsys, monkeypatch, "mock:", "--display", four, "--write", target) == 2
+    assert "--write: needs a person at a terminal" in capsys.readouterr().err
+    assert not target.exists()
+    url = serve("--load-pf", LOADS).url
+    assert run(capsys, monkeypatch, url, "--display", four) == 1
+    out = capsys.readouterr().out
+    assert "fault: channel 1, contactor 1: open" in " ".join(out.split())
+
+
+@pytest.mark.ci
+def test_the_command_asks_at_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
+) -> None:
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: "")
+    target = four.with_name("new.toml")
+    assert run(capsys, monkeypatch, "mock:", "--display", four, "--write", target) == 0
+    assert "written:" in capsys.readouterr().out
+    same(load_display(target), load_display(four))
+    arguments = ("mock:", "--display", four, "--write", target)
+    assert run(capsys, monkeypatch, *arguments) == 2
+    assert run(capsys, monkeypatch, *arguments, "--json", "--force") == 2
+    assert run(capsys, monkeypatch, *arguments, "--force") == 0

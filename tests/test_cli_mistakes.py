@@ -1,0 +1,318 @@
+"""The command ``tactile``: a mistake is one line, and leaves nothing."""
+
+import errno
+import sys
+from pathlib import Path
+
+import cli_rig
+import pytest
+from cli_rig import SHORT, Command, Floats, assert_mistake, started
+
+from tactile import cli
+from tactile.bus import registry
+from tactile.bus.base import Bus, Rig
+from tactile.bus.registry import Address
+from tactile.errors import BusError
+from tactile.files import shipped
+from tactile.recording import Recorder
+
+command = cli_rig.command
+
+
+# Mistakes
+
+
+GOOD_PATH = "time_s,x_mm,y_mm,normal_force_n\n0,0,0,0.5\n0.1,8,0,0.5\n0.2,16,0,0.5\n"
+DISPLAY = next(shipped("displays").rglob("reference-24.toml")).read_text("utf-8")
+TEXTURE = next(shipped("textures").rglob("wood-oak.toml")).read_text("utf-8")
+
+
+def display_with(old: str, new: str) -> str:
+    assert old in DISPLAY
+    return DISPLAY.replace(old, new)
+
+
+FILES = {
+    "good.csv": GOOD_PATH,
+    "backwards.csv": GOOD_PATH.replace("0.2,16", "0.05,16"),
+    "twice.csv": GOOD_PATH.replace("0.2,16", "0.1,16"),
+    "nan.csv": GOOD_PATH.replace("0.1,8", "0.1,nan"),
+    "inf.csv": GOOD_PATH.replace("0.1,8", "0.1,inf"),
+    "word.csv": GOOD_PATH.replace("0.1,8", "0.1,eight"),
+    "missing-cell.csv": GOOD_PATH.replace("0.1,8,0,0.5", "0.1,8"),
+    "missing-column.csv": GOOD_PATH.replace("y_mm", "y_cm"),
+    "negative-force.csv": GOOD_PATH.replace("0.1,8,0,0.5", "0.1,8,0,-0.5"),
+    "too-fast.csv": GOOD_PATH.replace("0.1,8,0", "0.1,8000,0"),
+    "one-row.csv": GOOD_PATH[: GOOD_PATH.index("0.1,8")],
+    "header.csv": GOOD_PATH[: GOOD_PATH.index("0,0,0")],
+    "empty.csv": "",
+    "unknown-key.toml": display_with("length_mm = 20.0", "lenght_mm = 20.0"),
+    "unknown-key-of-two-lines.toml": DISPLAY + '\n[bimorph."a\\nb"]\n',
+    "negative-length.toml": display_with("\nlength_mm = 20.0", "\nlength_mm = -20.0"),
+    "nan.toml": display_with("\nlength_mm = 20.0", "\nlength_mm = nan"),
+    "inf.toml": display_with("voltage_v = 100.0", "voltage_v = inf"),
+    "high-voltage.toml": display_with("voltage_v = 100.0", "voltage_v = 150.0"),
+    "word.toml": display_with("voltage_v = 100.0", 'voltage_v = "high"'),
+    "no-limits.toml": DISPLAY[: DISPLAY.index("[limits]")],
+    "overlap.toml": display_with("pitch_mm = [2.5, 3.5]", "pitch_mm = [1.5, 3.5]"),
+    "no-toml.toml": DISPLAY + "\n[[[\n",
+    "empty.toml": "",
+    "texture.toml": TEXTURE.replace("[reference]", "[referenc]"),
+}
+BINARY = b"\xff\xfe\x00\x01" * 100
+
+PLAY = {
+    "no texture": ([], "Missing argument"),
+    "two textures": (["wood-oak", "wood-oak"], "extra argument"),
+    "unknown texture": (["wood-ok"], "no texture 'wood-ok'; did you mean 'wood-oak'?"),
+    "texture like nothing": (["xyzzy"], "no texture 'xyzzy'; there is: "),
+    "missing texture file": (["my/wood.toml"], "my/wood.toml: no such file"),
+    "texture file with a slip": (["texture.toml"], "texture.toml: referenc: unknown key"),
+    "unknown option": (["wood-oak", "--speed", "3"], "--speed-mm-s"),
+    "unknown short option": (["wood-oak", "-x"], "-x"),
+    "option without value": (["wood-oak", "--seed"], "--seed"),
+    "seed below 0": (["wood-oak", "--seed", "-1"], "--seed"),
+    "seed of a half": (["wood-oak", "--seed", "0.5"], "--seed"),
+    "negative seconds": (["wood-oak", "--seconds", "-1"], "--seconds -1: must be 0.1 … 86400"),
+    "no seconds": (["wood-oak", "--seconds", "0"], "--seconds 0: must be"),
+    "nan seconds": (["wood-oak", "--seconds", "nan"], "--seconds nan: must be"),
+    "infinite seconds": (["wood-oak", "--seconds", "inf"], "--seconds inf: must be"),
+    "seconds in words": (["wood-oak", "--seconds", "five"], "--seconds"),
+    "negative speed": (["wood-oak", "--speed-mm-s", "-1"], "--speed-mm-s -1: must be 0 … 2000"),
+    "nan speed": (["wood-oak", "--speed-mm-s", "nan"], "--speed-mm-s nan"),
+    "nan angle": (["wood-oak", "--angle-deg", "nan"], "--angle-deg nan"),
+    "negative force": (["wood-oak", "--normal-force-n", "-0.1"], "--normal-force-n -0.1: must be"),
+    "large force": (["wood-oak", "--normal-force-n", "21"], "--normal-force-n 21: must be 0 … 20"),
+    "low rate": (["wood-oak", "--sample-rate-hz", "2499"], "--sample-rate-hz 2499: must be 2500"),
+    "nan rate": (["wood-oak", "--sample-rate-hz", "nan"], "--sample-rate-hz nan"),
+    "path and speed": (
+        ["wood-oak", "--path", "good.csv", "--speed-mm-s", "80"],
+        "--speed-mm-s and --path exclude each other",
+    ),
+    "path and seconds": (["wood-oak", "--path", "good.csv", *SHORT], "--seconds and --path"),
+    "path and angle": (["wood-oak", "--path", "good.csv", "--angle-deg", "0"], "--angle-deg and"),
+    "path and force": (["wood-oak", "--path", "good.csv", "--normal-force-n", "1"], "exclude each"),
+    "missing path": (["wood-oak", "--path", "none.csv"], "none.csv: no such file"),
+    "folder as path": (["wood-oak", "--path", "folder"], "folder: no such file"),
+    "binary path": (["wood-oak", "--path", "binary.csv"], "binary.csv: cannot be read"),
+    "unknown display": (["wood-oak", "--display", "reference-25"], "did you mean 'reference-24'"),
+    "missing display": (["wood-oak", "--display", "none.toml"], "none.toml: no such file"),
+    "folder as display": (["wood-oak", "--display", "./folder"], "folder"),
+    "binary display": (["wood-oak", "--display", "binary.toml"], "binary.toml: cannot be read"),
+    "unknown device": (["wood-oak", "--device", "moc:"], "did you mean 'mock:'"),
+    "device without colon": (["wood-oak", "--device", "sim"], "did you mean 'sim:'"),
+    "no device": (["wood-oak", "--device", ""], "no such kind"),
+    "unknown device option": (["wood-oak", "--device", "sim:?plan=a:b"], "did you mean 'plant'"),
+    "broken device option": (["wood-oak", "--device", "sim:?plant"], "options are name=value"),
+    "malformed device": (["wood-oak", "--device", "sim://["], "sim://["),
+    "missing plant": (["wood-oak", "--device", "sim:?plant=no.such:thing"], "no.such:thing"),
+    "no plant": (["wood-oak", "--device", "sim:?plant=math:pi"], "math:pi"),
+}
+PATHS = {
+    "backwards.csv": "time, sample 3: 0.05 s after 0.1 s; must ascend",
+    "twice.csv": "must ascend",
+    "nan.csv": "line 3: x_mm = 'nan': must be a finite number",
+    "inf.csv": "line 3: x_mm = 'inf': must be a finite number",
+    "word.csv": "line 3: x_mm = 'eight': must be a finite number",
+    "missing-cell.csv": "line 3: y_mm",
+    "missing-column.csv": "no column 'y_mm'; did you mean 'y_cm'?",
+    "negative-force.csv": "normal_force -0.5 N: must be 0 … 50 N",
+    "too-fast.csv": "limits 500 m and 10 m/s",
+    "one-row.csv": "has 1 rows, needs at least 2",
+    "header.csv": "has 0 rows, needs at least 2",
+    "empty.csv": "no column 'time_s'",
+}
+DISPLAYS = {
+    "unknown-key.toml": "bimorph.lenght_mm: unknown key; did you mean 'length_mm'?",
+    "unknown-key-of-two-lines.toml": "unknown key",
+    "negative-length.toml": "bimorph.length_mm = -20.0: expected",
+    "nan.toml": "bimorph.length_mm = nan: must be a finite number",
+    "inf.toml": "limits.voltage_v = inf: must be a finite number",
+    "high-voltage.toml": "limits.voltage_v = 150",
+    "word.toml": "limits.voltage_v = 'high'",
+    "no-limits.toml": "limits",
+    "overlap.toml": "overlap",
+    "no-toml.toml": "no valid TOML",
+    "empty.toml": "empty.toml",
+}
+RECORDS = {
+    "missing folder": ("missing/r.npz", "missing/r.npz: cannot be written"),
+    "file as folder": ("good.csv/r.npz", "good.csv/r.npz: cannot be written"),
+    "folder": ("folder", "folder: is a folder"),
+    "this folder": (".", "is a folder"),
+    "too long": (f"{'long' * 100}.npz", "long"),
+}
+OTHERS = {
+    "unknown command": (["paly", "wood-oak"], "'play'"),
+    "unknown option of all": (["--jsno"], "--jsno"),
+    "unknown finger": (["response", "--load", "lwo"], "'low', 'high', 'none'"),
+    "display of response": (["response", "--display", "reference-25"], "'reference-24'"),
+    "plot into a missing folder": (["response", "--plot", "missing/a.png"], "missing/a.png"),
+    "plot of an unknown kind": (["response", "--plot", "a.xyz"], "a.xyz"),
+    "texture to tell of": (["textures", "wood-ok", "--json"], "did you mean 'wood-oak'?"),
+    "unknown benchmark": (["bench", "matrx"], "no benchmark 'matrx'; did you mean 'matrix'?"),
+    "second benchmark": (["bench", "matrix", "xyzzy"], "no benchmark 'xyzzy'; there is: "),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Hold good and bad files, and a good recording of old."""
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "binary.csv").write_bytes(BINARY)
+    (tmp_path / "binary.toml").write_bytes(BINARY)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "old.npz").write_bytes(b"of old")
+    return tmp_path
+
+
+def content(folder: Path) -> dict[str, bytes | None]:
+    """Return all that lies in a folder, hidden and inner ones included."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
+@pytest.mark.parametrize("target", ["new.npz", "old.npz"])
+@pytest.mark.parametrize("case", PLAY)
+def test_a_mistake_is_one_line_and_nothing_is_written(
+    command: Command, folder: Path, case: str, target: str
+) -> None:
+    arguments, said = PLAY[case]
+    before = content(folder)
+    assert_mistake(command("play", *arguments, "--record", target), said)
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_path_that_cannot_be_followed_is_one_line_that_names_it(
+    command: Command, folder: Path, name: str
+) -> None:
+    before = content(folder)
+    result = command("play", "wood-oak", "--path", name, "--record", "new.npz")
+    assert_mistake(result, f"{name}: ", PATHS[name])
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("name", DISPLAYS)
+def test_a_display_that_cannot_be_is_one_line_that_names_it(
+    command: Command, folder: Path, name: str
+) -> None:
+    before = content(folder)
+    result = command("play", "wood-oak", *SHORT, "--display", name, "--record", "new.npz")
+    assert_mistake(result, f"{name}: ", DISPLAYS[name])
+    assert content(folder) == before
+    assert_mistake(command("response", "--display", name, "--json"), DISPLAYS[name])
+
+
+@pytest.mark.parametrize("case", RECORDS)
+def test_a_recording_that_cannot_be_written_is_one_line(
+    command: Command, folder: Path, case: str
+) -> None:
+    target, said = RECORDS[case]
+    before = content(folder)
+    assert_mistake(command("play", "wood-oak", *SHORT, "--record", target), said)
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("option", ["--display", "--path"])
+def test_a_name_that_no_file_can_have_is_one_line(
+    command: Command, folder: Path, option: str
+) -> None:
+    before = content(folder)
+    assert_mistake(command("play", "wood-oak", option, f"{'long' * 100}.toml"))
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_a_mistake_in_another_command_is_one_line(
+    command: Command, folder: Path, case: str
+) -> None:
+    arguments, said = OTHERS[case]
+    before = content(folder)
+    assert_mistake(command(*arguments), said)
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["play", "wood-oak", "--sped", "3", "--record", "new.npz"], "--sped"),
+        (["play", "wood-oak", *SHORT, "--record", "missing/r.npz"], "cannot be written"),
+    ],
+)
+def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
+    folder: Path, arguments: list[str], said: str
+) -> None:
+    before = content(folder)
+    assert_mistake(started(*arguments, cwd=folder), said)
+    assert content(folder) == before
+
+
+# What is nobody's mistake
+
+
+def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        raise BusError("absent: the amplifier does not answer")
+
+    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, "ramps", tuple))
+    before = content(folder)
+    result = command("play", "wood-oak", *SHORT, "--device", "absent:", "--record", "new.npz")
+    assert result.err == "tactile: absent: the amplifier does not answer\n"
+    assert result.out == ""
+    assert content(folder) == before
+    assert result.code == 2
+
+
+def test_interrupted_it_leaves_nothing_and_says_so_by_its_exit_code(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+    add = Recorder.add
+
+    def interrupted(self: Recorder, **arrays: Floats) -> None:
+        calls.append(1)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        add(self, **arrays)
+
+    monkeypatch.setattr(Recorder, "add", interrupted)
+    before = content(folder)
+    result = command("play", "wood-oak", *SHORT, "--record", "old.npz")
+    assert result.code == 130
+    assert "Traceback" not in result.err
+    assert content(folder) == before
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Recorder, **arrays: Floats) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "new.npz")
+
+    monkeypatch.setattr(Recorder, "add", full)
+    before = content(folder)
+    result = command("play", "wood-oak", *SHORT, "--record", "new.npz")
+    assert result.code in (1, 2)
+    assert len(result.err.splitlines()) == 1
+    assert "No space left on device" in result.err
+    assert content(folder) == before
+
+
+def test_a_mistake_of_our_own_is_not_hidden(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever finds one can report where it is."""
+
+    def broken(*arguments: object, **options: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("tactile.daemon.session.run", broken)
+    monkeypatch.setattr(sys, "argv", ["tactile", "play", "wood-oak"])
+    with pytest.raises(ZeroDivisionError):
+        cli.main()

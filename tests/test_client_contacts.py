@@ -1,0 +1,174 @@
+"""The SDK gives contacts and waveforms at the daemon's pace, and no contact ever waits."""
+
+import itertools
+import threading
+import time
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import client_rig
+import numpy as np
+import pytest
+from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, until
+
+from tactile import client
+from tactile.client import base, websocket
+from tactile.client.waveform import Waveform
+from tactile.daemon import messages as m
+from tactile.errors import ClientTimeoutError
+
+daemon = client_rig.daemon
+display = client_rig.display
+script = client_rig.script
+twin = client_rig.twin
+
+
+def test_touch_does_not_wait_for_a_daemon_that_does_not_read(
+    display: Any, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More is said than all buffers between the two could hold; the newest arrives in the end."""
+    monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
+    said = fill(daemon, display)
+    assert display.connected
+    daemon.reading.set()
+    newest = pytest.approx(said * 1e-3)
+    until(lambda: (heard := daemon.of(m.Contact)) and heard[-1].position_mm[0] == newest)
+    assert len(daemon.of(m.Contact)) + display.dropped_contacts == said
+    assert display.stats().display == "left"  # and the connection has lived through it
+
+
+def test_touch_from_several_threads(daemon: Daemon) -> None:
+    count, each = 4, 500
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+
+        def touch(thread: int) -> None:
+            for number in range(each):
+                display.touch((thread * 1e-3, number * 1e-6), normal_force=0.1)
+
+        running = [threading.Thread(target=touch, args=(n,)) for n in range(count)]
+        for thread in running:
+            thread.start()
+        for thread in running:
+            thread.join()
+        until(lambda: len(daemon.of(m.Contact)) + display.dropped_contacts == count * each)
+    for number in range(count):
+        heard = [c.position_mm for c in daemon.of(m.Contact) if round(c.position_mm[0]) == number]
+        assert heard == sorted(heard), "each thread's contacts stay in order"
+
+
+def test_contacts_keep_to_the_rate_that_the_daemon_takes(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    script.messages_per_second = 50
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        begun = time.monotonic()
+        for number in range(100):
+            display.touch((number * 1e-6, 0.0))
+            time.sleep(0.002)
+        last = until(lambda: [c for c in daemon.of(m.Contact) if c.position_mm[0] > 0.0989])
+        assert len(daemon.of(m.Contact)) <= 2 + 50 * (time.monotonic() - begun)
+    assert len(last) == 1
+
+
+def test_a_refused_contact_is_an_event_and_not_at_its_rate(
+    display: Any, script: Script, daemon: Daemon
+) -> None:
+    script.answers[m.Contact] = lambda said: m.Failure(code="not_armed", message="arm it first")
+    events: list[client.Event] = []
+    display.on_event(events.append)
+    for number in range(1, 4):
+        display.touch((0.0, 0.0))
+        until(lambda: display.connection.counters["refused_contacts"] == number)  # noqa: B023
+    until(lambda: events)
+    assert events[0] == client.Event("refused", "", "not_armed: arm it first")
+    assert len(events) < 3
+
+
+# Waveforms
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        list, tuple, iter, lambda v: (x for x in v), lambda v: array("d", v),
+        lambda v: memoryview(array("f", v)), np.array, lambda v: np.array(v, np.float32),
+    ],
+)  # fmt: skip
+def test_samples_may_be_of_any_kind(daemon: Daemon, made: Callable[[list[float]], Any]) -> None:
+    values = [0.0, 0.5, -0.25, 1.0, -1.0]
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        display.append(made(values), sample_rate=8000, amplitude=1e-6)
+    (said,) = daemon.of(m.Append)
+    assert list(samples_of(said)) == values
+
+
+def test_append_sends_one_message_and_cuts_what_is_beyond(display: Any, daemon: Daemon) -> None:
+    appended = display.append([0.25] * 9000, sample_rate=8000, amplitude=1e-6)
+    assert appended.samples_consumed == m.MOST_SAMPLES
+    assert [count(said) for said in daemon.of(m.Append)] == [m.MOST_SAMPLES]
+    assert display.append([], sample_rate=8000, amplitude=1e-6).samples_consumed == 0
+    assert len(daemon.of(m.Append)) == 1
+
+
+@pytest.mark.parametrize("most", [1000, 3999, 4000])
+def test_play_hands_over_all_although_the_daemon_takes_only_part(
+    display: Any, script: Script, most: int
+) -> None:
+    """Every third time it takes nothing at all."""
+    taken: list[float] = []
+    replaced: list[bool] = []
+    turns = itertools.count()
+
+    def some(said: m.Append) -> m.Appended:
+        room = 0 if next(turns) % 3 == 0 else most
+        replaced.append(not said.append)
+        taken.extend(samples_of(said)[:room])
+        return m.Appended(id=said.id, samples_consumed=min(room, count(said)), buffered_ms=1.0)
+
+    script.answers[m.Append] = some
+    samples = np.sin(np.arange(10_001)).astype(np.float32)
+    assert display.play(samples, sample_rate=8000, amplitude=1e-6) == 10_001
+    assert taken == samples.tolist()
+    assert replaced[:3] == [True, True, False], "until something was taken"
+    assert not any(replaced[2:])
+
+
+@pytest.mark.parametrize(
+    ("taken", "buffered_ms", "pause"),
+    [(10, 500.0, 0.0), (0, 100.0, 0.05), (9, 100.0, 0.05), (0, 0.0, 0.005), (0, 5000.0, 0.1)],
+)
+def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
+    taken: int, buffered_ms: float, pause: float
+) -> None:
+    display = base.BaseDisplay("left", owns=False)
+    waveform = Waveform("left", [0.0] * 10, sample_rate=8000, amplitude=1e-6)
+    playback = base.Playback(display, waveform, timeout=PATIENCE)
+    message = playback.message()
+    assert message is not None
+    reply = m.Appended(samples_consumed=taken, buffered_ms=buffered_ms)
+    assert playback.taken(message, reply) == pytest.approx(pause)
+
+
+def test_play_gives_up_where_nothing_is_taken(display: Any, script: Script) -> None:
+    script.answers[m.Append] = lambda said: m.Appended(
+        id=said.id, samples_consumed=0, buffered_ms=1.0
+    )
+    with pytest.raises(ClientTimeoutError, match=r"no sample was taken in 0.5 s"):
+        display.play([0.0] * 10, sample_rate=8000, amplitude=1e-6, timeout=0.5)
+
+
+def test_stop_ends_a_waveform_without_end(twin: Twin, daemon: Daemon) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        played: list[int] = []
+
+        def play() -> None:
+            samples = itertools.cycle([0.5, -0.5])
+            played.append(display.play(samples, sample_rate=8000, amplitude=1e-6))
+
+        thread = threading.Thread(target=play)
+        thread.start()
+        until(lambda: len(daemon.of(m.Append)) > 2)
+        display.stop()
+        thread.join(PATIENCE)
+        assert played[0] == sum(count(said) for said in daemon.of(m.Append))

@@ -1,0 +1,115 @@
+"""The SDK inside one process, and its outbox: what quiets comes first."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+import client_rig
+import pytest
+from client_rig import MESSAGES, Script, Twin, plain
+
+from tactile.client.outbox import Outbox
+from tactile.client.session import Session
+from tactile.client.transport import Receiver
+from tactile.daemon import messages as m
+from tactile.errors import ClientError, DisconnectedError
+
+script = client_rig.script
+twin = client_rig.twin
+
+
+class LocalTransport:
+    """A display of this process: objects in, objects out, nothing encoded."""
+
+    def __init__(self, script: Script) -> None:
+        self.script = script
+        self.heard: list[Any] = []
+
+    def open(self, receiver: Receiver) -> None:
+        self._receiver = receiver
+        receiver.opened()
+
+    def send(self, command: m.Command) -> None:
+        self.heard.append(command)
+        if (answer := self.script.answer(command)) is not None:
+            self._receiver.received(answer)
+
+    def close(self) -> "Future[None]":
+        future: Future[None] = Future()
+        future.set_result(None)
+        return future
+
+
+@pytest.mark.parametrize(("call", "message"), MESSAGES)
+def test_a_display_in_the_same_process_is_the_same(
+    twin: Twin, script: Script, call: Callable[[Any], Any], message: Any
+) -> None:
+    transport = LocalTransport(script)
+    with twin.over(transport) as connection:
+        call(connection.display())
+    assert plain(message) in map(plain, transport.heard)
+
+
+class Nowhere:
+    """A transport that keeps what it is to carry."""
+
+    def __init__(self) -> None:
+        self.kept: list[Any] = []
+
+    def open(self, receiver: Receiver) -> None:
+        receiver.opened()
+
+    def send(self, command: m.Command) -> None:
+        self.kept.append(command)
+
+    def close(self) -> "Future[None]":
+        return Future()
+
+
+def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> None:
+    transport, script = Nowhere(), Script()
+    session = Session(transport, m.Hello(client="test"), monotonic=time.monotonic)
+    session.opened()
+    welcome = script.answer(transport.kept.pop())
+    assert welcome is not None
+    session.received(welcome)
+    for request in (m.Arm(display="left"), m.EStop(display="left"), m.Stop(display="left")):
+        session.ask(request).cancel()
+    assert [session.wanted(command) for command in transport.kept] == [False, True, True]
+    waiting = session.ask(m.Arm(display="left"))
+    assert session.wanted(transport.kept[-1])
+    session.close()
+    assert isinstance(waiting.exception(), DisconnectedError)
+
+
+def test_requests_that_wait_have_a_limit() -> None:
+    transport, script = Nowhere(), Script()
+    session = Session(transport, m.Hello(client="test"), monotonic=time.monotonic)
+    session.opened()
+    session.received(script.answer(transport.kept.pop()))  # type: ignore[arg-type]
+    for _ in range(256):
+        session.ask(m.Play(display="left"))
+    with pytest.raises(ClientError, match="256 requests wait"):
+        session.ask(m.Play(display="left"))
+
+
+def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:
+    dropped: list[str] = []
+    outbox = Outbox(dropped.append)
+    contacts = [
+        m.Contact(display=name, position_mm=(x, 0.0), normal_force_n=0.5)
+        for name, x in (("left", 1.0), ("right", 2.0), ("left", 3.0))
+    ]
+    gain, play, estop = m.Gain(display="left", gain=1.0), m.Play(display="left"), m.EStop()
+    commands: list[m.Command] = [gain, play, *contacts, estop]
+    assert [outbox.put(c) for c in commands] == [True, *[False] * 5]
+    assert outbox.take() == [estop, contacts[2], contacts[1], gain]
+    assert outbox.take() == [play]
+    assert outbox.take() == []
+    assert dropped == ["left"]
+    assert outbox.put(contacts[0]), "the sender sleeps again"
+    assert outbox.take(contacts=False) == []
+    outbox.clear()
+    assert outbox.take() == []
+    assert dropped == ["left", "left"]

@@ -1,0 +1,212 @@
+"""The SDK says each call as its message, and takes the daemon's answers, in both twins."""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import client_rig
+import msgspec
+import numpy as np
+import pytest
+from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, samples_of, stats, until
+
+from tactile import client
+from tactile.daemon import messages as m
+from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError, RequestError
+
+daemon = client_rig.daemon
+display = client_rig.display
+script = client_rig.script
+twin = client_rig.twin
+
+
+@pytest.mark.parametrize(("call", "message"), MESSAGES)
+def test_each_call_says_its_message(
+    display: Any, daemon: Daemon, call: Callable[[Any], Any], message: Any
+) -> None:
+    call(display)
+    (said,) = until(lambda: daemon.of(type(message)))
+    assert plain(said) == plain(message)
+
+
+@pytest.mark.parametrize(("call", "message"), MESSAGES)
+def test_in_json_it_is_the_same(daemon: Daemon, call: Callable[[Any], Any], message: Any) -> None:
+    with client.connect(daemon.url, timeout=PATIENCE, encoding="json") as display:
+        call(display)
+        (said,) = until(lambda: daemon.of(type(message)))
+    if isinstance(message, m.Append):
+        message = msgspec.structs.replace(message, samples=samples_of(message))
+    assert plain(said) == plain(message)
+
+
+def test_hello_comes_first_and_says_who_it_is(twin: Twin, daemon: Daemon) -> None:
+    with twin.connect(daemon.url, token="secret", client_name="game", timeout=PATIENCE):
+        pass
+    assert plain(daemon.heard[0]) == plain(m.Hello(client="game", token="secret"))
+
+
+def test_lift_is_where_the_finger_was_last(display: Any, daemon: Daemon) -> None:
+    display.touch((0.001, 0.002))
+    until(lambda: daemon.of(m.Contact))
+    display.lift()
+    _, lifted = until(lambda: len(daemon.of(m.Contact)) == 2 and daemon.of(m.Contact))
+    assert (lifted.position_mm, lifted.normal_force_n) == ((1.0, 2.0), 0.0)
+
+
+def test_time_is_our_monotonic_clock_where_none_is_given(display: Any, daemon: Daemon) -> None:
+    before = time.monotonic()
+    display.touch((0.0, 0.0))
+    after = time.monotonic()
+    (said,) = until(lambda: daemon.of(m.Contact))
+    assert before - 1e-3 <= said.time_us * 1e-6 <= after + 1e-3
+    assert said.velocity_mm_s is None
+
+
+def test_positions_may_be_arrays_of_numpy(display: Any, daemon: Daemon) -> None:
+    display.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
+    (said,) = until(lambda: daemon.of(m.Contact))
+    assert list(said.position_mm) == pytest.approx([1.0, 2.0], rel=1e-6)  # of float32
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda d: d.touch((math.nan, 0.0)), r"position_mm\[0\]: nan: Expected `float`"),
+        (lambda d: d.touch((0.0, 101.0)), r"position_mm\[1\]: 101000.0: .* <= 100000.0"),
+        (lambda d: d.touch((0.0, 0.0), velocity=(0.0, math.inf)), r"velocity_mm_s\[1\]: inf"),
+        (lambda d: d.touch((0.0, 0.0), normal_force=-0.1), "normal_force_n: -0.1: .* >= 0"),
+        (lambda d: d.touch((0.0, 0.0), time=math.nan), "time: nan s is not finite"),
+        (lambda d: d.gain(1.5), "gain: 1.5: .* <= 1"),
+        (lambda d: d.select(["a", ("b", 2.0)]), r"layers\[1\].gain: 2.0: .* <= 1"),
+        (lambda d: d.select([3]), "layers: 3 is no texture"),
+        (lambda d: d.select(["a"] * 5), "layers: .*length <= 4"),
+        (lambda d: d.effect(1.0), "amplitude_um: 1000000.0: .* <= 500"),
+        (
+            lambda d: d.append([0.0, 1.5], sample_rate=8000, amplitude=1e-6),
+            r"samples\[1\]: 1.5 is outside −1 … 1",
+        ),
+        (
+            lambda d: d.append([math.nan], sample_rate=8000, amplitude=1e-6),
+            r"samples\[0\]: nan is outside",
+        ),
+        (lambda d: d.append(["a"], sample_rate=8000, amplitude=1e-6), "samples: must be real"),
+        (lambda d: d.append([0.0], sample_rate=8, amplitude=1e-6), "sample_rate_hz: 8.0: "),
+        (lambda d: d.telemetry(rate=0), "rate: 0 Hz is not above 0"),
+    ],
+)
+def test_a_value_out_of_range_is_not_even_sent(
+    display: Any, daemon: Daemon, call: Callable[[Any], Any], text: str
+) -> None:
+    with pytest.raises(InputError, match=text):
+        call(display)
+    display.stats()
+    assert [type(said) for said in daemon.heard if not isinstance(said, m.Ping)] == [
+        m.Hello, m.GetStats,
+    ]  # fmt: skip
+
+
+# Answers
+
+
+def test_what_the_daemon_tells_is_in_si(display: Any) -> None:
+    told = display.info
+    assert (told.name, told.waveforms, told.voltage_limit) == ("left", True, 100.0)
+    assert told.contactors == ((-1e-3, 2e-3), (1e-3, 2e-3))
+    assert told.shear_direction == pytest.approx((0.0, math.pi / 2))
+    assert told.latency == pytest.approx(4e-3)
+    stats = display.stats()
+    assert (stats.state, stats.latency, stats.counters) == ("armed", 0.004, {"underruns": 2})
+    appended = display.append([0.0] * 3, sample_rate=8000, amplitude=1e-6)
+    assert (appended.samples_consumed, appended.buffered) == (3, 0.01)
+    assert [texture.name for texture in display.textures()] == ["wood-oak"]
+
+
+def test_answers_out_of_order_find_their_questions(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    """The daemon keeps the first answer back until it has given the second."""
+    script.displays = ("left", "right")
+    kept: list[m.GetStats] = []
+
+    def second_first(said: m.GetStats) -> None:
+        kept.append(said)
+        if len(kept) == 2:
+            for asked in reversed(kept):
+                daemon.say(stats(asked))
+
+    script.answers[m.GetStats] = second_first
+    with twin.open_connection(daemon.url, timeout=PATIENCE) as connection:
+        told: dict[str, str] = {}
+
+        def ask(name: str) -> None:
+            told[name] = connection.display(name).stats().display
+
+        threads = [threading.Thread(target=ask, args=(name,)) for name in script.displays]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert told == {"left": "left", "right": "right"}
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        ("unknown_texture", LookupError),
+        ("unknown_texture", NotFoundError),
+        ("invalid_field", ValueError),
+        ("not_armed", RequestError),
+    ],
+)
+def test_a_refusal_is_an_exception_with_code_and_field(
+    display: Any, script: Script, code: m.Code, kind: type[Exception]
+) -> None:
+    script.answers[m.Select] = lambda said: m.Failure(
+        id=said.id,
+        code=code,
+        message="no 'oak'; did you mean 'wood-oak'?",
+        field="layers[0].texture",
+    )
+    with pytest.raises(RequestError, match=r"layers\[0\].texture: no 'oak'; did") as caught:
+        display.select("oak")
+    assert isinstance(caught.value, kind)
+    assert (caught.value.code, caught.value.field) == (code, "layers[0].texture")
+
+
+def test_an_answer_of_another_kind_is_an_error(display: Any, script: Script) -> None:
+    script.answers[m.GetStats] = lambda said: m.Done(id=said.id)
+    with pytest.raises(ClientError, match="answered Done, not Stats"):
+        display.stats()
+
+
+def test_a_daemon_that_is_silent_is_a_timeout_and_may_answer_the_next(
+    display: Any, script: Script, daemon: Daemon
+) -> None:
+    asked: list[m.GetStats] = []
+    script.answers[m.GetStats] = asked.append
+    with pytest.raises(ClientTimeoutError, match=r"getstats: no answer in 0.05 s"):
+        display.stats(timeout=0.05)
+    del script.answers[m.GetStats]
+    until(lambda: asked)
+    daemon.say(stats(asked[0]))  # late: nobody waits for it
+    assert display.stats().display == "left"
+
+
+def test_an_answer_of_a_later_version_fails_only_its_request(
+    display: Any, script: Script, daemon: Daemon
+) -> None:
+    def later(said: m.GetStats) -> None:
+        event = {"type": "event", "display": "left", "kind": "on fire", "detail": ""}
+        daemon.last.send(msgspec.msgpack.encode({"type": "prophecy"}))
+        daemon.last.send(msgspec.msgpack.encode(event))
+        failure = {"type": "failure", "id": said.id, "code": "too_early", "message": "wait"}
+        daemon.last.send(msgspec.msgpack.encode(failure))
+
+    script.answers[m.GetStats] = later
+    with pytest.raises(RequestError, match="wait") as caught:
+        display.stats()
+    assert caught.value.code == "too_early"
+    display.gain(0.5)
+    assert display.connection.counters["ignored_messages"] == 1, "an event may be of any kind"

@@ -1,0 +1,162 @@
+"""The SDK without its daemon: what was asked is restored, nothing is armed unasked."""
+
+import contextlib
+import threading
+from typing import Any
+
+import client_rig
+import pytest
+from client_rig import PATIENCE, Daemon, Script, Twin, fill, plain, telemetry, until
+
+from tactile import client
+from tactile.client import websocket
+from tactile.client.session import Clock
+from tactile.daemon import messages as m
+from tactile.errors import ClientError, DisconnectedError
+
+daemon = client_rig.daemon
+display = client_rig.display
+script = client_rig.script
+twin = client_rig.twin
+
+
+def connected_again(daemon: Daemon, hellos: int = 2) -> list[Any]:
+    """Wait for another hello, and return what was said from then on."""
+    until(lambda: len(daemon.of(m.Hello)) >= hellos)
+    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.Hello))
+    return daemon.heard[last:]
+
+
+@pytest.mark.parametrize("rearm", [False, True])
+def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
+    twin: Twin, daemon: Daemon, rearm: bool
+) -> None:
+    events: list[client.Event] = []
+    with twin.connect(daemon.url, timeout=PATIENCE, rearm=rearm) as display:
+        display.on_event(events.append)
+        display.select([("wood-oak", 0.5)])
+        display.gain(0.25)
+        display.stop()
+        display.arm()
+        stream = iter(display.telemetry(rate=50))
+        reader = threading.Thread(target=lambda: contextlib.suppress(ClientError) and next(stream))
+        reader.start()
+        until(lambda: daemon.of(m.Subscribe))
+        daemon.drop()
+        connected_again(daemon)
+        until(lambda: [event.kind for event in events] == ["disconnected", "connected"])
+        daemon.say(telemetry(1))
+        reader.join()
+        display.stats()
+        said = [plain(each) for each in connected_again(daemon)[1:] if not isinstance(each, m.Ping)]
+        assert display.connection.counters["reconnections"] == 1
+    restored = [
+        m.Subscribe(display="left", rate_hz=50.0),
+        m.Gain(display="left", gain=0.25),
+        m.Select(display="left", layers=(m.Layer(texture="wood-oak", gain=0.5),)),
+        m.Stop(display="left"),
+        *([m.Arm(display="left")] if rearm else []),
+    ]
+    assert said[: len(restored) + 1] == [
+        *map(plain, restored), plain(m.GetStats(display="left")),
+    ]  # fmt: skip
+
+
+def test_what_was_taken_back_is_not_restored(twin: Twin, daemon: Daemon) -> None:
+    """Resumed, and disarmed by somebody else."""
+    events: list[client.Event] = []
+    with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
+        display.on_event(events.append)
+        display.arm()
+        display.stop()
+        display.resume()
+        daemon.say(m.Event(display="left", kind="disarmed", detail="by hand"))
+        until(lambda: events)
+        daemon.drop()
+        until(lambda: events[-1].kind == "connected")
+        display.stats()
+        kinds = [type(said) for said in connected_again(daemon)]
+    assert kinds[:2] == [m.Hello, m.GetStats]
+
+
+def test_what_cannot_be_restored_is_an_event(twin: Twin, script: Script, daemon: Daemon) -> None:
+    events: list[client.Event] = []
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        display.on_event(events.append)
+        display.select("wood-oak")
+        script.answers[m.Select] = lambda said: m.Failure(
+            id=said.id, code="unknown_texture", message="no 'wood-oak'"
+        )
+        daemon.drop()
+        until(lambda: "refused" in [event.kind for event in events])
+    assert "unknown_texture: no 'wood-oak'" in [event.detail for event in events]
+
+
+def test_without_a_daemon_touch_is_counted_and_requests_fail_at_once(
+    twin: Twin, daemon: Daemon
+) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE, reconnect=False) as display:
+        daemon.drop()
+        until(lambda: not display.connected)
+        display.touch((0.0, 0.0))
+        display.lift()
+        assert display.dropped_contacts == 2
+        for call in (display.stats, display.estop, display.arm):
+            with pytest.raises(DisconnectedError):
+                call()
+        until(lambda: display.connection._transport._closed.done())
+    assert len(daemon.of(m.Hello)) == 1, "and it was not connected again"
+
+
+def test_a_request_that_waits_fails_when_the_connection_does(
+    display: Any, script: Script, daemon: Daemon
+) -> None:
+    def gone(said: m.GetStats) -> None:
+        daemon.drop()
+
+    script.answers[m.GetStats] = gone
+    with pytest.raises(DisconnectedError):
+        display.stats()
+
+
+def test_a_daemon_that_answers_no_ping_is_given_up(
+    twin: Twin, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(websocket, "PING_INTERVAL", 0.01)
+    monkeypatch.setattr(websocket, "SILENCE", 0.2)
+    script.answers[m.Ping] = lambda said: None
+    with twin.connect(daemon.url, timeout=PATIENCE):
+        connected_again(daemon, 3)
+
+
+@pytest.mark.ci
+def test_a_daemon_that_does_not_read_is_given_up_and_found_again(
+    twin: Twin, daemon: Daemon
+) -> None:
+    events: list[str] = []
+    with twin.connect(daemon.url, timeout=1.0) as display:
+        display.on_event(lambda event: events.append(event.kind))
+        fill(daemon, display)
+        until(lambda: events == ["disconnected"])
+        daemon.reading.set()
+        until(lambda: events[-1] == "connected")
+        display.stats(timeout=PATIENCE)
+
+
+def test_pings_measure_the_clocks(
+    twin: Twin, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(websocket, "PING_INTERVAL", 0.01)
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        until(lambda: len(daemon.of(m.Ping)) > 3)
+        connection = display.connection
+        assert abs(connection.clock_offset - 5.0) <= connection.round_trip / 2 + 1e-5
+
+
+def test_the_quickest_exchange_tells_the_clocks_best() -> None:
+    clock = Clock()
+    clock.exchange(1.0, 11.9, 2.0)
+    clock.exchange(3.0, 13.05, 3.1)
+    clock.exchange(4.0, 14.9, 5.0)
+    assert clock.offset == pytest.approx(10.0)
+    assert clock.round_trip == pytest.approx(0.1)

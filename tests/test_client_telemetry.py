@@ -1,0 +1,166 @@
+"""The SDK tells telemetry and events, and those who do not listen hold up nobody."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import client_rig
+import pytest
+from client_rig import PATIENCE, Daemon, Script, Twin, server_time_us, telemetry, until
+
+from tactile import client
+from tactile.daemon import messages as m
+from tactile.errors import ClientTimeoutError
+
+daemon = client_rig.daemon
+display = client_rig.display
+script = client_rig.script
+twin = client_rig.twin
+
+
+def then_one(daemon: "Daemon") -> Callable[[m.Subscribe], m.Answer]:
+    """Return what answers a subscription, and gives the first telemetry at once."""
+
+    def answer(said: m.Subscribe) -> m.Answer:
+        daemon.say(m.Done(id=said.id))
+        return telemetry(0)
+
+    return answer
+
+
+def test_telemetry_comes_in_si_and_on_our_clock(display: Any, daemon: Daemon) -> None:
+    daemon.script.answers[m.Subscribe] = lambda said: m.Done(id=said.id)
+    stream = display.telemetry(rate=20)
+    numbers = iter(stream)
+
+    def say_when_asked() -> None:
+        until(lambda: daemon.of(m.Subscribe))
+        daemon.say(telemetry(server_time_us()))
+
+    until_asked = threading.Thread(target=say_when_asked)
+    until_asked.start()
+    told = next(numbers)
+    until_asked.join()
+    now = time.monotonic()
+    assert abs(told.time - now) < PATIENCE
+    assert list(told.position) == pytest.approx([1e-3, 2e-3])
+    assert list(told.velocity) == pytest.approx([0.08, 0.0])
+    assert list(told.shear) == pytest.approx([3e-6, -3e-6])
+    assert (told.drive, told.normal_force) == ((50.0, -50.0), 0.5)
+    stream.close()
+    asked = until(lambda: len(daemon.of(m.Subscribe)) == 2 and daemon.of(m.Subscribe))
+    assert [said.rate_hz for said in asked] == [20.0, 0.0]
+
+
+def test_telemetry_that_nobody_reads_is_dropped_and_then_ended(daemon: Daemon) -> None:
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        stream = display.telemetry(rate=20)
+        daemon.script.answers[m.Subscribe] = then_one(daemon)
+        next(stream)
+        for number in range(1, 101):
+            daemon.say(telemetry(number * 1_000_000))
+        display.stats()  # all of it has come
+        assert display.connection.counters["dropped_telemetry"] == 36
+        offset = display.connection.clock_offset
+        assert next(stream).time == pytest.approx(37 - offset, abs=1.0), "the newest 64"
+        del stream
+        daemon.script.answers.clear()
+        daemon.say(telemetry(0))
+        daemon.say(telemetry(0))
+        until(lambda: [said.rate_hz for said in daemon.of(m.Subscribe)] == [20.0, 0.0])
+
+
+def test_two_readers_get_the_higher_rate_until_one_leaves(daemon: Daemon) -> None:
+    daemon.script.answers[m.Subscribe] = then_one(daemon)
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        slow, fast = display.telemetry(rate=10), display.telemetry(rate=60)
+        for stream in (slow, fast):
+            assert next(stream).display == "left"
+        fast.close()
+        until(lambda: [said.rate_hz for said in daemon.of(m.Subscribe)] == [10.0, 60.0, 10.0])
+        assert next(slow).display == "left"
+
+
+def test_telemetry_that_does_not_come_is_a_timeout_and_may_be_waited_for_again(
+    twin: Twin, daemon: Daemon
+) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        stream = display.telemetry(rate=100, timeout=PATIENCE)
+        inner = getattr(stream, "_inner", stream)
+        inner._timeout = PATIENCE
+        daemon.script.answers[m.Subscribe] = lambda said: m.Done(id=said.id)
+
+        def read() -> Any:
+            return twin.run(inner.__anext__()) if twin.name == "asyncio" else next(inner)
+
+        def soon() -> None:
+            until(lambda: daemon.of(m.Subscribe))
+            inner._timeout = 0.05
+            daemon.say(telemetry(0))
+
+        threading.Thread(target=soon).start()
+        assert read().display == "left"
+        with pytest.raises(ClientTimeoutError, match="telemetry: no answer in"):
+            read()
+        daemon.say(telemetry(1))
+        inner._timeout = PATIENCE
+        assert read().display == "left"
+
+
+def test_telemetry_ends_with_the_connection(twin: Twin, daemon: Daemon) -> None:
+    display = twin.connect(daemon.url, timeout=PATIENCE)
+    daemon.script.answers[m.Subscribe] = then_one(daemon)
+    got = []
+    for told in display.telemetry(rate=50):
+        got.append(told)
+        display.close()
+    assert len(got) == 1
+
+
+def test_a_callback_may_ask_and_may_fail(
+    display: Any, daemon: Daemon, twin: Twin, caplog: pytest.LogCaptureFixture
+) -> None:
+    seen: list[str] = []
+
+    def fail(event: client.Event) -> None:
+        raise RuntimeError("a mistake of the program")
+
+    def answer(event: client.Event) -> None:
+        seen.append(display.stats().state)
+
+    async def aanswer(event: client.Event) -> None:
+        seen.append((await display._inner.stats()).state)
+
+    display.on_event(fail)
+    display.on_event(aanswer if twin.name == "asyncio" else answer)
+    for _ in range(2):
+        daemon.say(m.Event(display="left", kind="fault", detail="channel 3 open"))
+    until(lambda: seen == ["armed", "armed"])
+    assert "a mistake of the program" in caplog.text
+
+
+def test_events_go_to_the_display_that_they_are_of(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    script.displays = ("left", "right")
+    left: list[client.Event] = []
+    both: list[client.Event] = []
+    with twin.open_connection(daemon.url, timeout=PATIENCE) as connection:
+        connection.display("left").on_event(left.append)
+        connection.on_event(both.append)
+        for name in script.displays:
+            daemon.say(m.Event(display=name, kind="underrun", detail="4 blocks"))
+        until(lambda: len(both) == 2)
+    assert left == [client.Event("underrun", "left", "4 blocks")]
+
+
+def test_events_that_a_slow_callback_does_not_take_are_dropped(daemon: Daemon) -> None:
+    go_on = threading.Event()
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        display.on_event(lambda event: go_on.wait(PATIENCE))
+        for _ in range(400):
+            daemon.say(m.Event(display="left", kind="underrun"))
+        display.stats()  # all of them have come
+        assert 400 - 257 <= display.connection.counters["dropped_events"] < 400
+        go_on.set()

@@ -1,0 +1,176 @@
+"""Whatever is sent, nothing breaks, and no volt."""
+
+import asyncio
+import json
+import random
+import socket
+from typing import Any
+
+import msgspec
+import pytest
+from daemon_rig import (
+    BOTH,
+    CONTACT,
+    GOOD,
+    Talker,
+    daemon,
+    each_encoding,
+    figure,
+    free_port,
+    get,
+    run,
+    talking,
+    unread,
+    until,
+)
+from osc_faults import mutated as osc_mutated
+
+from tactile.daemon import osc
+from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.messages import MSGPACK_PROTOCOL, Arm
+from tactile.daemon.server import running
+
+CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"] + [CONTACT]
+"""Nothing that arms: that nothing else does is what the fuzz shows."""
+ODD: list[Any] = [
+    None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 5000, {"a": {}},
+    "arm", "estop", -0.0, 1e-320, "x" * 70, 2**64 - 1,
+]  # fmt: skip
+
+
+def mutated(rng: random.Random, protocol: str, display: str = "right") -> str | bytes:
+    """Return a message with a few faults in its content, in its bytes, or in nothing."""
+    message: dict[str, Any] = json.loads(json.dumps(rng.choice(CORPUS)))
+    if "display" in message:
+        message["display"] = display
+    for _ in range(rng.randrange(3)):
+        key = rng.choice([*message, "id", "extra"])
+        odd = rng.choice(ODD)
+        if key == "type" and odd == "arm":
+            continue
+        message[key] = odd if rng.random() < 0.8 else [odd, odd]
+        if rng.random() < 0.2:
+            del message[rng.choice(list(message))]
+    if protocol == MSGPACK_PROTOCOL:
+        data = msgspec.msgpack.encode(message)
+    else:
+        data = json.dumps(message).encode()
+    if rng.random() < 0.4:
+        broken = bytearray(data)
+        for _ in range(rng.randrange(1, 4)):
+            broken[rng.randrange(len(broken))] = rng.randrange(256)
+        data = bytes(broken[: rng.randrange(1, len(broken) + 1)])
+    return data if protocol == MSGPACK_PROTOCOL else data.decode("utf-8", "replace")
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.ci)])
+@each_encoding
+def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(protocol: str, count: int) -> None:
+    rng = random.Random(f"{protocol} {count}")
+
+    async def story() -> None:
+        sent = 0
+        async with daemon(messages_per_second=100_000) as (there, hands):
+            while sent < count:
+                async with talking(there, protocol) as talker:
+                    sent += await batch(talker, min(count - sent, 50))
+            async with talking(there, protocol) as talker:
+                assert (await talker.ask(type="ping", time_us=1, id=5))["id"] == 5
+            assert not hands.armed
+            assert all(not isinstance(c, Arm) for hand in hands.clients for c in hand.commands)
+            assert figure(there, "tactile_failures_total", code="internal") == 0
+            assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
+            assert figure(there, "tactile_failures_total", code="malformed") > count / 20
+
+    async def batch(talker: Talker, most: int) -> int:
+        for _ in range(most):
+            await talker.link.send(mutated(rng, protocol))
+        await talker.send(type="get_stats", display="right", id=77_777)
+        while (found := await talker.receive()).get("id") != 77_777:
+            assert found["type"] in ("failure", "done", "textures", "appended", "stats", "pong")
+        return most
+
+    run(story, within=30 if count == 2000 else 600)
+
+
+async def disturb(talker: Talker, link: socket.socket, rng: random.Random) -> None:
+    """Send faulty messages and packets, and see that none arms."""
+    for _ in range(100):
+        await talker.link.send(mutated(rng, talker.protocol, "default"))
+        link.send(osc_mutated(rng))
+    await talker.send(type="get_stats", display="default", id=77_777)
+    while (found := await talker.receive()).get("id") != 77_777:
+        assert found.get("kind") != "armed"
+        assert found.get("state", "disarmed") != "armed"
+
+
+async def arm_and_touch(talker: Talker) -> None:
+    """Do what an app does, and see that it is done."""
+    for kind, state in (("clear", "disarmed"), ("arm", "armed")):
+        assert (await talker.asked(type=kind, display="default"))["type"] == "done"
+        while (await talker.asked(type="get_stats", display="default"))["state"] != state:
+            await asyncio.sleep(0.01)
+    layers = [{"texture": "wood-oak"}]
+    await talker.asked(type="select", display="default", layers=layers)
+    for number in range(50):
+        place = {"display": "default", "position_mm": [number * 0.8, 0], "time_us": None}
+        await talker.send(**CONTACT | place)
+        await asyncio.sleep(0.01)
+    stats = await talker.asked(type="get_stats", display="default")
+    assert (stats["state"], stats["touching"], stats["owner"]) == ("armed", True, True)
+
+
+@pytest.mark.parametrize("rounds", [1, pytest.param(100, marks=pytest.mark.ci)])
+def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
+    rounds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also by OSC; then it still does what it should, down to its drive."""
+    rng = random.Random(5)
+    monkeypatch.setattr(osc, "SILENCE", 0.2)
+    monkeypatch.setattr(osc.log, "disabled", True)
+    port = free_port()
+    config = Config(
+        server=ServerConfig(port=0, messages_per_second=100_000), osc=OscConfig(port=port)
+    )
+
+    async def story() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.connect(("127.0.0.1", port))
+            async with running(config) as there:
+                for protocol in rounds * BOTH:
+                    async with talking(there, protocol) as talker:
+                        await disturb(talker, link, rng)
+                await until(lambda: figure(there, "tactile_clients", transport="osc") == 0, 20)
+                async with talking(there) as talker:
+                    before = await talker.asked(type="get_stats", display="default")
+                    assert before["state"] in ("estopped", "disarmed")
+                    assert figure(there, "tactile_failures_total", code="internal") == 0
+                    await arm_and_touch(talker)
+                assert (await get(there, "/healthz")).status_code == 200
+
+    run(story, within=60 if rounds == 1 else 900)
+
+
+def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
+    rng = random.Random(1)
+
+    async def story() -> None:
+        async with daemon() as (there, _), talking(there) as other:
+            for number in range(100):
+                if number % 2:
+                    link = await unread(there)
+                    link.setblocking(False)
+                    head = b""
+                else:
+                    link = socket.socket()
+                    link.setblocking(False)
+                    loop = asyncio.get_running_loop()
+                    await loop.sock_connect(link, ("127.0.0.1", there.port))
+                    head = rng.choice([b"GET /v1 HTTP/1.1\r\n", b"", b"GET http://[ HTTP/1.1\r\n"])
+                with link:
+                    noise = rng.randbytes(rng.randrange(1, 300))
+                    await asyncio.get_running_loop().sock_sendall(link, head + noise)
+                assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
+            await until(lambda: there.site.clients == 1)
+
+    run(story)

@@ -1,0 +1,219 @@
+"""The server over HTTP, and how it begins and ends: clients are told, displays are closed first."""
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from daemon_rig import CONTACT, Hands, daemon, free_port, get, run, talking
+from prometheus_client.parser import text_string_to_metric_families
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
+from websockets.typing import Subprotocol
+
+from tactile.daemon import sockets
+from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.messages import JSON_PROTOCOL
+from tactile.daemon.server import listen, running
+from tactile.errors import InputError
+
+# HTTP
+
+
+def test_health_is_what_the_host_says() -> None:
+    async def story() -> None:
+        async with daemon() as (there, hands):
+            good = await get(there, "/healthz")
+            assert (good.status_code, good.json()["status"]) == (200, "ok")
+            hands.alive = False
+            bad = await get(there, "/healthz")
+            assert (bad.status_code, bad.json()["status"]) == (503, "failing")
+            assert "WebSocket at /v1" in (await get(there, "/")).text
+
+    run(story)
+
+
+def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clients() -> None:
+    async def story() -> None:
+        async with daemon() as (there, _), talking(there) as talker:
+            await talker.send(**CONTACT)
+            await talker.ask(type="bogus")
+            text = (await get(there, "/metrics")).text
+            samples = {
+                (sample.name, *sorted(sample.labels.values())): sample.value
+                for family in text_string_to_metric_families(text)
+                for sample in family.samples
+            }
+            assert samples["tactile_underruns_total", "right"] == 3
+            assert samples["tactile_latency_s", "left"] == 0.009
+            assert samples["tactile_clients", "websocket"] == 1
+            assert samples["tactile_messages_total", "contact", "websocket"] == 1
+            assert samples["tactile_failures_total", "unknown_type", "websocket"] == 1
+            assert samples["tactile_message_seconds_count", "contact", "websocket"] == 1
+            assert samples["tactile_log_dropped_total",] == 0
+            assert samples["tactile_healthy",] == 1
+
+    run(story)
+
+
+@pytest.mark.parametrize("path", ["/nope", "/v1/", "/v1/schema/x", "/../../etc/passwd"])
+def test_what_is_not_there_is_404(path: str) -> None:
+    async def story() -> None:
+        async with daemon() as (there, _):
+            assert (await get(there, path)).status_code == 404
+
+    run(story)
+
+
+def test_an_error_shows_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_down(self: Hands) -> bool:
+        raise ZeroDivisionError("secret")
+
+    monkeypatch.setattr(Hands, "healthy", break_down)
+
+    async def story() -> None:
+        async with daemon() as (there, _):
+            found = await get(there, "/healthz")
+            assert found.status_code == 500
+            assert found.text == "Internal Server Error"
+
+    run(story)
+
+
+def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "REQUEST_WITHIN", 0.05)
+
+    async def story() -> None:
+        async with daemon() as (there, _):
+            reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
+            writer.write(b"GET / HT")
+            assert await reader.read() == b""
+            writer.close()
+
+    run(story)
+
+
+# Beginning and end
+
+
+def test_each_connection_has_no_delay_and_no_compression() -> None:
+    async def story() -> None:
+        (bound,) = listen(ServerConfig(port=0), guarded=False)
+        assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
+        bound.close()
+        async with daemon() as (there, _), talking(there) as talker:
+            assert talker.link.protocol.extensions == []
+
+    run(story)
+
+
+def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
+    async def story() -> None:
+        async with daemon() as (there, _):
+            hands = Hands()
+            config = Config(server=ServerConfig(port=there.port), osc=OscConfig(port=0))
+            with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
+                async with running(config, host=hands):
+                    pass
+            assert hands.started == 0
+
+    run(story)
+
+
+def test_at_the_end_clients_are_told_and_displays_are_closed_before_connections_are() -> None:
+    async def story() -> None:
+        async with daemon() as (there, hands):
+            talker = await connect(there.url, subprotocols=[Subprotocol(JSON_PROTOCOL)])
+            await talker.send('{"type":"hello","client":"a"}')
+            await talker.recv()
+            hands.armed = True
+        with pytest.raises(ConnectionClosed):
+            await talker.recv()
+        assert (talker.close_code, talker.close_reason) == (1001, "the daemon ends")
+        assert hands.closings >= 1
+        assert not hands.armed
+        assert hands.clients[0].closed == 1
+        with pytest.raises(OSError, match="Connect call failed"):
+            await connect(there.url)
+
+    run(story)
+
+
+def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None:
+    class Broken(Hands):
+        async def start(self) -> None:
+            raise InputError("no such device")
+
+    async def story() -> None:
+        hands = Broken()
+        port = free_port(socket.SOCK_STREAM)
+        config = Config(server=ServerConfig(port=port), osc=OscConfig(port=0))
+        with pytest.raises(InputError, match="no such device"):
+            async with running(config, host=hands):
+                pass
+        assert hands.closings == 1
+        async with running(config, host=Hands()):
+            pass
+
+    run(story)
+
+
+PROCESS = """
+    import sys
+    sys.path.insert(0, {tests!r})
+    import daemon_rig
+    from tactile.daemon import server
+    from tactile.daemon.config import Config, LogConfig, OscConfig, ServerConfig
+
+    class Hands(daemon_rig.Hands):
+        async def reload(self):
+            print("reloaded", flush=True)
+        async def close(self):
+            if not self.closings:
+                print("closed", flush=True)
+            await super().close()
+
+    server._host = lambda config: Hands()
+    log = LogConfig(format="json")
+    config = Config(server=ServerConfig(port=0), osc=OscConfig(port=0), log=log)
+    server.serve(config, ready=lambda there: print(there.port, flush=True))
+    print("ended", flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_reload_and_end_the_process(
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(10)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "100000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        code = textwrap.dedent(PROCESS.format(tests=str(Path(__file__).parent)))
+        with subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as process:  # fmt: skip
+            assert process.stdout is not None
+            assert int(process.stdout.readline()) > 0
+            told = [systemd.recv(100) for _ in range(3)]
+            assert sorted(set(told)) == [b"READY=1", b"WATCHDOG=1"]
+            process.send_signal(signal.SIGHUP)
+            assert process.stdout.readline() == "reloaded\n"
+            process.send_signal(number)
+            out, err = process.communicate(timeout=10)
+            assert out == "closed\nended\n"
+            assert process.returncode == 0
+            assert [json.loads(line)["message"] for line in err.splitlines()] == [
+                "listening", "reloaded", "ending",
+            ]  # fmt: skip
+            while told[-1] == b"WATCHDOG=1":
+                told.append(systemd.recv(100))
+            assert told[-1] == b"STOPPING=1"

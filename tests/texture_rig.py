@@ -1,0 +1,67 @@
+"""Surfaces counted from their waves, by another definition of the bands than the package's.
+
+Third octaves are the exact base-10 ones here (IEC 61260-1).
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.texture.surface import Texture
+
+Floats = NDArray[np.float64]
+
+CENTERS = 10 ** (np.arange(-6, 10) / 10)
+"""Cycles/mm, exact."""
+EDGES = 10 ** (np.arange(-6.5, 10) / 10)
+FALLING = tuple(-1.5 * n for n in range(16))
+"""Levels [dB] that an isotropic surface can have."""
+BETWEEN: Floats = 1.25 + 5.0 * np.arange(36, dtype=np.float64)
+"""36 directions [deg], each halfway between two of those that a surface is fitted in."""
+WITH_BANDS = ["leather-calf", "leather-suede", "plastic-abs-vdi27", "plastic-acrylic-ribbed",
+              "wood-oak", "wood-pine-sanded"]  # fmt: skip
+
+
+def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]]) -> Path:
+    """Write a descriptor of the given tables and return its path."""
+    lines = [
+        f'[texture]\nid = "{path.stem}"\ncategory = "test"\ndescription = ""',
+        'provenance = "authored"\nsource = "a test"\nlicence = "CC0-1.0"',
+        "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5",
+    ]
+    for name, content in tables.items():
+        for table in content if isinstance(content, list) else [content]:
+            lines.append(f"[[{name}]]" if isinstance(content, list) else f"[{name}]")
+            lines += [f"{k} = {v!r}".replace("(", "[").replace(")", "]") for k, v in table.items()]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, object]:
+    """Return the table of a stochastic part at the exact centers."""
+    return {"frequency_per_mm": tuple(CENTERS.tolist()), "level_db": levels, **more}
+
+
+def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:
+    """Return the 16 band levels [dB re 1 µm²·mm] along a direction, wave by wave."""
+    power = np.zeros(16)
+    for (kx, ky), a in zip(wave_vector, amplitude, strict=True):
+        along = kx * math.cos(math.radians(degrees)) + ky * math.sin(math.radians(degrees))
+        band = math.floor(10 * math.log10(abs(along) / (2 * math.pi) * 1e-3 + 1e-9) + 6.5)
+        if 0 <= band < 16:
+            power[band] += (a * 1e6) ** 2 / 2
+    return np.asarray(10 * np.log10(np.maximum(power / np.diff(EDGES), 1e-12)))
+
+
+def misses(texture: Texture, degrees: Floats) -> Floats:
+    """Return by how much [dB] each band along each direction differs from the descriptor."""
+    assert texture.descriptor.stochastic is not None
+    wanted = np.asarray(texture.descriptor.stochastic.level_db)
+    return np.array([counted(texture.wave_vector, texture.amplitude, d) - wanted for d in degrees])
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -129,7 +129,9 @@ def test_random_designs_at_once_are_those_of_the_finite_elements(
     """
     designs, frequencies = random_designs(count, seed), np.geomspace(1, 5000, 10)
     constants, load = LOADS[name]
-    arrays = {key: np.array([design[key] for design in designs]) for key in designs[0]}
+    arrays: dict[str, Any] = {
+        key: np.array([design[key] for design in designs]) for key in designs[0]
+    }
     found = tip_response(Bimorph(**arrays), load, frequencies, axial_force=axial_force)
     for i, design in enumerate(designs):
         beam, row = replace(Beam(), **design), {k: v[i] for k, v in figures(found).items()}

@@ -27,6 +27,7 @@ from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from tactile.bench.resources import measure_memory, measure_soak, measure_speed
 from tactile.bench.spectrum import measure_spectrum
+from tactile.bench.study import measure_study, measure_study_long
 from tactile.bench.tracking import measure_tracking
 
 __all__ = ["BENCHMARKS", "LONG", "Figure", "at_least", "at_most", "measure"]
@@ -42,6 +43,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "speed": measure_speed,
     "spectrum": measure_spectrum,
     "plant": measure_plant,
+    "study": measure_study,
     "memory": measure_memory,
     "clock": measure_clock,
     "protocol": measure_protocol,
@@ -60,6 +62,7 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "latency-long": measure_latency_long,
     "crowd-long": measure_crowd_long,
     "library": measure_library,
+    "study-long": measure_study_long,
 }
 """Those that take minutes."""
 

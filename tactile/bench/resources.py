@@ -75,7 +75,7 @@ def measure_memory(longest: int = 60) -> Iterator[Figure]:
     for length in (10, longest):
         command = [sys.executable, "-m", "tactile", "play", "wood-oak"]
         command += ["--seconds", str(length), "--quiet"]
-        peaks.append(_peak_memory(command) / 2**20)
+        peaks.append(peak_memory(command) / 2**20)
     yield Figure("memory.play_10_s", peaks[0], "MiB")
     yield at_most(f"memory.growth_10_to_{longest}_s", peaks[1] - peaks[0], "MiB", 2)
 
@@ -85,7 +85,7 @@ def measure_soak() -> Iterator[Figure]:
     yield from measure_memory(600)
 
 
-def _peak_memory(command: list[str]) -> int:
+def peak_memory(command: list[str]) -> int:
     """Run a command and return the most memory it had resident [bytes]."""
     process = subprocess.Popen(command)
     _, status, usage = os.wait4(process.pid, 0)

@@ -12,7 +12,7 @@ transfer matrices this loses nothing to the growth of cosh λ, so that long segm
 
 Everything broadcasts: designs (...,) in front, frequency (F,) last. This is arithmetic on whole
 arrays, of about 550 bytes a point (designs × frequencies) at its peak: sweeps are fastest where
-they come in blocks of some 30 000 points, which stay in the processor's cache.
+they come in blocks of some ten thousand points, which stay in the processor's cache.
 """
 
 from dataclasses import dataclass, replace

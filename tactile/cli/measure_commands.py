@@ -36,7 +36,7 @@ def tell_response(
 
     Example: tactile response --load low --load high --plot response.png
     """
-    from tactile.study import response_figures
+    from tactile.study.figures import response_figures
 
     shown = tactile.load_display(display)
     loads = {f.value: getattr(tactile.FingerLoad, f.value)() for f in load or list(Finger)}

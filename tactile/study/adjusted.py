@@ -13,8 +13,9 @@ WIDE = 2.0
 """Factor to either side by which an interval may be wide before its constant counts as unknown."""
 NOISY = 0.3
 """Share of the response above which what a fit leaves over is called out (assumed)."""
-SHAPED = 0.5
-"""Correlation of neighboring points' misfit above which it is not noise (assumed)."""
+SHAPED = 4.0
+"""Standard deviations by which neighboring points' misfits agree more than noise would: 3e-5 of
+fits to noise are called out for nothing."""
 SMALLEST_SHAPED = 0.05
 """dB rms of misfit below which its shape does not matter (assumed)."""
 
@@ -51,7 +52,6 @@ class Comparison:
     measurement : (F,) points
     predicted, started : (F,) complex, by the fit and by the start [SI]
     band_db, band_deg : (F,) half the 95 % band of the prediction
-    noise : rms of the complex misfit over the response
     """
 
     measurement: Measurement
@@ -128,7 +128,7 @@ def what_is_unknown(fit: LogFit, constants: Sequence[Constant]) -> list[str]:
     """
     said, alone = [], set()
     for axis in unknown_directions(fit, WIDE):
-        part = [(constants[k], float(axis[k])) for k in np.flatnonzero(axis)]
+        part = [(c, turn) for c, turn in zip(constants, axis.tolist(), strict=True) if turn]
         part.sort(key=lambda entry: -abs(entry[1]))
         if len(part) == 1:
             alone.add(part[0][0].name)
@@ -157,9 +157,9 @@ def what_is_left(comparison: Comparison) -> list[str]:
             "is noise, or not of this bimorph"
         )
     if len(left) >= 8 and comparison.rms_db > SMALLEST_SHAPED:
-        left = left / np.abs(left).max()
-        together = float(np.vdot(left[:-1], left[1:]).real / np.vdot(left, left).real)
-        if together > SHAPED:
+        turn = left / np.maximum(np.abs(left), 1e-300)
+        together = float(np.mean((turn[1:] / turn[:-1]).real))
+        if together * math.sqrt(2 * len(left)) > SHAPED:
             said.append(
                 f"{name}: the misfit ({comparison.rms_db:.2g} dB rms) runs on from point to "
                 "point: the model lacks something, and the intervals are too narrow"

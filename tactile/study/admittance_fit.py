@@ -78,7 +78,7 @@ class BimorphFit:
     bimorph : with the fitted constants
     constants : those that were fitted, named as in `CONSTANTS`
     derived : coupling_un_m_per_v, the size of K [µN m/V], and capacitance_nf of both layers with
-        bending blocked, clamped segment included [nF]
+        bending blocked, clamped segment included [nF]; the latter with an admittance only
     comparisons : with each measurement
     notes : sentences on what is not identifiable, and on a misfit that is not noise
     """
@@ -88,6 +88,11 @@ class BimorphFit:
     derived: tuple[Constant, ...]
     comparisons: tuple[Comparison, ...]
     notes: tuple[str, ...]
+
+    @property
+    def told(self) -> tuple[Constant, ...]:
+        """All constants, those derived last."""
+        return self.constants + self.derived
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,7 @@ def fit_bimorph(
     notes = [
         *_about_task(task, names),
         *what_is_unknown(fit, constants),
+        *_about_bounds(task, fit),
         *(
             line
             for comparison, (_, load) in zip(comparisons, task.measured, strict=True)
@@ -199,7 +205,9 @@ def fit_bimorph(
             )
         ),
     ]
-    return BimorphFit(_of_numbers(fitted), constants, _derived(task, fit), comparisons, tuple(notes))
+    return BimorphFit(
+        _of_numbers(fitted), constants, _derived(task, fit), comparisons, tuple(notes)
+    )
 
 
 def _of_numbers(bimorph: Bimorph) -> Bimorph:
@@ -274,6 +282,13 @@ def _comparisons(task: _Task, fit: LogFit) -> tuple[Comparison, ...]:
     )
 
 
+def _activity(m: Measurement, value: Complex) -> Floats:
+    """Return what peaks at a resonance: speed, or conductance over frequency."""
+    if m.kind == "admittance":
+        return np.asarray(value.real / m.frequency)
+    return np.abs(value) * (1.0 if m.kind == "velocity" else m.frequency)
+
+
 def _derived(task: _Task, fit: LogFit) -> tuple[Constant, ...]:
     """Return coupling and capacitance, with the intervals that those of the constants make."""
 
@@ -291,7 +306,9 @@ def _derived(task: _Task, fit: LogFit) -> tuple[Constant, ...]:
     half = fit.half_width * np.sqrt(np.einsum("pf,pq,qf->f", slope, fit.covariance, slope))
     before, after = both(task.start[None])[0], both(fit.logs[None])[0]
     found = []
-    for k, (name, scale) in enumerate({"coupling_un_m_per_v": 1e6, "capacitance_nf": 1e9}.items()):
+    told = {"coupling_un_m_per_v": 1e6, "capacitance_nf": 1e9}
+    electrical = any(m.kind == "admittance" for m, _ in task.measured)
+    for k, (name, scale) in enumerate(told.items() if electrical else [*told.items()][:1]):
         ends = interval(float(after[k]), float(half[k]))
         values = (math.exp(before[k]), math.exp(after[k]), *ends)
         found.append(Constant(name, *(value * scale for value in values)))
@@ -304,6 +321,17 @@ def _about_task(task: _Task, names: Sequence[str]) -> list[str]:
     if not left:
         return []
     return [f"{' and '.join(left)} stay as they were: motion does not tell of them, only current"]
+
+
+def _about_bounds(task: _Task, fit: LogFit) -> list[str]:
+    """Return sentences about constants that went as far as they may."""
+    low, high = task.bounds
+    at_end = np.minimum(fit.logs - low, high - fit.logs) < 1e-3
+    return [
+        f"{task.names[k]} went as far as it may, {math.exp(fit.logs[k] - task.start[k]):.2g} times "
+        "its start: another constant is off, or the start is"
+        for k in np.flatnonzero(at_end)
+    ]
 
 
 def _about_resonance(
@@ -323,9 +351,10 @@ def _about_resonance(
             f"{m.name}: has no resonance: the first is at {first:.0f} Hz, outside the measured "
             f"{low:g} … {high:g} Hz; of losses it tells little"
         ]
-    measured, model = (m.frequency[np.abs(v).argmax()] for v in (m.value, comparison.predicted))
-    free = "s11e_um2_per_n" in names
-    if m.kind == "velocity" and not free and abs(model / measured - 1) > SHIFTED:
+    at = [int(_activity(m, v).argmax()) for v in (m.value, comparison.predicted)]
+    measured, model = m.frequency[at].tolist()
+    inside = 0 < at[0] < len(m.frequency) - 1
+    if inside and "s11e_um2_per_n" not in names and abs(model / measured - 1) > SHIFTED:
         return [
             f"{m.name}: peaks at {measured:.4g} Hz, the model at {model:.4g} Hz: its stiffness or "
             "length is off, and the quality factors with it; fit s11e_um2_per_n as well"

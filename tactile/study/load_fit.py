@@ -9,7 +9,7 @@ which the whole fit (`log_fit`) then runs.
 
 import math
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.optimize import nnls
@@ -65,6 +65,16 @@ class LoadFit:
     notes: tuple[str, ...]
     bic: float
 
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Comparisons with all measurements, of which there is one."""
+        return (self.comparison,)
+
+    @property
+    def told(self) -> tuple[Constant, ...]:
+        """All constants."""
+        return self.constants
+
 
 @dataclass(frozen=True)
 class _Tip:
@@ -81,8 +91,9 @@ class _Tip:
     def response(self, k: Complex) -> Complex:
         """Return the response, as it was measured, to a load of stiffness k (..., F)."""
         moved = self.force / (self.stiffness + k)
-        factor = {"displacement": 1.0, "velocity": 1j * self.omega, "force": k}
-        return np.asarray(moved * factor[self.measurement.kind])
+        if self.measurement.kind == "velocity":
+            moved = moved * 1j * self.omega
+        return moved * k if self.measurement.kind == "force" else moved
 
     def pointwise(self, value: Complex) -> tuple[Complex, Floats]:
         """Return k (F,), and the relative change of the response per change of it."""
@@ -166,19 +177,20 @@ def _grid_search(tip: _Tip, value: Complex, branches: int) -> list[tuple[float, 
     rate = 1j * tip.omega
     times = np.geomspace(1 / (BEYOND * tip.omega[-1]), BEYOND / tip.omega[0], CORNERS)
     turn = rate[:, None] * times
-    table = np.column_stack([np.ones_like(rate), rate, turn / (1 + turn)]) * weight[:, None]
-    table, wanted = _stacked(table), _stacked(k * weight)
+    columns = np.column_stack([np.ones_like(rate), rate, turn / (1 + turn)])
+    table = _stacked(np.asarray(columns * weight[:, None], np.complex128))
+    wanted = _stacked(k * weight)
     scale = np.linalg.norm(table, axis=0)
     q, r = np.linalg.qr(table / scale)
     short = q.T @ wanted
-    found = []
+    found: list[tuple[float, Floats]] = []
     for chosen in combinations(range(CORNERS), branches):
-        columns = [0, 1, *(2 + i for i in chosen)]
-        linear, misfit = nnls(r[:, columns], short)
-        linear = linear / scale[columns]
+        used = [0, 1, *(2 + i for i in chosen)]
+        linear, misfit = nnls(r[:, used], short)
+        linear = linear / scale[used]
         pairs = [(s, s * times[i]) for s, i in zip(linear[2:], chosen, strict=True)]
-        found.append((misfit, np.array([*linear[:2], *np.ravel(pairs)])))
-    return sorted(found, key=lambda one: float(one[0]))[:STARTS]
+        found.append((float(misfit), np.array([*linear[:2], *np.ravel(pairs)])))
+    return sorted(found, key=lambda one: one[0])[:STARTS]
 
 
 def _stacked(values: Complex) -> Floats:
@@ -267,7 +279,7 @@ def _about_corners(load: FingerLoad, frequency: Floats) -> list[str]:
             said.append(f"{where}there it is a damper, and adds to d0_n_s_per_m")
         elif corner < low:
             said.append(f"{where}there it is a spring, and adds to k0_n_per_m")
-    for i, (first, second) in enumerate(zip(corners, corners[1:], strict=False), 1):
+    for i, (first, second) in enumerate(pairwise(corners), 1):
         if second < ALIKE * first:
             said.append(
                 f"branches {i} and {i + 1} turn at the same place ({first:.3g} and {second:.3g} "

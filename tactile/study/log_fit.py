@@ -23,9 +23,11 @@ Model: TypeAlias = Callable[[Floats], Complex]
 
 STEP = 1e-4
 """Of a logarithm in a central difference: its error is 2e-9 of the third derivative."""
-PRIOR = 0.01 / math.log(10)
-"""Weight of a logarithm's distance from the start beside a relative misfit: a factor of ten counts
-as one point that is off by 1 %. It only holds what the measurement says nothing of (assumed)."""
+PRIOR = 1 / math.log(10)
+"""Weight of a logarithm's distance from the start: a factor of ten counts as one point that is off
+by the noise. It only holds what the measurement says nothing of (assumed)."""
+FIRST_NOISE = 0.01
+"""Of the response, before it is known (assumed)."""
 LEAST_NOISE = 1e-4
 """Of the response: no measurement of a bimorph is better (assumed). Without it rounding would be
 taken for structure."""
@@ -44,7 +46,7 @@ class LogFit:
     Attributes
     ----------
     logs : (p,) fitted
-    covariance : (p, p) of them, by the variance of what is left over
+    covariance : (p, p) of them, by the variance of what is left over, at least `LEAST_NOISE`
     axes, deviation : (p, p) rows and (p,): uncorrelated directions, the least known last, and the
         standard deviation along each
     predicted : (F,) the model
@@ -90,18 +92,17 @@ def fit_logs(
         def residual(logs: Floats) -> Floats:
             now = model(logs[None])[0]
             left = np.log(now / measured) if spread is None else (now - measured) / spread
-            return np.concatenate([left.real, left.imag, prior(spread) * (logs - begin)])
+            hold = PRIOR * (FIRST_NOISE if spread is None else 1.0)
+            return np.concatenate([left.real, left.imag, hold * (logs - begin)])
 
         def slope(logs: Floats) -> Floats:
             change = model_slope(model, logs)
             scaled = change / (model(logs[None])[0] if spread is None else spread)
-            return np.vstack([scaled.real.T, scaled.imag.T, prior(spread) * np.eye(len(logs))])
+            hold = PRIOR * (FIRST_NOISE if spread is None else 1.0)
+            return np.vstack([scaled.real.T, scaled.imag.T, hold * np.eye(len(logs))])
 
         found = least_squares(residual, at, slope, bounds=(low, high), x_scale=1.0, max_nfev=100)
         return np.clip(found.x, low + 1e-9, high - 1e-9)
-
-    def prior(spread: Floats | None) -> float:
-        return PRIOR if spread is None else PRIOR * float(np.median(np.abs(measured) / spread))
 
     logs = solve(begin, None)
     for _ in range(REWEIGHTED):
@@ -145,7 +146,8 @@ def _judged(model: Model, measured: Complex, logs: Floats, spread: Floats) -> Lo
     freedom = max(count - constants, 1)
     _, strength, axes = np.linalg.svd(jacobian, full_matrices=False)
     strength = np.maximum(strength, 1e-9 * strength[0])
-    deviation = np.sqrt(np.sum(np.abs(left) ** 2) / freedom) / strength
+    variance = max(np.sum(np.abs(left) ** 2) / freedom, 1 / 2)
+    deviation = math.sqrt(variance) / strength
     unlikely = 2 * np.sum(np.log(spread**2) + np.abs(left) ** 2)
     return LogFit(
         logs=logs,
@@ -195,7 +197,7 @@ def response_spread(model: Model, fit: LogFit) -> tuple[Floats, Floats]:
 
     def half(change: Floats) -> Floats:
         variance = np.einsum("pf,pq,qf->f", change, fit.covariance, change)
-        return fit.half_width * np.sqrt(np.maximum(variance, 0))
+        return np.asarray(fit.half_width * np.sqrt(np.maximum(variance, 0)))
 
     return half(slope.real) * 20 / math.log(10), np.degrees(half(slope.imag))
 

@@ -90,7 +90,7 @@ def load_measurement(path: str | Path, *kinds: Kind) -> Measurement:
     _check_points(path, rows, table)
     size = table[:, 1] * [scale for _, scale in units]
     value = size * np.exp(1j * np.radians(table[:, 2]))
-    return Measurement(path.name, kind, table[:, 0], value)
+    return Measurement(path.name, kind, table[:, 0], np.asarray(value, np.complex128))
 
 
 def _unit(path: Path, row: Row) -> tuple[Kind, float]:

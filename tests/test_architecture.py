@@ -270,7 +270,12 @@ def test_the_protocol_keeps_the_house_too(module: str) -> None:
 def test_every_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["plot"], *extras["picture"]]
+    declared = [
+        *project["dependencies"],
+        *extras["plot"],
+        *extras["picture"],
+        *extras["study"],
+    ]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
     used = {name for module in SOURCES for name in foreign_imports(module)} | {"cobs"}
     used -= set(sys.stdlib_module_names) | {"firmware_protocol"} | COMPARED

@@ -1,0 +1,76 @@
+"""The first resonance of a bimorph in air: where an undamped, shorted cantilever moves by itself.
+
+At the clamp w = (u, ψ) = 0, at the free tip f = (M, F) = 0. With the transition of the length
+(`beam`) f2 = ff f1, so that a resonance is a zero of det ff: real and smooth in ω without losses.
+The zero is bracketed on a grid up to Rayleigh's bound, then found by bisection, for all designs at
+once.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.actuator.beam import Section, transition
+from tactile.actuator.bimorph import Bimorph, section
+from tactile.actuator.materials import Real
+
+Floats = NDArray[np.float64]
+
+EULER_ROOT = 1.8751040687119611
+"""First root of cosh λ cos λ = −1: ω = λ² √(EI/m)/l² of a slender cantilever (any textbook)."""
+TENSION_SHARE = 0.376
+"""∫φ'²/(l² ∫φ''²) of that mode φ. Rayleigh's quotient of φ bounds ω² from above, λ⁴ EI/(m l⁴)
+times 1 + 0.376 N l²/EI; shear and rotary inertia only lower it."""
+LOWEST = 1e-4
+"""Of that bound, below which a compressed bender counts as buckled."""
+GRID, HALVINGS = 120, 48
+
+
+def first_resonance(bimorph: Bimorph, *, axial_force: Real = 0.0) -> Floats:
+    """Return the first resonance in air, of constants without losses, its electrodes shorted.
+
+    Parameters
+    ----------
+    bimorph, axial_force : numbers, or arrays over designs (...,); tension is positive [N]
+
+    Returns
+    -------
+    (...,) ndarray
+        [Hz]; NaN where an axial force has buckled the bender.
+    """
+    lossless = replace(
+        bimorph,
+        piezo=replace(bimorph.piezo, quality_factor=np.inf),
+        shim=replace(bimorph.shim, quality_factor=np.inf),
+    )
+    s, length = section(lossless), np.asarray(bimorph.length, np.float64)
+    axial = np.asarray(axial_force, np.float64)
+    shape = np.broadcast_shapes(np.shape(s.EI), np.shape(s.m), length.shape, axial.shape)
+    bound = (
+        EULER_ROOT**2
+        * np.sqrt(s.EI.real / s.m)
+        / length**2
+        * np.sqrt(1 + TENSION_SHARE * np.maximum(axial, 0) * length**2 / s.EI.real)
+    )
+    found = _first_zero(s, length, axial, np.broadcast_to(bound, shape))
+    return np.asarray(found / (2 * np.pi))
+
+
+def _first_zero(s: Section, length: Floats, axial_force: Floats, bound: Floats) -> Floats:
+    """Return ω (...,) of the first change of sign of det ff, which is 1 at rest."""
+
+    def is_beyond(omega: Floats) -> NDArray[np.bool_]:
+        (a, b), (c, d) = transition(s, length, omega, axial_force).ff
+        return np.asarray((a * d - b * c).real < 0)
+
+    grid = np.multiply.outer(np.geomspace(LOWEST, 1.01, GRID), bound)
+    beyond = is_beyond(grid)
+    first = beyond.argmax(axis=0)
+    low = np.take_along_axis(grid, np.maximum(first - 1, 0)[None], axis=0)[0]
+    high = np.take_along_axis(grid, first[None], axis=0)[0]
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        over = is_beyond(middle)
+        low, high = np.where(over, low, middle), np.where(over, middle, high)
+    return np.where(beyond.any(axis=0) & (first > 0), high, np.nan)

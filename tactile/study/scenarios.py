@@ -1,0 +1,107 @@
+"""What a design will meet: many fingers, and benders that are not quite as drawn.
+
+A scenario is one finger and one set of tolerances. Fingers are log-normal around the paper's two:
+a normal `firmness` of mean 1/2 and standard deviation 1/2 puts the low and the high finger one
+standard deviation to either side (assumed: two fingers are all that is published). Tolerances are
+normal factors, held within three standard deviations. Scenarios are drawn by scrambled Sobol
+points, so that a few dozen already speak for the distribution, and every design meets the same.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from tactile.errors import InputError
+from tactile.files import nearest
+from tactile.study.parameters import PARAMETERS
+
+Floats = NDArray[np.float64]
+
+FIRMNESS = (0.5, 0.5)
+"""Mean and standard deviation; see the module's docstring."""
+TOLERANCES = {
+    "piezo_height_mm": 0.02,
+    "shim_height_mm": 0.03,
+    "piezo_modulus_gpa": 0.03,
+    "shim_modulus_gpa": 0.05,
+    "d31_pm_per_v": 0.05,
+}
+"""Relative standard deviations of heights, moduli and d31. Assumed: data sheets of ceramics give
+5 to 10 % for compliance and d31, as limits; heights are those of lapped plates and prepreg."""
+LIMIT = 3.0
+"""Standard deviations beyond which parts are sorted out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenarios:
+    """Values and factors of parameters, one entry a scenario.
+
+    Attributes
+    ----------
+    values : (S,) of parameters, in the unit of their names
+    factors : (S,) by which a design's own value is multiplied
+
+    Raises
+    ------
+    InputError
+        Where there is none, lengths differ, or a parameter is unknown.
+    """
+
+    values: Mapping[str, Floats] = field(default_factory=dict)
+    factors: Mapping[str, Floats] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (*self.values, *self.factors):
+            if name not in PARAMETERS:
+                raise InputError(f"no parameter {name!r}; {nearest(name, list(PARAMETERS))}")
+        lengths = {np.size(array) for array in (*self.values.values(), *self.factors.values())}
+        if len(lengths) != 1 or lengths == {0}:
+            raise InputError(f"scenarios: lengths {sorted(lengths)}: need one, of at least 1")
+
+    @property
+    def count(self) -> int:
+        """Number of scenarios."""
+        return next(np.size(a) for a in (*self.values.values(), *self.factors.values()))
+
+
+def draw_scenarios(
+    count: int,
+    *,
+    firmness: tuple[float, float] = FIRMNESS,
+    tolerances: Mapping[str, float] = TOLERANCES,
+    seed: int = 0,
+) -> Scenarios:
+    """Draw fingers and tolerances.
+
+    Parameters
+    ----------
+    count : number of scenarios; a power of two is spread most evenly
+    firmness : mean and standard deviation of the finger
+    tolerances : relative standard deviation by parameter
+    seed : same seed, same scenarios
+
+    Raises
+    ------
+    InputError
+        For a count below 1, or a parameter without a standard value.
+    """
+    if count < 1:
+        raise InputError(f"scenarios = {count}: must be at least 1")
+    for name, spread in tolerances.items():
+        if not 0 <= spread <= 0.3:
+            raise InputError(f"tolerance of {name} = {spread:g}: must be 0 … 0.3 of its value")
+    sobol = qmc.Sobol(1 + len(tolerances), rng=np.random.default_rng(seed))
+    points = sobol.random_base2(int(np.ceil(np.log2(count))))[:count]
+    edge = norm.cdf(LIMIT)
+    finger, *parts = norm.ppf((1 - edge) + points * (2 * edge - 1)).T
+    mean, deviation = firmness
+    return Scenarios(
+        values={"firmness": mean + deviation * finger},
+        factors={
+            name: 1 + spread * part
+            for (name, spread), part in zip(tolerances.items(), parts, strict=True)
+        },
+    )

@@ -15,9 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tactile.actuator.amplifier import Amplifier as Amplifier
+    from tactile.actuator.benders import BENDERS as BENDERS
+    from tactile.actuator.benders import bender_figures as bender_figures
     from tactile.actuator.bimorph import Bimorph as Bimorph
     from tactile.actuator.finger import FingerLoad as FingerLoad
     from tactile.actuator.finger import FingerTable as FingerTable
+    from tactile.actuator.material_notes import MATERIAL_NOTES as MATERIAL_NOTES
+    from tactile.actuator.materials import PIEZOS as PIEZOS
+    from tactile.actuator.materials import SHIMS as SHIMS
     from tactile.actuator.materials import PiezoMaterial as PiezoMaterial
     from tactile.actuator.materials import ShimMaterial as ShimMaterial
     from tactile.actuator.plant import Plant as Plant
@@ -70,9 +75,11 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "actuator.amplifier": ("Amplifier",),
+    "actuator.benders": ("BENDERS", "bender_figures"),
     "actuator.bimorph": ("Bimorph",),
     "actuator.finger": ("FingerLoad", "FingerTable"),
-    "actuator.materials": ("PiezoMaterial", "ShimMaterial"),
+    "actuator.material_notes": ("MATERIAL_NOTES",),
+    "actuator.materials": ("PIEZOS", "SHIMS", "PiezoMaterial", "ShimMaterial"),
     "actuator.plant": ("Plant",),
     "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
     "bus.base": ("DriveBlock", "DriveFrame"),

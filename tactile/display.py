@@ -8,8 +8,9 @@ first channel are number 0.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,13 @@ from tactile import files
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad, FingerTable
+from tactile.actuator.materials import (
+    PIEZOS,
+    SHIMS,
+    VACUUM_PERMITTIVITY,
+    PiezoMaterial,
+    ShimMaterial,
+)
 from tactile.actuator.response import tip_response
 from tactile.display_file import (
     AmplifierTable,
@@ -31,6 +39,7 @@ from tactile.errors import InputError
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
 
 LARGEST_FIELD = 0.4e6
 """V/m in a piezo layer: half the coercive field of about 8 kV/cm of a soft PZT."""
@@ -256,14 +265,35 @@ def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
 
 
 def _bimorph(table: BimorphTable) -> Bimorph:
+    for key, known in (("piezo", PIEZOS), ("shim", SHIMS)):
+        name = getattr(table, key)
+        if name not in known:
+            raise InputError(f"bimorph.{key} = {name!r}: unknown; {files.nearest(name, [*known])}")
+    piezo = _adjusted(
+        PIEZOS[table.piezo],
+        d31=None if table.d31_pm_per_v is None else table.d31_pm_per_v * 1e-12,
+        eps33T=None
+        if table.eps33t_relative is None
+        else table.eps33t_relative * VACUUM_PERMITTIVITY,
+        quality_factor=table.piezo_quality,
+        loss_tangent=table.loss_tangent,
+    )
     return Bimorph(
         width=table.width_mm * 1e-3,
         length=table.length_mm * 1e-3,
         clamped_length=table.clamped_length_mm * 1e-3,
         piezo_height=table.piezo_height_mm * 1e-3,
         shim_height=table.shim_height_mm * 1e-3,
+        piezo=piezo,
+        shim=_adjusted(SHIMS[table.shim], quality_factor=table.shim_quality),
         layer_stiffening=table.layer_stiffening,
+        series=table.wiring == "series",
     )
+
+
+def _adjusted(material: Material, **constants: float | None) -> Material:
+    """Return a material with those constants replaced that are given."""
+    return replace(material, **{k: v for k, v in constants.items() if v is not None})
 
 
 def _load(finger: Finger) -> FingerLoad | FingerTable:
@@ -352,7 +382,8 @@ def load_response(path: str | Path) -> Measured:
 def _check_geometry(display: Display) -> None:
     """Refuse what cannot be built or must not be driven."""
     highest = display.limits.voltage * display.amplifier.peak
-    field = highest / float(display.bimorph.piezo_height)
+    layer = display.bimorph.layer_voltage / display.bimorph.piezo_height
+    field = highest * float(layer)
     if field > LARGEST_FIELD:
         largest = _three_digits_below(display.limits.voltage * LARGEST_FIELD / field)
         swing = ", twice the drive's behind AC coupling," if display.amplifier.ac_coupling else ""

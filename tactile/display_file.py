@@ -9,6 +9,7 @@ Place = Annotated[float, Meta(ge=-500, le=500)]
 Degrees = Annotated[float, Meta(ge=-360, le=360)]
 Stiffness = Annotated[float, Meta(ge=0, le=1e6)]
 Damping = Annotated[float, Meta(ge=0, le=1e3)]
+Quality = Annotated[float, Meta(ge=1, le=1e5)]
 CHANNELS = 4096
 Channel = Annotated[int, Meta(ge=0, lt=CHANNELS)]
 Index = Annotated[int, Meta(ge=0)]
@@ -60,7 +61,11 @@ class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The bender's geometry; materials are those of the default design."""
+    """The bender: geometry, materials by name, wiring.
+
+    The last five are adjusted constants, such as a fit to a measurement writes: they go before
+    those of the named material.
+    """
 
     width_mm: Annotated[float, Meta(ge=0.1, le=50)] = 2.1
     length_mm: Annotated[float, Meta(ge=1, le=100)] = 20.0
@@ -68,6 +73,14 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     piezo_height_mm: Annotated[float, Meta(ge=0.01, le=5)] = 0.26
     shim_height_mm: Annotated[float, Meta(ge=0, le=5)] = 0.20
     layer_stiffening: bool = False
+    piezo: str = "3203hd"
+    shim: str = "cfrp"
+    wiring: Literal["parallel", "series"] = "parallel"
+    d31_pm_per_v: Annotated[float, Meta(ge=-2000, le=-1)] | None = None
+    eps33t_relative: Annotated[float, Meta(ge=100, le=20000)] | None = None
+    piezo_quality: Quality | None = None
+    shim_quality: Quality | None = None
+    loss_tangent: Annotated[float, Meta(ge=0, le=0.5)] | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("clamped_length_mm", 0.1), ("shim_height_mm", 0.005)):

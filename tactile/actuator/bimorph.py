@@ -4,6 +4,14 @@ Both layers are poled the same way and driven in parallel, the shim against the 
 so that the field in each is U/h_p and the voltage bends: M = EI ψ' − K U, and the current is
 I = jω C_p U + K (ψ̇₂ − ψ̇₁). With the usual negative d31 a positive voltage moves the tip towards
 positive u. Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
+
+Wired in series the layers are poled oppositely and the voltage lies across both, from one outer
+electrode to the other, the shim floating. Bending strains the layers oppositely, so that their
+charges are the same; each has half the voltage then, E3 = U/(2 h_p), and the charge of one layer
+is the charge of both. With voltage and charge halved, K is half and C_p a quarter of those in
+parallel (so also Smits, Dalke & Cooney, Sensors and Actuators A 28, 1991; Wang & Cross,
+Ferroelectrics 215, 1998). At equal field, that is twice the voltage, a bender bends as in parallel
+and takes the same energy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -65,6 +73,7 @@ class Bimorph:
     width, length, clamped_length : [m]; length is free, from the clamp to the tip
     piezo_height, shim_height : of one layer [m]
     piezo, shim : materials
+    series : True where the layers are wired in series, False in parallel
     layer_stiffening : adds ΔEI = w h_p³/6 · (1/s11E) · k31²/(1−k31²), the stiffening by the field
         that bending makes within each layer. Without it (the paper's model) the first resonance
         is 1 % low against a two-dimensional piezoelectric solid, with it 0.05 %.
@@ -72,7 +81,7 @@ class Bimorph:
     Raises
     ------
     ValueError
-        Naming the dimension that is not finite or has the wrong sign.
+        Naming the dimension that is not finite or has the wrong sign, or a wiring that is no bool.
 
     Notes
     -----
@@ -90,8 +99,11 @@ class Bimorph:
     piezo: PiezoMaterial = field(default=PIEZO_3203HD)
     shim: ShimMaterial = field(default=CFRP)
     layer_stiffening: bool = False
+    series: bool | NDArray[np.bool_] = False
 
     def __post_init__(self) -> None:
+        if np.asarray(self.series).dtype != np.bool_:
+            raise ValueError(f"Bimorph: series = {self.series} is neither True nor False")
         require_positive(
             "Bimorph", width=self.width, length=self.length, piezo_height=self.piezo_height
         )
@@ -103,6 +115,11 @@ class Bimorph:
     def height(self) -> NDArray[np.float64]:
         """Total height of the three layers [m]."""
         return 2 * np.asarray(self.piezo_height) + self.shim_height
+
+    @property
+    def layer_voltage(self) -> NDArray[np.float64]:
+        """Share of the voltage that lies across each layer: 1 in parallel, 1/2 in series."""
+        return np.where(self.series, 0.5, 1.0)
 
 
 def section(bimorph: Bimorph) -> Section:
@@ -132,21 +149,25 @@ def section(bimorph: Bimorph) -> Section:
 
 
 def coupling(bimorph: Bimorph) -> Complex:
-    """Return K = w d31 (h_s + h_p)/s11E [N m/V], complex."""
+    """Return K = w d31 (h_s + h_p)/s11E [N m/V], complex; half of it in series."""
     p = bimorph.piezo
     d31 = p.d31 * (1 - 1j * np.asarray(p.piezo_loss_tangent))
     stiffness = (1 + 1j / np.asarray(p.quality_factor)) / p.s11E
     K = bimorph.width * d31 * (np.asarray(bimorph.shim_height) + bimorph.piezo_height) * stiffness
-    return np.asarray(K, np.complex128)
+    return np.asarray(K * bimorph.layer_voltage, np.complex128)
 
 
 def capacitance(bimorph: Bimorph, length: Real) -> Complex:
-    """Return C_p = (2 w l/h_p)(ε33T − d31²/s11E) [F] of a length l of bender, complex."""
+    """Return C_p = (2 w l/h_p)(ε33T − d31²/s11E) [F] of a length l of bender, complex.
+
+    In series it is a quarter of it.
+    """
     p = bimorph.piezo
     d31 = p.d31 * (1 - 1j * np.asarray(p.piezo_loss_tangent))
     permittivity = p.eps33T * (1 - 1j * np.asarray(p.loss_tangent))
     clamped = permittivity - d31**2 * (1 + 1j / np.asarray(p.quality_factor)) / p.s11E
-    return np.asarray(2 * bimorph.width * length / bimorph.piezo_height * clamped, np.complex128)
+    area = bimorph.width * np.asarray(length) * bimorph.layer_voltage**2
+    return np.asarray(2 * area / bimorph.piezo_height * clamped, np.complex128)
 
 
 def active_segment(bimorph: Bimorph) -> Segment:

@@ -4,6 +4,10 @@ Constants follow IEEE Std 176 (s11E, s55E, d31, eps33T). Every number may be an 
 broadcasts against the others: one call then describes many designs. Losses are constant with
 frequency, as factors on the complex constants at exp(+jωt):
 1/s11 (1 + j/Q), ε (1 − j tanδ), d (1 − j tanθ).
+
+`PIEZOS` and `SHIMS` are the libraries to choose from by name; `material_notes` tells where the
+numbers come from and what field a ceramic bears. All are typical values: makers give d31 and
+permittivity to ±10 … 20 %.
 """
 
 from dataclasses import dataclass
@@ -135,3 +139,111 @@ data sheet; s55E like PZT-5H; quality factor and tanθ assumed."""
 
 CFRP = ShimMaterial(s11=1 / 110e9, s55=1 / 4.5e9, density=1550.0, quality_factor=30.0)
 """Carbon-fiber reinforced plastic: E 110 GPa, G 4.5 GPa, 1550 kg/m³, Q 30; assumed, typical."""
+PZT_5A = PiezoMaterial(
+    s11E=16.4e-12,
+    s55E=47.5e-12,
+    d31=-171e-12,
+    eps33T=1700 * VACUUM_PERMITTIVITY,
+    density=7750.0,
+    quality_factor=75.0,
+    loss_tangent=0.02,
+    piezo_loss_tangent=0.01,
+)
+PZT_5H = PiezoMaterial(
+    s11E=16.5e-12,
+    s55E=43.5e-12,
+    d31=-274e-12,
+    eps33T=3400 * VACUUM_PERMITTIVITY,
+    density=7500.0,
+    quality_factor=65.0,
+    loss_tangent=0.02,
+    piezo_loss_tangent=0.01,
+)
+PZT_4 = PiezoMaterial(
+    s11E=12.3e-12,
+    s55E=39.0e-12,
+    d31=-123e-12,
+    eps33T=1300 * VACUUM_PERMITTIVITY,
+    density=7500.0,
+    quality_factor=500.0,
+    loss_tangent=0.004,
+    piezo_loss_tangent=0.002,
+)
+PZT_8 = PiezoMaterial(
+    s11E=11.5e-12,
+    s55E=31.9e-12,
+    d31=-97e-12,
+    eps33T=1000 * VACUUM_PERMITTIVITY,
+    density=7600.0,
+    quality_factor=1000.0,
+    loss_tangent=0.004,
+    piezo_loss_tangent=0.002,
+)
+PSI_5A4E = PiezoMaterial(
+    s11E=15.1e-12,
+    s55E=40.0e-12,
+    d31=-190e-12,
+    eps33T=1800 * VACUUM_PERMITTIVITY,
+    density=7800.0,
+    quality_factor=80.0,
+    loss_tangent=0.02,
+    piezo_loss_tangent=0.01,
+)
+PIC_255 = PiezoMaterial(
+    s11E=16.1e-12,
+    s55E=1 / 21e9,
+    d31=-180e-12,
+    eps33T=1750 * VACUUM_PERMITTIVITY,
+    density=7800.0,
+    quality_factor=80.0,
+    loss_tangent=0.02,
+    piezo_loss_tangent=0.01,
+)
+APC_855 = PiezoMaterial(
+    s11E=1 / 59e9,
+    s55E=43.5e-12,
+    d31=-276e-12,
+    eps33T=3300 * VACUUM_PERMITTIVITY,
+    density=7600.0,
+    quality_factor=65.0,
+    loss_tangent=0.025,
+    piezo_loss_tangent=0.01,
+)
+
+PIEZOS = {
+    "3203hd": PIEZO_3203HD,
+    "5a4e": PSI_5A4E,
+    "apc-855": APC_855,
+    "pic-255": PIC_255,
+    "pzt-4": PZT_4,
+    "pzt-5a": PZT_5A,
+    "pzt-5h": PZT_5H,
+    "pzt-8": PZT_8,
+}
+"""Piezoceramics by name; `MATERIAL_NOTES` has their sources. tanθ is assumed throughout: 0.01 for
+soft ceramics, 0.002 for hard ones. VIBRIT 1100 is not here: no full set of its constants is
+published, and 3203hd stands in for it."""
+
+
+def _isotropic(
+    *, modulus: float, poisson: float, density: float, quality_factor: float
+) -> ShimMaterial:
+    """Return a shim of Young's modulus E [Pa] and Poisson's ratio ν: G = E/(2 (1 + ν))."""
+    return ShimMaterial(
+        s11=1 / modulus,
+        s55=2 * (1 + poisson) / modulus,
+        density=density,
+        quality_factor=quality_factor,
+    )
+
+
+SHIMS = {
+    "alumina": _isotropic(modulus=303e9, poisson=0.21, density=3720.0, quality_factor=200.0),
+    "brass": _isotropic(modulus=110e9, poisson=0.375, density=8530.0, quality_factor=100.0),
+    "cfrp": CFRP,
+    "fr4": ShimMaterial(s11=1 / 24e9, s55=1 / 3e9, density=1850.0, quality_factor=30.0),
+    "steel": _isotropic(modulus=193e9, poisson=0.29, density=8000.0, quality_factor=200.0),
+    "titanium": _isotropic(modulus=113.8e9, poisson=0.342, density=4430.0, quality_factor=200.0),
+}
+"""Shims by name; `MATERIAL_NOTES` has their sources. Quality factors are assumed throughout: that
+of the glued layer, far below that of the metal alone."""

@@ -11,6 +11,7 @@ from tactile.cli import (  # noqa: F401
     convert_commands,
     fit_commands,
     link_commands,
+    material_commands,
     measure_commands,
     play_commands,
     relief_commands,

@@ -1,0 +1,82 @@
+"""Benders that one can buy, as far as their makers print what the model needs.
+
+`BENDERS` holds each as it is mounted by its data sheet or by who measured it: free length, what is
+clamped, and how it is wired. tests/validation/test_benders.py compares what is printed or was
+measured with what the model makes of it; of the MTP benders it finds capacitance and blocked force
+near what is printed, but a third to a quarter of the displacement, so that a design by their sheet
+alone may promise too much.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tactile.actuator.bimorph import Bimorph
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.materials import PIEZOS, SHIMS, VACUUM_PERMITTIVITY
+from tactile.actuator.plant import beam_modes
+from tactile.actuator.response import blocked_force, tip_response
+
+_MTP_PIEZO = replace(PIEZOS["pzt-5h"], eps33T=3300 * VACUUM_PERMITTIVITY, loss_tangent=0.022)
+"""The sheet prints ε33T 3300 and tanδ 2.2 % of a "PZT5"; all else like PZT-5H (assumed)."""
+
+
+def _mtp(
+    width: float, total: float, free: float, piezo_height: float, shim_height: float
+) -> Bimorph:
+    """Return a bender of the MTP kind; all but its free length is clamped (dimensions in m)."""
+    return Bimorph(
+        width=width,
+        length=free,
+        clamped_length=total - free,
+        piezo_height=piezo_height,
+        shim_height=shim_height,
+        piezo=_MTP_PIEZO,
+        shim=SHIMS["brass"],
+    )
+
+
+BENDERS = {
+    "mtp35x2.1x0.7": _mtp(2.1e-3, 35e-3, 28e-3, 0.25e-3, 0.20e-3),
+    "mtp49x2.3x0.8": _mtp(2.3e-3, 49e-3, 38e-3, 0.30e-3, 0.20e-3),
+    "mtp60x20x0.7": _mtp(20e-3, 60e-3, 53e-3, 0.25e-3, 0.20e-3),
+    "t226-a4-503x": Bimorph(
+        width=31.8e-3,
+        length=50.8e-3,
+        clamped_length=12.7e-3,
+        piezo_height=0.26e-3,
+        shim_height=0.14e-3,
+        piezo=PIEZOS["5a4e"],
+        shim=SHIMS["brass"],
+        series=True,
+    ),
+}
+"""Benders by name.
+
+mtp…: the sheet at rphotronics.com/b/product05/1536 prints total size, free length and material; its
+layers are not printed: equal ones around 0.2 mm of brass are assumed. The default design is of the
+class of the first.
+
+t226-a4-503x: Piezo Systems, mounted as by Erturk & Inman, Smart Mater. Struct. 18, 2009, 025009:
+brass between 5A4E, in series; the 63.5 mm part with 50.8 mm free.
+"""
+
+
+def bender_figures(bimorph: Bimorph) -> dict[str, float]:
+    """Return what a data sheet prints of a bender (one design, in air).
+
+    Returns
+    -------
+    dict
+        Static displacement and blocked force per volt, tip stiffness, capacitance with the clamped
+        length, first resonance.
+    """
+    r = tip_response(bimorph, FingerLoad.none(), [0.0, 1.0])
+    force, stiffness = blocked_force(bimorph, [0.0])
+    return {
+        "displacement_um_per_v": float(np.abs(r.displacement[0])) * 1e6,
+        "blocked_force_mn_per_v": float(np.abs(force[0])) * 1e3,
+        "stiffness_n_per_m": float(stiffness[0].real),
+        "capacitance_nf": float((r.admittance[1] / (2j * np.pi)).real) * 1e9,
+        "first_resonance_hz": float(beam_modes(bimorph, 1).frequency[0]) / (2 * np.pi),
+    }

@@ -177,7 +177,7 @@ def _facts(fit: "LoadFit | BimorphFit") -> dict[str, Any]:
 
 def _print_result(fit: "LoadFit | BimorphFit", name: str) -> None:
     bender = len(fit.told) != len(fit.constants)
-    title = f"{'Bimorph' if bender else 'Finger on the bimorph'} of {name}, adjusted"
+    title = f"{'Bimorph' if bender else 'Finger'} of {name}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("constant")
     for heading in (*(["before"] if bender else []), "fitted", "95 % from", "to"):

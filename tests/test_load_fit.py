@@ -93,7 +93,7 @@ def test_the_papers_loads_are_recovered_from_clean_data(load: Load, kind: Kind) 
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_a_noisy_response_is_predicted_within_0_3_db(load: Load) -> None:
     truth = moved(load)
-    assert max(error_db(fitted(noisy(truth, seed)), truth) for seed in range(8)) < 0.3
+    assert max(error_db(fitted(noisy(truth, seed)), truth) for seed in range(4)) < 0.3
 
 
 @pytest.mark.ci
@@ -107,10 +107,11 @@ def test_random_loads_are_predicted_within_0_3_db(branches: int) -> None:
     assert worst < 0.3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_intervals_cover_the_truth_19_times_of_20(load: Load) -> None:
     """Per constant, bounds that a coverage of 95 % leaves once in a thousand runs."""
-    count, truth = 100, moved(load)
+    count, truth = 150, moved(load)
     within = np.zeros(4)
     for seed in range(count):
         fit = fitted(noisy(truth, 100 + seed), branches=1)
@@ -129,7 +130,7 @@ def test_the_noise_is_found() -> None:
 
 def test_the_band_of_the_prediction_holds_the_truth() -> None:
     truth, inside = moved(HIGH_FINGER), []
-    for seed in range(20):
+    for seed in range(10):
         c = fitted(noisy(truth, seed), 1).comparison
         off = 20 * np.log10(np.abs(c.predicted / truth))
         inside.append(np.mean(np.abs(off) <= c.band_db))
@@ -141,8 +142,8 @@ def test_the_band_of_the_prediction_holds_the_truth() -> None:
 @pytest.mark.parametrize("branches", [1, 2])
 def test_as_many_branches_are_chosen_as_there_are(branches: int) -> None:
     load: Load = (1000.0, 0.05, ((1500.0, 6.0), (2000.0, 0.6))[:branches])
-    chosen = [len(fitted(noisy(moved(load), s, 0.002)).load.branches) for s in range(3)]
-    assert chosen == [branches] * 3
+    chosen = [len(fitted(noisy(moved(load), s, 0.002)).load.branches) for s in range(2)]
+    assert chosen == [branches] * 2
 
 
 def test_branches_come_by_ascending_corner() -> None:
@@ -239,7 +240,7 @@ def test_the_load_before_is_compared() -> None:
 
 
 def test_the_figures_for_the_benchmark_reach_their_goals() -> None:
-    figures = load_fit_figures(6)
+    figures = load_fit_figures(3)
     assert figures["worst_db"] < 0.3
     assert figures["clean_percent"] < 1.0
     assert figures["one_branch_percent"] > 60

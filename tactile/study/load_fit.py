@@ -35,7 +35,6 @@ CORNERS = 16
 """Of the grid: 1.5 apart over two decades and a bit to either side."""
 BEYOND = 3.0
 """Factor by which the grid of corners exceeds the measured band."""
-STARTS = 2
 REACH = (1e-6, 1e3)
 """Bounds of a constant over what it would be if it alone made the largest stiffness measured."""
 LARGEST = (1e6, 1e3)
@@ -163,7 +162,7 @@ def _checked(bimorph: Bimorph, measurement: Measurement, branches: int | None) -
             f"constants and needs at least {needed} points"
         )
     tip = _Tip(measurement, *blocked_force(bimorph, measurement.frequency))
-    upright, turned = (_grid_search(tip, sign * measurement.value, 1)[0][0] for sign in (1, -1))
+    upright, turned = (_grid_search(tip, sign * measurement.value, 1)[0] for sign in (1, -1))
     if turned < REVERSED * upright:
         raise InputError(
             f"{name}: is reversed against the bimorph; swap the polarity, or add 180 to phase_deg"
@@ -171,8 +170,8 @@ def _checked(bimorph: Bimorph, measurement: Measurement, branches: int | None) -
     return tip
 
 
-def _grid_search(tip: _Tip, value: Complex, branches: int) -> list[tuple[float, Floats]]:
-    """Return misfit and constants [k0, d0, k1, d1, …] of the best starts, best first."""
+def _grid_search(tip: _Tip, value: Complex, branches: int) -> tuple[float, Floats]:
+    """Return misfit and constants [k0, d0, k1, d1, …] of the best corners of the grid."""
     k, weight = tip.pointwise(value)
     rate = 1j * tip.omega
     times = np.geomspace(1 / (BEYOND * tip.omega[-1]), BEYOND / tip.omega[0], CORNERS)
@@ -190,7 +189,7 @@ def _grid_search(tip: _Tip, value: Complex, branches: int) -> list[tuple[float, 
         linear = linear / scale[used]
         pairs = [(s, s * times[i]) for s, i in zip(linear[2:], chosen, strict=True)]
         found.append((float(misfit), np.array([*linear[:2], *np.ravel(pairs)])))
-    return sorted(found, key=lambda one: one[0])[:STARTS]
+    return min(found, key=lambda one: one[0])
 
 
 def _stacked(values: Complex) -> Floats:
@@ -218,11 +217,9 @@ def _fit(tip: _Tip, branches: int) -> LogFit:
     low, high = np.log(np.tile([stiff, damp], (1 + branches, 1))).T
     least = np.tile([stiff[0], damp[0]], 1 + branches) * 1e3
     whole = [slice(0, len(tip.omega))]
-    fits = []
-    for _, start in _grid_search(tip, tip.measurement.value, branches):
-        begin = np.log(np.maximum(start, least))
-        fits.append(fit_logs(_model(tip), tip.measurement.value, begin, (low, high), whole))
-    return min(fits, key=lambda one: one.bic)
+    _, start = _grid_search(tip, tip.measurement.value, branches)
+    begin = np.log(np.maximum(start, least))
+    return fit_logs(_model(tip), tip.measurement.value, begin, (low, high), whole)
 
 
 def _told(tip: _Tip, fit: LogFit, before: FingerLoad) -> LoadFit:

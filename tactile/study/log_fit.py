@@ -34,6 +34,8 @@ taken for structure."""
 REWEIGHTED = 2
 """Times that the noise is found anew: the third changes constants by less than 1 % of their
 interval (measured)."""
+MOST_STEPS = 50
+"""Of a fit; only constants that the measurement says nothing of need as many (measured)."""
 CONFIDENCE = 0.95
 UNKNOWN = 3.0
 """Half-width of a logarithm's interval above which one in the constant itself is given."""
@@ -101,7 +103,7 @@ def fit_logs(
             hold = PRIOR * (FIRST_NOISE if spread is None else 1.0)
             return np.vstack([scaled.real.T, scaled.imag.T, hold * np.eye(len(logs))])
 
-        found = least_squares(residual, at, slope, bounds=(low, high), x_scale=1.0, max_nfev=100)
+        found = least_squares(residual, at, slope, bounds=(low, high), max_nfev=MOST_STEPS)
         return np.clip(found.x, low + 1e-9, high - 1e-9)
 
     logs = solve(begin, None)

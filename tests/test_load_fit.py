@@ -93,7 +93,7 @@ def test_the_papers_loads_are_recovered_from_clean_data(load: Load, kind: Kind) 
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_a_noisy_response_is_predicted_within_0_3_db(load: Load) -> None:
     truth = moved(load)
-    assert max(error_db(fitted(noisy(truth, seed)), truth) for seed in range(4)) < 0.3
+    assert max(error_db(fitted(noisy(truth, seed)), truth) for seed in range(2)) < 0.3
 
 
 @pytest.mark.ci
@@ -101,7 +101,7 @@ def test_a_noisy_response_is_predicted_within_0_3_db(load: Load) -> None:
 def test_random_loads_are_predicted_within_0_3_db(branches: int) -> None:
     generator = np.random.default_rng(branches)
     worst = 0.0
-    for seed in range(25):
+    for seed in range(10):
         truth = moved(random_load(generator, branches))
         worst = max(worst, error_db(fitted(noisy(truth, seed)), truth))
     assert worst < 0.3
@@ -111,7 +111,7 @@ def test_random_loads_are_predicted_within_0_3_db(branches: int) -> None:
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_intervals_cover_the_truth_19_times_of_20(load: Load) -> None:
     """Per constant, bounds that a coverage of 95 % leaves once in a thousand runs."""
-    count, truth = 150, moved(load)
+    count, truth = 100, moved(load)
     within = np.zeros(4)
     for seed in range(count):
         fit = fitted(noisy(truth, 100 + seed), branches=1)
@@ -130,7 +130,7 @@ def test_the_noise_is_found() -> None:
 
 def test_the_band_of_the_prediction_holds_the_truth() -> None:
     truth, inside = moved(HIGH_FINGER), []
-    for seed in range(10):
+    for seed in range(6):
         c = fitted(noisy(truth, seed), 1).comparison
         off = 20 * np.log10(np.abs(c.predicted / truth))
         inside.append(np.mean(np.abs(off) <= c.band_db))
@@ -239,6 +239,7 @@ def test_the_load_before_is_compared() -> None:
     np.testing.assert_allclose(c.started, AIR, rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_the_figures_for_the_benchmark_reach_their_goals() -> None:
     figures = load_fit_figures(3)
     assert figures["worst_db"] < 0.3

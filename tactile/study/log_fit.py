@@ -37,8 +37,9 @@ interval (measured)."""
 MOST_STEPS = 50
 """Of a fit; only constants that the measurement says nothing of need as many (measured)."""
 CONFIDENCE = 0.95
-UNKNOWN = 3.0
-"""Half-width of a logarithm's interval above which one in the constant itself is given."""
+UNKNOWN = 1.0
+"""Half-width of a logarithm's interval above which one in the constant itself is given: it holds
+zero, and the response is straighter in a constant that does little than in its logarithm."""
 
 
 @dataclass(frozen=True)

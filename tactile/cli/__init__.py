@@ -7,6 +7,7 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from tactile.cli import (  # noqa: F401
+    adjust_commands,
     convert_commands,
     fit_commands,
     link_commands,

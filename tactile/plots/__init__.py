@@ -1,10 +1,13 @@
 """Figures for files: bimorphs, strokes, textures. The only room of matplotlib.
 
 What a bimorph can do (`response_plots`), what was played (`played_plots`), what a texture is
-(`texture_plots`), many of them (`sheet_plots`), and how one was fitted (`fit_plots`).
+(`texture_plots`), many of them (`sheet_plots`), how one was fitted (`fit_plots`), and how
+a model lies on measurements (`adjust_plots`).
 ``…_figure`` draws, ``plot_…`` also saves.
 """
 
+from tactile.plots.adjust_plots import adjusted_figure as adjusted_figure
+from tactile.plots.adjust_plots import plot_adjusted as plot_adjusted
 from tactile.plots.fit_plots import fit_figure as fit_figure
 from tactile.plots.fit_plots import plot_fit as plot_fit
 from tactile.plots.played_plots import Played as Played

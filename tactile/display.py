@@ -271,10 +271,9 @@ def _bimorph(table: BimorphTable) -> Bimorph:
             raise InputError(f"bimorph.{key} = {name!r}: unknown; {files.nearest(name, [*known])}")
     piezo = _adjusted(
         PIEZOS[table.piezo],
-        d31=None if table.d31_pm_per_v is None else table.d31_pm_per_v * 1e-12,
-        eps33T=None
-        if table.eps33t_relative is None
-        else table.eps33t_relative * VACUUM_PERMITTIVITY,
+        s11E=_in_si(table.s11e_um2_per_n, 1e-12),
+        d31=_in_si(table.d31_pm_per_v, 1e-12),
+        eps33T=_in_si(table.eps33t_relative, VACUUM_PERMITTIVITY),
         quality_factor=table.piezo_quality,
         loss_tangent=table.loss_tangent,
     )
@@ -289,6 +288,10 @@ def _bimorph(table: BimorphTable) -> Bimorph:
         layer_stiffening=table.layer_stiffening,
         series=table.wiring == "series",
     )
+
+
+def _in_si(value: float | None, unit: float) -> float | None:
+    return None if value is None else value * unit
 
 
 def _adjusted(material: Material, **constants: float | None) -> Material:

@@ -76,6 +76,7 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     piezo: str = "3203hd"
     shim: str = "cfrp"
     wiring: Literal["parallel", "series"] = "parallel"
+    s11e_um2_per_n: Annotated[float, Meta(ge=2, le=100)] | None = None
     d31_pm_per_v: Annotated[float, Meta(ge=-2000, le=-1)] | None = None
     eps33t_relative: Annotated[float, Meta(ge=100, le=20000)] | None = None
     piezo_quality: Quality | None = None

@@ -81,14 +81,15 @@ def test_a_bender_is_of_the_materials_and_the_wiring_that_its_file_names(path: P
 def test_adjusted_constants_go_before_those_of_the_material(path: Path) -> None:
     with_keys(
         path, "d31_pm_per_v = -250.0", "eps33t_relative = 3000.0", "piezo_quality = 40.0",
-        "shim_quality = 20.0", "loss_tangent = 0.03",
+        "shim_quality = 20.0", "loss_tangent = 0.03", "s11e_um2_per_n = 15.0",
     )  # fmt: skip
     bimorph = load_display(path).bimorph
     assert bimorph.piezo.d31 == pytest.approx(-250e-12)
     assert bimorph.piezo.eps33T == pytest.approx(3000 * 8.8541878128e-12)
     assert bimorph.piezo.quality_factor == 40.0
     assert bimorph.piezo.loss_tangent == 0.03
-    assert bimorph.piezo.s11E == PIEZOS["3203hd"].s11E
+    assert bimorph.piezo.s11E == pytest.approx(15e-12)
+    assert bimorph.piezo.s55E == PIEZOS["3203hd"].s55E
     assert bimorph.shim.quality_factor == 20.0
     assert bimorph.shim.s11 == SHIMS["cfrp"].s11
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from tactile.study.load_fit import LoadFit
 
 STIFFNESS = "s11e_um2_per_n"
-"""Constant that a display file does not hold."""
 
 
 class Tip(StrEnum):
@@ -65,7 +64,7 @@ def adjust_display(
 
     Example: tactile adjust --load finger.csv --display reference-24 --out mine.toml --plot fit.png
     """
-    _check_options(load, admittance, velocity, stiffness=stiffness, branches=branches, out=out)
+    _check_options(load, admittance, velocity, stiffness=stiffness, branches=branches)
     if plot is not None:
         from tactile.plots import check_file
 
@@ -99,7 +98,6 @@ def _check_options(
     *,
     stiffness: bool,
     branches: int | None,
-    out: Path | None,
 ) -> None:
     """Refuse options that do not go together."""
     electric = admittance is not None or velocity is not None
@@ -109,8 +107,6 @@ def _check_options(
         raise InputError("--branches is for --load")
     if stiffness and load is not None:
         raise InputError("--stiffness is for --admittance and --velocity")
-    if stiffness and out is not None:
-        raise InputError("--out: a display file does not hold s11E; leave --stiffness or --out out")
 
 
 def _fit_finger(

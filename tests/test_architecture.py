@@ -88,6 +88,7 @@ ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finge
 AT_HOME = {
     "PIL": {"texture.picture"},
     "matplotlib": {"plots"},
+    "pymoo": {"study"},
     "rich": {"bench.__init__", "cli", "gallery.terminal_view", "printing", "terminal"},
     "typer": {"cli"},
 }

@@ -23,6 +23,7 @@ from tactile.bench.fuzz import measure_fuzz
 from tactile.bench.latency import measure_latency, measure_latency_long
 from tactile.bench.library import measure_library
 from tactile.bench.links import measure_links, measure_streams_long
+from tactile.bench.optimize import measure_optimize
 from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from tactile.bench.resources import measure_memory, measure_soak, measure_speed
@@ -54,6 +55,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "tracking": measure_tracking,
     "latency": measure_latency,
     "crowd": measure_crowd,
+    "optimize": measure_optimize,
 }
 LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "soak": measure_soak,

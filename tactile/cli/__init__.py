@@ -13,6 +13,7 @@ from tactile.cli import (  # noqa: F401
     link_commands,
     material_commands,
     measure_commands,
+    optimize_commands,
     play_commands,
     relief_commands,
     show_commands,

@@ -1,0 +1,99 @@
+"""The command ``optimize``: designs and a recommendation, files, and mistakes in one line."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tactile import cli
+
+Command = Callable[..., tuple[int, str, str]]
+QUICK = ["length_mm=8:40", "--objective", "attainable"]
+FRONT = [*QUICK, "width_mm=1:6", "--objective", "footprint"]
+
+
+@pytest.fixture
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    """Run the command in this process and in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["tactile", "optimize", *arguments])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        out, err = capsys.readouterr()
+        assert isinstance(left.value.code, int)
+        return left.value.code, out, err
+
+    return run
+
+
+def test_the_best_of_one_objective_is_told_in_words(command: Command) -> None:
+    code, out, err = command(*QUICK)
+    assert (code, err.strip()) == (0, "")
+    assert "attainable_um" in out
+    assert "recommended" in out
+    assert "Nothing else within the bounds is better in anything that was asked for." in out
+
+
+@pytest.mark.ci
+def test_fingers_limits_and_json(command: Command) -> None:
+    code, out, _ = command(
+        *QUICK, "--robust", "0.8", "--scenarios", "4", "--limit", "standing=25",
+        "--limit", "first_resonance=300:", "--fix", "width_mm=3", "--json",
+    )  # fmt: skip
+    assert code == 0
+    told = json.loads(out)
+    assert told["attributes"]["share"] == 0.8
+    assert told["attributes"]["objectives"] == "robust_attainable_um"
+    assert json.loads(told["attributes"]["fixed"]) == {"width_mm": 3.0}
+    assert told["designs"]["robust_standing_mm"][told["place"]] <= 25
+    assert told["designs"]["first_resonance_hz"][0] >= 300
+
+
+@pytest.mark.ci
+def test_a_front_is_printed_stored_and_drawn(command: Command, tmp_path: Path) -> None:
+    import xarray
+
+    code, out, _ = command(*FRONT, "--out", "front.nc", "--plot", "front.png")
+    assert code == 0
+    rows = [line for line in out.splitlines() if line.split()[:1] and line.lstrip()[0].isdigit()]
+    assert 10 <= len(rows) <= 12
+    assert "Against the best in attainable" in out
+    assert "written: front.nc" in out
+    with xarray.open_dataset(tmp_path / "front.nc", engine="h5netcdf") as front:
+        assert front["attainable_um"].attrs["units"] == "µm"
+        assert front.attrs["objectives"] == "attainable_um footprint_mm2"
+    assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
+
+
+BAD = {
+    "length_mm = 20: reads as low:high; fix one value with --fix length_mm=": ["length_mm=20"],
+    "length_mm = 40:8: bounds must be finite and ascend": ["length_mm=40:8"],
+    "'length_mm': reads as name=value": ["length_mm"],
+    "length_mm: given twice": [*QUICK, "length_mm=8:9"],
+    "length_mm = 'a': not a number": ["length_mm=a:9"],
+    "no criterion 'drives' as limit; did you mean 'drive'": [*QUICK, "--limit", "drives=3"],
+    "limit first_resonance = 300: say first_resonance=300:": [
+        *QUICK, "--limit", "first_resonance=300",
+    ],
+    "--scenarios: belongs to --robust": [*QUICK, "--scenarios", "8"],
+    "load = 'low': the scenarios draw the finger": [*QUICK, "--robust", "0.9", "--load", "low"],
+    "load: is given by --load and --fix": [*QUICK, "--fix", "load=low", "--load", "low"],
+    "--plot: shows a front": [*QUICK, "--plot", "front.png"],
+    "band = 1000:10 Hz: must ascend": [*QUICK, "--band", "1000:10"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_a_mistake_is_one_line(command: Command, line: str) -> None:
+    words = BAD[line]
+    code, out, err = command(*words, *([] if "--objective" in words else QUICK[1:]))
+    assert (code, out) == (2, "")
+    assert line in err
+    assert len(err.strip().splitlines()) == 1

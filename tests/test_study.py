@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -359,6 +360,19 @@ def test_each_scenario_is_the_design_that_it_says() -> None:
             assert found.smallest_displacement_um_per_v.values[i, k] == pytest.approx(
                 float(alone.smallest_displacement_um_per_v[0]), rel=1e-12
             )
+
+
+def test_a_tolerance_is_of_the_material_that_is_named() -> None:
+    drawn = Scenarios(
+        factors={"d31_pm_per_v": np.array([1.1]), "shim_modulus_gpa": np.array([0.9])}
+    )
+    found = solve_study(study(axes={"piezo": ["pzt-5a"], "shim": ["brass"]}, scenarios=drawn))
+    piezo = replace(PIEZOS["pzt-5a"], d31=1.1 * PIEZOS["pzt-5a"].d31)
+    shim = replace(SHIMS["brass"], s11=SHIMS["brass"].s11 / 0.9)
+    alone = tip_response(Bimorph(piezo=piezo, shim=shim), FingerLoad.none(), FREQUENCY)
+    assert float(found.smallest_displacement_um_per_v.values[0, 0, 0]) == pytest.approx(
+        np.abs(alone.displacement).min() * 1e6, rel=1e-12
+    )
 
 
 def test_same_seed_same_scenarios() -> None:

@@ -166,8 +166,8 @@ def check_value(name: str, value: Any, fingers: Mapping[str, FingerLoad] = FINGE
         )
 
 
-def standard_value(name: str, base: Bimorph) -> float:
-    """Return what a number is where nobody varies it, in its unit.
+def standard_value(name: str, bimorph: Bimorph) -> Floats:
+    """Return a number as a bimorph has it, in its unit.
 
     Raises
     ------
@@ -177,8 +177,8 @@ def standard_value(name: str, base: Bimorph) -> float:
     parameter = PARAMETERS[name]
     if not parameter.part:
         raise InputError(f"{name}: belongs to no bimorph and has no standard value")
-    owner = base if parameter.part == "bimorph" else getattr(base, parameter.part)
-    return float(parameter.from_si(getattr(owner, parameter.constant)))
+    owner = bimorph if parameter.part == "bimorph" else getattr(bimorph, parameter.part)
+    return parameter.from_si(getattr(owner, parameter.constant))
 
 
 def between(firmness: Real) -> FingerLoad:

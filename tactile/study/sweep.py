@@ -248,11 +248,11 @@ def values_of(study: Study, block: Block) -> dict[str, Any]:
             values[name] = np.asarray(study.axes[name])[part].reshape(shape)
     if study.scenarios is not None:
         part = block[-1]
+        drawn = specimen(values, base=study.base, fingers=study.fingers).bimorph
+        for name, array in study.scenarios.factors.items():
+            values[name] = standard_value(name, drawn) * np.asarray(array)[part]
         for name, array in study.scenarios.values.items():
             values[name] = np.asarray(array)[part]
-        for name, array in study.scenarios.factors.items():
-            standard = values[name] if name in values else standard_value(name, study.base)
-            values[name] = standard * np.asarray(array)[part]
     return values
 
 

@@ -38,6 +38,10 @@ frame, FTDI's latency timer) in ever other phases: 249.577 ms is 1996.62, 249.57
 as long. Probes each 250 ms would keep step with it."""
 DRIFT_LIMIT = 0.02
 """Beyond it a clock has jumped: twice the 1 % of a microcontroller's RC oscillator (assumed)."""
+LEAPS = 3
+"""Exchanges in a row that tell of a clock that leapt ahead: an amplifier that was reset begins at
+0, so that it hardly ever does; a host and an amplifier that are both held up seem to, now and then.
+"""
 SILENCE = 12.0
 """s without an exchange, as long as the memory, after which the estimate begins anew: a restart
 in a long silence could not be told from drift."""
@@ -93,7 +97,7 @@ class ClockEstimator:
     Attributes
     ----------
     accepted, rejected : exchanges taken, and those that cannot be (also repeated or overtaken ones,
-        and a leap that the next does not bear out)
+        and leaps that the next do not bear out)
     restarts : times that the estimate began anew: the amplifier's clock did, or there was silence
 
     Raises
@@ -108,7 +112,7 @@ class ClockEstimator:
         self.tick_hz = float(tick_hz)
         self.accepted = self.rejected = self.restarts = 0
         self._window: deque[Exchange] = deque(maxlen=WINDOW)
-        self._leap: Exchange | None = None
+        self._leaps: list[Exchange] = []
         self._next_probe = -math.inf
         self._begin(Exchange(0.0, 0, 0, 0.0))
 
@@ -131,8 +135,8 @@ class ClockEstimator:
     def add(self, t1: float, t2: int, t3: int, t4: float) -> bool:
         """Take an exchange; return False, and count it, where it cannot be.
 
-        One that leaps ahead or lags where no oscillator does may be a single wrong stamp, of a
-        process that was held up: it is dropped, and the next, soon, tells whether the clock leapt.
+        One that leaps ahead or lags where no oscillator does may have a wrong stamp, of a process
+        that was held up: it is dropped, and the next ones, soon, tell whether the clock leapt.
 
         Parameters
         ----------
@@ -147,21 +151,21 @@ class ClockEstimator:
         if last is None or not new.continues(last, self.tick_hz):
             self._next_probe = min(self._next_probe, t4 + FIRST_INTERVAL)
             if last is not None and not self._has_leapt(new, last):
-                self._leap = new
                 self.rejected += 1
                 return False
             self.restarts += last is not None
             self._begin(new)
-        self._leap = None
+        self._leaps.clear()
         self.accepted += 1
         self._window.append(new)
         self._feed()
         return True
 
     def _has_leapt(self, new: Exchange, last: Exchange) -> bool:
-        """Tell whether a clock that does not go on began anew, and not one stamp is wrong."""
-        again = self._leap is not None and new.continues(self._leap, self.tick_hz)
-        return again or new.is_anew(last)
+        """Tell whether a clock that does not go on began anew, and not a few stamps are wrong."""
+        borne_out = bool(self._leaps) and new.continues(self._leaps[-1], self.tick_hz)
+        self._leaps = [*self._leaps, new] if borne_out else [new]
+        return len(self._leaps) == LEAPS or new.is_anew(last)
 
     def _feed(self) -> None:
         """Take the middle between the tightest bounds of the window into the regression."""

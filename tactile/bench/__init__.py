@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
 from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
-from tactile.bench.crowd import measure_crowd, measure_crowd_long
+from tactile.bench.crowd import measure_crowd, measure_crowd_long, measure_hour
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fit import measure_fit
@@ -62,6 +62,7 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "fuzz": measure_fuzz,
     "streams": measure_streams_long,
     "latency-long": measure_latency_long,
+    "hour": measure_hour,
     "crowd-long": measure_crowd_long,
     "library": measure_library,
     "study-long": measure_study_long,

@@ -1,5 +1,7 @@
 """A crowd: fifty programs touch one display at once while another one keeps a core busy.
 
+And a soak: two programs touch it for an hour on a machine that has nothing else to do.
+
 The daemon plays on 24 contactors to the C amplifier on a pty. What counts is that blocks are in
 time, that the amplifier's output never steps, and that memory does not grow.
 """
@@ -11,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,24 +27,38 @@ from tactile.daemon.host import Host
 from tactile.daemon.server import running
 from tactile.display import load_display
 
-CLIENTS, RATE = 50, 90.0
-SHORT, LONG = 20.0, 300.0
-"""s."""
+RATE = 90.0
+"""Hz at which each touches."""
 SETTLED = 0.2
 """Of the blocks after which memory has grown to what it needs."""
 NAME, BLOCKS_PER_S = "bench", 500
-CROWD = "from tactile.bench.crowd import be_many; be_many({!r}, {!r})"
+CROWD = "from tactile.bench.crowd import be_many; be_many({!r}, {!r}, {!r})"
 BUSY = "while True: pass"
 CHUNK = 1 << 22
 """Bytes of records that are read at a time."""
 
 
-def be_many(url: str, seconds: float) -> None:
-    """Be fifty programs, each of which touches for a while."""
-    asyncio.run(_be_many(url, seconds))
+@dataclass(frozen=True)
+class Crowd:
+    """How many touch, for how long [s], and whether another program keeps a core busy."""
+
+    name: str
+    clients: int
+    seconds: float
+    is_disturbed: bool = True
 
 
-async def _be_many(url: str, seconds: float) -> None:
+SHORT = Crowd("crowd", 50, 20.0)
+LONG = Crowd("crowd", 50, 300.0)
+SOAK = Crowd("hour", 2, 3600.0, is_disturbed=False)
+
+
+def be_many(url: str, clients: int, seconds: float) -> None:
+    """Be so many programs, each of which touches for a while."""
+    asyncio.run(_be_many(url, clients, seconds))
+
+
+async def _be_many(url: str, clients: int, seconds: float) -> None:
     from tactile.client import aio
 
     async def one(number: int) -> None:
@@ -49,13 +66,13 @@ async def _be_many(url: str, seconds: float) -> None:
             await display.select("wood-oak")
             if not number:
                 await display.arm()
-            begun = time.monotonic() + number / CLIENTS / RATE
+            begun = time.monotonic() + number / clients / RATE
             for k in range(int(seconds * RATE)):
                 await asyncio.sleep(max(0.0, begun + k / RATE - time.monotonic()))
                 x = 0.04 * math.sin(2 * k / RATE)
                 await display.touch((x, 0.0), normal_force=0.5)
 
-    await asyncio.gather(*(one(number) for number in range(CLIENTS)))
+    await asyncio.gather(*(one(number) for number in range(clients)))
 
 
 def resident(pid: int | str = "self") -> float:
@@ -85,9 +102,9 @@ class Steps:
             self._last = wide[-1:]
 
 
-async def _session(amplifier: VirtualAmplifier, seconds: float) -> Iterator[Figure]:
+async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure]:
     config = Config(
-        server=ServerConfig(port=0, most_clients=CLIENTS + 10),
+        server=ServerConfig(port=0, most_clients=crowd.clients + 10),
         osc=OscConfig(port=0),
         display=(DisplayConfig(name=NAME, device=f"serial://{amplifier.path}"),),
     )
@@ -95,53 +112,58 @@ async def _session(amplifier: VirtualAmplifier, seconds: float) -> Iterator[Figu
     async with running(config, host=host) as server:
         child = host.playing[NAME].child
         assert child is not None
-        words = CROWD.format(server.url, seconds)
-        busy = subprocess.Popen([sys.executable, "-c", BUSY])
-        crowd = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
+        words = CROWD.format(server.url, crowd.clients, crowd.seconds)
+        busy = subprocess.Popen([sys.executable, "-c", BUSY if crowd.is_disturbed else ""])
+        programs = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
         memory = [(0.0, 0.0, 0.0)]
-        ended = asyncio.create_task(crowd.wait())
+        ended = asyncio.create_task(programs.wait())
         while not ended.done():
             await asyncio.wait({ended}, timeout=1.0)
             steps.take()
-            passed = host.playing[NAME].report.blocks / (seconds * BLOCKS_PER_S)
+            passed = host.playing[NAME].report.blocks / (crowd.seconds * BLOCKS_PER_S)
             memory.append((passed, resident(), resident(child.pid)))
         busy.kill()
         busy.wait()
         stats = await host.connect("bench", may_arm=False).request(m.GetStats(display=NAME))
         assert isinstance(stats, m.Stats)
     steps.take()
-    return _figures(stats.counters, np.array(memory), steps.largest, seconds)
+    return _figures(stats.counters, np.array(memory), steps.largest, crowd)
 
 
 def _figures(
     counters: dict[str, int],
     memory: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
     largest: int,
-    seconds: float,
+    crowd: Crowd,
 ) -> Iterator[Figure]:
     display = load_display("reference-24")
     blocks = max(counters["blocks"], 1)
     bad = counters["late_blocks"] + counters["skipped_samples"] / 16
-    yield Figure("crowd.seconds", seconds, "s")
-    yield Figure("crowd.blocks", float(blocks), "")
-    yield at_most("crowd.late_blocks", 1e4 * bad / blocks, "of 10 000", 1)
-    yield Figure("crowd.underruns", float(counters["underruns"]), "")
+    yield Figure(f"{crowd.name}.seconds", crowd.seconds, "s")
+    yield Figure(f"{crowd.name}.blocks", float(blocks), "")
+    yield at_most(f"{crowd.name}.late_blocks", 1e4 * bad / blocks, "of 10 000", 1)
+    yield Figure(f"{crowd.name}.underruns", float(counters["underruns"]), "")
     slew = min(display.slew / 8000.0 / display.limits.voltage, 2.0) * FULL_SCALE_CODE
-    yield at_most("crowd.largest_step", largest / slew, "of slew", 1)
+    yield at_most(f"{crowd.name}.largest_step", largest / slew, "of slew", 1)
     settled = memory[memory[:, 0] > SETTLED]
     for column, name in ((1, "server"), (2, "playback")):
         growth = float(settled[-1, column] - settled[0, column]) if len(settled) else math.nan
-        yield at_most(f"crowd.{name}_growth", growth, "MiB", 2)
+        yield at_most(f"{crowd.name}.{name}_growth", growth, "MiB", 2)
 
 
-def measure_crowd(seconds: float = SHORT) -> Iterator[Figure]:
+def measure_crowd(crowd: Crowd = SHORT) -> Iterator[Figure]:
     """Measure a crowd's daemon for a short while."""
     if not can_be_built() or sys.platform != "linux":
         return
     with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
-        yield from asyncio.run(_session(amplifier, seconds))
+        yield from asyncio.run(_session(amplifier, crowd))
 
 
 def measure_crowd_long() -> Iterator[Figure]:
     """Measure it for five minutes."""
     yield from measure_crowd(LONG)
+
+
+def measure_hour() -> Iterator[Figure]:
+    """Measure two programs' daemon for an hour."""
+    yield from measure_crowd(SOAK)

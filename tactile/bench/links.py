@@ -107,6 +107,7 @@ def _figures(
     yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
     yield at_most(f"{name}.lost_blocks", float(c.dropped_samples / BLOCK), "blocks", 0)
     yield at_most(f"{name}.late_blocks", 1e4 * c.late_blocks / blocks, "of 10 000", 1)
+    yield at_most(f"{name}.disconnects", float(c.disconnects), "", 0)
     yield Figure(f"{name}.underruns", float(c.underruns), "")
     if status is not None:
         yield Figure(f"{name}.lost_in_amplifier", float(status.lost_samples), "samples")
@@ -157,7 +158,7 @@ def _stream(
 def _serial(name: str, options: str, seconds: float) -> Iterator[Figure]:
     with workshop() as folder:
         amplifier = VirtualAmplifier(folder, "--pty")
-        url = f"serial://{amplifier.path}?{options}"
+        url = f"serial://{amplifier.path}?{options}&rearm=true"
         with open_bus(url, load_display("reference-24")) as bus:
             assert isinstance(bus, LinkBus)
             yield from _stream(name, folder, bus, amplifier, seconds)
@@ -172,6 +173,7 @@ def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
         lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, clock),
         lambda caps: plan(link, display.channels, Ability.of(caps)),
         nodes=[1],
+        rearm=True,
     )
 
 

@@ -6,6 +6,7 @@ the lead; that loop, and no other, feeds the watchdog. On a modeled wire there i
 waits turns the model's clock.
 """
 
+import logging
 import math
 import secrets
 import threading
@@ -24,6 +25,8 @@ from tactile.bus.session import Phase, Session
 from tactile.bus.wire import Clock, Wire, WireError
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError, BusStateError, InputError
+
+logger = logging.getLogger("tactile.bus")
 
 LINK_OPTIONS = ("format", "rearm")
 """Of every device whose amplifiers speak the protocol."""
@@ -214,6 +217,7 @@ class LinkBus(Bus):
         if self._broken and self._session.phase.value >= Phase.READY.value:
             self._broken, self._retry = False, FIRST_RETRY
             self.counters.reconnects += 1
+            logger.info("link is up again")
         self._changed.notify_all()
 
     def _break(self, why: str) -> None:
@@ -224,7 +228,9 @@ class LinkBus(Bus):
                 return
             now, self._failure = self._clock.now(), ""
             wire.close()
-            self.counters.disconnects += not self._broken
+            if not self._broken:
+                self.counters.disconnects += 1
+                logger.warning("link lost: %s", why)
             self._broken = True
             self._retry_at = now + self._retry
             self._retry = min(2 * self._retry, LONGEST_RETRY)

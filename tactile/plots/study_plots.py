@@ -1,14 +1,11 @@
 """Pictures of a study: responses, a map over length and frequency, a criterion, fronts, tolerances.
 
 All take a labeled data set as `tactile.study.sweep.solve_study` makes it; names and units are read
-from its attributes. Every combination of the axes that a picture does not lay along a side of its
-own (``load`` above all) is drawn as a line, told apart by color and by dashes.
+from its attributes (`tactile.plots.study_labels`).
 """
 
-import json
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
-from tactile.files import nearest
-from tactile.plots.style import COLORS, GRAY, check_file, name_ends, new_figure, plain, save
-from tactile.study.criteria import CRITERIA
+from tactile.plots.study_labels import (
+    FREQUENCY,
+    SCENARIO,
+    Line,
+    axis_of,
+    banded,
+    label,
+    lines_of,
+    over_frequency,
+    sign_of,
+    told_range,
+    variable_of,
+)
+from tactile.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
 from tactile.study.ranges import Range, overlap, within
 
 if TYPE_CHECKING:
@@ -27,126 +35,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+Ends = list[tuple[float, str, str]]
+"""Values, names and colors at the right ends of lines."""
 
-FREQUENCY = "frequency_hz"
-SCENARIO = "scenario"
 SHARE = 0.85
 """Of the best that is good enough, unless told otherwise: the paper's."""
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
 WIDTH = 1.8
 """Points."""
 MAP_COLORS = "cividis"
-"""Even in lightness and the same to the color-blind (Nuñez et al. 2018, 10.1371/journal.pone.0199239)."""
+"""Even in lightness, and the same to the color-blind (Nuñez et al. 2018, PLoS ONE 13:e0199239)."""
+STEP = 3.0
+"""dB between the contours of a map."""
+DEEPEST = 36.0
+"""dB below its highest level that a map tells apart; antinodes go much deeper."""
 BAND = (5.0, 50.0, 95.0)
 """Percent of scenarios below the lower end, the line and the upper end of a tolerance band."""
-
-
-@dataclass(frozen=True)
-class Line:
-    """One combination of the axes that have no side of their own.
-
-    Attributes
-    ----------
-    name : what sets it apart, as "low" or "free length 20 mm"
-    values : what is drawn
-    color, dashes : its look
-    """
-
-    name: str
-    values: "xarray.DataArray"
-    color: str
-    dashes: Any
-
-
-# Reading a data set
-
-
-def variable_of(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
-    """Return a variable, or raise InputError with the nearest that there is."""
-    if name not in data.data_vars:
-        known = [str(entry) for entry in data.data_vars]
-        raise InputError(f"no variable {name!r} in the study; {nearest(name, known)}")
-    return data[name]
-
-
-def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
-    """Return the axis to lay along a side: the one asked for, or the first that has numbers.
-
-    Raises
-    ------
-    InputError
-        Where there is none.
-    """
-    numbers = [
-        str(d)
-        for d in values.dims
-        if d not in (FREQUENCY, SCENARIO) and values.sizes[d] > 1 and values[d].dtype.kind in "fiu"
-    ]
-    if axis is None and numbers:
-        return numbers[0]
-    if axis is None or axis not in numbers:
-        raise InputError(
-            f"{values.name}: has no axis {axis or 'of two or more numbers'!s} to be drawn along; "
-            f"there are: {', '.join(numbers) or 'none'}"
-        )
-    return axis
-
-
-def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
-    """Return one line for each combination of the axes that are not kept.
-
-    Raises
-    ------
-    InputError
-        Where they are more than there are colors.
-    """
-    others = [str(d) for d in values.dims if d not in kept]
-    count = int(np.prod([values.sizes[d] for d in others], dtype=int))
-    if count > len(COLORS):
-        raise InputError(
-            f"{values.name}: {count} lines over {', '.join(others)}; at most {len(COLORS)} are "
-            "drawn: fix an axis, or give it fewer values"
-        )
-    found = []
-    for k, places in enumerate(product(*(range(values.sizes[d]) for d in others))):
-        part = values.isel(dict(zip(others, places, strict=True)))
-        told = [told_of(values[d], at) for d, at in zip(others, places, strict=True)]
-        name = ", ".join(words for words in told if words)
-        found.append(Line(name, part, COLORS[k], DASHES[k % len(DASHES)]))
-    return found
-
-
-def told_of(axis: "xarray.DataArray", at: int) -> str:
-    """Return what a place on an axis is called; nothing where the axis has no other."""
-    value = axis.values[at]
-    if axis.size == 1:
-        return ""
-    if axis.dtype.kind not in "fiu":
-        return str(value)
-    unit = str(axis.attrs.get("units", ""))
-    return f"{axis.attrs.get('long_name', axis.name)} {value:g} {unit if unit != '1' else ''}"
-
-
-def label(values: "xarray.DataArray") -> str:
-    """Return what an axis is of, with its unit."""
-    name = str(values.attrs.get("long_name", values.name))
-    if "band" in values.attrs:
-        name = name.replace("the band", str(values.attrs["band"]))
-    unit = str(values.attrs.get("units", ""))
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
-
-
-def sign_of(values: "xarray.DataArray") -> int:
-    """Return 1 where more is better, −1 where less is, 0 where neither is known to be."""
-    criterion = CRITERIA.get(str(values.attrs.get("criterion", "")))
-    return 0 if criterion is None else criterion.sign
-
-
-def banded(data: "xarray.Dataset", values: "xarray.DataArray") -> "xarray.DataArray":
-    """Return a variable at the frequencies in the study's band, all of them where it has none."""
-    low, high = json.loads(data.attrs.get("conditions", "{}")).get("band") or (0.0, np.inf)
-    f = values[FREQUENCY]
-    return values.isel({FREQUENCY: np.flatnonzero((f >= low) & (f <= high))})
+WORST = 4.0
+"""Times the best at which a criterion of which less is better leaves its picture."""
 
 
 # Responses
@@ -173,48 +78,57 @@ def plot_response_phase(path: str | Path, data: "xarray.Dataset", variable: str)
 
 def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
     """Return size above phase, one line for each design; see `plot_response_phase`."""
-    values = _over_frequency(data, variable)
+    values = over_frequency(data, variable)
+    frequency = values[FREQUENCY].values
     figure = new_figure(7.0, 5.6)
     size, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    ends: list[list[tuple[float, str, str]]] = [[], []]
+    ends: tuple[Ends, Ends] = ([], [])
     for line in lines_of(values, (FREQUENCY,)):
-        y = line.values.values
-        turn = np.degrees(np.unwrap(np.angle(y)))
-        look = {"color": line.color, "linestyle": line.dashes, "linewidth": WIDTH}
-        for axes, drawn, end in ((size, np.abs(y), ends[0]), (phase, turn, ends[1])):
-            axes.plot(values[FREQUENCY].values, drawn, **look)
+        turn = np.degrees(np.unwrap(np.angle(line.values.values)))
+        sizes = np.abs(line.values.values)
+        for axes, drawn, end in ((size, sizes, ends[0]), (phase, turn, ends[1])):
+            axes.plot(frequency, drawn, **_look(line))
             end.append((float(drawn[-1]), line.name, line.color))
-    size.set(yscale="log", ylabel=label(values))
-    phase.set(ylabel="phase [°]", xlabel="frequency [Hz]")
-    _frequency_axis(phase, values[FREQUENCY].values)
-    _finish_response(size, phase, ends)
-    return figure
-
-
-def _over_frequency(data: "xarray.Dataset", variable: str) -> "xarray.DataArray":
-    values = variable_of(data, variable)
-    if FREQUENCY not in values.dims:
-        raise InputError(f"{variable}: is no response over frequency; keep one in the study")
-    return values
-
-
-def _frequency_axis(axes: "Axes", frequency: Floats) -> None:
-    """Scale a frequency axis by its octaves where it has more than three and no 0 Hz."""
-    axes.set_xlim(float(frequency[0]), float(frequency[-1]))
-    if frequency[0] > 0 and frequency[-1] / frequency[0] > 8:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
-
-
-def _finish_response(size: "Axes", phase: "Axes", ends: list[list[tuple[float, str, str]]]) -> None:
-    from matplotlib.ticker import MultipleLocator
-
-    phase.yaxis.set_major_locator(MultipleLocator(90))
+    size.set(yscale="log", ylabel=_side(values, 34))
+    phase.set(ylabel="phase [°]")
+    _scale_frequency(phase, frequency)
+    _quarter_turns(phase)
     size.yaxis.set_major_formatter("{x:g}")
     for axes, end in zip((size, phase), ends, strict=True):
         plain(axes)
-        if len(end) > 1:
-            name_ends(axes, end)
+        _name(axes, end)
+    return figure
+
+
+def _look(line: Line) -> dict[str, Any]:
+    return {"color": line.color, "linestyle": line.dashes, "linewidth": WIDTH}
+
+
+def _side(values: "xarray.DataArray", width: int) -> str:
+    """Return the label of a vertical axis, in lines of so many letters."""
+    return textwrap.fill(label(values), width)
+
+
+def _scale_frequency(axes: "Axes", frequency: Floats) -> None:
+    """Scale a frequency axis by octaves where it has more than three of them and no 0 Hz."""
+    if frequency[0] > 0 and frequency[-1] / frequency[0] > 8:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlim=(float(frequency[0]), float(frequency[-1])), xlabel="frequency [Hz]")
+
+
+def _quarter_turns(axes: "Axes") -> None:
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = axes.get_ylim()
+    axes.set_ylim(90 * np.floor(low / 90 + 0.1) - 5, 90 * np.ceil(high / 90 - 0.1) + 5)
+    axes.yaxis.set_major_locator(MultipleLocator(90))
+
+
+def _name(axes: "Axes", ends: Ends) -> None:
+    """Write the names of lines beside their ends, where there is more than one."""
+    if len(ends) > 1:
+        name_ends(axes, ends)
 
 
 # Map over an axis and frequency
@@ -258,36 +172,76 @@ def length_map_figure(
     in_db: bool = True,
 ) -> "Figure":
     """Return a map for each finger above its smallest size; see `plot_length_map`."""
-    values = _over_frequency(data, variable)
+    values = over_frequency(data, variable)
     along = axis_of(values, axis)
+    values = values.sortby(along)
     lines = lines_of(values, (along, FREQUENCY))
-    figure = new_figure(1.2 + 3.6 * len(lines), 5.8)
+    figure = new_figure(1.6 + 3.4 * len(lines), 5.8)
     grid = figure.subplots(
         2, len(lines), sharex=True, sharey="row", height_ratios=(5, 3), squeeze=False
     )
-    size = np.abs(values.values)
-    shown = 20 * np.log10(size) if in_db else size
-    ends = float(np.floor(shown.min())), float(np.ceil(shown.max()))
-    for column, line in enumerate(lines):
-        top, below = grid[0, column], grid[1, column]
-        drawn = np.abs(line.values.transpose(FREQUENCY, along).values)
-        level = 20 * np.log10(drawn) if in_db else drawn
-        x, f = values[along].values, values[FREQUENCY].values
-        image = top.pcolormesh(
-            x, f, level, cmap=MAP_COLORS, vmin=ends[0], vmax=ends[1], rasterized=True,
-            shading="gouraud",
-        )  # fmt: skip
-        top.set_title(line.name)
-        smallest = np.abs(banded(data, line.values)).min(FREQUENCY).values
-        below.plot(x, smallest, color=line.color, linewidth=WIDTH)
-        good = within(x, smallest, share=share)
-        below.axvspan(good.low, good.high, color=line.color, alpha=0.2, linewidth=0)
+    levels = _levels(np.abs(values.values), in_db)
+    for line, (above, below) in zip(lines, grid.T, strict=True):
+        good, smallest = _smallest(data, line, along, share)
+        image = _map(above, line, along, levels, in_db)
+        above.set_title(line.name, fontsize=11, color=line.color)
+        below.plot(values[along].values, smallest, color=line.color, linewidth=WIDTH)
+        _mark_range(above, below, good, line, share, str(values[along].attrs.get("units", "")))
         below.set(xlabel=label(values[along]))
+        plain(below)
     unit = str(values.attrs.get("units", ""))
-    figure.colorbar(image, ax=grid[0].tolist(), label=f"dB re 1 {unit}" if in_db else label(values))
+    name = f"level [dB re 1 {unit}]" if in_db else label(values)
+    figure.colorbar(image, ax=grid[0].tolist(), label=name, extend="min" if in_db else "neither")
     grid[0, 0].set_ylabel("frequency [Hz]")
-    grid[1, 0].set_ylabel(f"smallest [{unit}]")
+    grid[1, 0].set(ylabel=f"smallest in\nthe band [{unit}]", ylim=(0, None))
     return figure
+
+
+def _levels(size: Floats, in_db: bool) -> Floats:
+    """Return the contours of all maps, ascending; colors run between the outer two."""
+    if not in_db:
+        return np.linspace(0.0, float(size.max()), 11)
+    top = STEP * np.ceil(20 * np.log10(size.max()) / STEP)
+    with np.errstate(divide="ignore"):
+        bottom = STEP * np.floor(20 * np.log10(size.min()) / STEP)
+    return np.arange(max(bottom, top - DEEPEST), top + STEP / 2, STEP)
+
+
+def _smallest(data: "xarray.Dataset", line: Line, along: str, share: float) -> tuple[Range, Floats]:
+    """Return the smallest size in the band along an axis, and the range that is good enough."""
+    smallest = np.abs(banded(data, line.values)).min(FREQUENCY).values
+    return within(line.values[along].values, smallest, share=share), smallest
+
+
+def _map(axes: "Axes", line: Line, along: str, levels: Floats, in_db: bool) -> Any:
+    """Draw levels over an axis and frequency, with contours."""
+    size = np.abs(line.values.transpose(FREQUENCY, along).values)
+    with np.errstate(divide="ignore"):
+        shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
+    x, f = line.values[along].values, line.values[FREQUENCY].values
+    image = axes.pcolormesh(
+        x, f, shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
+        rasterized=True,
+    )  # fmt: skip
+    curves = axes.contour(x, f, shown, levels, colors="white", linewidths=0.6, linestyles="-")
+    axes.clabel(curves, curves.levels[::2], fmt="%g", fontsize=7)
+    _scale_frequency(axes, f)
+    axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
+    return image
+
+
+def _mark_range(
+    above: "Axes", below: "Axes", good: Range, line: Line, share: float, unit: str
+) -> None:
+    """Mark the ends of a range in a map, shade it in the curve below, and tell it."""
+    for end in (good.low, good.high):
+        above.axvline(end, color="black", linewidth=1.4)
+        above.axvline(end, color="white", linewidth=1.2, linestyle=(0, (4, 3)))
+    below.axvspan(good.low, good.high, color=line.color, alpha=0.18, linewidth=0)
+    below.axhline(share * good.value, color=GRAY, linewidth=0.8, linestyle=(0, (1, 1.5)))
+    told = f"{share:.0%} of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
+    place = {"transform": below.transAxes, "ha": "right", "va": "top", "fontsize": 8}
+    below.text(0.98, 0.96, told, color=line.color, **place)
 
 
 # A criterion along an axis
@@ -323,29 +277,52 @@ def plot_criterion(
 def criterion_figure(
     data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
 ) -> "Figure":
-    """Return a line for each finger, its range shaded; see `plot_criterion`."""
+    """Return a line for each finger, shaded below where it is good enough; see `plot_criterion`."""
     values = variable_of(data, variable)
     along = axis_of(values, axis)
-    figure = new_figure(7.0, 4.2)
+    values = values.sortby(along)
+    figure = new_figure(7.0, 4.8)
     axes = figure.subplots()
-    x = values[along].values
+    x, unit, sign = values[along].values, str(values[along].attrs.get("units", "")), sign_of(values)
     ranges: list[Range] = []
-    ends = []
     for line in lines_of(values, (along,)):
-        y = line.values.values
-        axes.plot(x, y, color=line.color, linestyle=line.dashes, linewidth=WIDTH)
-        ends.append((float(y[-1]), line.name, line.color))
-        if sign := sign_of(values):
-            good = within(x, y, share=share, sign=sign)
+        told = line.name
+        if sign:
+            good = within(x, line.values.values, share=share, sign=sign)
             ranges.append(good)
-            axes.axvspan(good.low, good.high, color=line.color, alpha=0.15, linewidth=0)
-    shared = overlap(ranges) if len(ranges) > 1 else None
-    if shared is not None:
-        axes.axvspan(*shared, facecolor="none", edgecolor=GRAY, hatch="//", linewidth=0)
-    axes.set(xlabel=label(values[along]), ylabel=label(values))
+            told = f"{line.name}  {told_range(good, unit)}".strip()
+            _shade(axes, x, line, good)
+        axes.plot(x, line.values.values, **_look(line), label=told)
+    _overlap(axes, ranges, unit)
+    axes.set(xlabel=label(values[along]), ylabel=_side(values, 44), xlim=(x[0], x[-1]))
+    if sign:
+        best = max(good.value for good in ranges)
+        axes.set_ylim(0, None if sign > 0 else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
-    name_ends(axes, ends)
+    if axes.get_legend_handles_labels()[1] != [""]:
+        title = f"within {share:.0%} of the best" if sign else None
+        figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
+                      alignment="left", title_fontsize=9)  # fmt: skip
     return figure
+
+
+def _shade(axes: "Axes", x: Floats, line: Line, good: Range) -> None:
+    """Shade below a line where it is good enough."""
+    inside = np.concatenate([[good.low], x[(x > good.low) & (x < good.high)], [good.high]])
+    height = np.interp(inside, x, line.values.values)
+    axes.fill_between(inside, height, color=line.color, alpha=0.22, linewidth=0)
+
+
+def _overlap(axes: "Axes", ranges: list[Range], unit: str) -> None:
+    """Mark what all ranges share."""
+    shared = overlap(ranges) if len(ranges) > 1 else None
+    if shared is None:
+        return
+    told = f"all of them  {shared[0]:.3g} … {shared[1]:.3g} {unit}"
+    axes.axvspan(
+        *shared, facecolor="none", edgecolor="#b0b0b0", hatch="///", linewidth=0, zorder=0,
+        label=told,
+    )  # fmt: skip
 
 
 # Fronts
@@ -390,24 +367,38 @@ def pareto_figure(
     if len(objectives) not in (2, 3):
         raise InputError(f"{len(objectives)} objectives: a front is drawn over two or three")
     x, y, *third = (variable_of(front, name) for name in objectives)
-    figure = new_figure(7.0, 4.6)
+    figure = new_figure(7.0, 4.8)
     axes = figure.subplots()
     if cloud is not None:
-        axes.plot(
-            np.ravel(variable_of(cloud, objectives[0])), np.ravel(variable_of(cloud, objectives[1])),
-            ".", color="#c8c8c8", markersize=3,
-        )  # fmt: skip
+        others = [np.ravel(variable_of(cloud, str(v.name)).values) for v in (x, y)]
+        axes.plot(*others, ".", color="#c4c4c4", markersize=3, label="feasible", rasterized=True)
     if third:
-        dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=36, edgecolors="black")
-        figure.colorbar(dots, label=label(third[0]))
+        dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
+                            edgecolors="#444444", label="front", zorder=3)  # fmt: skip
+        figure.colorbar(dots, label=_side(third[0], 44) + _better(third[0]))
     else:
         order = np.argsort(x.values)
-        axes.plot(x.values[order], y.values[order], "o-", color=COLORS[0])
+        axes.plot(x.values[order], y.values[order], "o-", color=BLUE, markersize=5, label="front")
     if knee is not None:
-        axes.plot(x.values[knee], y.values[knee], "*", color=COLORS[1], markersize=16)
-    axes.set(xlabel=label(x), ylabel=label(y))
+        _mark_knee(axes, x, y, knee)
+    axes.set(xlabel=label(x) + _better(x), ylabel=_side(y, 44) + _better(y))
     plain(axes)
+    axes.margins(0.06)
+    figure.legend(loc="outside upper left", ncols=3, frameon=False, fontsize=9)
     return figure
+
+
+def _better(values: "xarray.DataArray") -> str:
+    """Return which way is better, as an end of a label."""
+    return {1: "  (more is better →)", -1: "  (← less is better)", 0: ""}[sign_of(values)]
+
+
+def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee: int) -> None:
+    at, up = float(x.values[knee]), float(y.values[knee])
+    units = [str(v.attrs.get("units", "")) for v in (x, y)]
+    told = f"knee: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
+    axes.plot(at, up, "*", color=RED, markersize=17, markeredgecolor="white", label=told, zorder=4,
+              linestyle="none")  # fmt: skip
 
 
 # Tolerances
@@ -440,16 +431,25 @@ def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None 
     if SCENARIO not in values.dims:
         raise InputError(f"{variable}: has no scenarios; give the study some")
     along = FREQUENCY if FREQUENCY in values.dims else axis_of(values, axis)
-    figure = new_figure(7.0, 4.2)
+    values = values.sortby(along)
+    figure = new_figure(7.0, 4.4)
     axes = figure.subplots()
-    x, ends = values[along].values, []
+    x = values[along].values
+    ends: Ends = []
     for line in lines_of(values, (along, SCENARIO)):
         size = np.abs(line.values.transpose(SCENARIO, along).values)
         low, middle, high = np.percentile(size, BAND, axis=0)
-        axes.fill_between(x, low, high, color=line.color, alpha=0.25, linewidth=0)
-        axes.plot(x, middle, color=line.color, linestyle=line.dashes, linewidth=WIDTH)
+        axes.fill_between(x, low, high, color=line.color, alpha=0.22, linewidth=0)
+        axes.plot(x, middle, **_look(line))
         ends.append((float(middle[-1]), line.name, line.color))
-    axes.set(xlabel=label(values[along]), ylabel=label(values))
+    axes.set(xlabel=label(values[along]), ylabel=_side(values, 40), ylim=(0, None))
+    if along == FREQUENCY:
+        _scale_frequency(axes, x)
+    else:
+        axes.set_xlim(x[0], x[-1])
+    count = values.sizes[SCENARIO]
+    told = f"line: median, band: {BAND[0]:g} … {BAND[2]:g} % of {count} scenarios"
+    axes.set_title(told, fontsize=9, loc="left", color=GRAY)
     plain(axes)
-    name_ends(axes, ends)
+    _name(axes, ends)
     return figure

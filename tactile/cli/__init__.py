@@ -11,6 +11,7 @@ from tactile.cli import (  # noqa: F401
     fit_commands,
     link_commands,
     measure_commands,
+    paper_commands,
     play_commands,
     relief_commands,
     show_commands,

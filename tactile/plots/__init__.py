@@ -26,5 +26,7 @@ from tactile.plots.study_plots import plot_tolerance as plot_tolerance
 from tactile.plots.study_plots import response_phase_figure as response_phase_figure
 from tactile.plots.study_plots import tolerance_figure as tolerance_figure
 from tactile.plots.style import check_file as check_file
+from tactile.plots.style import drawn as drawn
+from tactile.plots.style import save as save
 from tactile.plots.texture_plots import plot_texture as plot_texture
 from tactile.plots.texture_plots import texture_figure as texture_figure

@@ -99,12 +99,12 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
 
 
 def told_of(axis: "xarray.DataArray", at: int) -> str:
-    """Return what a place on an axis is called; nothing where the axis has no other."""
+    """Return what a place on an axis is called; nothing where a number has no other."""
     value = axis.values[at]
-    if axis.size == 1:
-        return ""
     if axis.name == "load":
         return "in air" if str(value) == "none" else f"{value} finger"
+    if axis.size == 1:
+        return ""
     if axis.dtype.kind not in "fiu":
         return str(value)
     unit = str(axis.attrs.get("units", ""))

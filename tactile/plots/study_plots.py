@@ -46,7 +46,7 @@ MAP_COLORS = "cividis"
 """Even in lightness, and the same to the color-blind (Nuñez et al. 2018, PLoS ONE 13:e0199239)."""
 STEP = 3.0
 """dB between the contours of a map."""
-DEEPEST = 36.0
+DEEPEST = 30.0
 """dB below its highest level that a map tells apart; antinodes go much deeper."""
 BAND = (5.0, 50.0, 95.0)
 """Percent of scenarios below the lower end, the line and the upper end of a tolerance band."""
@@ -239,7 +239,7 @@ def _mark_range(
         above.axvline(end, color="white", linewidth=1.2, linestyle=(0, (4, 3)))
     below.axvspan(good.low, good.high, color=line.color, alpha=0.18, linewidth=0)
     below.axhline(share * good.value, color=GRAY, linewidth=0.8, linestyle=(0, (1, 1.5)))
-    told = f"{share:.0%} of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
+    told = f"{100 * share:g} % of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
     place = {"transform": below.transAxes, "ha": "right", "va": "top", "fontsize": 8}
     below.text(0.98, 0.96, told, color=line.color, **place)
 
@@ -300,7 +300,7 @@ def criterion_figure(
         axes.set_ylim(0, None if sign > 0 else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
     if axes.get_legend_handles_labels()[1] != [""]:
-        title = f"within {share:.0%} of the best" if sign else None
+        title = f"at least {100 * share:g} % of the best" if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip
     return figure
@@ -371,7 +371,8 @@ def pareto_figure(
     axes = figure.subplots()
     if cloud is not None:
         others = [np.ravel(variable_of(cloud, str(v.name)).values) for v in (x, y)]
-        axes.plot(*others, ".", color="#c4c4c4", markersize=3, label="feasible", rasterized=True)
+        axes.plot(*others, ".", color="#c4c4c4", markersize=3, rasterized=True)
+        axes.plot([], [], ".", color="#c4c4c4", markersize=8, label="feasible")
     if third:
         dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
                             edgecolors="#444444", label="front", zorder=3)  # fmt: skip
@@ -390,7 +391,7 @@ def pareto_figure(
 
 def _better(values: "xarray.DataArray") -> str:
     """Return which way is better, as an end of a label."""
-    return {1: "  (more is better →)", -1: "  (← less is better)", 0: ""}[sign_of(values)]
+    return {1: "\n(more is better →)", -1: "\n(← less is better)", 0: ""}[sign_of(values)]
 
 
 def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee: int) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FREQUENCY = "frequency_hz"
 SCENARIO = "scenario"
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
+FINGER_LOOK = {"low finger": 0, "high finger": 1, "in air": 2}
+"""Places among colors and dashes that the paper's fingers keep from picture to picture."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,17 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
             f"{values.name}: {count} lines over {', '.join(others)}; at most {len(COLORS)} are "
             "drawn: fix an axis, or give it fewer values"
         )
-    found = []
-    for k, places in enumerate(product(*(range(values.sizes[d]) for d in others))):
-        part = values.isel(dict(zip(others, places, strict=True)))
+    parts, names = [], []
+    for places in product(*(range(values.sizes[d]) for d in others)):
+        parts.append(values.isel(dict(zip(others, places, strict=True))))
         told = [told_of(values[d], at) for d, at in zip(others, places, strict=True)]
-        name = ", ".join(words for words in told if words)
-        found.append(Line(name, part, COLORS[k], DASHES[k % len(DASHES)]))
-    return found
+        names.append(", ".join(words for words in told if words))
+    known = set(names) <= set(FINGER_LOOK)
+    looks = [FINGER_LOOK[name] for name in names] if known else range(count)
+    return [
+        Line(name, part, COLORS[k], DASHES[k % len(DASHES)])
+        for name, part, k in zip(names, parts, looks, strict=True)
+    ]
 
 
 def told_of(axis: "xarray.DataArray", at: int) -> str:

@@ -191,7 +191,13 @@ def length_map_figure(
         plain(below)
     unit = str(values.attrs.get("units", ""))
     name = f"level [dB re 1 {unit}]" if in_db else label(values)
-    figure.colorbar(image, ax=grid[0].tolist(), label=name, extend="min" if in_db else "neither")
+    figure.colorbar(
+        image,
+        ax=grid[0].tolist(),
+        label=name,
+        ticks=levels[::2],
+        extend="min" if in_db else "neither",
+    )
     grid[0, 0].set_ylabel("frequency [Hz]")
     grid[1, 0].set(ylabel=f"smallest in\nthe band [{unit}]", ylim=(0, None))
     return figure
@@ -209,7 +215,7 @@ def _levels(size: Floats, in_db: bool) -> Floats:
 
 def _smallest(data: "xarray.Dataset", line: Line, along: str, share: float) -> tuple[Range, Floats]:
     """Return the smallest size in the band along an axis, and the range that is good enough."""
-    smallest = np.abs(banded(data, line.values)).min(FREQUENCY).values
+    smallest = np.abs(banded(data, line.values).transpose(along, FREQUENCY).values).min(axis=1)
     return within(line.values[along].values, smallest, share=share), smallest
 
 
@@ -223,8 +229,8 @@ def _map(axes: "Axes", line: Line, along: str, levels: Floats, in_db: bool) -> A
         x, f, shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
         rasterized=True,
     )  # fmt: skip
-    curves = axes.contour(x, f, shown, levels, colors="white", linewidths=0.6, linestyles="-")
-    axes.clabel(curves, curves.levels[::2], fmt="%g", fontsize=7)
+    curves = axes.contour(x, f, shown, levels[1:], colors="white", linewidths=0.6, linestyles="-")
+    axes.clabel(curves, levels[2::2], fmt="%g", fontsize=7)
     _scale_frequency(axes, f)
     axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
     return image
@@ -240,7 +246,12 @@ def _mark_range(
     below.axvspan(good.low, good.high, color=line.color, alpha=0.18, linewidth=0)
     below.axhline(share * good.value, color=GRAY, linewidth=0.8, linestyle=(0, (1, 1.5)))
     told = f"{100 * share:g} % of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
-    place = {"transform": below.transAxes, "ha": "right", "va": "top", "fontsize": 8}
+    place: dict[str, Any] = {
+        "transform": below.transAxes,
+        "ha": "right",
+        "va": "top",
+        "fontsize": 8,
+    }
     below.text(0.98, 0.96, told, color=line.color, **place)
 
 
@@ -299,7 +310,7 @@ def criterion_figure(
         best = max(good.value for good in ranges)
         axes.set_ylim(0, None if sign > 0 else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
-    if axes.get_legend_handles_labels()[1] != [""]:
+    if axes.get_legend_handles_labels()[1]:
         title = f"at least {100 * share:g} % of the best" if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip

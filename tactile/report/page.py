@@ -175,7 +175,9 @@ def _picture(picture: Picture) -> str:
 
 
 def _table(table: Table) -> str:
-    right = [all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*table.rows)]
+    right = [
+        all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*table.rows, strict=True)
+    ]
     look = ['class="number"' if flag and k else "" for k, flag in enumerate(right)]
     look = look or [""] * len(table.headings)
     heads = "".join(

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 TITLE = "A piezoelectric bender for a tactile display: the paper, and what we find"
 SURROGATE = (
-    "The paper's figure of parameters is not available as text. The design here is a surrogate from "
-    "data sheets and assumptions, and the height of its shim was chosen to meet the paper's ranges "
-    "of length. Of the paper's text only title, abstract and introduction were at hand; its numbers "
-    "are those that our design page cites. Where it prints none, shapes can be compared, levels "
-    "cannot."
+    "The paper's figure of parameters is not available as text. The design here is a surrogate "
+    "from data sheets and assumptions, and the height of its shim was chosen to meet the paper's "
+    "ranges of length. Of the paper's text only title, abstract and introduction were at hand; its "
+    "numbers are those that our design page cites. Where it prints none, shapes can be compared, "
+    "levels cannot."
 )
 MET = {True: "yes", False: "no"}
 
@@ -101,7 +101,7 @@ def figure_of(entry: PaperFigure, data: "xarray.Dataset") -> "Figure":
 
 
 def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
-    """Return what a figure's lines show as CSV: size and phase, or the smallest along the length."""
+    """Return a figure's lines as CSV: size and phase, or the smallest along the length."""
     if entry.is_map:
         columns = {"length_mm": data["length_mm"].values, SMALLEST: data[SMALLEST].values[0]}
     else:

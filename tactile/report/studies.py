@@ -6,6 +6,7 @@ be; everything is read from the data set and its attributes.
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from tactile.plots.study_labels import (
     label,
     lines_of,
     sign_of,
+    told_of,
     told_range,
 )
 from tactile.report.page import Picture, Section, Table
@@ -57,7 +59,9 @@ def study_report(data: "xarray.Dataset") -> list[Section]:
     sections = [Section("What was asked", (_asked(data),))]
     ranked = [name for name in judged if sign_of(data[name])]
     if ranked:
-        sections.append(Section("The best", (_best(data, ranked),)))
+        sections.append(
+            Section("The best", tuple(filter(None, (_best(data, ranked), _agreed(data)))))
+        )
     sections += [_criterion(data, name) for name in judged]
     sections += [_response(data, name) for name in curves]
     if SCENARIO in data.dims:
@@ -116,11 +120,11 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     rows = []
     for name in names:
         values = _settled(data[name])
-        for finger in lines_of(values, [d for d in values.dims if d != "load"]):
+        for finger in lines_of(values, [str(d) for d in values.dims if d != "load"]):
             rest = finger.values * sign_of(values)
             if not bool(np.isfinite(rest).any()):
                 continue
-            place = rest.argmax([d for d in finger.values.dims])
+            place = rest.argmax(list(finger.values.dims))
             found = finger.values.isel(place)
             design = ", ".join(f"{d} = {_cell(found[d].item())}" for d in finger.values.dims)
             unit = str(values.attrs.get("units", ""))
@@ -133,6 +137,13 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     return Table(("criterion", "finger", "best", "design"), tuple(rows), robust)
 
 
+def _agreed(data: "xarray.Dataset") -> str:
+    """Return the design that suits the worst finger best."""
+    place = chosen_design(data)
+    told = ", ".join(told_of(data[d], k) for d, k in place.items())
+    return f"Best for the worst finger by the first criterion: {told}." if told else ""
+
+
 def _settled(values: "xarray.DataArray") -> "xarray.DataArray":
     """Return a criterion without scenarios: what all but the worst of them attain."""
     if SCENARIO not in values.dims:
@@ -143,21 +154,38 @@ def _settled(values: "xarray.DataArray") -> "xarray.DataArray":
 
 def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
     """Return a criterion along each axis of numbers, the best over all others but the finger."""
-    axes = [
+    found = {}
+    for axis in number_axes(values):
+        others = [d for d in values.dims if d not in ("load", axis)]
+        best = values.min if sign_of(values) < 0 else values.max
+        found[axis] = best(others, keep_attrs=True).rename(values.name)
+    return found
+
+
+def number_axes(values: "xarray.DataArray | xarray.Dataset") -> list[str]:
+    """Return the axes of two or more numbers, frequency and scenarios apart."""
+    return [
         str(d)
         for d in values.dims
-        if d != "load" and values[d].dtype.kind in "fiu" and values.sizes[d] > 1
+        if d not in (FREQUENCY, SCENARIO, "load")
+        and values.sizes[d] > 1
+        and values[d].dtype.kind in "fiu"
     ]
-    found = {}
-    for axis in axes:
-        others = [d for d in values.dims if d not in ("load", axis)]
-        reduced = (
-            values.min(others, keep_attrs=True)
-            if sign_of(values) < 0
-            else values.max(others, keep_attrs=True)
-        )
-        found[axis] = reduced.rename(values.name)
-    return found
+
+
+def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
+    """Return a place on each axis of numbers: the best for the worst finger, else the middle.
+
+    It is judged by the first criterion of which more or less is better.
+    """
+    for values in data.data_vars.values():
+        if sign := sign_of(values):
+            kept = number_axes(values)
+            size = (_settled(values) * sign).transpose(*kept, ...)
+            worst = size.min([d for d in size.dims if d not in kept])
+            if kept and bool(np.isfinite(worst).any()):
+                return {str(d): int(k) for d, k in worst.argmax(kept).items()}
+    return {axis: data.sizes[axis] // 2 for axis in number_axes(data)}
 
 
 # Pictures
@@ -178,15 +206,11 @@ def _criterion(data: "xarray.Dataset", name: str) -> Section:
     for axis, profile in _profiles(values).items():
         others = len([d for d in values.dims if d not in ("load", axis) and values.sizes[d] > 1])
         words = f"{label(values)} along {label(values[axis])}"
-        caption = f"{words}, the best over all other axes." if others else f"{words}."
+        extreme = "best" if sign_of(values) else "largest"
+        caption = f"{words}, the {extreme} over all other axes." if others else f"{words}."
         part = profile.to_dataset(name=name)
-        content.append(
-            _pictured(
-                lambda part=part, axis=axis: criterion_figure(part, name, axis=axis, share=SHARE),
-                words,
-                caption,
-            )
-        )
+        draw = partial(criterion_figure, part, name, axis=axis, share=SHARE)
+        content.append(_pictured(draw, words, caption))
         if sign_of(values):
             content.append(_ranges(profile, axis))
     return Section(_sentence(label(values).split(" [")[0]), tuple(content))
@@ -214,32 +238,46 @@ def _ranges(profile: "xarray.DataArray", axis: str) -> Table:
 
 
 def _response(data: "xarray.Dataset", name: str) -> Section:
-    """Return maps of a response over each axis it has alone, else the response itself."""
+    """Return maps of a response over each axis of numbers, else the response itself."""
     values = data[name]
     title = _sentence(label(values).split(" [")[0])
     if SCENARIO in values.dims:
         return Section(title, ())
-    axes = [str(d) for d in values.dims if d not in ("load", FREQUENCY) and values.sizes[d] > 1]
-    if len(axes) == 1 and values[axes[0]].dtype.kind in "fiu":
-        words = f"{label(values)} over {label(values[axes[0]])} and frequency"
+    content = []
+    for axis in number_axes(values):
+        part, at = _slice(data, name, axis)
+        words = f"{label(values)} over {label(values[axis])} and frequency{at}"
         caption = f"Level of the {words}; below, the smallest in the band and what is good enough."
-        return Section(
-            title, (_pictured(lambda: length_map_figure(data, name, share=SHARE), words, caption),)
-        )
-    words = f"Size and phase of the {label(values)}"
-    return Section(
-        title, (_pictured(lambda: response_phase_figure(data, name), words, f"{words}."),)
-    )
+        draw = partial(length_map_figure, part, name, axis=axis, share=SHARE)
+        content.append(_pictured(draw, words, caption))
+    if not content:
+        words = f"Size and phase of the {label(values)}"
+        draw = partial(response_phase_figure, data, name)
+        content = [_pictured(draw, words, f"{words}.")]
+    return Section(title, tuple(content))
+
+
+def _slice(data: "xarray.Dataset", name: str, axis: str = "") -> tuple["xarray.Dataset", str]:
+    """Return a variable with all axes of numbers but one at the chosen design, and those told."""
+    values = data[name]
+    place = {d: k for d, k in chosen_design(data).items() if d in values.dims and d != axis}
+    place = {d: k for d, k in place.items() if values.sizes[d] > 1}
+    told = ", ".join(told_of(values[d], k) for d, k in place.items())
+    return data[[name]].isel(place), f", at {told}" if told else ""
 
 
 def _tolerance(data: "xarray.Dataset", name: str) -> Section:
-    """Return what scenarios make of a variable."""
+    """Return what scenarios make of a variable, along each axis or at the chosen design."""
     values = data[name]
     if SCENARIO not in values.dims:
         return Section("", ())
-    words = f"Median and 5 to 95 % of the scenarios: {label(values)}"
-    picture = _pictured(lambda: tolerance_figure(data, name), words, f"{words}.")
-    return Section(f"Tolerance of the {label(values).split(' [')[0]}", (picture,))
+    content = []
+    for axis in [""] if FREQUENCY in values.dims else number_axes(values):
+        part, at = _slice(data, name, axis)
+        words = f"Median and 5 to 95 % of the scenarios: {label(values)}{at}"
+        draw = partial(tolerance_figure, part, name, axis=axis or None)
+        content.append(_pictured(draw, words, f"{words}."))
+    return Section(f"Tolerance of the {label(values).split(' [')[0]}", tuple(content))
 
 
 def _sentence(words: str) -> str:

@@ -3,14 +3,16 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from tactile.cli.app import AsJson, app
-from tactile.study.paper import KINDS, Claim
+
+if TYPE_CHECKING:
+    from tactile.study.paper import Claim
 
 
 @app.command("paper")
@@ -23,6 +25,7 @@ def write_all(
     Example: tactile paper results
     """
     from tactile.report import write_paper
+    from tactile.study.paper import KINDS
 
     console = Console(stderr=True, quiet=as_json)
     with console.status("") as status:
@@ -38,7 +41,7 @@ def write_all(
     typer.echo(f"{met} of {len(found)} claims met; written: {folder / 'report.html'}")
 
 
-def _print_claims(claims: list[Claim], title: str) -> None:
+def _print_claims(claims: "list[Claim]", title: str) -> None:
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("claim")
     for heading in ("stated", "found", "differs"):

@@ -148,6 +148,13 @@ def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
     return values
 
 
+def told_share(share: float, sign: int) -> str:
+    """Return in words what is good enough."""
+    if sign < 0:
+        return f"at most {100 / share:.4g} % of the best"
+    return f"at least {100 * share:.4g} % of the best"
+
+
 def told_range(good: Range, unit: str) -> str:
     """Return a range in words, its best value too."""
     cut = ", cut by the axis" if good.is_cut else ""

@@ -24,6 +24,7 @@ from tactile.plots.study_labels import (
     over_frequency,
     sign_of,
     told_range,
+    told_share,
     variable_of,
 )
 from tactile.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
@@ -311,7 +312,7 @@ def criterion_figure(
         axes.set_ylim(0, None if sign > 0 else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
     if axes.get_legend_handles_labels()[1]:
-        title = f"at least {100 * share:g} % of the best" if sign else None
+        title = told_share(share, sign) if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip
     return figure

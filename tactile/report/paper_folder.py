@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import numpy as np
 from tactile.errors import InputError
 from tactile.plots import drawn, length_map_figure, response_phase_figure, save
 from tactile.plots.study_labels import FREQUENCY
+from tactile.plots.style import new_figure
 from tactile.report.page import Picture, Section, Table, write_report
 from tactile.report.studies import provenance_sections
 from tactile.study.paper import FIGURES, KINDS, REFERENCE, SMALLEST, Claim, PaperFigure, claims
@@ -71,11 +73,13 @@ def write_paper(
 
 
 def _prepare(folder: Path) -> None:
-    """Make the folder, and see that it takes a file."""
+    """See that all libraries are there, make the folder, and see that it takes a file."""
+    if find_spec("xarray") is None:
+        raise InputError("a study needs xarray; pip install 'tactile-display[study]'")
+    new_figure(1.0, 1.0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / "report.html"
-        probe.touch()
+        (folder / "report.html").touch()
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
 

@@ -28,6 +28,7 @@ from tactile.plots.study_labels import (
     sign_of,
     told_of,
     told_range,
+    told_share,
 )
 from tactile.report.page import Picture, Section, Table
 from tactile.study.ranges import overlap, within
@@ -232,7 +233,7 @@ def _ranges(profile: "xarray.DataArray", axis: str) -> Table:
         rows.append(("shared by all", told))
     heads = (
         "finger",
-        f"{profile[axis].attrs.get('long_name', axis)}, at least {100 * SHARE:g} % of the best",
+        f"{profile[axis].attrs.get('long_name', axis)}, {told_share(SHARE, sign_of(profile))}",
     )
     return Table(heads, tuple(rows))
 

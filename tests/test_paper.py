@@ -15,46 +15,46 @@ from tactile.actuator.response import blocked_force, tip_response
 from tactile.cli.app import app
 from tactile.errors import InputError
 from tactile.report import paper_folder, write_paper
-from tactile.study.paper import FIGURES, KINDS, claims
+from tactile.study.paper import FIGURES, KINDS, Claim, PaperFigure, claims
 from tactile.study.sweep import solve_study
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, tuple[float, float, str]]:
-    return {c.statement: (c.stated, c.found, c.kind) for c in claims()}
+def found() -> dict[str, Claim]:
+    return {claim.statement: claim for claim in claims()}
 
 
-def test_every_claim_is_met(found: dict[str, tuple[float, float, str]]) -> None:
-    assert [c.statement for c in claims() if not c.is_met] == []
-    assert {kind for _, _, kind in found.values()} == set(KINDS)
+def test_every_claim_is_met(found: dict[str, Claim]) -> None:
+    assert [words for words, claim in found.items() if not claim.is_met] == []
+    assert {claim.kind for claim in found.values()} == set(KINDS)
 
 
-def test_only_what_the_paper_states_is_called_a_fit_or_a_check() -> None:
-    assert {(c.by, c.kind) for c in claims()} == {
+def test_only_what_the_paper_states_is_called_a_fit_or_a_check(found: dict[str, Claim]) -> None:
+    assert {(c.by, c.kind) for c in found.values()} == {
         ("paper", "fit"), ("paper", "check"), ("our design page", "record"),
     }  # fmt: skip
 
 
-def test_either_finger_predicts_the_other(found: dict[str, tuple[float, float, str]]) -> None:
+def test_either_finger_predicts_the_other(found: dict[str, Claim]) -> None:
     """The shim chosen from one finger's range alone meets the other's ends to 1 mm."""
     rows = {words: row for words, row in found.items() if "finger alone" in words}
     assert len(rows) == 4
-    for stated, value, kind in rows.values():
-        assert kind == "check"
-        assert value == pytest.approx(stated, abs=1.0)
+    for claim in rows.values():
+        assert claim.kind == "check"
+        assert claim.found == pytest.approx(claim.stated, abs=1.0)
 
 
 def test_the_wrong_sign_is_that_of_two_springs_at_rest(
-    found: dict[str, tuple[float, float, str]],
+    found: dict[str, Claim],
 ) -> None:
     """At rest the tip's spring k and the finger's S give (k + S)/(k − S); motion adds 0.1 dB."""
     k, S = blocked_force(Bimorph(), 0)[1][0].real, 1000.0
-    _, value, _ = found["most that the printed sign of the load is wrong by"]
+    value = found["most that the printed sign of the load is wrong by"].found
     assert 0 <= value - 20 * np.log10((k + S) / (k - S)) < 0.1
 
 
 @pytest.mark.parametrize("entry", FIGURES[:4], ids=[f.name for f in FIGURES[:4]])
-def test_the_data_of_a_figure_is_the_model_s(entry: paper_folder.PaperFigure) -> None:
+def test_the_data_of_a_figure_is_the_model_s(entry: PaperFigure) -> None:
     data = solve_study(entry.study())
     finger = {"none": FingerLoad.none, "low": FingerLoad.low, "high": FingerLoad.high}
     tip = tip_response(Bimorph(), finger[str(data["load"].item())](), data["frequency_hz"].values)
@@ -73,7 +73,7 @@ def test_numbers_are_written_as_they_are_drawn() -> None:
     numbers = np.array(rows[1:], np.float64)
     size, phase = paper_folder.figure_of(entry, data).axes
     for axes, column in ((size, 1), (phase, 2)):
-        assert np.allclose(axes.lines[0].get_xydata(), numbers[:, [0, column]], rtol=1e-8)
+        assert np.allclose(np.array(axes.lines[0].get_xydata()), numbers[:, [0, column]], rtol=1e-8)
 
 
 def test_a_data_set_in_real_numbers_keeps_every_number() -> None:

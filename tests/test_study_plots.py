@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from tactile import plots
@@ -52,6 +53,14 @@ def tents() -> NDArray[np.float64]:
     return np.array([top * (1 - np.abs(LENGTH - at) / 20) for top, at in ((4.0, 10), (1.0, 12))])
 
 
+def points(line: Line2D) -> NDArray[np.float64]:
+    return np.asarray(line.get_xydata(), np.float64)
+
+
+def corners(shape: mc.Collection) -> NDArray[np.float64]:
+    return np.asarray(shape.get_paths()[0].vertices, np.float64)
+
+
 def words(figure: Figure) -> str:
     legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     titles = [legend.get_title().get_text() for legend in figure.legends]
@@ -64,11 +73,11 @@ def test_a_criterion_shades_what_is_good_enough_and_marks_what_all_share() -> No
     figure = plots.criterion_figure(study(**{SMALLEST: criterion(tents())}), SMALLEST)
     (axes,) = figure.axes
     for line, tent in zip(axes.lines, tents(), strict=True):
-        assert np.array_equal(line.get_xydata(), np.stack([LENGTH, tent], axis=1))
+        assert np.array_equal(points(line), np.stack([LENGTH, tent], axis=1))
     shaded = [c for c in axes.collections if isinstance(c, mc.PolyCollection)]
-    spans = [np.ptp(c.get_paths()[0].vertices[:, 0]) for c in shaded]
-    ends = [c.get_paths()[0].vertices[:, 0].min() for c in shaded]
-    assert (ends, spans) == (pytest.approx([7, 9]), pytest.approx([6, 6]))
+    spans = [float(np.ptp(corners(c)[:, 0])) for c in shaded]
+    ends = [float(corners(c)[:, 0].min()) for c in shaded]
+    assert [*ends, *spans] == pytest.approx([7, 9, 6, 6])
     (shared,) = (p for p in axes.patches if isinstance(p, mp.Rectangle))
     assert (shared.get_x(), shared.get_width()) == pytest.approx((9, 4))
     assert axes.get_xlabel() == "free length [mm]"
@@ -82,7 +91,7 @@ def test_where_less_is_better_the_range_is_around_the_least() -> None:
     drive = criterion(1 / tents(), "drive")
     figure = plots.criterion_figure(study(drive_v=drive), "drive_v", share=0.9)
     shaded = [c for c in figure.axes[0].collections if isinstance(c, mc.PolyCollection)]
-    assert shaded[0].get_paths()[0].vertices[:, 0].min() == pytest.approx(8, abs=0.02)
+    assert corners(shaded[0])[:, 0].min() == pytest.approx(8, abs=0.02)
     assert "at most 111.1 % of the best" in words(figure)
 
 
@@ -100,7 +109,7 @@ def test_a_response_is_drawn_with_its_phase() -> None:
         study(**{SHEAR: response(np.array([3 * delay, delay]), "load")}), SHEAR
     )
     size, phase = figure.axes
-    assert np.allclose([line.get_ydata() for line in size.lines], [[3.0], [1.0]])
+    assert np.allclose([points(line)[:, 1] for line in size.lines], [[3.0], [1.0]])
     assert np.allclose(phase.lines[0].get_ydata(), -0.36 * FREQUENCY)
     assert size.get_ylabel() == "shear of the tip [µm/V]"
     assert [axes.get_ylabel() for axes in figure.axes][1:] == ["phase [°]"]
@@ -126,7 +135,7 @@ def test_a_map_shows_levels_and_the_smallest_in_the_band_alone() -> None:
     for axes, ends in ((below_left, (7, 6)), (below_right, (9, 6))):
         (span,) = (p for p in axes.patches if isinstance(p, mp.Rectangle))
         assert (span.get_x(), span.get_width()) == pytest.approx(ends)
-    dashed = {float(np.mean(line.get_xdata())) for line in left.lines}
+    dashed = {float(points(line)[:, 0].mean()) for line in left.lines}
     assert sorted(dashed) == pytest.approx([7, 13])
     assert figure.axes[4].get_ylabel() == "level [dB re 1 µm/V]"
     assert "7 … 13 mm" in words(figure)
@@ -141,8 +150,8 @@ def test_a_tolerance_band_holds_nine_scenarios_of_ten() -> None:
     (axes,) = figure.axes
     assert np.allclose(axes.lines[0].get_ydata(), 50 * LENGTH)
     (band,) = axes.collections
-    ends = band.get_paths()[0].vertices
-    assert {5 * 20.0, 95 * 20.0} <= set(np.round(ends[ends[:, 0] == 20.0][:, 1], 9))
+    ends = corners(band)
+    assert {5 * 20.0, 95 * 20.0} <= set(np.round(ends[ends[:, 0] == 20.0, 1], 9).tolist())
     assert axes.get_ylabel() == "force [mN/V]"
     assert axes.get_title(loc="left") == "line: median, band: 5 … 95 % of 101 scenarios"
 
@@ -166,8 +175,8 @@ def test_a_front_is_joined_in_order_and_its_knee_is_marked() -> None:
     shown = [line for line in axes.lines if np.size(line.get_xdata())]
     feasible, joined, knee = shown
     assert np.array_equal(feasible.get_xdata(), [1.5, 0.5, 1.0])
-    assert np.array_equal(joined.get_xydata(), [[1, 0.2], [2, 0.6], [3, 0.9]])
-    assert np.array_equal(knee.get_xydata(), [[2, 0.6]])
+    assert np.array_equal(points(joined), [[1, 0.2], [2, 0.6], [3, 0.9]])
+    assert np.array_equal(points(knee), [[2, 0.6]])
     assert axes.get_xlabel() == "footprint [u]\n(← less is better)"
     assert axes.get_ylabel().endswith("(more is better →)")
     assert "knee: 2 u, 0.6 u" in words(figure)
@@ -176,7 +185,7 @@ def test_a_front_is_joined_in_order_and_its_knee_is_marked() -> None:
 def test_a_third_objective_is_color() -> None:
     figure = plots.pareto_figure(front(), ("footprint_mm2", SMALLEST, "drive_v"))
     (dots,) = (c for c in figure.axes[0].collections if isinstance(c, mc.PathCollection))
-    assert np.array_equal(dots.get_array(), [9, 7, 8])
+    assert np.asarray(dots.get_array()).tolist() == [9, 7, 8]
     assert figure.axes[1].get_ylabel().startswith("drive [u]")
 
 
@@ -207,8 +216,8 @@ def test_what_cannot_be_drawn_is_said_in_a_line(draw: object, said: str) -> None
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+@pytest.mark.parametrize("suffix", [".png", pytest.param(".pdf", marks=pytest.mark.ci)])
 def test_a_picture_is_written(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"front{suffix}"
     plots.plot_pareto(path, front(), ("footprint_mm2", SMALLEST))
-    assert path.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+    assert path.read_bytes()[:5] in (b"\x89PNG\r", b"%PDF-")

@@ -18,7 +18,7 @@ from tactile.report import (
     study_report,
     write_report,
 )
-from tactile.report.page import page
+from tactile.report.page import html_of
 from tactile.report.studies import chosen_design
 from tactile.study.criteria import Conditions
 from tactile.study.scenarios import draw_scenarios
@@ -95,19 +95,19 @@ def test_words_are_kept_whatever_they_are() -> None:
     nasty = '<script>alert("1 & 2")</script>'
     picture = Picture(b"\x89PNG\r\n\x1a\n", nasty, nasty)
     table = Table((nasty, "n"), ((nasty, "1.5"), ("b", "2 … 3")), nasty)
-    walk = check_alone(page(nasty, [Section(nasty, (nasty, picture, table))], subtitle=nasty))
+    walk = check_alone(html_of(nasty, [Section(nasty, (nasty, picture, table))], subtitle=nasty))
     assert walk.words.count(nasty) == 10  # both titles twice, and once each of the six others
     assert walk.alternatives == [nasty]
 
 
 def test_numbers_stand_right_and_words_left() -> None:
     table = Table(("a", "n", "w"), (("x", "1.5 mm", "low"), ("y", "−2 … 3", "high")))
-    text = page("t", [Section("s", (table,))])
+    text = html_of("t", [Section("s", (table,))])
     assert '<td class="number">1.5 mm</td><td>low</td>' in text
 
 
 def test_a_report_prints_and_knows_the_dark() -> None:
-    text = page("t", [])
+    text = html_of("t", [])
     assert "@media print" in text
     assert "prefers-color-scheme: dark" in text
 
@@ -120,7 +120,7 @@ def test_a_study_is_told_in_full() -> None:
         conditions=Conditions(band=(0, 1000)),
     )  # fmt: skip
     data = solve_study(study)
-    walk = check_alone(page("t", study_report(data)))
+    walk = check_alone(html_of("t", study_report(data)))
     best = data["smallest_displacement_um_per_v"]
     for finger in ("low", "high"):
         told = [f"{finger} finger", f"{float(best.sel(load=finger).max()):.4g} µm/V"]
@@ -141,7 +141,7 @@ def test_with_scenarios_a_design_is_judged_by_what_nineteen_of_twenty_attain() -
     data = solve_study(study)
     values = np.sort(data["smallest_displacement_um_per_v"].values, axis=1)
     attained = np.array([np.interp(0.05 * 31, np.arange(32), row) for row in values])
-    walk = check_alone(page("t", study_report(data)))
+    walk = check_alone(html_of("t", study_report(data)))
     assert f"{attained.max():.4g} µm/V" in walk.words
     assert chosen_design(data) == {"length_mm": int(attained.argmax())}
     assert "Tolerance of the smallest displacement" in walk.words
@@ -156,7 +156,7 @@ def test_a_front_is_told_design_by_design() -> None:
         {"length_mm": ("design", [11.0, 17.0], {"units": "mm", "long_name": "free length"})},
         {"objectives": "footprint_mm2 drive_v", "seed": 3, "bounds": '{"length_mm": [8, 30]}'},
     )
-    walk = check_alone(page("t", front_report(front, knee=1)))
+    walk = check_alone(html_of("t", front_report(front, knee=1)))
     assert ["1", "11", "1", "30"] in walk.rows
     assert ["2 (knee)", "17", "2", "20"] in walk.rows
     assert len(walk.sources) == 1

@@ -136,12 +136,12 @@ def write_report(
     """
     check_report(path)
     try:
-        Path(path).write_text(page(title, sections, subtitle=subtitle), "utf-8")
+        Path(path).write_text(html_of(title, sections, subtitle=subtitle), "utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
 
 
-def page(title: str, sections: Sequence[Section], *, subtitle: str = "") -> str:
+def html_of(title: str, sections: Sequence[Section], *, subtitle: str = "") -> str:
     """Return a report as HTML."""
     contents = [
         f'<li><a href="#part-{k}">{escape(s.title)}</a></li>' for k, s in enumerate(sections, 1)

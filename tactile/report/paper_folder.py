@@ -3,9 +3,8 @@
 import csv
 import io
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from tactile.study.sweep import solve_study
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.figure import Figure
 
 TITLE = "A piezoelectric bender for a tactile display: the paper, and what we find"
 SURROGATE = (
@@ -74,8 +72,10 @@ def write_paper(
 
 def _prepare(folder: Path) -> None:
     """See that all libraries are there, make the folder, and see that it takes a file."""
-    if find_spec("xarray") is None:
-        raise InputError("a study needs xarray; pip install 'tactile-display[study]'")
+    try:
+        import xarray  # noqa: F401
+    except ImportError:
+        raise InputError("a study needs xarray; pip install 'tactile-display[study]'") from None
     new_figure(1.0, 1.0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -97,8 +97,8 @@ def _write_figure(folder: Path, entry: PaperFigure, data: "xarray.Dataset") -> S
     return Section(entry.title, (picture, files))
 
 
-def figure_of(entry: PaperFigure, data: "xarray.Dataset") -> "Figure":
-    """Return a figure of the paper, drawn from its data."""
+def figure_of(entry: PaperFigure, data: "xarray.Dataset") -> Any:
+    """Return a figure of the paper (matplotlib's), drawn from its data."""
     if entry.is_map:
         return length_map_figure(data, entry.variable)
     return response_phase_figure(data, entry.variable)

@@ -35,7 +35,6 @@ from tactile.study.ranges import overlap, within
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.figure import Figure
 
 SHARE = 0.85
 """Of the best that is good enough: the paper's."""
@@ -192,7 +191,7 @@ def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
 # Pictures
 
 
-def _pictured(draw: Callable[[], "Figure"], alternative: str, caption: str) -> Picture | str:
+def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Picture | str:
     """Return a picture, or the reason why there is none."""
     try:
         return Picture(drawn(draw()), alternative, caption)

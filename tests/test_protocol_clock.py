@@ -200,7 +200,7 @@ def test_an_amplifier_that_restarts_is_begun_anew(start: int, leap: int) -> None
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, steady(100, 20.0, drift_ppm=30.0))
     assert estimator.locked
-    for e in steady(leap, 49.75, start=start):
+    for e in steady(leap, 50.0 - 0.25 * leap, start=start):
         assert not estimator.add(e.t1, e.t2, e.t3, e.t4)
         assert estimator.next_probe <= e.t4 + 0.01
     for k, e in enumerate(steady(FIRST_PROBES, 50.0, start=start)):

@@ -14,6 +14,7 @@ from tactile.cli import (  # noqa: F401
     material_commands,
     measure_commands,
     optimize_commands,
+    paper_commands,
     play_commands,
     relief_commands,
     show_commands,

@@ -4,6 +4,7 @@ Colors are those of Okabe and Ito, which the color-blind tell apart; lines are n
 drawn. matplotlib is imported when something is drawn, and is told to be installed where it is not.
 """
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -112,3 +113,13 @@ def save(figure: "Figure", path: str | Path) -> None:
         figure.savefig(path, dpi=DPI)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
+
+
+def drawn(figure: "Figure") -> bytes:
+    """Return a figure as SVG, the same bytes for the same figure."""
+    from matplotlib import rc_context
+
+    file = io.BytesIO()
+    with rc_context({"svg.hashsalt": "tactile"}):
+        figure.savefig(file, format="svg", dpi=DPI, metadata={"Date": None})
+    return file.getvalue()

@@ -1,0 +1,108 @@
+"""The paper in one command: its claims beside ours, its figures, and what the folder holds."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from test_report import check_alone
+
+from tactile.actuator.bimorph import Bimorph
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.response import blocked_force, tip_response
+from tactile.cli.app import app
+from tactile.errors import InputError
+from tactile.report import paper_folder, write_paper
+from tactile.study.paper import FIGURES, KINDS, Claim, PaperFigure, claims
+from tactile.study.sweep import solve_study
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Claim]:
+    return {claim.statement: claim for claim in claims()}
+
+
+def test_every_claim_is_met(found: dict[str, Claim]) -> None:
+    assert [words for words, claim in found.items() if not claim.is_met] == []
+    assert {claim.kind for claim in found.values()} == set(KINDS)
+
+
+def test_only_what_the_paper_states_is_called_a_fit_or_a_check(found: dict[str, Claim]) -> None:
+    assert {(c.by, c.kind) for c in found.values()} == {
+        ("paper", "fit"), ("paper", "check"), ("our design page", "record"),
+    }  # fmt: skip
+
+
+def test_either_finger_predicts_the_other(found: dict[str, Claim]) -> None:
+    """The shim chosen from one finger's range alone meets the other's ends to 1 mm."""
+    rows = {words: row for words, row in found.items() if "finger alone" in words}
+    assert len(rows) == 4
+    for claim in rows.values():
+        assert claim.kind == "check"
+        assert claim.found == pytest.approx(claim.stated, abs=1.0)
+
+
+def test_the_wrong_sign_is_that_of_two_springs_at_rest(
+    found: dict[str, Claim],
+) -> None:
+    """At rest the tip's spring k and the finger's S give (k + S)/(k − S); motion adds 0.1 dB."""
+    k, S = blocked_force(Bimorph(), 0)[1][0].real, 1000.0
+    value = found["most that the printed sign of the load is wrong by"].found
+    assert 0 <= value - 20 * np.log10((k + S) / (k - S)) < 0.1
+
+
+@pytest.mark.parametrize("entry", FIGURES[:4], ids=[f.name for f in FIGURES[:4]])
+def test_the_data_of_a_figure_is_the_model_s(entry: PaperFigure) -> None:
+    data = solve_study(entry.study())
+    finger = {"none": FingerLoad.none, "low": FingerLoad.low, "high": FingerLoad.high}
+    tip = tip_response(Bimorph(), finger[str(data["load"].item())](), data["frequency_hz"].values)
+    name, scale = {
+        "velocity_mm_per_s_v": ("velocity", 1e3), "admittance_us": ("admittance", 1e6),
+        "displacement_um_per_v": ("displacement", 1e6),
+    }[entry.variable]  # fmt: skip
+    assert np.allclose(data[entry.variable].values[0], getattr(tip, name) * scale, rtol=1e-12)
+
+
+def test_numbers_are_written_as_they_are_drawn() -> None:
+    entry = FIGURES[2]
+    data = solve_study(entry.study())
+    rows = list(csv.reader(paper_folder._table_of(entry, data).decode().splitlines()))
+    assert rows[0] == ["frequency_hz", "displacement_um_per_v", "phase_deg"]
+    numbers = np.array(rows[1:], np.float64)
+    size, phase = paper_folder.figure_of(entry, data).axes
+    for axes, column in ((size, 1), (phase, 2)):
+        assert np.allclose(np.array(axes.lines[0].get_xydata()), numbers[:, [0, column]], rtol=1e-8)
+
+
+def test_a_data_set_in_real_numbers_keeps_every_number() -> None:
+    data = solve_study(FIGURES[2].study())
+    real = paper_folder.in_real_numbers(data)
+    both = real["displacement_um_per_v_real"] + 1j * real["displacement_um_per_v_imaginary"]
+    assert np.array_equal(both, data["displacement_um_per_v"])
+    assert real["displacement_um_per_v_real"].attrs["units"] == "µm/V"
+
+
+@pytest.mark.parametrize("inside", ["", "deeper"])
+def test_a_folder_that_cannot_be_is_a_line(tmp_path: Path, inside: str) -> None:
+    (tmp_path / "taken").touch()
+    with pytest.raises(InputError, match="taken"):
+        write_paper(tmp_path / "taken" / inside)
+
+
+@pytest.mark.ci
+def test_one_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    app(["paper", str(tmp_path / "out"), "--json"], standalone_mode=False)
+    told = json.loads(capsys.readouterr().out)
+    assert all(claim["is_met"] for claim in told["claims"])
+    names = {Path(file).name for file in told["files"]}
+    made = {f"{f.name}{s}" for f in FIGURES for s in (".png", ".svg", ".csv", ".nc")}
+    assert names == made | {"report.html", "claims.csv"}
+    walk = check_alone((tmp_path / "out" / "report.html").read_text("utf-8"))
+    assert len(walk.sources) == len(FIGURES)
+    for claim in told["claims"]:
+        assert claim["statement"] in walk.words
+    assert "surrogate" in walk.words
+    with xarray.open_dataset(tmp_path / "out" / "length-low.nc", engine="scipy") as data:
+        assert data["smallest_displacement_um_per_v"].attrs["units"] == "µm/V"

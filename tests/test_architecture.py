@@ -49,7 +49,7 @@ MAP: dict[str, set[str]] = {
     },
     "client": {"daemon", "errors"},
     "local": {"client", "daemon"},
-    "study": {"actuator", "errors", "files"},
+    "study": {"actuator", "display", "errors", "files"},
     "terminal": {"display"},
     "gallery": {"display", "errors", "files", "rendering", "terminal", "texture"},
     "plots": {"actuator", "display", "errors", "gallery", "rendering", "texture"},
@@ -96,6 +96,7 @@ PACKAGED = {
     "PIL": "pillow",
     "serial": "pyserial",
     "can": "python-can",
+    "distributed": "dask",
     "prometheus_client": "prometheus-client",
     "tomli_w": "tomli-w",
 }

@@ -15,6 +15,7 @@ from tactile.cli import (  # noqa: F401
     relief_commands,
     show_commands,
     strength_commands,
+    study_commands,
     texture_commands,
 )
 from tactile.cli.app import app

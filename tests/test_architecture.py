@@ -61,6 +61,7 @@ MAP: dict[str, set[str]] = {
         "display",
         "rendering",
         "sim",
+        "study",
         "texture",
     },
     "printing": set(),

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
 from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
+from tactile.bench.cluster import measure_dask, measure_million
 from tactile.bench.crowd import measure_crowd, measure_crowd_long
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
@@ -60,6 +61,8 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "latency-long": measure_latency_long,
     "crowd-long": measure_crowd_long,
     "library": measure_library,
+    "dask": measure_dask,
+    "million": measure_million,
 }
 """Those that take minutes."""
 

@@ -1,6 +1,7 @@
 """The command ``study``: a question about a design, to a table and a data set."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -143,7 +144,7 @@ def _print(f: Figures) -> None:
         _table(f"figures of {at}" if at else "figures", ("", "value", ""), figures)
 
 
-def _table(title: str, headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+def _table(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
     if not rows:
         return
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)

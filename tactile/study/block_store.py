@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from tactile.errors import InputError
 from tactile.study.storing import check_store, study_extra, write_zarr, written_whole
 from tactile.study.sweep import Block, Study, blocks, frame, provenance, variables
-
-if TYPE_CHECKING:
-    import zarr
 
 BLOCK_POINTS = 2**18
 """Designs × frequencies of a block: half a second of work, 4 MiB of each response."""
@@ -109,7 +106,7 @@ class BlockStore:
         self._marks[place] = True
 
 
-def _open(path: Path, mode: str) -> "zarr.Group":
+def _open(path: Path, mode: Literal["r", "r+"]) -> Any:
     import zarr
 
     return zarr.open_group(path, mode=mode, use_consolidated=False)

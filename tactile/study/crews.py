@@ -5,18 +5,25 @@ whoever solves it, with one BLAS thread, finds the same bits. A crew whose worke
 those that remain; where none does it raises `CrewLostError`.
 """
 
+import asyncio
 import logging
 import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from multiprocessing import get_context, parent_process
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from numpy.typing import NDArray
@@ -26,9 +33,6 @@ from tactile.errors import InputError
 from tactile.study.scenarios import Scenarios
 from tactile.study.storing import study_extra
 from tactile.study.sweep import Block, Study, solve_block
-
-if TYPE_CHECKING:
-    import distributed
 
 Found = dict[str, NDArray[Any]]
 
@@ -50,7 +54,7 @@ class CrewLostError(Exception):
 def part_of(study: Study, block: Block) -> Study:
     """Return the study of one block alone."""
     along = dict(zip(study.dimensions, block, strict=True))
-    axes = {name: values[along[name]] for name, values in study.axes.items()}  # type: ignore[index, call-overload]
+    axes = {name: values[along[name]] for name, values in study.axes.items()}  # type: ignore[index]
     drawn = study.scenarios
     if drawn is not None:
         part = along["scenario"]
@@ -155,7 +159,7 @@ class ClusterCrew:
             import distributed
         self.address = address
         self._seen = time.monotonic()
-        self._client = _connect(distributed, address)
+        self._client: Any = _connect(distributed, address)
         try:
             self.size = sum(self._client.nthreads().values())
             _check_versions(self._client)
@@ -172,7 +176,7 @@ class ClusterCrew:
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
         """Raise that the crew is lost where the cluster failed, and any other error as it is."""
         with study_extra("a cluster"):
-            from distributed.comm import CommClosedError
+            from distributed.comm.core import CommClosedError
             from distributed.scheduler import KilledWorker
 
         if isinstance(error, KilledWorker):
@@ -198,19 +202,22 @@ class ClusterCrew:
             self._client.close()
 
 
-def _connect(distributed: Any, address: str) -> "distributed.Client":
+def _connect(distributed: Any, address: str) -> Any:
     """Return a client of a scheduler that has a worker."""
     where = f"--scheduler {address}"
     try:
-        with _quiet():
-            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+        with _quiet(), ThreadPoolExecutor(1) as aside:
+            kind = aside.submit(asyncio.run, _kind_of(distributed, address)).result()
     except ValueError as error:
         raise InputError(f"{where}: {error}; it reads as tcp://host:8786") from None
     except (OSError, TimeoutError):
+        kind = ""
+    if kind != "Scheduler":
         raise InputError(
-            f"{where}: nothing answers within {CONNECT_S:g} s; is it started (dask scheduler), and "
-            "the address that it prints?"
-        ) from None
+            f"{where}: no scheduler answers within {CONNECT_S:g} s; start it (dask scheduler), and "
+            "give the address that it prints"
+        )
+    client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError:
@@ -221,7 +228,13 @@ def _connect(distributed: Any, address: str) -> "distributed.Client":
     return client
 
 
-def _check_versions(client: "distributed.Client") -> None:
+async def _kind_of(distributed: Any, address: str) -> str:
+    """Return what says that it is at an address; a client that fails would be long about it."""
+    async with distributed.rpc(address) as peer:
+        return str((await asyncio.wait_for(peer.identity(), CONNECT_S))["type"])
+
+
+def _check_versions(client: Any) -> None:
     """Raise InputError where a worker has no tactile or another one."""
     ours = version(PACKAGE)
     for worker, theirs in client.run(version, PACKAGE, on_error="return").items():

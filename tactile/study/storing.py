@@ -26,7 +26,7 @@ PARTS = {"_real": "real", "_imag": "imag"}
 PART_OF = "complex_variable"
 """Attribute of a part that names the whole."""
 EXTRA = "pip install 'tactile-display[study]'"
-AS_STORED = {"decode_times": False, "decode_timedelta": False}
+AS_STORED: dict[str, Any] = {"decode_times": False, "decode_timedelta": False}
 """No unit of ours is a date."""
 
 

@@ -102,7 +102,7 @@ def _best(values: "xarray.DataArray") -> list[Figures]:
     sign = _sign(values)
     if not sign:
         return []
-    cases = [(None, values)]
+    cases: list[tuple[str | None, xarray.DataArray]] = [(None, values)]
     if FINGER in values.dims:
         cases = [(str(name), values.sel({FINGER: name})) for name in values[FINGER].values]
         if len(cases) > 1:

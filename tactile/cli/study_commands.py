@@ -12,11 +12,11 @@ from rich.table import Table
 
 import tactile
 from tactile.cli.app import AsJson, app
+from tactile.study.asking import Words, ask, start_from
 from tactile.study.criteria import CRITERIA
-from tactile.study.question import Words, ask, start_from
+from tactile.study.findings import Figures, check_share, summarize
 from tactile.study.running import fitting_workers, run_study
 from tactile.study.storing import check_store
-from tactile.study.summary import Figures, summarize
 from tactile.study.sweep import RESPONSES, Study
 
 
@@ -87,6 +87,7 @@ def study_design(
         amplitude=amplitude_um,
     )
     study = ask(words, None if display is None else start_from(tactile.load_display(display)))
+    check_share(within)
     if out is not None:
         check_store(out)
     data = _run(study, out, workers, scheduler, shown=not as_json)
@@ -103,9 +104,10 @@ def _run(
     study: Study, out: Path | None, workers: int | None, scheduler: str | None, *, shown: bool
 ) -> Any:
     """Run a study with a bar of its blocks."""
+    console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True, disable=not shown,
+        console=console, transient=True, disable=not (shown and console.is_terminal),
     )  # fmt: skip
     with bar:
         task = bar.add_task(f"{study.designs} designs", total=None)

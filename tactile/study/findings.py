@@ -27,6 +27,12 @@ FINGER = "load"
 Figures = dict[str, Any]
 
 
+def check_share(share: float) -> None:
+    """Raise InputError where a share of the best cannot be."""
+    if not 0 < share < 1:
+        raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
+
+
 def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
     """Return what a study says, as plain data.
 
@@ -48,8 +54,7 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
     InputError
         Where it is too large to be looked through in memory, or the share is not between 0 and 1.
     """
-    if not 0 < share < 1:
-        raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
+    check_share(share)
     judged = {str(n): v for n, v in data.data_vars.items() if v.attrs.get("criterion") in CRITERIA}
     if sum(v.size for v in judged.values()) * 8 > LARGEST:
         raise InputError("the study is too large to be summed up in memory; open it with xarray")

@@ -15,7 +15,7 @@ from study_rig import SMALL, bits, study
 
 from tactile.errors import InputError
 from tactile.study import block_store, crews
-from tactile.study.running import run_study
+from tactile.study.runs import run_study
 from tactile.study.storing import load_study
 
 pytestmark = pytest.mark.ci

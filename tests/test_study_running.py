@@ -19,12 +19,12 @@ from study_rig import SMALL, bits, study
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.errors import InputError
-from tactile.study import block_store, crews, running
+from tactile.study import block_store, crews, runs
 from tactile.study.block_store import BlockStore, question, study_blocks
 from tactile.study.crews import CrewLostError, Found, OwnCrew, PoolCrew, part_of, solve_part
 from tactile.study.criteria import Conditions
 from tactile.study.parameters import FINGERS
-from tactile.study.running import run_study, solve_blocks
+from tactile.study.runs import run_study, solve_blocks
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.storing import load_study
 from tactile.study.sweep import Block, Study, solve_block, solve_study
@@ -70,7 +70,7 @@ class StoppedError(Exception):
     """Ends a run from within."""
 
 
-def stop_at(block: int) -> running.Progress:
+def stop_at(block: int) -> runs.Progress:
     def progress(done: int, total: int) -> None:
         if done == block:
             raise StoppedError
@@ -177,8 +177,6 @@ class LazyCrew:
         future: Future[Found] = Future()
         self.flying.append((future, part))
         self.most = max(self.most, len(self.flying))
-        if len(self.flying) == running.WINDOW * self.size:
-            self.watch()
         return future
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
@@ -192,7 +190,7 @@ class LazyCrew:
 
 
 def test_only_a_few_blocks_are_under_way_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "WATCHED_S", 0.0)
+    monkeypatch.setattr(runs, "WATCHED_S", 0.0)
     crew, asked = LazyCrew(), study(100)
     pending = study_blocks(asked)
     taken: list[int] = []
@@ -205,7 +203,7 @@ def test_only_a_few_blocks_are_under_way_at_once(monkeypatch: pytest.MonkeyPatch
     found = [block for block, _ in solve_blocks(asked, tapped(), crew)]  # type: ignore[arg-type]
     assert sorted(b[0].start for b in found) == [b[0].start for b in pending]
     assert len(pending) == 20
-    assert crew.most == running.WINDOW * crew.size
+    assert crew.most == runs.WINDOW * crew.size
 
 
 @pytest.mark.ci
@@ -235,7 +233,7 @@ def test_a_pool_that_keeps_dying_is_given_up_and_what_is_stored_is_told(
     monkeypatch.setattr(crews, "RESTARTS", 1)
     monkeypatch.setattr(crews, "solve_part", os._exit)
     monkeypatch.setattr(crews, "part_of", lambda study, block: 1)
-    monkeypatch.setattr(running, "part_of", lambda study, block: 1)
+    monkeypatch.setattr(runs, "part_of", lambda study, block: 1)
     told = r"workers died in 2 pools .*; 2 of 5 blocks are stored in .*s\.zarr, and the same"
     with pytest.raises(InputError, match=told) as caught:
         run_study(study(), store=path, workers=2)
@@ -254,9 +252,9 @@ if __name__ == "__main__":
     import sys
     sys.path[:0] = {path!r}
     from study_rig import SMALL, study
-    from tactile.study import block_store, running
+    from tactile.study import block_store, runs
     block_store.BLOCK_POINTS = SMALL
-    running.run_study(study(96), store={store!r}, workers={workers},
+    runs.run_study(study(96), store={store!r}, workers={workers},
                       progress=lambda done, total: print(done, flush=True))
 """
 
@@ -267,7 +265,7 @@ def test_a_run_that_is_killed_at_any_moment_is_resumed_with_nothing_lost(
     workers: int, tmp_path: Path
 ) -> None:
     path, script = tmp_path / "s.zarr", tmp_path / "program.py"
-    here = [str(Path(__file__).parent), str(Path(running.__file__).parents[2])]
+    here = [str(Path(__file__).parent), str(Path(runs.__file__).parents[2])]
     script.write_text(PROGRAM.format(path=here, store=str(path), workers=workers), "utf-8")
     rng, stored = np.random.default_rng(workers), 0
     for _ in range(4 - workers):
@@ -290,7 +288,7 @@ def test_a_run_that_is_killed_at_any_moment_is_resumed_with_nothing_lost(
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "program.py"
     script.write_text(
-        f"import sys, time\nsys.path[:0] = {[str(Path(running.__file__).parents[2])]!r}\n"
+        f"import sys, time\nsys.path[:0] = {[str(Path(runs.__file__).parents[2])]!r}\n"
         "import os\nfrom tactile.study.crews import PoolCrew\n"
         "if __name__ == '__main__':\n"
         "    crew = PoolCrew(1)\n"

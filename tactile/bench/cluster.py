@@ -15,7 +15,7 @@ import numpy as np
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.study.block_store import BLOCK_POINTS
 from tactile.study.criteria import Conditions
-from tactile.study.running import points, run_study
+from tactile.study.runs import points, run_study
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import Study
 
@@ -67,6 +67,8 @@ def measure_million() -> Iterator[Figure]:
     from resource import RUSAGE_SELF, getrusage  # not on Windows
 
     rates = {}
+    with TemporaryDirectory() as folder:  # libraries are loaded
+        run_study(robust_study(SCENARIOS), store=Path(folder) / "study.zarr")
     for designs in DESIGNS:
         study = robust_study(designs)
         with TemporaryDirectory() as folder:

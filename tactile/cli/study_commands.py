@@ -15,7 +15,7 @@ from tactile.cli.app import AsJson, app
 from tactile.study.asking import Words, ask, start_from
 from tactile.study.criteria import CRITERIA
 from tactile.study.findings import Figures, check_share, summarize
-from tactile.study.running import fitting_workers, run_study
+from tactile.study.runs import fitting_workers, run_study
 from tactile.study.storing import check_store
 from tactile.study.sweep import RESPONSES, Study
 

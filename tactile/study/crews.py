@@ -248,11 +248,15 @@ def _check_versions(client: Any) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what distributed logs of a connection that fails or ends from the terminal."""
-    log = logging.getLogger("distributed")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
+    """Keep what is logged of a connection that fails or ends from the terminal."""
+    noisy = ("distributed", "tornado", "asyncio")  # each of their loggers has a level of its own
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
+    logs = [logging.getLogger(name) for name in names]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)

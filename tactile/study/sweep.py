@@ -3,7 +3,7 @@
 A `Study` says what is asked. It is cut into blocks (`blocks`), each of which is solved by itself
 (`solve_block`); `frame` is the empty data set that they fill, with coordinates,
 units and how it came to be. `solve_study` does all of it in memory and in this process;
-`tactile.study.running` stores as it goes, on several processes or machines.
+`tactile.study.runs` stores as it goes, on several processes or machines.
 """
 
 import datetime

@@ -110,6 +110,7 @@ PACKAGED = {
     "PIL": "pillow",
     "serial": "pyserial",
     "can": "python-can",
+    "distributed": "dask",
     "prometheus_client": "prometheus-client",
     "tomli_w": "tomli-w",
 }

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from tactile.bench.actuator import measure_matrix, measure_plant, measure_response
 from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
+from tactile.bench.cluster import measure_dask, measure_million
 from tactile.bench.crowd import measure_crowd, measure_crowd_long, measure_hour
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
@@ -28,7 +29,7 @@ from tactile.bench.protocol import measure_protocol
 from tactile.bench.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from tactile.bench.resources import measure_memory, measure_soak, measure_speed
 from tactile.bench.spectrum import measure_spectrum
-from tactile.bench.study import measure_study, measure_study_long
+from tactile.bench.study import measure_study
 from tactile.bench.tracking import measure_tracking
 
 __all__ = ["BENCHMARKS", "LONG", "Figure", "at_least", "at_most", "measure"]
@@ -65,7 +66,8 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "hour": measure_hour,
     "crowd-long": measure_crowd_long,
     "library": measure_library,
-    "study-long": measure_study_long,
+    "dask": measure_dask,
+    "million": measure_million,
 }
 """Those that take minutes."""
 

@@ -1,12 +1,10 @@
-"""Design studies: how fast and how right designs are solved, and what a million of them take.
+"""Design studies: how fast and how right designs are solved.
 
 The yardstick is the finite-element model of the project's tests, which shares no code with the
 package: its figures are measured where the package runs from a checkout and left out elsewhere.
 """
 
 import runpy
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,6 @@ from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import TipResponse, tip_response
 from tactile.bench.figures import Figure, at_least, at_most, seconds
-from tactile.bench.resources import peak_memory
 from tactile.study.criteria import Conditions
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import PIECE_POINTS, Study, solve_block
@@ -32,7 +29,6 @@ FINGERS = {
 }
 """The same loads for the finite elements and for us."""
 SCENARIOS = 32
-MILLION = 2**20
 
 
 def random_geometries(count: int) -> dict[str, Any]:
@@ -62,23 +58,6 @@ def measure_study() -> Iterator[Figure]:
         reference = runpy.run_path(str(REFERENCE), run_name="reference_beam")
         yield from _ratio(reference)
         yield from _agreement(reference)
-
-
-def measure_study_long() -> Iterator[Figure]:
-    """Sweep a million designs under fingers and tolerances, and an eighth of them."""
-    taken = {}
-    for count in (MILLION // 8, MILLION):
-        begun = time.perf_counter()
-        sweep_robustly(count)
-        taken[count] = time.perf_counter() - begun
-    yield Figure("study.robust.million_designs", taken[MILLION], "s")
-    growth = taken[MILLION] / taken[MILLION // 8] / 8
-    yield at_most("study.robust.time_per_design_over_an_eighth", growth, "×", 1.25)
-    if sys.platform == "win32":  # no accounting of a finished process there
-        return
-    sweep = f"from tactile.bench.study import sweep_robustly; sweep_robustly({MILLION})"
-    memory = peak_memory([sys.executable, "-c", sweep]) / 2**20
-    yield at_most("study.robust.memory", memory, "MiB", 4096)
 
 
 def _speed() -> Iterator[Figure]:

@@ -19,6 +19,7 @@ from tactile.cli import (  # noqa: F401
     relief_commands,
     show_commands,
     strength_commands,
+    study_commands,
     texture_commands,
 )
 from tactile.cli.app import app

@@ -147,7 +147,7 @@ def check_value(name: str, value: Any, fingers: Mapping[str, FingerLoad] = FINGE
     """Raise InputError where a parameter is unknown or a value is outside its limits or names."""
     named = names_of(fingers)
     if name in named:
-        for entry in map(str, np.unique(np.asarray(value).astype(str))):
+        for entry in np.unique(np.asarray(value).astype(str)).tolist():
             if entry not in named[name]:
                 raise InputError(f"{name} = {entry!r}: no such name; {nearest(entry, named[name])}")
         return

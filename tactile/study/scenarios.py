@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, qmc
 
 from tactile.errors import InputError
 from tactile.files import nearest
@@ -88,6 +87,8 @@ def draw_scenarios(
     InputError
         For a count below 1, or a parameter without a standard value.
     """
+    from scipy.stats import norm, qmc  # takes a second, which workers need not wait
+
     if count < 1:
         raise InputError(f"scenarios = {count}: must be at least 1")
     for name, spread in tolerances.items():

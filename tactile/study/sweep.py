@@ -2,7 +2,7 @@
 
 A `Study` says what is asked. It is cut into blocks (`blocks`), each of which is solved by itself
 (`solve_block`); `frame` is the empty data set that they fill, with coordinates, units and how it
-came to be. `solve_study` does all of it in memory and in this process; `tactile.study.running`
+came to be. `solve_study` does all of it in memory and in this process; `tactile.study.runs`
 stores as it goes, on several processes or machines.
 """
 
@@ -339,6 +339,19 @@ def provenance(study: Study) -> dict[str, str]:
     }
 
 
+def check_memory(study: Study) -> None:
+    """Raise InputError where a study's data set takes more than `LARGEST` bytes."""
+    need = sum(
+        math.prod(study.shape) * (16 * np.size(study.frequency) if kind is np.complex128 else 8)
+        for _, _, kind in variables(study).values()
+    )
+    if need > LARGEST:
+        raise InputError(
+            f"the study takes {need / 2**30:.1f} GiB, more than {LARGEST / 2**30:g} GiB of memory; "
+            "store it as it goes (--out study.zarr), or keep fewer responses"
+        )
+
+
 def solve_study(study: Study) -> "xarray.Dataset":
     """Solve a study in memory and in this process.
 
@@ -352,15 +365,7 @@ def solve_study(study: Study) -> "xarray.Dataset":
     InputError
         Where xarray is missing, or it takes more than `LARGEST` bytes.
     """
-    need = sum(
-        math.prod(study.shape) * (16 * np.size(study.frequency) if kind is np.complex128 else 8)
-        for _, _, kind in variables(study).values()
-    )
-    if need > LARGEST:
-        raise InputError(
-            f"the study takes {need / 2**30:.1f} GiB, more than {LARGEST / 2**30:g} GiB of memory; "
-            "store it as it goes (--out study.zarr), or keep fewer responses"
-        )
+    check_memory(study)
     data = frame(study)
     solved = solve_block(study, tuple(slice(0, size) for size in study.shape))
     for name, (dimensions, labels, _) in variables(study).items():

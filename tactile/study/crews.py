@@ -1,0 +1,262 @@
+"""Who solves the parts of a study: this process, a pool of processes, or a Dask cluster.
+
+A part is a study by itself (the values of one block), so that a worker needs nothing but it, and
+whoever solves it, with one BLAS thread, finds the same bits. A crew whose worker dies goes on with
+those that remain; where none does it raises `CrewLostError`.
+"""
+
+import asyncio
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.metadata import version
+from multiprocessing import get_context, parent_process
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from tactile.errors import InputError
+from tactile.study.scenarios import Scenarios
+from tactile.study.storing import study_extra
+from tactile.study.sweep import Block, Study, solve_block
+
+Found = dict[str, NDArray[Any]]
+
+PACKAGE = "tactile-display"
+CONNECT_S = 5.0
+"""Within which a scheduler must answer, and have a worker."""
+LOST_S = 15.0
+"""After which a cluster without workers is given up; a nanny starts a new one in less."""
+RESTARTS = 3
+"""New pools that a run may start."""
+RETRIES = 3
+"""Of a part on a cluster."""
+
+
+class CrewLostError(Exception):
+    """No worker is left; says why."""
+
+
+def part_of(study: Study, block: Block) -> Study:
+    """Return the study of one block alone."""
+    along = dict(zip(study.dimensions, block, strict=True))
+    axes = {name: values[along[name]] for name, values in study.axes.items()}  # type: ignore[index]
+    drawn = study.scenarios
+    if drawn is not None:
+        part = along["scenario"]
+        drawn = Scenarios(
+            values={name: array[part] for name, array in drawn.values.items()},
+            factors={name: array[part] for name, array in drawn.factors.items()},
+        )
+    return replace(study, axes=axes, scenarios=drawn)
+
+
+def solve_part(part: Study) -> Found:
+    """Solve a whole study on one thread."""
+    with threadpool_limits(1):
+        return solve_block(part, tuple(slice(0, size) for size in part.shape))
+
+
+class OwnCrew:
+    """The process that asks."""
+
+    size = 1
+
+    def submit(self, part: Study) -> "Future[Found]":
+        """Solve a part at once."""
+        future: Future[Found] = Future()
+        future.set_result(solve_part(part))
+        return future
+
+    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+        """Raise where the crew cannot go on after what a part met."""
+        raise error
+
+    def watch(self) -> None:
+        """Raise where nobody is left."""
+
+    def close(self) -> None:
+        """End at once."""
+
+
+class PoolCrew:
+    """Processes of this machine, started afresh where one of them dies."""
+
+    def __init__(self, workers: int) -> None:
+        self.size = workers
+        self._restarts = 0
+        self._origin: WeakKeyDictionary[Future[Found], ProcessPoolExecutor] = WeakKeyDictionary()
+        self._pool = self._start()
+
+    def _start(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(self.size, get_context("spawn"), _begin_worker)
+
+    def submit(self, part: Study) -> "Future[Found]":
+        """Have a part solved."""
+        try:
+            future = self._pool.submit(solve_part, part)
+        except BrokenExecutor:
+            self._restart()
+            future = self._pool.submit(solve_part, part)
+        self._origin[future] = self._pool
+        return future
+
+    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+        """Start a new pool where a worker died; raise any other error."""
+        if not isinstance(error, BrokenExecutor | CancelledError):
+            raise error
+        if self._origin[future] is self._pool:
+            self._restart()
+
+    def _restart(self) -> None:
+        """Start a new pool, unless the last ones died at once."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._restarts += 1
+        if self._restarts > RESTARTS:
+            raise CrewLostError(f"workers died in {self._restarts} pools (short of memory?)")
+        self._pool = self._start()
+
+    def watch(self) -> None:
+        """Leave it to the pool, which tells at once."""
+
+    def close(self) -> None:
+        """End at once; what is being solved is lost."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the parent, and end when it does, however that happens."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def follow() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+class ClusterCrew:
+    """A Dask cluster; its scheduler gives a dead worker's parts to those that remain."""
+
+    def __init__(self, address: str) -> None:
+        with study_extra("a cluster"):
+            import distributed
+        self.address = address
+        self._seen = time.monotonic()
+        self._client: Any = _connect(distributed, address)
+        try:
+            self.size = sum(self._client.nthreads().values())
+            _check_versions(self._client)
+            self._executor = self._client.get_executor(pure=False, retries=RETRIES)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def submit(self, part: Study) -> "Future[Found]":
+        """Have a part solved."""
+        future: Future[Found] = self._executor.submit(solve_part, part)
+        return future
+
+    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+        """Raise that the crew is lost where the cluster failed, and any other error as it is."""
+        with study_extra("a cluster"):
+            from distributed.comm.core import CommClosedError
+            from distributed.scheduler import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            raise CrewLostError("one part killed several workers (short of memory?)") from error
+        if isinstance(error, CancelledError | CommClosedError):
+            raise CrewLostError(f"the scheduler at {self.address} is gone") from error
+        if isinstance(error, ImportError | AttributeError):
+            raise CrewLostError(f"a worker has another tactile: {error}") from error
+        raise error
+
+    def watch(self) -> None:
+        """Raise where the scheduler is gone, or has had no worker for a while."""
+        if self._client.status != "running":
+            raise CrewLostError(f"the scheduler at {self.address} is gone")
+        if self._client.nthreads():
+            self._seen = time.monotonic()
+        elif time.monotonic() - self._seen > LOST_S:
+            raise CrewLostError(f"the scheduler at {self.address} has lost all its workers")
+
+    def close(self) -> None:
+        """Let go of the cluster; parts that are being solved are dropped."""
+        with _quiet():
+            self._client.close()
+
+
+def _connect(distributed: Any, address: str) -> Any:
+    """Return a client of a scheduler that has a worker."""
+    where = f"--scheduler {address}"
+    try:
+        with _quiet(), ThreadPoolExecutor(1) as aside:
+            kind = aside.submit(asyncio.run, _kind_of(distributed, address)).result()
+    except ValueError as error:
+        raise InputError(f"{where}: {error}; it reads as tcp://host:8786") from None
+    except (OSError, TimeoutError):
+        kind = ""
+    if kind != "Scheduler":
+        raise InputError(
+            f"{where}: no scheduler answers within {CONNECT_S:g} s; start it (dask scheduler), and "
+            "give the address that it prints"
+        )
+    client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError:
+        client.close()
+        raise InputError(
+            f"{where}: has no workers after {CONNECT_S:g} s; start some: dask worker {address}"
+        ) from None
+    return client
+
+
+async def _kind_of(distributed: Any, address: str) -> str:
+    """Return what says that it is at an address; a client that fails would be long about it."""
+    async with distributed.rpc(address) as peer:
+        return str((await asyncio.wait_for(peer.identity(), CONNECT_S))["type"])
+
+
+def _check_versions(client: Any) -> None:
+    """Raise InputError where a worker has no tactile or another one."""
+    ours = version(PACKAGE)
+    for worker, theirs in client.run(version, PACKAGE, on_error="return").items():
+        if theirs != ours:
+            has = theirs if isinstance(theirs, str) else "none"
+            raise InputError(
+                f"worker {worker} has tactile {has}, here it is {ours}; install the same on all: "
+                f"pip install '{PACKAGE}[study]=={ours}'"
+            )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what is logged of a connection that fails or ends from the terminal."""
+    noisy = ("distributed", "tornado", "asyncio")  # each of their loggers has a level of its own
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
+    logs = [logging.getLogger(name) for name in names]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)

@@ -1,0 +1,195 @@
+"""What a study says, in a few figures: the best designs, good ranges, and what fingers share.
+
+All of it is read from the data set, so that a stored study says the same again. Where scenarios
+were drawn, a design counts by what all but the worst 5 % of them reach.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile.errors import InputError
+from tactile.study.criteria import CRITERIA
+from tactile.study.ranges import Range, overlap, within
+from tactile.study.sweep import LARGEST
+
+if TYPE_CHECKING:
+    import xarray
+
+WORST = 0.05
+"""Share of scenarios that a design may fail."""
+MOST_RANGES = 24
+"""Beyond which ranges are told of the best of the other axes alone."""
+FINGER = "load"
+
+Figures = dict[str, Any]
+
+
+def check_share(share: float) -> None:
+    """Raise InputError where a share of the best cannot be."""
+    if not 0 < share < 1:
+        raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
+
+
+def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
+    """Return what a study says, as plain data.
+
+    Parameters
+    ----------
+    data : of `solve_study` or `load_study`
+    share : of the best that is good enough
+
+    Returns
+    -------
+    dict
+        ``designs``, ``axes`` (values of each), ``best`` (criterion, unit, value, at, for which
+        finger), ``ranges`` (criterion, along, at, low, high, best, value, is_cut), ``overlaps``
+        (criterion, along, at, low, high; null where there is none) and ``figures``, all criteria
+        of the first best design.
+
+    Raises
+    ------
+    InputError
+        Where it is too large to be looked through in memory, or the share is not between 0 and 1.
+    """
+    check_share(share)
+    judged = {str(n): v for n, v in data.data_vars.items() if v.attrs.get("criterion") in CRITERIA}
+    if sum(v.size for v in judged.values()) * 8 > LARGEST:
+        raise InputError("the study is too large to be summed up in memory; open it with xarray")
+    found: Figures = {
+        "designs": int(np.prod([data.sizes[name] for name in _axes(data)], dtype=float)),
+        "scenarios": data.sizes.get("scenario", 0),
+        "axes": {name: data[name].values.tolist() for name in _axes(data)},
+        "share": share,
+        "best": [],
+        "ranges": [],
+        "overlaps": [],
+    }
+    reached = {name: _reached(v) for name, v in judged.items()}
+    for values in reached.values():
+        found["best"] += _best(values)
+        ranges = list(_ranges(values, share))
+        found["ranges"] += [_told(values, at, one) for at, one in ranges]
+        found["overlaps"] += _overlaps(values, ranges)
+    first = found["best"][0]["at"] if found["best"] else {}
+    found["figures"] = {
+        name: {
+            "value": float(v.sel(first)),
+            "unit": v.attrs["units"],
+            "means": v.attrs["long_name"],
+        }
+        for name, v in reached.items()
+    }
+    return found
+
+
+def _axes(data: "xarray.Dataset | xarray.DataArray") -> list[str]:
+    return [str(d) for d in data.dims if d not in ("scenario", "frequency_hz")]
+
+
+def _sign(values: "xarray.DataArray") -> int:
+    return CRITERIA[values.attrs["criterion"]].sign
+
+
+def _reached(values: "xarray.DataArray") -> "xarray.DataArray":
+    """Return what all but the worst scenarios reach; the median of what is neither good nor bad."""
+    values = values.load()
+    if "scenario" not in values.dims:
+        return values
+    share = {1: WORST, -1: 1 - WORST, 0: 0.5}[_sign(values)]
+    return values.quantile(share, "scenario", keep_attrs=True).drop_vars("quantile")
+
+
+def _best(values: "xarray.DataArray") -> list[Figures]:
+    """Return the best design for each finger, and the one whose worst finger is best."""
+    sign = _sign(values)
+    if not sign:
+        return []
+    cases: list[tuple[str | None, xarray.DataArray]] = [(None, values)]
+    if FINGER in values.dims:
+        cases = [(str(name), values.sel({FINGER: name})) for name in values[FINGER].values]
+        if len(cases) > 1:
+            worst = (values * sign).min(FINGER) * sign
+            cases.append(("all", worst.assign_attrs(values.attrs)))
+    return [_best_of(one, finger, sign) for finger, one in cases]
+
+
+def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figures:
+    place = np.unravel_index(np.nanargmax(values.values * sign), values.shape)
+    at = {str(d): values[d].values[i].item() for d, i in zip(values.dims, place, strict=True)}
+    if finger not in (None, "all"):
+        at[FINGER] = finger
+    return {
+        "criterion": values.attrs["criterion"],
+        "unit": values.attrs["units"],
+        "value": float(values.values[place]),
+        "finger": finger,
+        "at": at,
+    }
+
+
+def _along(values: "xarray.DataArray") -> str | None:
+    """Return the first axis of two or more ascending numbers."""
+    for name in _axes(values):
+        along = values[name].values
+        if along.dtype.kind in "iuf" and along.size > 1 and np.all(np.diff(along) > 0):
+            return name
+    return None
+
+
+def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures, Range]]:
+    """Yield the range along the first axis of numbers, for each of what the other axes say."""
+    along, sign = _along(values), _sign(values)
+    if along is None or not sign:
+        return
+    others = [name for name in _axes(values) if name != along]
+    places: Sequence[Figures] = [
+        dict(zip(others, chosen, strict=True))
+        for chosen in itertools.product(*(values[name].values.tolist() for name in others))
+    ]
+    if len(places) > MOST_RANGES:
+        places = [
+            {k: v for k, v in b["at"].items() if k != along}
+            for b in _best(values) if b["finger"] != "all"
+        ]  # fmt: skip
+    for at in places:
+        line = values.sel(at).values
+        if np.all(line > 0):
+            yield at, within(values[along].values, line, share=share, sign=sign)
+
+
+def _told(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:
+    return {
+        "criterion": values.attrs["criterion"],
+        "unit": values.attrs["units"],
+        "along": _along(values),
+        "at": at,
+        "low": one.low,
+        "high": one.high,
+        "best": one.best,
+        "value": one.value,
+        "is_cut": one.is_cut,
+    }
+
+
+def _overlaps(values: "xarray.DataArray", ranges: list[tuple[Figures, Range]]) -> Iterator[Figures]:
+    """Yield what the ranges of all fingers share, for each of what the other axes say."""
+    if FINGER not in values.dims or values.sizes[FINGER] < 2:
+        return
+    groups: dict[tuple[Any, ...], list[Range]] = {}
+    for at, one in ranges:
+        rest = tuple((name, value) for name, value in at.items() if name != FINGER)
+        groups.setdefault(rest, []).append(one)
+    for rest, several in groups.items():
+        if len(several) == values.sizes[FINGER]:
+            shared = overlap(several)
+            low, high = (None, None) if shared is None else shared
+            yield {
+                "criterion": values.attrs["criterion"],
+                "along": _along(values),
+                "at": dict(rest),
+                "low": low,
+                "high": high,
+            }

@@ -1,0 +1,137 @@
+"""The command ``study``: the paper's answer by default, tables, JSON, and mistakes in one line."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile import cli
+from tactile.study.asking import parse_values
+from tactile.study.storing import load_study
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["tactile", "study", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        out, err = capsys.readouterr()
+        assert isinstance(left.value.code, int)
+        return left.value.code, out, err
+
+    return run
+
+
+def test_by_default_it_is_the_papers_question_and_answer(command: Command) -> None:
+    """Ranges as of the paper with the documented surrogate: 17.7–27.7 and 9.4–20.1 mm."""
+    code, out, _ = command("length_mm=8:30:0.5", "load=low,high")
+    assert code == 0
+    for words in ("90 designs", "17.7 … 27.7", "9.4 … 20.1", "17.7 … 20.1", "smallest_displ"):
+        assert words in out
+
+
+def test_figures_for_machines_are_those_of_the_data_set(command: Command) -> None:
+    code, out, _ = command(
+        "length_mm=12:24:4", "width_mm=2,3", "load=low,high", "--criterion", "mean_force",
+        "--criterion", "footprint", "--frequency", "0:1000:50", "--band", "100:900",
+        "--fix", "shim_height_mm=0.25", "--keep", "velocity", "--within", "0.9",
+        "--out", "s.nc", "--json",
+    )  # fmt: skip
+    assert code == 0
+    told, data = json.loads(out), load_study("s.nc")
+    assert told["designs"] == 16
+    assert told["stored"] == "s.nc"
+    assert data["velocity_mm_per_s_v"].dtype == np.complex128
+    low = next(b for b in told["best"] if b["finger"] == "low" and b["criterion"] == "mean_force")
+    assert low["value"] == float(data["mean_force_mn_per_v"].sel(load="low").max())
+    assert low["value"] == float(data["mean_force_mn_per_v"].sel(low["at"]))
+    worst = next(b for b in told["best"] if b["finger"] == "all")
+    assert worst["value"] == float(data["mean_force_mn_per_v"].min("load").max())
+    least = next(b for b in told["best"] if b["criterion"] == "footprint")
+    assert least["value"] == pytest.approx(2 * 0.77)
+    force = [r for r in told["ranges"] if r["criterion"] == "mean_force"]
+    assert [r["at"] for r in force] == [
+        {"width_mm": w, "load": f} for w in (2.0, 3.0) for f in ("low", "high")
+    ]
+    assert told["figures"]["footprint_mm2"]["unit"] == "mm²"
+
+
+def test_scenarios_count_by_what_all_but_the_worst_reach(command: Command) -> None:
+    code, out, _ = command("length_mm=16,20", "--scenarios", 16, "--seed", 3, "--out", "s.zarr",
+                           "--frequency", "0:1000:100", "--band", "0:1000", "--json",
+                           "--criterion", "smallest_displacement")  # fmt: skip
+    assert code == 0
+    told, data = json.loads(out), load_study("s.zarr")
+    values = data["smallest_displacement_um_per_v"].values
+    assert values.shape == (2, 16)
+    assert told["best"][0]["value"] == pytest.approx(np.quantile(values, 0.05, axis=1).max())
+    assert told["scenarios"] == 16
+
+
+def test_a_displays_bender_finger_and_limits_are_the_start(command: Command) -> None:
+    arguments = ("--display", "reference-24", "--criterion", "attainable", "--band", "10:1000")
+    code, out, _ = command("length_mm=20", *arguments, "--json")
+    assert code == 0
+    half = command("length_mm=20", *arguments, "--voltage-v", 10, "--json")[1]
+    with_limit, with_ten = (json.loads(o)["best"][0]["value"] for o in (out, half))
+    assert with_limit > with_ten > 0
+
+
+def test_ranges_have_their_stop_and_no_noise() -> None:
+    assert parse_values("x", "8:9:0.1", is_named=False).tolist() == [
+        8.0, 8.1, 8.2, 8.3, 8.4, 8.5, 8.6, 8.7, 8.8, 8.9, 9.0,
+    ]  # fmt: skip
+    assert parse_values("x", "1:2:0.4", is_named=False).tolist() == [1.0, 1.4, 1.8]
+    assert parse_values("x", "3:3:1", is_named=False).tolist() == [3.0]
+    assert parse_values("load", "low, high", is_named=True).tolist() == ["low", "high"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["length_mm=8:5:1"], "length_mm = 8:5:1: is empty, as 5 is below 8"),
+        (["length_mm=8:9:0"], "step 0: must be above 0"),
+        (["length_mm=8:9:-1"], "step -1: must be above 0"),
+        (["length_mm=8:9"], "a range reads as start:stop:step"),
+        (["length_mm="], "length_mm: the axis is empty"),
+        (["length_mm=8,x"], "length_mm = 'x': must be a finite number"),
+        (["length_mm=8,8.0,8"], "has a value twice"),
+        (["length_mm"], "'length_mm': reads as name=values"),
+        (["length_mm=8", "length_mm=9"], "length_mm: given twice"),
+        (["length_mm=8", "--fix", "length_mm=9"], "length_mm: given twice"),
+        (["length_mm=8", "--fix", "width_mm=2,3"], "width_mm: is fixed to one value, not 2"),
+        (["length_mm=0:8:1"], "length_mm = 0: must be 0.5 … 200 mm"),
+        (["lenght_mm=8"], "no parameter 'lenght_mm'; did you mean 'length_mm'?"),
+        (["load=lo"], "load = 'lo': no such name; did you mean 'low'?"),
+        (["load=low", "--criterion", "mean_forc"], "no criterion 'mean_forc'; did you mean"),
+        (["load=low", "--keep", "forc"], "no response 'forc'; did you mean 'force'?"),
+        (["load=low", "--criterion", "mean_force"], "mean_force: needs a band"),
+        (["load=low", "--band", "10"], "band = '10': reads as low:high"),
+        (["load=low", "--band", "100:10"], "band = 100:10 Hz: must ascend"),
+        (["load=low", "--band", "10:20", "--frequency", "5,15", "--criterion", "mean_force"],
+         "mean_force: fewer than two frequencies in the band 10:20 Hz"),
+        (["load=low", "--within", "1.5"], "share = 1.5: must be above 0 and below 1"),
+        (["load=low", "--out", "s.txt"], "s.txt: must end in .nc or .zarr"),
+        (["load=low", "--out", "no/s.nc"], "no/s.nc: cannot be written: No such file"),
+        (["length_mm=5", "--fix", "measuring_point_mm=9"], "lies beyond the tip of a bender"),
+        (["length_mm=8:30:1e-4", "width_mm=1:40:0.01"], "store it as it goes (--out study.zarr)"),
+        (["length_mm=1:100:1e-9"], "has 9.9e+10 values, more than 1e+08"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_line(command: Command, arguments: list[str], words: str) -> None:
+    code, out, err = command(*arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.startswith("tactile: ")
+    assert len(err.splitlines()) == 1

@@ -1,0 +1,107 @@
+"""Studies on a real Dask scheduler with worker processes: the same bits, also if one is killed."""
+
+import os
+import signal
+import socket
+import warnings
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from study_rig import SMALL, bits, study
+
+from tactile.errors import InputError
+from tactile.study import block_store, crews
+from tactile.study.runs import run_study
+from tactile.study.storing import load_study
+
+pytestmark = pytest.mark.ci
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(block_store, "BLOCK_POINTS", SMALL)
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """Start a scheduler and two worker processes."""
+    from distributed import LocalCluster
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # of a killed worker's sockets
+        with LocalCluster(  # type: ignore[no-untyped-call]
+            processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as made:
+            yield made
+
+
+def worker_pids(cluster: Any) -> list[int]:
+    return [nanny.process.pid for nanny in cluster.workers.values()]
+
+
+def test_a_cluster_finds_the_same_bits_also_where_a_worker_is_killed(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, path = run_study(study(96)), tmp_path / "s.zarr"
+    killed: list[int] = []
+
+    def kill(done: int, total: int) -> None:
+        if done >= 3 and not killed:
+            killed.append(worker_pids(cluster)[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    found = run_study(study(96), store=path, scheduler=cluster.scheduler_address, progress=kill)
+    assert killed
+    assert bits(found) == bits(whole)
+    assert "unfinished" not in load_study(path).attrs
+    _lost_workers(cluster, tmp_path / "t.zarr", monkeypatch)
+
+
+def _lost_workers(cluster: Any, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take all workers away midway: one line, and what is stored is there."""
+    monkeypatch.setattr(crews, "LOST_S", 1.0)
+
+    def leave(done: int, total: int) -> None:
+        if done == 4:
+            cluster.scale(0)
+
+    told = r"has lost all its workers; \d+ of 20 blocks are stored in .*t\.zarr, and the same comm"
+    with pytest.raises(InputError, match=told):
+        run_study(study(96), store=path, scheduler=cluster.scheduler_address, progress=leave)
+    stored = np.isfinite(load_study(path)["blocked_force_mn_per_v"].values).mean()
+    assert 0.1 < stored < 1
+    monkeypatch.setattr(crews, "CONNECT_S", 0.5)
+    with pytest.raises(InputError, match=r"has no workers after 0.5 s; start some: dask worker"):
+        run_study(study(96), store=path, scheduler=cluster.scheduler_address)
+    assert bits(run_study(study(96), store=path)) == bits(run_study(study(96)))
+
+
+def test_a_scheduler_that_cannot_be_reached_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crews, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        for address, words in {
+            "tcp://127.0.0.1:9": "no scheduler answers within 0.5 s; start it",
+            f"tcp://127.0.0.1:{deaf.getsockname()[1]}": "no scheduler answers within 0.5 s",
+            "tcp://127.0.0.1": "missing port number .*reads as tcp://host:8786",
+            "http://127.0.0.1:8786": "unknown address scheme",
+        }.items():
+            with pytest.raises(InputError, match=f"--scheduler {address}: .*{words}") as caught:
+                run_study(study(), scheduler=address)
+            assert "\n" not in str(caught.value)
+
+
+def test_a_worker_with_another_tactile_is_one_line(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, real = os.getpid(), version
+    monkeypatch.setattr(
+        crews, "version", lambda package: real(package) if os.getpid() == here else "0.0.1"
+    )
+    with pytest.raises(
+        InputError, match=r"worker tcp://.* has tactile 0\.0\.1, here it is .*pip install"
+    ):
+        run_study(study(), scheduler=cluster.scheduler_address)

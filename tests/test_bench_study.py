@@ -1,14 +1,13 @@
 """The benchmark of design studies: registered, and beside the yardstick of this checkout."""
 
-from tactile.bench import BENCHMARKS, LONG
-from tactile.bench.study import REFERENCE, measure_study, measure_study_long, sweep_robustly
+from tactile.bench import BENCHMARKS
+from tactile.bench.study import REFERENCE, measure_study, sweep_robustly
 
 
 def test_studies_are_measured_beside_the_finite_elements_of_the_checkout() -> None:
     """Elsewhere those figures would be left out without a word."""
     assert REFERENCE.is_file()
     assert BENCHMARKS["study"] is measure_study
-    assert LONG["study-long"] is measure_study_long
 
 
 def test_the_smallest_robust_sweep_is_solved() -> None:

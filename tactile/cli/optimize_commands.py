@@ -65,6 +65,9 @@ def optimize_design(
     plot: Annotated[
         Path | None, typer.Option(help="Picture of the front: .png, .svg, .pdf.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="All of it, with pictures: one .html file.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the designs that none beats in all that is asked for, and recommend one.
@@ -102,10 +105,10 @@ def optimize_design(
         share=0.9 if robust is None else robust,
         seed=seed,
     )
-    _check_files(task, out, plot)
+    _check_files(task, out, plot, report)
     front = _find(task, shown=not as_json)
     _tell(front, as_json=as_json)
-    _keep(front, out, plot, said=not as_json)
+    _keep(front, out, plot, report, said=not as_json)
 
 
 def _pairs(texts: Iterable[str]) -> list[tuple[str, str]]:
@@ -157,8 +160,12 @@ def _limit(name: str, text: str) -> tuple[str, tuple[float, float]]:
     return name, (value, math.inf) if sign > 0 else (-math.inf, value)
 
 
-def _check_files(task: "Task", out: Path | None, plot: Path | None) -> None:
+def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path | None) -> None:
     """Raise InputError for what cannot be written, before anything is computed for it."""
+    if report is not None:
+        from tactile.report import check_report
+
+        check_report(report)
     if out is not None:
         from tactile.study.storing import check_store
 
@@ -216,19 +223,27 @@ def _tell(front: "xarray.Dataset", *, as_json: bool) -> None:
     typer.echo(f"Between the frequencies that were solved, figures differ by {error:.2%} at most.")
 
 
-def _keep(front: "xarray.Dataset", out: Path | None, plot: Path | None, *, said: bool) -> None:
+def _keep(
+    front: "xarray.Dataset", out: Path | None, plot: Path | None, report: Path | None, *, said: bool
+) -> None:
     """Write the files that were asked for."""
     if out is not None:
         from tactile.study.storing import save
 
         save(front, out)
     if plot is not None:
-        from tactile.plots.study_plots import plot_pareto
+        from tactile.plots import plot_pareto
         from tactile.study.recommending import recommend
 
-        objectives = front.attrs["objectives"].split()
-        plot_pareto(plot, front, objectives, knee=recommend(front).place)
+        plot_pareto(plot, front, front.attrs["objectives"].split(), knee=recommend(front).place)
+    if report is not None:
+        from tactile.report import front_report, write_report
+        from tactile.study.recommending import recommend
+
+        advice = recommend(front)
+        sections = front_report(front, knee=advice.place)
+        write_report(report, "Designs that none beats", sections, subtitle=advice.words)
     if said:
-        for path in (out, plot):
+        for path in (out, plot, report):
             if path is not None:
                 typer.echo(f"written: {path}")

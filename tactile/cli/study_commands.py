@@ -13,7 +13,7 @@ from rich.table import Table
 import tactile
 from tactile.cli.app import AsJson, app
 from tactile.study.asking import Words, ask, start_from
-from tactile.study.criteria import CRITERIA
+from tactile.study.criteria import CRITERIA, variable
 from tactile.study.findings import Figures, check_share, summarize
 from tactile.study.runs import fitting_workers, run_study
 from tactile.study.storing import check_store
@@ -65,11 +65,17 @@ def study_design(
     scheduler: Annotated[
         str | None, typer.Option(help="Dask cluster that solves, as tcp://host:8786.")
     ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture of the first criterion: .png, .svg, .pdf.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="All that it says, with pictures: one .html file.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Sweep parameters of a bender, and tell which are best, and what is nearly as good.
 
-    Example: tactile study length_mm=8:30:0.25 load=low,high
+    Example: tactile study length_mm=8:30:0.25 load=low,high --report study.html
 
     Without criterion, band and frequencies it is the smallest displacement in 0 to 1000 Hz.
     """
@@ -88,16 +94,47 @@ def study_design(
     )
     study = ask(words, None if display is None else start_from(tactile.load_display(display)))
     check_share(within)
-    if out is not None:
-        check_store(out)
+    _check_files(out, plot, report)
     data = _run(study, out, workers, scheduler, shown=not as_json)
+    if out is not None and not as_json:
+        typer.echo(f"stored: {out}")
     figures = summarize(data, share=within)
+    _draw(data, study, plot, report, share=within)
     if as_json:
         typer.echo(json.dumps(figures | {"stored": None if out is None else str(out)}))
         return
     _print(figures)
+    for path in (plot, report):
+        if path is not None:
+            typer.echo(f"written: {path}")
+
+
+def _check_files(out: Path | None, plot: Path | None, report: Path | None) -> None:
+    """Raise InputError for what cannot be written, before anything is computed for it."""
     if out is not None:
-        typer.echo(f"stored: {out}")
+        check_store(out)
+    if plot is not None:
+        from tactile.plots import check_file
+
+        check_file(plot)
+    if report is not None:
+        from tactile.report import check_report
+
+        check_report(report)
+
+
+def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:
+    if plot is not None:
+        from tactile.plots import plot_criterion, plot_response_phase
+
+        if study.criteria:
+            plot_criterion(plot, data, variable(study.criteria[0]), share=share)
+        else:
+            plot_response_phase(plot, data, RESPONSES[study.responses[0]].variable)
+    if report is not None:
+        from tactile.report import study_report, write_report
+
+        write_report(report, "Study of a bender", study_report(data), subtitle=data.attrs["title"])
 
 
 def _run(

@@ -31,6 +31,7 @@ from tactile.plots.study_labels import (
     told_share,
 )
 from tactile.report.page import Picture, Section, Table
+from tactile.study.findings import WORST, reached
 from tactile.study.ranges import overlap, within
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
 SHARE = 0.85
 """Of the best that is good enough: the paper's."""
-ROBUST = 5.0
-"""Percent of scenarios that may be worse than what a design with scenarios is judged by."""
 MOST_DESIGNS = 40
 """Of a front that are told in a table, evenly picked."""
 DESIGN_ATTRIBUTES = ("base", "fixed", "fingers", "conditions", "bounds", "limits")
@@ -119,7 +118,7 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     """Return the best of each criterion under each finger, and which design it is."""
     rows = []
     for name in names:
-        values = _settled(data[name])
+        values = reached(data[name])
         for finger in lines_of(values, [str(d) for d in values.dims if d != "load"]):
             rest = finger.values * sign_of(values)
             if not bool(np.isfinite(rest).any()):
@@ -132,7 +131,7 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
                 (label(values).split(" [")[0], finger.name, f"{found.item():.4g} {unit}", design)
             )
     robust = (
-        f"With scenarios: what {100 - ROBUST:g} % of them attain." if SCENARIO in data.dims else ""
+        f"With scenarios: what {1 - WORST:.0%} of them attain." if SCENARIO in data.dims else ""
     )
     return Table(("criterion", "finger", "best", "design"), tuple(rows), robust)
 
@@ -142,14 +141,6 @@ def _agreed(data: "xarray.Dataset") -> str:
     place = chosen_design(data)
     told = ", ".join(told_of(data[d], k) for d, k in place.items())
     return f"Best for the worst finger by the first criterion: {told}." if told else ""
-
-
-def _settled(values: "xarray.DataArray") -> "xarray.DataArray":
-    """Return a criterion without scenarios: what all but the worst of them attain."""
-    if SCENARIO not in values.dims:
-        return values
-    share = ROBUST / 100 if sign_of(values) >= 0 else 1 - ROBUST / 100
-    return values.quantile(share, SCENARIO, keep_attrs=True).drop_vars("quantile")
 
 
 def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
@@ -181,7 +172,7 @@ def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
     for values in data.data_vars.values():
         if sign := sign_of(values):
             kept = number_axes(values)
-            size = (_settled(values) * sign).transpose(*kept, ...)
+            size = (reached(values) * sign).transpose(*kept, ...)
             worst = size.min([d for d in size.dims if d not in kept])
             if kept and bool(np.isfinite(worst).any()):
                 return {str(d): int(k) for d, k in worst.argmax(kept).items()}
@@ -201,7 +192,7 @@ def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Pictur
 
 def _criterion(data: "xarray.Dataset", name: str) -> Section:
     """Return a criterion along each axis, with what is good enough under each finger."""
-    values = _settled(data[name])
+    values = reached(data[name])
     content: list[str | Picture | Table] = []
     for axis, profile in _profiles(values).items():
         others = len([d for d in values.dims if d not in ("load", axis) and values.sizes[d] > 1])

@@ -67,8 +67,8 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
         "ranges": [],
         "overlaps": [],
     }
-    reached = {name: _reached(v) for name, v in judged.items()}
-    for values in reached.values():
+    attained = {name: reached(v) for name, v in judged.items()}
+    for values in attained.values():
         found["best"] += _best(values)
         ranges = list(_ranges(values, share))
         found["ranges"] += [_told(values, at, one) for at, one in ranges]
@@ -80,7 +80,7 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
             "unit": v.attrs["units"],
             "means": v.attrs["long_name"],
         }
-        for name, v in reached.items()
+        for name, v in attained.items()
     }
     return found
 
@@ -93,7 +93,7 @@ def _sign(values: "xarray.DataArray") -> int:
     return CRITERIA[values.attrs["criterion"]].sign
 
 
-def _reached(values: "xarray.DataArray") -> "xarray.DataArray":
+def reached(values: "xarray.DataArray") -> "xarray.DataArray":
     """Return what all but the worst scenarios reach; the median of what is neither good nor bad."""
     values = values.load()
     if "scenario" not in values.dims:

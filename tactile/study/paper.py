@@ -249,8 +249,8 @@ def _records() -> list[Claim]:
     loads = {"load": ["none", *FINGERS]}
     size = _sizes(loads)
     changed = partial(_change, size, loads)
-    dense = changed(shim_density_kg_m3=2 * standard_value("shim_density_kg_m3", Bimorph()))
-    wide = changed(width_mm=2 * standard_value("width_mm", Bimorph()))
+    dense = changed(shim_density_kg_m3=2 * float(standard_value("shim_density_kg_m3", Bimorph())))
+    wide = changed(width_mm=2 * float(standard_value("width_mm", Bimorph())))
     pressed = changed(axial_force_n=-0.1)
     shaping = 20 * np.log10(size.max(axis=1) / size[:, 1:].min(axis=1))
     volts = 10 / size[:, 1:].min(axis=1)

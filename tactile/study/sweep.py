@@ -33,6 +33,7 @@ from tactile.study.parameters import (
     standard_value,
 )
 from tactile.study.scenarios import Scenarios
+from tactile.study.storing import study_extra
 
 if TYPE_CHECKING:
     import xarray
@@ -285,7 +286,8 @@ def _kept(study: Study, response: TipResponse, axes: int) -> dict[str, NDArray[A
 
 def frame(study: Study) -> "xarray.Dataset":
     """Return the data set without its variables: coordinates, units and how it came to be."""
-    import xarray
+    with study_extra("a study"):
+        import xarray
 
     coordinates: dict[str, Any] = {}
     for name, values in study.axes.items():

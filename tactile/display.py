@@ -20,6 +20,7 @@ from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.materials import (
+    LARGEST_FIELD,
     PIEZOS,
     SHIMS,
     VACUUM_PERMITTIVITY,
@@ -41,8 +42,6 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
 
-LARGEST_FIELD = 0.4e6
-"""V/m in a piezo layer: half the coercive field of about 8 kV/cm of a soft PZT."""
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "unit")
 UNITS = {"m/V": 1.0, "um/V": 1e-6, "µm/V": 1e-6, "nm/V": 1e-9}
 MEASURED_BAND = (20.0, 1000.0)

@@ -138,6 +138,7 @@ def test_criteria_are_those_of_finite_elements() -> None:
         "attainable": min(min(60.0, 0.5e-3 / c) * s for s, c in zip(size, current, strict=True))
         * 1e6,
         "drive": 4e-6 / size.min(),
+        "field": 4e-6 / size.min() / 0.26,
         "current": (4e-6 / size * current).max() * 1e3,
         "shaping": 20 * np.log10(size.max() / size.min()),
         "blocked_force": abs(held.force[0]) * 1e3,
@@ -148,6 +149,17 @@ def test_criteria_are_those_of_finite_elements() -> None:
     assert set(expected) == set(CRITERIA)
     for name, theirs in expected.items():
         assert float(found[variable(name)][0]) == pytest.approx(theirs, rel=2e-6), name
+
+
+def test_a_thin_layer_bears_less_drive_and_twice_as_much_in_series() -> None:
+    """0.4 MV/m: 40 V on 0.1 mm, 80 V in series, and never more than the drive's own 100 V."""
+    axes = {"piezo_height_mm": [0.1, 0.24, 0.3], "wiring": ["parallel", "series"]}
+    asked = ("attainable", "smallest_displacement", "field", "drive")
+    found = solve_study(study(axes=axes, fixed={"load": "low"}, criteria=asked))
+    volts = found.attainable_um / found.smallest_displacement_um_per_v
+    assert volts.values == pytest.approx(np.array([[40, 80], [96, 100], [100, 100]]), rel=1e-9)
+    share = np.array([[1.0, 0.5]]) / np.array([[0.1], [0.24], [0.3]])
+    assert found.field_v_per_mm.values == pytest.approx(found.drive_v.values * share)
 
 
 @pytest.mark.parametrize("length", [2e-3, 9e-3, 20e-3, 45e-3])

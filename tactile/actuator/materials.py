@@ -22,6 +22,10 @@ VACUUM_PERMITTIVITY = 8.8541878128e-12
 """ε0 [F/m], CODATA 2018."""
 
 
+LARGEST_FIELD = 0.4e6
+"""V/m in a piezo layer: half the coercive field of about 8 kV/cm of a soft PZT."""
+
+
 def require_positive(owner: str, **values: Real) -> None:
     """Raise ValueError where a value is not finite and positive."""
     for name, value in values.items():

@@ -391,7 +391,9 @@ def pareto_figure(
         figure.colorbar(dots, label=_side(third[0], 44) + _better(third[0]))
     else:
         order = np.argsort(x.values)
-        axes.plot(x.values[order], y.values[order], "o-", color=BLUE, markersize=5, label="front")
+        reached = "steps-pre" if sign_of(x) > 0 else "steps-post"
+        axes.plot(x.values[order], y.values[order], "o-", color=BLUE, markersize=5, label="front",
+                  drawstyle=reached, linewidth=1.0)  # fmt: skip
     if knee is not None:
         _mark_knee(axes, x, y, knee)
     axes.set(xlabel=label(x) + _better(x), ylabel=_side(y, 44) + _better(y))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.actuator.materials import Real
+from tactile.actuator.materials import LARGEST_FIELD, Real
 from tactile.actuator.resonance import first_resonance
 from tactile.actuator.response import TipResponse, blocked_force
 from tactile.errors import InputError
@@ -28,6 +28,7 @@ class Conditions:
     ----------
     band : the lowest and highest frequency [Hz], or None where no criterion needs one
     voltage : the drive's limit [V]
+    field : the limit in a piezo layer [V/m], which a thin one reaches before that of the drive
     current : the amplifier's limit for one channel [A]; none by default
     amplitude : the flat shear that a drive is asked for [m]
 
@@ -39,6 +40,7 @@ class Conditions:
 
     band: tuple[float, float] | None = None
     voltage: float = 100.0
+    field: float = LARGEST_FIELD
     current: float = np.inf
     amplitude: float = 10e-6
 
@@ -47,7 +49,7 @@ class Conditions:
             raise InputError(
                 f"band = {self.band[0]:g}:{self.band[1]:g} Hz: must ascend from 0 Hz or above"
             )
-        for name in ("voltage", "current", "amplitude"):
+        for name in ("voltage", "field", "current", "amplitude"):
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} = {getattr(self, name):g}: must be above 0")
 
@@ -142,10 +144,12 @@ def _of_size(
 
 
 def drive_limit(s: Solved) -> Floats:
-    """Return the drive (..., F) [V] that limits of voltage and current allow at each frequency."""
+    """Return the drive (..., F) [V] that limits of voltage, field and current allow."""
+    b = s.specimen.bimorph
     with np.errstate(divide="ignore"):
         allowed = s.conditions.current / s.admittance
-    return np.minimum(s.conditions.voltage, allowed)
+    borne = s.conditions.field * np.asarray(b.piezo_height) / b.layer_voltage
+    return np.minimum(np.minimum(s.conditions.voltage, borne)[..., None], allowed)
 
 
 def _attainable(s: Solved) -> Floats:
@@ -154,6 +158,11 @@ def _attainable(s: Solved) -> Floats:
 
 def _drive(s: Solved) -> Floats:
     return np.asarray(s.conditions.amplitude / s.displacement.min(axis=-1))
+
+
+def _field(s: Solved) -> Floats:
+    b = s.specimen.bimorph
+    return np.asarray(_drive(s) * b.layer_voltage / b.piezo_height * 1e-3)
 
 
 def _current(s: Solved) -> Floats:
@@ -193,9 +202,10 @@ CRITERIA: dict[str, Criterion] = {
     **_of_size("displacement", "µm/V", 1e6, lambda s: s.displacement),
     **_of_size("force", "mN/V", 1e3, lambda s: s.force),
     "attainable": Criterion(
-        "µm", "flat shear over the band at the limits of drive", 1, True, _attainable
+        "µm", "flat shear over the band at the limits of drive and field", 1, True, _attainable
     ),
     "drive": Criterion("V", "largest drive for flat shear over the band", -1, True, _drive),
+    "field": Criterion("V/mm", "largest field for flat shear over the band", -1, True, _field),
     "current": Criterion("mA", "largest current for flat shear over the band", -1, True, _current),
     "shaping": Criterion("dB", "largest to smallest shear in the band", -1, True, _shaping),
     "blocked_force": Criterion(
@@ -210,6 +220,7 @@ UNIT_NAMES = {
     "mN/V": "mn_per_v",
     "µm": "um",
     "V": "v",
+    "V/mm": "v_per_mm",
     "mA": "ma",
     "dB": "db",
     "Hz": "hz",

@@ -10,6 +10,7 @@ front that it has found. One objective goes to differential evolution (Storn & P
 many frequencies has kinks.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ LARGE = 1e30
 """Stands for what is infinite or has no value: optimizers want numbers."""
 POPULATION, OFFSPRING, GENERATIONS = 128, 64, 60
 """Of fronts."""
+MOST_CORNERED = 5
+"""Numbers whose bounds have few enough corners: a quarter of a population."""
 BEST_GENERATIONS, BEST_POPULATION = 100, 15
 """Of one objective; the population is so many for each number that varies."""
 POLISH = 1e-6
@@ -71,7 +74,7 @@ def find_front(
         raise InputError(
             "several objectives need pymoo: pip install 'tactile-display[study]'"
         ) from None
-    start = qmc.scale(qmc.Sobol(len(low), rng=seed).random(POPULATION), low, high)
+    start = first_population(low, high, seed)
     f, g = score(start[:1])
     problem = Problem(n_var=len(low), n_obj=f.shape[1], n_ieq_constr=g.shape[1], xl=low, xu=high)
     algorithm = NSGA2(
@@ -91,6 +94,18 @@ def find_front(
         history.append(best.get("F")[best.get("FEAS").ravel()])
         progress(len(history), GENERATIONS)
     return Search(algorithm.opt.get("X"), history, evaluations, "NSGA-II of pymoo")
+
+
+def first_population(low: Floats, high: Floats, seed: int) -> Floats:
+    """Return (N, D) points that fill the bounds evenly, and their corners while these are few.
+
+    The ends of a front tend to lie in corners, which a search from within reaches last.
+    """
+    points = qmc.scale(qmc.Sobol(len(low), rng=seed).random(POPULATION), low, high)
+    if len(low) <= MOST_CORNERED:
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        points[: len(corners)] = corners
+    return points
 
 
 def find_best(

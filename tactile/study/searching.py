@@ -10,7 +10,6 @@ front that it has found. One objective goes to differential evolution (Storn & P
 many frequencies has kinks.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -30,8 +29,8 @@ LARGE = 1e30
 """Stands for what is infinite or has no value: optimizers want numbers."""
 POPULATION, OFFSPRING, GENERATIONS = 128, 64, 60
 """Of fronts."""
-MOST_CORNERED = 5
-"""Numbers whose bounds have few enough corners: a quarter of a population."""
+ASIDE = 1e-3
+"""Weight of the other objectives at the end of a front."""
 BEST_GENERATIONS, BEST_POPULATION = 100, 15
 """Of one objective; the population is so many for each number that varies."""
 POLISH = 1e-6
@@ -74,7 +73,7 @@ def find_front(
         raise InputError(
             "several objectives need pymoo: pip install 'tactile-display[study]'"
         ) from None
-    start = first_population(low, high, seed)
+    start, evaluations = first_population(score, low, high, seed)
     f, g = score(start[:1])
     problem = Problem(n_var=len(low), n_obj=f.shape[1], n_ieq_constr=g.shape[1], xl=low, xu=high)
     algorithm = NSGA2(
@@ -83,7 +82,7 @@ def find_front(
         sampling=start,
     )
     algorithm.setup(problem, termination=("n_gen", GENERATIONS), seed=seed)
-    history, evaluations = [], 0
+    history: list[Floats] = []
     while algorithm.has_next():
         asked = algorithm.ask()
         f, g = score(asked.get("X"))
@@ -93,19 +92,51 @@ def find_front(
         best = algorithm.opt
         history.append(best.get("F")[best.get("FEAS").ravel()])
         progress(len(history), GENERATIONS)
-    return Search(algorithm.opt.get("X"), history, evaluations, "NSGA-II of pymoo")
+    name = "NSGA-II of pymoo, its ends by Nelder-Mead of scipy"
+    return Search(algorithm.opt.get("X"), history, evaluations, name)
 
 
-def first_population(low: Floats, high: Floats, seed: int) -> Floats:
-    """Return (N, D) points that fill the bounds evenly, and their corners while these are few.
+def first_population(score: Score, low: Floats, high: Floats, seed: int) -> tuple[Floats, int]:
+    """Return points (N, D) that fill the bounds, the ends of the front among them, and the count.
 
-    The ends of a front tend to lie in corners, which a search from within reaches last.
+    The ends are what a population reaches last. Each is the least of one objective and a thousandth
+    of the others, in spans of the points that meet the limits, by Nelder and Mead from the best of
+    these; where none does there are no ends.
     """
     points = qmc.scale(qmc.Sobol(len(low), rng=seed).random(POPULATION), low, high)
-    if len(low) <= MOST_CORNERED:
-        corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-        points[: len(corners)] = corners
-    return points
+    lowered, missed = score(points)
+    meets = ~np.any(missed > 0, axis=1)
+    evaluations = len(points)
+    if not meets.any():
+        return points, evaluations
+    span = np.ptp(lowered[meets], axis=0)
+    scale = 1 / np.where(span > 0, span, 1.0)
+    for k in range(lowered.shape[1]):
+        weights = scale * np.where(np.arange(len(scale)) == k, 1.0, ASIDE)
+        best, taken = _least(score, weights, points[meets], low, high)
+        points[-1 - k] = best
+        evaluations += taken
+    return points, evaluations
+
+
+def _least(
+    score: Score, weights: Floats, designs: Floats, low: Floats, high: Floats
+) -> tuple[Floats, int]:
+    """Return the design (D,) of the least weighted sum, beginning from the best of some."""
+    evaluations = 0
+
+    def cost(shares: Floats) -> Floats:
+        nonlocal evaluations
+        f, g = score(low + np.atleast_2d(shares) * (high - low))
+        evaluations += len(f)
+        missed = np.maximum(g, 0).sum(axis=1)
+        return np.where(missed > 0, LARGE * missed, f @ weights)
+
+    shares = (designs - low) / (high - low)
+    costs = cost(shares)
+    first = shares[costs.argmin()]
+    fine = _simplex(cost, first, float(costs.min()))
+    return low + (fine.x if fine.fun <= costs.min() else first) * (high - low), evaluations
 
 
 def find_best(
@@ -143,26 +174,31 @@ def find_best(
         rng=seed,
         callback=note,
     )
-    best = _polished(cost, rough, unit)
+    best = _polished(cost, rough)
     history.append(np.array([[float(best.fun)]]))
     name = "differential evolution and Nelder-Mead of scipy"
     return Search((low + best.x * (high - low))[None], history, evaluations, name)
 
 
-def _polished(cost: Callable[[Floats], Floats], rough: OptimizeResult, unit: Bounds) -> Any:
+def _polished(cost: Callable[[Floats], Floats], rough: OptimizeResult) -> Any:
     """Return what Nelder and Mead's simplex makes of a minimum, or that itself."""
+    fine = _simplex(cost, rough.x, float(rough.fun))
+    return fine if fine.fun <= rough.fun else rough
+
+
+def _simplex(cost: Callable[[Floats], Floats], first: Floats, value: float) -> Any:
+    """Let Nelder and Mead's simplex lower a cost between 0 and 1, from a point and its cost."""
 
     def one(shares: Floats, /, *_: Any) -> float:
         return float(cost(shares)[0])
 
-    fine: Any = minimize(
+    return minimize(
         one,
-        rough.x,
+        first,
         method="Nelder-Mead",
-        bounds=unit,
-        options={"xatol": POLISH, "fatol": 1e-12 * abs(float(rough.fun))},
+        bounds=Bounds(np.zeros(len(first)), np.ones(len(first))),
+        options={"xatol": POLISH, "fatol": 1e-12 * abs(value)},
     )
-    return fine if fine.fun <= rough.fun else rough
 
 
 def hypervolume(history: list[Floats], front: Floats) -> Floats:

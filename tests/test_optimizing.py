@@ -94,8 +94,9 @@ def test_no_design_of_a_front_beats_another() -> None:
     assert np.all(np.diff(shear) <= 0), "the best of the first objective comes first"
 
 
+@pytest.mark.ci
 def test_a_front_reaches_as_far_as_each_objective_does_alone() -> None:
-    """A third number makes room that NSGA-II by itself enters last: it falls 2 % short there."""
+    """A third number makes room that NSGA-II by itself enters last: it falls 0.7 % short there."""
     task = Task(
         bounds={"length_mm": LENGTHS, "width_mm": WIDTHS, "piezo_height_mm": (0.12, 0.4)},
         objectives=WISHES,

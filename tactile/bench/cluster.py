@@ -22,7 +22,7 @@ from tactile.study.sweep import Study
 FREQUENCY = np.linspace(10.0, 1000.0, 32)
 """Hz of every study here."""
 SCENARIOS = 64
-BLOCKS = 24
+BLOCKS = 96
 """Of the study that workers share: some ten seconds of one."""
 DESIGNS = (100_000, 1_000_000)
 MEMORY_GIB = 4.0

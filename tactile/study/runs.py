@@ -34,9 +34,9 @@ WINDOW = 2
 WATCHED_S = 1.0
 """Between looks at whether somebody is left."""
 UNSTORED_POINTS = 2**30
-"""Designs × frequencies above which a study must be stored as it goes: half an hour of one core."""
-POOL_POINTS = 2**23
-"""From which on it pays to start processes: some ten seconds of one core."""
+"""Designs × frequencies above which a study must be stored as it goes: ten minutes of one core."""
+POOL_POINTS = 2**25
+"""From which on it pays to start processes: some fifteen seconds of one core."""
 
 
 class MemoryStore:

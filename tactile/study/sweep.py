@@ -42,8 +42,9 @@ Floats = NDArray[np.float64]
 Block = tuple[slice, ...]
 """A slice of each axis."""
 
-PIECE_POINTS = 2**13
-"""Designs × frequencies that are solved at once: their arrays stay in a processor's cache."""
+PIECE_POINTS = 7 * 2**10
+"""Designs × frequencies that are solved at once: their arrays stay in a processor's cache, and below
+the 128 KiB from which glibc asks the system anew for each (twice as slow, in Dask's workers too)."""
 LARGEST = 2**31
 """Bytes of a data set that is made in memory."""
 MODEL = "Hofmann & Twiefel 2014, doi 10.1515/ehs-2014-0055, corrected; exp(+jωt)"

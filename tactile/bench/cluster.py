@@ -5,6 +5,7 @@ solved by this process alone and stored as it goes: what counts is that memory s
 and that time (of the processor, whatever else runs) grows as the study does.
 """
 
+import logging
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,7 +47,11 @@ def _cluster_time(study: Study, workers: int) -> float:
     from distributed import LocalCluster
 
     with LocalCluster(  # type: ignore[no-untyped-call]
-        processes=True, n_workers=workers, threads_per_worker=1, dashboard_address=None
+        processes=True,
+        n_workers=workers,
+        threads_per_worker=1,
+        dashboard_address=None,
+        silence_logs=logging.CRITICAL,
     ) as cluster:
         run_study(robust_study(SCENARIOS * workers), scheduler=cluster.scheduler_address)
         begun = time.perf_counter()

@@ -20,14 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
-from tactile.actuator.response import tip_response
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.criteria import CRITERIA, Conditions, Solved, variable
 from tactile.study.parameters import FINGERS, PARAMETERS, specimen
 from tactile.study.scenarios import Scenarios
 from tactile.study.searching import LARGE, Search, find_best, find_front, hypervolume
-from tactile.study.sweep import PIECE_POINTS, Study, in_band, provenance, values_of
+from tactile.study.sweep import PIECE_POINTS, Study, in_band, provenance, response_of, values_of
 
 if TYPE_CHECKING:
     import xarray
@@ -207,15 +206,7 @@ def _judge_piece(task: Task, common: dict[str, Any], designs: Floats) -> dict[st
     for name, column in zip(task.bounds, designs.T, strict=True):
         values[name] = column[:, None] * np.asarray(factors.get(name, 1.0))
     made = specimen(values, base=task.base, fingers=task.fingers)
-    response = None
-    if np.size(task.frequency):
-        response = tip_response(
-            made.bimorph,
-            made.load,
-            task.frequency,
-            axial_force=made.axial_force,
-            measuring_point=made.measuring_point,
-        )
+    response = response_of(made, task.frequency)
     solved = Solved(made, response, task.conditions)
     with np.errstate(divide="ignore", invalid="ignore"):
         return {name: CRITERIA[name].judge(solved) for name in task.criteria}

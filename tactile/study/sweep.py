@@ -28,6 +28,7 @@ from tactile.study.parameters import (
     FINGERS,
     NAMED,
     PARAMETERS,
+    Specimen,
     check_value,
     specimen,
     standard_value,
@@ -43,8 +44,9 @@ Block = tuple[slice, ...]
 """A slice of each axis."""
 
 PIECE_POINTS = 7 * 2**10
-"""Designs × frequencies that are solved at once: their arrays stay in a processor's cache, and below
-the 128 KiB from which glibc asks the system anew for each (twice as slow, in Dask's workers too)."""
+"""Designs × frequencies that are solved at once. Their arrays stay in a processor's cache, and below
+the 128 KiB from which glibc asks the system for each: twice as slow beyond, also in Dask's workers.
+"""
 LARGEST = 2**31
 """Bytes of a data set that is made in memory."""
 MODEL = "Hofmann & Twiefel 2014, doi 10.1515/ehs-2014-0055, corrected; exp(+jωt)"
@@ -222,21 +224,27 @@ def _solve_piece(study: Study, piece: Block) -> dict[str, NDArray[Any]]:
     """Return what `solve_block` does of a part, its arrays perhaps of length one along an axis."""
     designs = specimen(values_of(study, piece), base=study.base, fingers=study.fingers)
     found: dict[str, NDArray[Any]] = {}
-    response = None
-    if np.size(study.frequency):
-        response = tip_response(
-            designs.bimorph,
-            designs.load,
-            study.frequency,
-            axial_force=designs.axial_force,
-            measuring_point=designs.measuring_point,
-        )
+    response = response_of(designs, study.frequency)
+    if response is not None:
         found.update(_kept(study, response, len(piece)))
     judged = Solved(designs, _banded(study, response), study.conditions)
     for name in study.criteria:
         value = np.asarray(CRITERIA[name].judge(judged))
         found[variable(name)] = value.reshape((1,) * (len(piece) - value.ndim) + value.shape)
     return found
+
+
+def response_of(designs: Specimen, frequency: ArrayLike) -> TipResponse | None:
+    """Return the response of designs (...,) at frequencies (F,) [Hz], or None without any."""
+    if not np.size(frequency):
+        return None
+    return tip_response(
+        designs.bimorph,
+        designs.load,
+        frequency,
+        axial_force=designs.axial_force,
+        measuring_point=designs.measuring_point,
+    )
 
 
 def values_of(study: Study, block: Block) -> dict[str, Any]:

@@ -44,9 +44,8 @@ Block = tuple[slice, ...]
 """A slice of each axis."""
 
 PIECE_POINTS = 7 * 2**10
-"""Designs × frequencies that are solved at once. Their arrays stay in a processor's cache, and below
-the 128 KiB from which glibc asks the system for each: twice as slow beyond, also in Dask's workers.
-"""
+"""Designs × frequencies that are solved at once. Their arrays stay in a processor's cache, and
+below the 128 KiB from which glibc asks the system for each, which is twice as slow."""
 LARGEST = 2**31
 """Bytes of a data set that is made in memory."""
 MODEL = "Hofmann & Twiefel 2014, doi 10.1515/ehs-2014-0055, corrected; exp(+jωt)"

@@ -67,6 +67,26 @@ def test_figures_for_machines_are_those_of_the_data_set(command: Command) -> Non
     assert told["figures"]["footprint_mm2"]["unit"] == "mm²"
 
 
+def test_what_is_neither_good_nor_bad_is_told_from_where_to_where(command: Command) -> None:
+    """A slender cantilever's resonance goes with 1/l²: 930.3 Hz at 20 mm (finite elements)."""
+    code, out, _ = command("length_mm=20,40", "--criterion", "first_resonance", "--json")
+    assert code == 0
+    (span,) = json.loads(out)["spans"]
+    assert (span["low"], span["high"]) == pytest.approx((930.3 / 4, 930.3), rel=5e-3)
+    code, out, _ = command("length_mm=20,40", "--criterion", "first_resonance")
+    assert code == 0
+    assert "930.3" in out
+
+
+def test_a_picture_and_a_report_come_with_it(command: Command) -> None:
+    code, out, _ = command("length_mm=12:24:4", "load=low,high", "--plot", "s.svg", "--report",
+                           "s.html")  # fmt: skip
+    assert code == 0
+    assert "written: s.html" in out
+    assert Path("s.svg").read_text().count("<svg") == 1
+    assert "free length" in Path("s.html").read_text()
+
+
 def test_scenarios_count_by_what_all_but_the_worst_reach(command: Command) -> None:
     code, out, _ = command("length_mm=16,20", "--scenarios", 16, "--seed", 3, "--out", "s.zarr",
                            "--frequency", "0:1000:100", "--band", "0:1000", "--json",

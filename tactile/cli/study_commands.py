@@ -167,13 +167,18 @@ def _print(f: Figures) -> None:
         for one in f["best"]
     ]  # fmt: skip
     _table(title, ("best", "finger", "value", "at"), rows)
+    spans = [
+        (one["criterion"], f"{one['low']:.4g}", f"{one['high']:.4g}", one["unit"])
+        for one in f["spans"]
+    ]
+    _table("" if rows else title, ("over all designs", "from", "to", ""), spans)
     ranges = [
         (one["criterion"], _place(one["at"]), _span(one) + (" (cut)" if one["is_cut"] else ""))
         for one in f["ranges"]
     ]
     shared = [(one["criterion"], _place({"load": "all", **one["at"]}), _span(one))
               for one in f["overlaps"]]  # fmt: skip
-    _table(f"within {f['share']:.0%} of the best", ("", "of", "range"), ranges + shared)
+    _table(f"within {100 * f['share']:g} % of the best", ("", "of", "range"), ranges + shared)
     if len(f["figures"]) > 1:
         figures = [
             (name, f"{one['value']:.4g} {one['unit']}", one["means"])

@@ -46,8 +46,9 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
     dict
         ``designs``, ``axes`` (values of each), ``best`` (criterion, unit, value, at, for which
         finger), ``ranges`` (criterion, along, at, low, high, best, value, is_cut), ``overlaps``
-        (criterion, along, at, low, high; null where there is none) and ``figures``, all criteria
-        of the first best design.
+        (criterion, along, at, low, high; null where there is none), ``spans`` (criterion, unit,
+        low, high) of what is neither good nor bad, and ``figures``, all criteria of the first best
+        design.
 
     Raises
     ------
@@ -66,6 +67,8 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
         "best": [],
         "ranges": [],
         "overlaps": [],
+        "spans": [],
+        "figures": {},
     }
     attained = {name: reached(v) for name, v in judged.items()}
     for values in attained.values():
@@ -73,16 +76,26 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
         ranges = list(_ranges(values, share))
         found["ranges"] += [_told(values, at, one) for at, one in ranges]
         found["overlaps"] += _overlaps(values, ranges)
-    first = found["best"][0]["at"] if found["best"] else {}
-    found["figures"] = {
-        name: {
-            "value": float(v.sel(first)),
-            "unit": v.attrs["units"],
-            "means": v.attrs["long_name"],
+        found["spans"] += _span(values)
+    if found["best"]:
+        first = found["best"][0]["at"]
+        found["figures"] = {
+            name: {
+                "value": float(v.sel(first)),
+                "unit": v.attrs["units"],
+                "means": v.attrs["long_name"],
+            }
+            for name, v in attained.items()
         }
-        for name, v in attained.items()
-    }
     return found
+
+
+def _span(values: "xarray.DataArray") -> list[Figures]:
+    """Return from where to where a criterion goes of which neither more nor less is better."""
+    if _sign(values) or not bool(values.notnull().any()):
+        return []
+    told = {"criterion": values.attrs["criterion"], "unit": values.attrs["units"]}
+    return [told | {"low": float(values.min()), "high": float(values.max())}]
 
 
 def _axes(data: "xarray.Dataset | xarray.DataArray") -> list[str]:

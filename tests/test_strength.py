@@ -97,7 +97,7 @@ def test_events_have_the_spectrum_of_their_shape(
         def one(q: float) -> float:
             size = 2 * np.pi * sigma**2 * np.exp(-(sigma**2) * (k**2 + q**2) / 2)
             if shape == "edge":
-                size *= np.sqrt(np.e) * sigma * (k * np.cos(turn) + q * np.sin(turn))
+                size *= np.exp(0.5) * sigma * (k * np.cos(turn) + q * np.sin(turn))
             return float(size**2)
 
         across = quad(one, -8 / sigma, 8 / sigma, points=[0.0])[0] / (2 * np.pi)

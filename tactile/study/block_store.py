@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
-from tactile.study.storing import check_store, study_extra, write_zarr, written_whole
+from tactile.study.storing import MARKS, check_store, write_zarr, written_whole
 from tactile.study.sweep import Block, Study, blocks, frame, provenance, variables
 
 BLOCK_POINTS = 2**18
 """Designs × frequencies of a block: half a second of work, 4 MiB of each response."""
-MARKS = "progress/stored"
-"""Path in the store of the array of marks, one for each block."""
 
 
 def block_designs(study: Study) -> int:
@@ -149,13 +147,3 @@ def _make(study: Study, parts: list[Block], path: Path) -> None:
             MARKS, shape=counts, chunks=(1,) * len(counts), dtype=bool, fill_value=False,
             compressors=None,
         )  # fmt: skip
-
-
-def stored_share(path: Path) -> dict[str, str]:
-    """Return the attribute of a store that is not finished, or nothing."""
-    with study_extra(".zarr file"):
-        group = _open(path, "r")
-    if MARKS not in group:
-        return {}
-    marks = group[MARKS][...]
-    return {} if marks.all() else {"unfinished": f"{marks.sum()} of {marks.size} blocks stored"}

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tactile.errors import InputError
+from tactile.study.extras import study_extra
 from tactile.study.scenarios import Scenarios
-from tactile.study.storing import study_extra
 from tactile.study.sweep import Block, Study, solve_block
 
 Found = dict[str, NDArray[Any]]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from tactile.errors import InputError
 from tactile.study.block_store import BlockStore, study_blocks
 from tactile.study.crews import ClusterCrew, CrewLostError, Found, OwnCrew, PoolCrew, part_of
-from tactile.study.storing import check_store, load_study, save, study_extra
+from tactile.study.extras import study_extra
+from tactile.study.storing import check_store, load_study, save
 from tactile.study.sweep import Block, Study, check_memory, frame, variables
 
 if TYPE_CHECKING:

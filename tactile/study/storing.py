@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile.errors import InputError, NotFoundError
+from tactile.study.extras import study_extra
 
 if TYPE_CHECKING:
     import xarray
@@ -25,18 +26,11 @@ PARTS = {"_real": "real", "_imag": "imag"}
 """Ends of the names of a complex variable's parts, and what each is called."""
 PART_OF = "complex_variable"
 """Attribute of a part that names the whole."""
-EXTRA = "pip install 'tactile-display[study]'"
+MARKS = "progress/stored"
+"""Path in a store of the array of marks, one for each block that is there
+(`tactile.study.block_store`)."""
 AS_STORED: dict[str, Any] = {"decode_times": False, "decode_timedelta": False}
 """No unit of ours is a date."""
-
-
-@contextmanager
-def study_extra(what: str) -> Iterator[None]:
-    """Turn the lack of a library into one line that says what would do."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(f"{what} needs {error.name or error}; {EXTRA}") from None
 
 
 def check_store(path: str | Path) -> Path:
@@ -140,12 +134,22 @@ def load_study(path: str | Path) -> "xarray.Dataset":
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     if path.suffix == ".zarr":
-        from tactile.study.block_store import stored_share
-
         if "variables" in data.attrs:  # a group knows no order
             data = data[data.attrs["variables"].split()]
         data.attrs.update(stored_share(path))
     return _plain_names(data)
+
+
+def stored_share(path: Path) -> dict[str, str]:
+    """Return the attribute of a Zarr store that is not finished, or nothing."""
+    import zarr
+
+    group = zarr.open_group(path, mode="r")
+    if MARKS not in group:
+        return {}
+    marks: Any = group[MARKS]
+    done = np.asarray(marks[...])
+    return {} if done.all() else {"unfinished": f"{done.sum()} of {done.size} blocks stored"}
 
 
 def _plain_names(data: "xarray.Dataset") -> "xarray.Dataset":

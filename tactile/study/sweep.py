@@ -24,6 +24,7 @@ from tactile.actuator.response import TipResponse, tip_response
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.criteria import CRITERIA, Conditions, Solved, variable
+from tactile.study.extras import study_extra
 from tactile.study.parameters import (
     FINGERS,
     NAMED,
@@ -34,7 +35,6 @@ from tactile.study.parameters import (
     standard_value,
 )
 from tactile.study.scenarios import Scenarios
-from tactile.study.storing import study_extra
 
 if TYPE_CHECKING:
     import xarray

@@ -131,6 +131,10 @@ class Server:
         """Return what was recorded so far."""
         return list(self._ask("blocks"))
 
+    def xruns(self) -> int:
+        """Return how often the server itself was late, with the recorder or with its card."""
+        return int(self._ask("xruns"))
+
     def heard(self) -> Floats:
         """Return what was recorded up to now, from the first sound on [full scale]."""
         time.sleep(3 * self.buffer / RATE + 0.05)
@@ -178,9 +182,11 @@ class Recorder:
 
     def __init__(self, server: str) -> None:
         self.blocks: list[Block] = []
+        self.xruns = 0
         self.client = self._client(server)
         self.ports = [self.client.inports.register(f"in_{k}") for k in range(CHANNELS)]
         self.client.set_process_callback(self._process)
+        self.client.set_xrun_callback(self._xrun)
         self.client.activate()
 
     def _client(self, server: str) -> Any:
@@ -199,6 +205,9 @@ class Recorder:
         if self.ports[0].number_of_connections:
             heard = np.array([port.get_array() for port in self.ports], np.float64).T
             self.blocks.append((time.monotonic(), heard))
+
+    def _xrun(self, delayed_us: float) -> None:
+        self.xruns += 1
 
     def record(self) -> int:
         """Connect to PortAudio, and forget what was; return how many ports have a source."""
@@ -220,6 +229,7 @@ def main(server: str, inward: IO[bytes], outward: IO[bytes]) -> None:
             "hello": lambda: "ready",
             "record": recorder.record,
             "blocks": lambda: list(recorder.blocks),
+            "xruns": lambda: recorder.xruns,
         }
         pickle.dump(answers[word](), outward)
         outward.flush()

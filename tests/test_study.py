@@ -259,6 +259,8 @@ def test_named_fingers_with_unequal_branches_are_each_themselves() -> None:
         ({"fixed": {"length_mm": 3.0}}, "length_mm: given twice"),
         ({"fixed": {"firmness": 1.0}}, "load and firmness: both are the finger"),
         ({"frequency": []}, "fewer than two frequencies in the band 0:1000 Hz"),
+        ({"frequency": [10.0, 990.0]}, "go from 10 to 990 Hz; add the band's ends"),
+        ({"axes": {"length_mm": [8.0, 8.0]}}, "length_mm: the axis has a value twice"),
         ({"frequency": [1.0, 1.0]}, "frequency_hz: must ascend"),
         ({"frequency": [-1.0, 1.0]}, "frequency_hz: must ascend from 0 Hz"),
         ({"conditions": Conditions()}, "smallest_displacement: needs a band"),
@@ -281,11 +283,15 @@ def test_what_cannot_be_asked_is_said_in_one_line(changes: dict[str, Any], said:
     [
         (lambda: Conditions(band=(5.0, 5.0)), "band = 5:5 Hz: must ascend"),
         (lambda: Conditions(voltage=0.0), "voltage = 0: must be above 0"),
-        (lambda: draw_scenarios(0), "scenarios = 0: must be at least 1"),
+        (lambda: draw_scenarios(0), "scenarios = 0: must be 1 … 1048576"),
         (lambda: draw_scenarios(4, tolerances={"d31_pm_per_v": 2.0}), "tolerance of d31_pm_per_v"),
         (lambda: Scenarios(), "need one, of at least 1"),
         (lambda: Scenarios(values={"length": np.ones(3)}), "no parameter 'length'"),
         (lambda: solve_study(study(fixed={"measuring_point_mm": 15.0})), "lies beyond the tip"),
+        (
+            lambda: solve_study(study(fixed={"axial_force_n": -26.0}, axes={"length_mm": [20.0]})),
+            r"axial_force_n = -26: buckles a bender that bears 25\.\d N",
+        ),
         (lambda: within(np.array([1.0]), np.array([1.0]), share=0.9), "two or more ascending"),
         (lambda: within(np.arange(3.0), np.arange(3.0), share=1.0), "share = 1"),
     ],
@@ -427,6 +433,13 @@ def test_a_range_of_what_should_be_small_ends_at_its_multiple() -> None:
     found = within(along, along, share=0.5, sign=-1)
     assert (found.low, found.high, found.best) == pytest.approx((1, 2, 1), abs=2e-3)
     assert found.is_cut
+
+
+def test_levels_are_good_enough_within_so_many_decibels() -> None:
+    """85 % is 1.41 dB, also about 0 dB."""
+    along = np.linspace(0, 10, 1001)
+    found = within(along, along - 1.0, share=0.85, sign=-1, in_db=True)
+    assert (found.low, found.high, found.value) == pytest.approx((0.0, 1.41, -1.0), abs=0.01)
 
 
 def test_of_two_stretches_it_is_that_with_the_best() -> None:

@@ -172,6 +172,8 @@ def _facts(fit: "LoadFit | BimorphFit") -> dict[str, Any]:
 
 
 def _print_result(fit: "LoadFit | BimorphFit", name: str) -> None:
+    from tactile.study.load_fit import EXACT_BENDER
+
     bender = len(fit.told) != len(fit.constants)
     title = f"{'Bimorph' if bender else 'Finger'} of {name}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
@@ -190,5 +192,5 @@ def _print_result(fit: "LoadFit | BimorphFit", name: str) -> None:
         figures = (f"{value:.3g}" for value in (one.start_rms_db, one.rms_db, one.worst_db))
         table.add_row(one.measurement.name, *figures, str(len(one.measurement.frequency)))
     Console().print(table)
-    for note in fit.notes:
+    for note in (*fit.notes, *([] if bender else [EXACT_BENDER])):
         typer.echo(f"note: {note}")

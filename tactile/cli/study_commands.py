@@ -77,7 +77,8 @@ def study_design(
 
     Example: tactile study length_mm=8:30:0.25 load=low,high --report study.html
 
-    Without criterion, band and frequencies it is the smallest displacement in 0 to 1000 Hz.
+    Without criterion, band and frequencies it is the smallest displacement in 0 to 1000 Hz; without
+    a finger, under the low and the high one.
     """
     words = Words(
         axes=axes,
@@ -99,13 +100,13 @@ def study_design(
     if out is not None and not as_json:
         typer.echo(f"stored: {out}")
     figures = summarize(data, share=within)
-    _draw(data, study, plot, report, share=within)
     if as_json:
         typer.echo(json.dumps(figures | {"stored": None if out is None else str(out)}))
-        return
-    _print(figures)
+    else:
+        _print(figures)
+    _draw(data, study, plot, report, share=within)
     for path in (plot, report):
-        if path is not None:
+        if path is not None and not as_json:
             typer.echo(f"written: {path}")
 
 
@@ -200,7 +201,7 @@ def _table(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]
 
 
 def _finger(name: str | None) -> str:
-    return "the worst of all" if name == "all" else name or ""
+    return "suits all" if name == "all" else name or ""
 
 
 def _place(at: dict[str, Any]) -> str:
@@ -210,4 +211,4 @@ def _place(at: dict[str, Any]) -> str:
 def _span(one: dict[str, Any]) -> str:
     if one["low"] is None:
         return "nothing"
-    return f"{one['along']} {one['low']:.1f} … {one['high']:.1f}"
+    return f"{one['along']} {one['low']:.3g} … {one['high']:.3g}"

@@ -300,7 +300,13 @@ def criterion_figure(
     for line in lines_of(values, (along,)):
         told = line.name
         if sign:
-            good = within(x, line.values.values, share=share, sign=sign)
+            good = within(
+                x,
+                line.values.values,
+                share=share,
+                sign=sign,
+                in_db=values.attrs.get("units") == "dB",
+            )
             ranges.append(good)
             told = f"{line.name}  {told_range(good, unit)}".strip()
             _shade(axes, x, line, good)

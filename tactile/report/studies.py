@@ -31,7 +31,7 @@ from tactile.plots.study_labels import (
     told_share,
 )
 from tactile.report.page import Picture, Section, Table
-from tactile.study.findings import WORST, reached
+from tactile.study.findings import WORST, agreed, reached
 from tactile.study.ranges import overlap, within
 
 if TYPE_CHECKING:
@@ -137,10 +137,10 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
 
 
 def _agreed(data: "xarray.Dataset") -> str:
-    """Return the design that suits the worst finger best."""
+    """Return the design that suits all fingers best."""
     place = chosen_design(data)
     told = ", ".join(told_of(data[d], k) for d, k in place.items())
-    return f"Best for the worst finger by the first criterion: {told}." if told else ""
+    return f"By the first criterion this suits the fingers best: {told}." if told else ""
 
 
 def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
@@ -165,14 +165,15 @@ def number_axes(values: "xarray.DataArray | xarray.Dataset") -> list[str]:
 
 
 def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
-    """Return a place on each axis of numbers: the best for the worst finger, else the middle.
+    """Return a place on each axis of numbers: what suits all fingers best, else the middle.
 
     It is judged by the first criterion of which more or less is better.
     """
     for values in data.data_vars.values():
         if sign := sign_of(values):
             kept = number_axes(values)
-            size = (reached(values) * sign).transpose(*kept, ...)
+            one = reached(values)
+            size = (agreed(one) if "load" in one.dims else one * sign).transpose(*kept, ...)
             worst = size.min([d for d in size.dims if d not in kept])
             if kept and bool(np.isfinite(worst).any()):
                 return {str(d): int(k) for d, k in worst.argmax(kept).items()}
@@ -203,21 +204,30 @@ def _criterion(data: "xarray.Dataset", name: str) -> Section:
         draw = partial(criterion_figure, part, name, axis=axis, share=SHARE)
         content.append(_pictured(draw, words, caption))
         if sign_of(values):
-            content.append(_ranges(profile, axis))
+            content.append(_ranges(profile, axis, is_all=not others))
     return Section(_sentence(label(values).split(" [")[0]), tuple(content))
 
 
-def _ranges(profile: "xarray.DataArray", axis: str) -> Table:
-    """Return what is good enough under each finger, and what all share."""
+def _ranges(profile: "xarray.DataArray", axis: str, *, is_all: bool) -> Table:
+    """Return what is good enough under each finger, and what all share.
+
+    They share it only where there is no other axis, along which each might have its own best.
+    """
     profile = profile.sortby(axis)
     unit = str(profile[axis].attrs.get("units", ""))
     lines = lines_of(profile, (axis,))
     found = [
-        within(profile[axis].values, line.values.values, share=SHARE, sign=sign_of(profile))
+        within(
+            profile[axis].values,
+            line.values.values,
+            share=SHARE,
+            sign=sign_of(profile),
+            in_db=profile.attrs.get("units") == "dB",
+        )
         for line in lines
     ]
     rows = [(line.name or "all", told_range(r, unit)) for line, r in zip(lines, found, strict=True)]
-    if len(found) > 1:
+    if len(found) > 1 and is_all:
         shared = overlap(found)
         told = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
         rows.append(("shared by all", told))

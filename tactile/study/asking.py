@@ -67,7 +67,7 @@ class Start:
 
     base: Bimorph = field(default_factory=Bimorph)
     fingers: dict[str, FingerLoad] = field(default_factory=lambda: dict(FINGERS))
-    finger: str = "none"
+    meant: tuple[str, ...] = ("low", "high")
     voltage: float = 100.0
     current: float = math.inf
 
@@ -79,7 +79,7 @@ def start_from(display: Display) -> Start:
     return Start(
         display.bimorph,
         {**FINGERS, "display": finger},
-        "display",
+        ("display",),
         display.limits.voltage,
         display.limits.current,
     )
@@ -103,7 +103,7 @@ def ask(words: Words, start: Start | None = None) -> Study:
         if has_finger:
             scenarios = replace(scenarios, values={})
     elif not has_finger:
-        fixed["load"] = start.finger
+        axes["load"] = np.array(start.meant)
     is_paper = not (words.criteria or words.keep)
     band = _band(words, is_paper=is_paper)
     limits = Conditions(
@@ -155,7 +155,10 @@ def _band(words: Words, *, is_paper: bool) -> tuple[float, float] | None:
 
 def _frequency(words: Words, band: tuple[float, float] | None) -> NDArray[np.float64]:
     if words.frequency is not None:
-        return np.asarray(parse_values("frequency_hz", words.frequency, is_named=False))
+        told = np.asarray(parse_values("frequency_hz", words.frequency, is_named=False))
+        if band is None or np.sum((told >= band[0]) & (told <= band[1])) < 2:
+            return told
+        return np.union1d(told, band)
     return np.empty(0) if band is None else np.linspace(*band, FREQUENCIES)
 
 

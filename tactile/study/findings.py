@@ -1,7 +1,8 @@
 """What a study says, in a few figures: the best designs, good ranges, and what fingers share.
 
 All of it is read from the data set, so that a stored study says the same again. Where scenarios
-were drawn, a design counts by what all but the worst 5 % of them reach.
+were drawn, a design counts by what all but the worst 5 % of them reach: Weibull's quantile, of
+which few draws are right on average.
 """
 
 import itertools
@@ -12,7 +13,7 @@ import numpy as np
 
 from tactile.errors import InputError
 from tactile.study.criteria import CRITERIA
-from tactile.study.ranges import Range, overlap, within
+from tactile.study.ranges import Range, overlap, shares, within
 from tactile.study.sweep import LARGEST
 
 if TYPE_CHECKING:
@@ -112,21 +113,40 @@ def reached(values: "xarray.DataArray") -> "xarray.DataArray":
     if "scenario" not in values.dims:
         return values
     share = {1: WORST, -1: 1 - WORST, 0: 0.5}[_sign(values)]
-    return values.quantile(share, "scenario", keep_attrs=True).drop_vars("quantile")
+    found = values.quantile(share, "scenario", method="weibull", keep_attrs=True, skipna=False)
+    return found.drop_vars("quantile")
 
 
 def _best(values: "xarray.DataArray") -> list[Figures]:
-    """Return the best design for each finger, and the one whose worst finger is best."""
+    """Return the best design for each finger, and the one that suits all of them best."""
     sign = _sign(values)
-    if not sign:
+    if not sign or not bool(np.isfinite(values).any()):
         return []
     cases: list[tuple[str | None, xarray.DataArray]] = [(None, values)]
     if FINGER in values.dims:
         cases = [(str(name), values.sel({FINGER: name})) for name in values[FINGER].values]
         if len(cases) > 1:
-            worst = (values * sign).min(FINGER) * sign
-            cases.append(("all", worst.assign_attrs(values.attrs)))
-    return [_best_of(one, finger, sign) for finger, one in cases]
+            cases.append(("all", agreed(values)))
+    return [
+        _best_of(one, finger, 1 if finger == "all" else sign)
+        for finger, one in cases
+        if bool(np.isfinite(one).any())
+    ]
+
+
+def agreed(values: "xarray.DataArray") -> "xarray.DataArray":
+    """Return how much of its own best each design leaves the finger that it suits least [%].
+
+    Fingers are far apart, so that the smallest of all would be that of the stiffest one alone.
+    """
+    size = values.copy(data=shares(values.values, sign=_sign(values), in_db=_in_db(values)))
+    rest = [d for d in size.dims if d != FINGER]
+    worst = (size / size.max(rest)).min(FINGER, skipna=False) * 100
+    return worst.assign_attrs({**values.attrs, "units": "% of each finger's own best"})
+
+
+def _in_db(values: "xarray.DataArray") -> bool:
+    return bool(values.attrs["units"] == "dB")
 
 
 def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figures:
@@ -169,8 +189,11 @@ def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures,
         ]  # fmt: skip
     for at in places:
         line = values.sel(at).values
-        if np.all(line > 0):
-            yield at, within(values[along].values, line, share=share, sign=sign)
+        if np.any(np.isfinite(line)):
+            yield (
+                at,
+                within(values[along].values, line, share=share, sign=sign, in_db=_in_db(values)),
+            )
 
 
 def _told(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:

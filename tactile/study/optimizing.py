@@ -218,7 +218,8 @@ def attained(values: Floats, share: float, sign: int) -> Floats:
     Where more is better (``sign`` 1) it is the quantile 1 − share, else the quantile ``share``.
     """
     held = np.clip(values, -LARGE, LARGE)
-    return np.asarray(np.quantile(held, 1 - share if sign > 0 else share, axis=-1))
+    wanted = 1 - share if sign > 0 else share
+    return np.asarray(np.quantile(held, wanted, axis=-1, method="weibull"))
 
 
 def scores(task: Task, designs: Floats) -> tuple[Floats, Floats]:
@@ -362,7 +363,10 @@ def _labeled(
         labels = {"units": "1", "long_name": "share of the box of the front"}
         data["hypervolume"] = ("generation", hypervolume(search.history, lowered), labels)
     else:
-        best = -CRITERIA[task.objectives[0]].sign * np.array([f.min() for f in search.history])
+        least = np.array([f.min() for f in search.history])
+        best = -CRITERIA[task.objectives[0]].sign * np.where(
+            np.abs(least) < LARGE / 1e6, least, np.nan
+        )
         data["best"] = ("generation", best, {"units": CRITERIA[task.objectives[0]].unit})
     return data
 
@@ -392,4 +396,7 @@ def _provenance(task: Task, search: Search, designs: Floats) -> dict[str, Any]:
     }
     if task.scenarios is not None:
         found |= {"scenarios": task.scenarios.count, "share": task.share}
+        drawn = {**task.scenarios.values, **task.scenarios.factors}
+        spread = {name: [float(np.mean(x)), float(np.std(x))] for name, x in drawn.items()}
+        found["drawn"] = json.dumps(spread)
     return found

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.actuator.bimorph import Bimorph
+from tactile.actuator.bimorph import Bimorph, section
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import PIEZOS, SHIMS, VACUUM_PERMITTIVITY, Real
 from tactile.errors import InputError
@@ -259,6 +259,24 @@ def _bimorph(values: Values, base: Bimorph) -> tuple[Bimorph, dict[str, Floats]]
         raise InputError(f"impossible bender: {error}") from None
 
 
+def _check_buckling(bimorph: Bimorph, axial_force: Floats) -> None:
+    """Raise InputError where a bender gives way under a press, as a column does by itself (Euler).
+
+    A finger would hold its tip a little longer; a bender that relies on that is none to build.
+    """
+    if not np.any(axial_force < 0):
+        return
+    s = section(bimorph)
+    column = np.pi**2 * s.EI.real / (4 * np.asarray(bimorph.length) ** 2)
+    share = -axial_force / (column / (1 + column / s.AG.real))
+    if np.any(share >= 1):
+        least = float(np.min(np.broadcast_to(column, np.shape(share))[share >= 1]))
+        raise InputError(
+            f"axial_force_n = {float(np.min(axial_force)):g}: "
+            f"buckles a bender that bears {least:.3g} N"
+        )
+
+
 def specimen(
     values: Values,
     *,
@@ -290,6 +308,7 @@ def specimen(
             f"measuring_point_mm = {float(np.max(point)) * 1e3:g}: lies beyond the tip of a bender "
             f"of length_mm = {float(np.min(bimorph.length)) * 1e3:g}"
         )
+    _check_buckling(bimorph, rest.get("axial_force", np.zeros(())))
     load = (
         between(rest["firmness"])
         if "firmness" in rest

@@ -33,7 +33,9 @@ class Range:
     is_cut: bool
 
 
-def within(along: Floats, values: Floats, *, share: float, sign: int = 1) -> Range:
+def within(
+    along: Floats, values: Floats, *, share: float, sign: int = 1, in_db: bool = False
+) -> Range:
     """Return the range around the best in which a criterion stays within a share of the best.
 
     Parameters
@@ -42,6 +44,7 @@ def within(along: Floats, values: Floats, *, share: float, sign: int = 1) -> Ran
     values : (N,) of the criterion, above zero
     share : 0.85 asks for 85 % of the best where more is better, for 1/0.85 of it where less is
     sign : 1 where more is better, −1 where less is
+    in_db : whether values are levels, of which 0.85 is 1.4 dB; they need not be above zero
 
     Raises
     ------
@@ -59,7 +62,7 @@ def within(along: Floats, values: Floats, *, share: float, sign: int = 1) -> Ran
         raise InputError("a range needs an axis of two or more ascending numbers")
     if not 0 < share < 1:
         raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
-    size = values if sign > 0 else 1 / values
+    size = shares(values, sign=sign, in_db=in_db)
     best = int(np.nanargmax(size))
     level = share * size[best]
     ends = [_crossing(along[side], size[side], level) for side in _sides(best)]
@@ -70,6 +73,12 @@ def within(along: Floats, values: Floats, *, share: float, sign: int = 1) -> Ran
         value=float(values[best]),
         is_cut=ends[0][1] or ends[1][1],
     )
+
+
+def shares(values: Floats, *, sign: int, in_db: bool) -> Floats:
+    """Return what is in proportion to how good values are."""
+    size = 10 ** (values / 20) if in_db else values
+    return size if sign > 0 else 1 / size
 
 
 def _sides(best: int) -> tuple[slice, slice]:

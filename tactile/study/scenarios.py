@@ -27,9 +27,12 @@ TOLERANCES = {
     "piezo_modulus_gpa": 0.03,
     "shim_modulus_gpa": 0.05,
     "d31_pm_per_v": 0.05,
+    "eps33t_relative": 0.07,
 }
-"""Relative standard deviations of heights, moduli and d31. Assumed: data sheets of ceramics give
-5 to 10 % for compliance and d31, as limits; heights are those of lapped plates and prepreg."""
+"""Relative standard deviations of heights, moduli, d31 and eps33T. Assumed: data sheets of ceramics
+give 10 to 20 % for d31 and eps33T and about 5 to 10 % for compliance, as limits, taken for three
+deviations; heights are those of lapped plates and prepreg."""
+MOST = 2**20
 LIMIT = 3.0
 """Standard deviations beyond which parts are sorted out."""
 
@@ -89,8 +92,10 @@ def draw_scenarios(
     """
     from scipy.stats import norm, qmc  # takes a second, which workers need not wait
 
-    if count < 1:
-        raise InputError(f"scenarios = {count}: must be at least 1")
+    if not 1 <= count <= MOST:
+        raise InputError(f"scenarios = {count}: must be 1 … {MOST}")
+    if seed < 0:
+        raise InputError(f"seed = {seed}: must be 0 or above")
     for name, spread in tolerances.items():
         if not 0 <= spread <= 0.3:
             raise InputError(f"tolerance of {name} = {spread:g}: must be 0 … 0.3 of its value")

@@ -136,6 +136,9 @@ def check_study(study: Study) -> None:
         if not np.size(values):
             raise InputError(f"{name}: the axis is empty; give at least one value")
         check_value(name, values, study.fingers)
+    for name, values in study.axes.items():
+        if np.unique(np.asarray(values)).size < np.size(values):
+            raise InputError(f"{name}: the axis has a value twice")
     drawn = set() if study.scenarios is None else set(study.scenarios.values)
     for one, other in itertools.combinations((set(study.axes), set(study.fixed), drawn), 2):
         if one & other:
@@ -161,7 +164,7 @@ def _check_frequencies(study: Study) -> None:
     """Raise InputError where a criterion lacks its band, or a curve its frequencies."""
     f, band = np.asarray(study.frequency), study.conditions.band
     if study.responses and not f.size:
-        raise InputError(f"{study.responses[0]}: needs frequencies, as frequency_hz=10:1000:5")
+        raise InputError(f"{study.responses[0]}: needs frequencies, as 10:1000:5 Hz")
     if "displacement_at_point" in study.responses and not (
         "measuring_point_mm" in study.axes or "measuring_point_mm" in study.fixed
     ):
@@ -171,9 +174,15 @@ def _check_frequencies(study: Study) -> None:
             continue
         if band is None:
             raise InputError(f"{name}: needs a band, as 10:1000 Hz")
-        if in_band(study).sum() < 2:
+        inside = f[in_band(study)]
+        if inside.size < 2:
             raise InputError(
                 f"{name}: fewer than two frequencies in the band {band[0]:g}:{band[1]:g} Hz"
+            )
+        if not np.allclose((inside[0], inside[-1]), band, rtol=1e-6, atol=1e-9):
+            raise InputError(
+                f"{name}: frequencies in the band {band[0]:g}:{band[1]:g} Hz go from "
+                f"{inside[0]:g} to {inside[-1]:g} Hz; add the band's ends"
             )
 
 

@@ -102,6 +102,22 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     assert (tmp_path / "full.zarr" / "thesis.txt").exists()
 
 
+@SUFFIXES
+def test_what_a_killed_run_left_does_not_stop_the_next(
+    data: xr.Dataset, suffix: str, tmp_path: Path
+) -> None:
+    path, left = tmp_path / f"s{suffix}", tmp_path / f".s{suffix}.new"
+    if suffix == ".zarr":
+        (left / "length_mm").mkdir(parents=True)
+    else:
+        left.write_text("half")
+    assert check_store(path) == path
+    assert left.exists()
+    save(data, path)
+    assert_same(data, load_study(path).load())
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
 def test_a_file_that_cannot_be_read_is_one_line(data: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="no such file"):
         load_study(tmp_path / "gone.nc")

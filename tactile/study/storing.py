@@ -8,6 +8,7 @@ all, as it is written beside its place and then renamed.
 """
 
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,8 +56,7 @@ def check_store(path: str | Path) -> Path:
     if path.suffix == ".nc" and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     try:
-        _beside(path).touch()
-        _beside(path).unlink()
+        tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     return path

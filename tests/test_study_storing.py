@@ -11,7 +11,7 @@ import xarray as xr
 from tactile.errors import InputError, NotFoundError
 from tactile.study.criteria import Conditions
 from tactile.study.scenarios import draw_scenarios
-from tactile.study.storing import check_store, load_study, save
+from tactile.study.storing import check_store, load_study, save, write_zarr, written_whole
 from tactile.study.sweep import Study, solve_study
 
 SUFFIXES = pytest.mark.parametrize("suffix", [".nc", ".zarr"])
@@ -116,6 +116,30 @@ def test_what_a_killed_run_left_does_not_stop_the_next(
     save(data, path)
     assert_same(data, load_study(path).load())
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_store_that_is_replaced_is_there_before_or_after_whatever_happens(
+    data: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fail each step of the replacement in turn, as a kill would end it there."""
+    path, old = tmp_path / "s.zarr", tmp_path / ".s.zarr.old"
+
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def replace(owner: object, step: str) -> None:
+        with monkeypatch.context() as broken, written_whole(path) as new:
+            write_zarr(data, new)
+            broken.setattr(owner, step, fail)
+
+    for owner, step in ((Path, "rename"), (Path, "replace"), (shutil, "rmtree")):
+        save(data, path)
+        assert [p.name for p in tmp_path.iterdir()] == [path.name]
+        with pytest.raises(KeyboardInterrupt):
+            replace(owner, step)
+        if not path.exists():
+            old.rename(path)
+        assert_same(data, load_study(path).load())
 
 
 def test_a_file_that_cannot_be_read_is_one_line(data: xr.Dataset, tmp_path: Path) -> None:

@@ -68,14 +68,22 @@ def _beside(path: Path) -> Path:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a path to write to, and rename it to this one once that is done."""
-    new = _beside(path)
+    """Give a path to write to, and rename it to this one once that is done.
+
+    A folder that was there is renamed before it goes (``.NAME.old``), so that whenever the process
+    ends there is one of the two.
+    """
+    new, old = _beside(path), path.with_name(f".{path.name}.old")
     if new.is_dir():
         shutil.rmtree(new)
     yield new
     if path.is_dir():
-        shutil.rmtree(path)
+        if old.is_dir():
+            shutil.rmtree(old)
+        path.rename(old)
     new.replace(path)
+    if old.is_dir():
+        shutil.rmtree(old)
 
 
 def save(data: "xarray.Dataset", path: str | Path) -> None:

@@ -103,6 +103,39 @@ def counted(submit: object, solved: list[int]) -> object:
     return count
 
 
+def test_runs_that_start_together_share_the_store_that_appears_first(
+    whole: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Let a second run begin, and store a block, while the first one makes its store."""
+    path, fill = tmp_path / "s.zarr", block_store._fill
+
+    def overtaken(*arguments: Any) -> None:
+        fill(*arguments)
+        monkeypatch.setattr(block_store, "_fill", fill)
+        with pytest.raises(StoppedError):
+            run_study(study(), store=path, progress=stop_at(1))
+
+    monkeypatch.setattr(block_store, "_fill", overtaken)
+    first = BlockStore(study(), path)
+    assert len(list(first.pending())) == 4
+    assert bits(run_study(study(), store=path)) == bits(whole)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_store_of_another_study_that_appears_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, fill = tmp_path / "s.zarr", block_store._fill
+
+    def overtaken(*arguments: Any) -> None:
+        fill(*arguments)
+        fill(study(12), study_blocks(study(12)), path)
+
+    monkeypatch.setattr(block_store, "_fill", overtaken)
+    with pytest.raises(InputError, match="holds another study"):
+        BlockStore(study(), path)
+
+
 def test_a_block_whose_mark_is_missing_is_solved_again(whole: xr.Dataset, tmp_path: Path) -> None:
     """As where a run is killed between the values and the mark."""
     path = tmp_path / "s.zarr"

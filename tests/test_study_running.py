@@ -1,6 +1,7 @@
 """Runs: bounded, the same whoever solves, and resumed with nothing lost wherever they end."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from study_rig import SMALL, bits, study
 
 from tactile.actuator.bimorph import Bimorph
@@ -168,6 +170,31 @@ def test_a_store_of_another_study_is_refused_and_left(tmp_path: Path) -> None:
             BlockStore(replace(study(), **other), path)
     assert len({question(replace(study(), **other)) for other in OTHERS}) == len(OTHERS)
     assert bits(load_study(path)) == before
+
+
+@pytest.mark.parametrize("text", ["", '{"zarr_format": 3, "no', "[]", "null", '"text"', "array"])
+def test_a_store_that_is_cut_or_holds_an_array_is_one_line_and_left(
+    text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.zarr"
+    if text == "array":
+        zarr.create_array(path, shape=(3,), dtype=float)
+    else:
+        path.mkdir()
+        (path / "zarr.json").write_text(text)
+    before = (path / "zarr.json").read_bytes()
+    for ask in (lambda: run_study(study(), store=path), lambda: load_study(path)):
+        with pytest.raises(InputError, match=r"bad\.zarr: cannot be read: ") as caught:
+            ask()
+        assert "\n" not in str(caught.value)
+    assert (path / "zarr.json").read_bytes() == before
+
+
+def test_a_store_without_its_marks_is_one_line(tmp_path: Path) -> None:
+    run_study(study(), store=tmp_path / "s.zarr")
+    shutil.rmtree(tmp_path / "s.zarr" / "progress")
+    with pytest.raises(InputError, match=r"cannot be read: .*progress/stored"):
+        run_study(study(), store=tmp_path / "s.zarr")
 
 
 def test_the_same_question_has_the_same_hash_however_it_is_written() -> None:

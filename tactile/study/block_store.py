@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
-from tactile.study.storing import MARKS, check_store, write_zarr
+from tactile.study.storing import MARKS, check_store, readable, write_zarr
 from tactile.study.sweep import Block, Study, blocks, frame, provenance, variables
 
 BLOCK_POINTS = 2**18
@@ -88,8 +88,9 @@ class BlockStore:
         if not self.path.exists():
             _make(study, self._blocks, self.path)
         _check_question(study, self.path)
-        self._group = _open(self.path, "r+")
-        self._marks = self._group[MARKS]
+        with readable(self.path):
+            self._group = _open(self.path, "r+")
+            self._marks = self._group[MARKS]
 
     def pending(self) -> Iterator[Block]:
         """Yield the blocks that are not stored, in order."""
@@ -114,7 +115,8 @@ def _open(path: Path, mode: Literal["r", "r+"]) -> Any:
 
 def _check_question(study: Study, path: Path) -> None:
     """Raise InputError where a store is not of this study."""
-    known = dict(_open(path, "r").attrs)
+    with readable(path):
+        known = dict(_open(path, "r").attrs)
     source = provenance(study)["source"]
     if known.get("question") == question(study):
         return

@@ -134,18 +134,27 @@ def load_study(path: str | Path) -> "xarray.Dataset":
     with study_extra(f"{path.suffix} file"):
         import xarray
 
-        try:
+        with readable(path):
             if path.suffix == ".nc":
-                data = _joined(xarray.load_dataset(path, engine="h5netcdf", **AS_STORED))
-            else:
-                data = xarray.open_zarr(path, chunks={}, consolidated=False, **AS_STORED)
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    if path.suffix == ".zarr":
-        if "variables" in data.attrs:  # a group knows no order
-            data = data[data.attrs["variables"].split()]
-        data.attrs.update(stored_share(path))
-    return _plain_names(data)
+                return _plain_names(
+                    _joined(xarray.load_dataset(path, engine="h5netcdf", **AS_STORED))
+                )
+            data = xarray.open_zarr(path, chunks={}, consolidated=False, **AS_STORED)
+            if "variables" in data.attrs:  # a group knows no order
+                data = data[data.attrs["variables"].split()]
+            data.attrs.update(stored_share(path))
+            return _plain_names(data)
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Raise InputError for what a file that is cut or holds something else makes of reading it."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: cannot be read: {' '.join(str(error).split())}; name another file, or remove it"
+        ) from error
 
 
 def stored_share(path: Path) -> dict[str, str]:

@@ -224,6 +224,23 @@ def test_what_is_too_much_to_lose_must_be_stored() -> None:
         run_study(long)
 
 
+def test_a_study_of_too_many_blocks_is_refused_before_anything_is_listed_or_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as lower:
+        lower.setattr(block_store, "LARGEST", 20)
+        assert len(study_blocks(study(100))) == 20
+    axis = np.linspace(1, 2, 4096)
+    many = Study(axes={"length_mm": axis * 8, "width_mm": axis, "shim_height_mm": axis / 9},
+                 criteria=("footprint",))  # fmt: skip
+    monkeypatch.setattr(block_store, "BLOCK_POINTS", 4096 * max(1, np.size(many.frequency)))
+    told = r"6\.87195e\+10 designs, 16777216 blocks of work, more than 1000000; ask for fewer"
+    for ask in (lambda: study_blocks(many), lambda: run_study(many, store=tmp_path / "s.zarr")):
+        with pytest.raises(InputError, match=told):
+            ask()
+    assert not list(tmp_path.iterdir())
+
+
 class LazyCrew:
     """Solves a part only when asked for, the last first, and counts what is under way."""
 

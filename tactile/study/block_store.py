@@ -10,6 +10,7 @@ of all that the numbers depend on: a store of another question is refused.
 
 import hashlib
 import json
+import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -25,6 +26,8 @@ from tactile.study.sweep import Block, Study, blocks, frame, provenance, variabl
 
 BLOCK_POINTS = 2**18
 """Designs × frequencies of a block: half a second of work, 4 MiB of each response."""
+LARGEST = 1_000_000
+"""Blocks of a study: six days of one core."""
 
 
 def block_designs(study: Study) -> int:
@@ -33,8 +36,28 @@ def block_designs(study: Study) -> int:
 
 
 def study_blocks(study: Study) -> list[Block]:
-    """Return the blocks of a study, in order."""
-    return list(blocks(study.shape, block_designs(study)))
+    """Return the blocks of a study, in order.
+
+    Raises
+    ------
+    InputError
+        Where there are more than `LARGEST`.
+    """
+    cut = blocks(study.shape, block_designs(study))
+    first = next(blocks(study.shape, block_designs(study)))
+    count = math.prod(_counts(study, first))
+    if count > LARGEST:
+        raise InputError(
+            f"the study has {study.designs:g} designs, {count} blocks of work, more than "
+            f"{LARGEST}; ask for fewer values along its axes or fewer frequencies, or make several "
+            "studies of it"
+        )
+    return list(cut)
+
+
+def _counts(study: Study, first: Block) -> tuple[int, ...]:
+    """Return how many blocks there are along each axis."""
+    return tuple(-(-size // part.stop) for size, part in zip(study.shape, first, strict=True))
 
 
 def question(study: Study) -> str:
@@ -77,7 +100,8 @@ class BlockStore:
     Raises
     ------
     InputError
-        Where something else is there, or the store of another study.
+        Where something else is there, or the store of another study, or it cannot be read; and
+        where the study has too many blocks.
     """
 
     def __init__(self, study: Study, path: str | Path) -> None:
@@ -149,7 +173,6 @@ def _fill(study: Study, parts: list[Block], path: Path) -> None:
     data = frame(study)
     data.attrs |= {"question": question(study), "variables": " ".join(variables(study))}
     chunks = tuple(part.stop for part in parts[0])
-    counts = tuple(-(-size // step) for size, step in zip(study.shape, chunks, strict=True))
     write_zarr(data, path)
     group = _open(path, "r+")
     for name, (dimensions, labels, kind) in variables(study).items():
@@ -159,6 +182,6 @@ def _fill(study: Study, parts: list[Block], path: Path) -> None:
             fill_value=np.nan, dimension_names=dimensions, attributes=labels,
         )  # fmt: skip
     group.create_array(
-        MARKS, shape=counts, chunks=(1,) * len(counts), dtype=bool, fill_value=False,
-        compressors=None,
+        MARKS, shape=_counts(study, parts[0]), chunks=(1,) * len(chunks), dtype=bool,
+        fill_value=False, compressors=None,
     )  # fmt: skip

@@ -152,8 +152,9 @@ def readable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        why = " ".join(str(error).split())
         raise InputError(
-            f"{path}: cannot be read: {' '.join(str(error).split())}; name another file, or remove it"
+            f"{path}: cannot be read: {why}; name another file, or remove it"
         ) from error
 
 

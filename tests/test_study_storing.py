@@ -149,7 +149,7 @@ def test_a_file_that_cannot_be_read_is_one_line(data: xr.Dataset, tmp_path: Path
     (tmp_path / "empty.zarr").mkdir()
     save(data, tmp_path / "cut.zarr")
     shutil.rmtree(tmp_path / "cut.zarr" / "length_mm")
-    for name in ("text.nc", "empty.zarr"):
+    for name in ("text.nc", "empty.zarr", "cut.zarr"):
         with pytest.raises(InputError, match="cannot be read") as caught:
             load_study(tmp_path / name)
         assert "\n" not in str(caught.value)

@@ -32,6 +32,8 @@ MARKS = "progress/stored"
 (`tactile.study.block_store`)."""
 AS_STORED: dict[str, Any] = {"decode_times": False, "decode_timedelta": False}
 """No unit of ours is a date."""
+NUMBERED = ("scenario", "design")
+"""Axes along which there is nothing but a number; all others have values."""
 
 
 def check_store(path: str | Path) -> Path:
@@ -143,6 +145,9 @@ def load_study(path: str | Path) -> "xarray.Dataset":
             if "variables" in data.attrs:  # a group knows no order
                 data = data[data.attrs["variables"].split()]
             data.attrs.update(stored_share(path))
+            for name in data.dims:
+                if name not in data.coords and name not in NUMBERED:
+                    raise ValueError(f"the values along {name} are missing")
             return _plain_names(data)
 
 

@@ -187,7 +187,7 @@ class ClusterCrew:
         if self._client.status != "running":
             raise CrewLostError(gone)
         try:
-            self._threads = sum(self._client.nthreads().values())
+            self._threads: int = sum(self._client.nthreads().values())
         except OSError as error:
             raise CrewLostError(gone) from error
         self._counted = time.monotonic()

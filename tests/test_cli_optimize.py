@@ -72,6 +72,17 @@ def test_a_front_is_printed_stored_and_drawn(command: Command, tmp_path: Path) -
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_store_that_is_there_is_refused_and_left(command: Command, tmp_path: Path) -> None:
+    study = tmp_path / "study.zarr" / "zarr.json"
+    study.parent.mkdir()
+    study.write_text("{}")
+    code, out, err = command(*QUICK, "--out", "study.zarr")
+    assert (code, out) == (2, "")
+    assert "study.zarr: is there already; remove it, or name another" in err
+    assert len(err.strip().splitlines()) == 1
+    assert study.read_text() == "{}"
+
+
 BAD = {
     "length_mm = 20: reads as low:high; fix one value with --fix length_mm=": ["length_mm=20"],
     "length_mm = 40:8: bounds must be finite and ascend": ["length_mm=40:8"],

@@ -3,6 +3,7 @@
 import os
 import signal
 import socket
+import time
 import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -68,13 +69,16 @@ def _lost_workers(cluster: Any, path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def leave(done: int, total: int) -> None:
         if done == 4:
             cluster.scale(0)
+            end = time.monotonic() + 60
+            while cluster.scheduler.workers and time.monotonic() < end:
+                time.sleep(0.02)
 
     told = r"has lost all its workers; \d+ of 20 blocks are stored in .*t\.zarr, and the same comm"
     with pytest.raises(InputError, match=told):
         run_study(study(96), store=path, scheduler=cluster.scheduler_address, progress=leave)
     stored = np.isfinite(load_study(path)["blocked_force_mn_per_v"].values).mean()
     assert 0.1 < stored < 1
-    monkeypatch.setattr(crews, "CONNECT_S", 0.5)
+    monkeypatch.setattr(crews, "WORKERS_S", 0.5)
     with pytest.raises(InputError, match=r"has no workers after 0.5 s; start some: dask worker"):
         run_study(study(96), store=path, scheduler=cluster.scheduler_address)
     assert bits(run_study(study(96), store=path)) == bits(run_study(study(96)))

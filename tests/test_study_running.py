@@ -1,27 +1,38 @@
 """Runs: bounded, the same whoever solves, and resumed with nothing lost wherever they end."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from study_rig import SMALL, bits, study
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.errors import InputError
 from tactile.study import block_store, crews, runs
 from tactile.study.block_store import BlockStore, question, study_blocks
-from tactile.study.crews import CrewLostError, Found, OwnCrew, PoolCrew, part_of, solve_part
+from tactile.study.crews import (
+    ClusterCrew,
+    CrewLostError,
+    Found,
+    OwnCrew,
+    PoolCrew,
+    part_of,
+    solve_part,
+)
 from tactile.study.criteria import Conditions
 from tactile.study.parameters import FINGERS
 from tactile.study.runs import run_study, solve_blocks
@@ -103,6 +114,39 @@ def counted(submit: object, solved: list[int]) -> object:
     return count
 
 
+def test_runs_that_start_together_share_the_store_that_appears_first(
+    whole: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Let a second run begin, and store a block, while the first one makes its store."""
+    path, fill = tmp_path / "s.zarr", block_store._fill
+
+    def overtaken(*arguments: Any) -> None:
+        fill(*arguments)
+        monkeypatch.setattr(block_store, "_fill", fill)
+        with pytest.raises(StoppedError):
+            run_study(study(), store=path, progress=stop_at(1))
+
+    monkeypatch.setattr(block_store, "_fill", overtaken)
+    first = BlockStore(study(), path)
+    assert len(list(first.pending())) == 4
+    assert bits(run_study(study(), store=path)) == bits(whole)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_store_of_another_study_that_appears_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, fill = tmp_path / "s.zarr", block_store._fill
+
+    def overtaken(*arguments: Any) -> None:
+        fill(*arguments)
+        fill(study(12), study_blocks(study(12)), path)
+
+    monkeypatch.setattr(block_store, "_fill", overtaken)
+    with pytest.raises(InputError, match="holds another study"):
+        BlockStore(study(), path)
+
+
 def test_a_block_whose_mark_is_missing_is_solved_again(whole: xr.Dataset, tmp_path: Path) -> None:
     """As where a run is killed between the values and the mark."""
     path = tmp_path / "s.zarr"
@@ -137,6 +181,31 @@ def test_a_store_of_another_study_is_refused_and_left(tmp_path: Path) -> None:
     assert bits(load_study(path)) == before
 
 
+@pytest.mark.parametrize("text", ["", '{"zarr_format": 3, "no', "[]", "null", '"text"', "array"])
+def test_a_store_that_is_cut_or_holds_an_array_is_one_line_and_left(
+    text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.zarr"
+    if text == "array":
+        zarr.create_array(path, shape=(3,), dtype=float)
+    else:
+        path.mkdir()
+        (path / "zarr.json").write_text(text)
+    before = (path / "zarr.json").read_bytes()
+    for ask in (lambda: run_study(study(), store=path), lambda: load_study(path)):
+        with pytest.raises(InputError, match=r"bad\.zarr: cannot be read: ") as caught:
+            ask()  # type: ignore[no-untyped-call]
+        assert "\n" not in str(caught.value)
+    assert (path / "zarr.json").read_bytes() == before
+
+
+def test_a_store_without_its_marks_is_one_line(tmp_path: Path) -> None:
+    run_study(study(), store=tmp_path / "s.zarr")
+    shutil.rmtree(tmp_path / "s.zarr" / "progress")
+    with pytest.raises(InputError, match=r"cannot be read: .*progress/stored"):
+        run_study(study(), store=tmp_path / "s.zarr")
+
+
 def test_the_same_question_has_the_same_hash_however_it_is_written() -> None:
     asked = study()
     again = replace(asked, axes={"length_mm": asked.axes["length_mm"], "load": ("low", "high")})
@@ -164,6 +233,23 @@ def test_what_is_too_much_to_lose_must_be_stored() -> None:
         run_study(long)
 
 
+def test_a_study_of_too_many_blocks_is_refused_before_anything_is_listed_or_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as lower:
+        lower.setattr(block_store, "LARGEST", 20)
+        assert len(study_blocks(study(100))) == 20
+    axis = np.linspace(1, 2, 4096)
+    many = Study(axes={"length_mm": axis * 8, "width_mm": axis, "shim_height_mm": axis / 9},
+                 criteria=("footprint",))  # fmt: skip
+    monkeypatch.setattr(block_store, "BLOCK_POINTS", 4096 * max(1, np.size(many.frequency)))
+    told = r"6\.87195e\+10 designs, 16777216 blocks of work, more than 1000000; ask for fewer"
+    for ask in (lambda: study_blocks(many), lambda: run_study(many, store=tmp_path / "s.zarr")):
+        with pytest.raises(InputError, match=told):
+            ask()
+    assert not list(tmp_path.iterdir())
+
+
 class LazyCrew:
     """Solves a part only when asked for, the last first, and counts what is under way."""
 
@@ -178,6 +264,8 @@ class LazyCrew:
         self.flying.append((future, part))
         self.most = max(self.most, len(self.flying))
         return future
+
+    def succeed(self) -> None: ...
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
         raise error
@@ -204,6 +292,85 @@ def test_only_a_few_blocks_are_under_way_at_once(monkeypatch: pytest.MonkeyPatch
     assert sorted(b[0].start for b in found) == [b[0].start for b in pending]
     assert len(pending) == 20
     assert crew.most == runs.WINDOW * crew.size
+
+
+class FrailCrew(PoolCrew):
+    """Loses a pool with every second part."""
+
+    asked = 0
+
+    def submit(self, part: Study) -> "Future[Found]":
+        future: Future[Found] = Future()
+        self._origin[future] = self._pool
+        self.asked += 1
+        if self.asked % 2:
+            future.set_exception(BrokenExecutor())
+        else:
+            future.set_result(solve_part(part))
+        return future
+
+
+def test_a_pool_is_given_up_only_where_no_part_succeeds_in_between() -> None:
+    asked = study(100)
+    crew = FrailCrew(1)
+    assert len(list(solve_blocks(asked, study_blocks(asked), crew))) == 20
+    assert crew.asked == 40 > 10 * crews.RESTARTS
+    crew.asked = -99
+    for _ in range(crews.RESTARTS):
+        crew._restart()
+    with pytest.raises(CrewLostError, match="died in 4 pools one after another"):
+        crew._restart()
+
+
+@pytest.fixture
+def cluster_crew(monkeypatch: pytest.MonkeyPatch) -> tuple[ClusterCrew, SimpleNamespace]:
+    """Return a crew without a cluster, and what it sees: the time now and its workers' threads."""
+    seen = SimpleNamespace(now=1000.0, threads={"one": 1})
+    monkeypatch.setattr(crews, "time", SimpleNamespace(monotonic=lambda: seen.now))
+    crew = ClusterCrew.__new__(ClusterCrew)
+    crew.address, crew._missed = "tcp://here:1", None
+    crew._client = SimpleNamespace(status="running", nthreads=lambda: seen.threads)
+    crew._count()
+    return crew, seen
+
+
+def test_a_cluster_is_given_up_only_after_it_was_seen_without_workers_for_a_while(
+    cluster_crew: tuple[ClusterCrew, SimpleNamespace],
+) -> None:
+    crew, seen = cluster_crew
+    seen.now += 100 * crews.LOST_S  # of steady work, in which nobody looked
+    crew.succeed()
+    seen.threads = {}
+    crew.watch()
+    seen.now += 0.9 * crews.LOST_S
+    crew.watch()
+    crew.succeed()
+    seen.now += 0.9 * crews.LOST_S
+    crew.watch()
+    seen.now += 1.1 * crews.LOST_S
+    with pytest.raises(CrewLostError, match="tcp://here:1 has lost all its workers"):
+        crew.watch()
+
+
+def test_a_cluster_that_grows_gets_more_parts_and_one_without_workers_still_one(
+    cluster_crew: tuple[ClusterCrew, SimpleNamespace],
+) -> None:
+    crew, seen = cluster_crew
+    sizes = []
+    for threads in ({"one": 1}, {"one": 1, "two": 8}, {}):
+        seen.threads, seen.now = threads, seen.now + 1.1 * crews.COUNTED_S
+        sizes.append(crew.size)
+    assert sizes == [1, 9, 1]
+
+
+def test_a_crew_of_one_beside_this_process_has_its_next_part_at_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runs, "WATCHED_S", 0.0)
+    monkeypatch.setattr(LazyCrew, "size", 1)
+    crew, asked = LazyCrew(), study()
+    assert len(list(solve_blocks(asked, study_blocks(asked), crew))) == 5  # type: ignore[arg-type]
+    assert crew.most == runs.WINDOW
 
 
 @pytest.mark.ci
@@ -234,7 +401,7 @@ def test_a_pool_that_keeps_dying_is_given_up_and_what_is_stored_is_told(
     monkeypatch.setattr(crews, "solve_part", os._exit)
     monkeypatch.setattr(crews, "part_of", lambda study, block: 1)
     monkeypatch.setattr(runs, "part_of", lambda study, block: 1)
-    told = r"workers died in 2 pools .*; 2 of 5 blocks are stored in .*s\.zarr, and the same"
+    told = r"workers died in 2 pools one .*; 2 of 5 blocks are stored in .*s\.zarr, and the same"
     with pytest.raises(InputError, match=told) as caught:
         run_study(study(), store=path, workers=2)
     assert isinstance(caught.value.__cause__, CrewLostError)
@@ -298,7 +465,7 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         assert run.stdout is not None
         worker = int(run.stdout.readline())
         run.kill()
-    end = time.monotonic() + 10
+    end = time.monotonic() + 60
     while time.monotonic() < end and _is_alive(worker):
         time.sleep(0.02)
     assert not _is_alive(worker)

@@ -11,7 +11,7 @@ import xarray as xr
 from tactile.errors import InputError, NotFoundError
 from tactile.study.criteria import Conditions
 from tactile.study.scenarios import draw_scenarios
-from tactile.study.storing import check_store, load_study, save
+from tactile.study.storing import check_store, load_study, save, write_zarr, written_whole
 from tactile.study.sweep import Study, solve_study
 
 SUFFIXES = pytest.mark.parametrize("suffix", [".nc", ".zarr"])
@@ -102,6 +102,46 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     assert (tmp_path / "full.zarr" / "thesis.txt").exists()
 
 
+@SUFFIXES
+def test_what_a_killed_run_left_does_not_stop_the_next(
+    data: xr.Dataset, suffix: str, tmp_path: Path
+) -> None:
+    path, left = tmp_path / f"s{suffix}", tmp_path / f".s{suffix}.new"
+    if suffix == ".zarr":
+        (left / "length_mm").mkdir(parents=True)
+    else:
+        left.write_text("half")
+    assert check_store(path) == path
+    assert left.exists()
+    save(data, path)
+    assert_same(data, load_study(path).load())
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_store_that_is_replaced_is_there_before_or_after_whatever_happens(
+    data: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fail each step of the replacement in turn, as a kill would end it there."""
+    path, old = tmp_path / "s.zarr", tmp_path / ".s.zarr.old"
+
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def replace(owner: object, step: str) -> None:
+        with monkeypatch.context() as broken, written_whole(path) as new:
+            write_zarr(data, new)
+            broken.setattr(owner, step, fail)
+
+    for owner, step in ((Path, "rename"), (Path, "replace"), (shutil, "rmtree")):
+        save(data, path)
+        assert [p.name for p in tmp_path.iterdir()] == [path.name]
+        with pytest.raises(KeyboardInterrupt):
+            replace(owner, step)
+        if not path.exists():
+            old.rename(path)
+        assert_same(data, load_study(path).load())
+
+
 def test_a_file_that_cannot_be_read_is_one_line(data: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="no such file"):
         load_study(tmp_path / "gone.nc")
@@ -109,7 +149,7 @@ def test_a_file_that_cannot_be_read_is_one_line(data: xr.Dataset, tmp_path: Path
     (tmp_path / "empty.zarr").mkdir()
     save(data, tmp_path / "cut.zarr")
     shutil.rmtree(tmp_path / "cut.zarr" / "length_mm")
-    for name in ("text.nc", "empty.zarr"):
+    for name in ("text.nc", "empty.zarr", "cut.zarr"):
         with pytest.raises(InputError, match="cannot be read") as caught:
             load_study(tmp_path / name)
         assert "\n" not in str(caught.value)

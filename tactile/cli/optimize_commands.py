@@ -170,6 +170,8 @@ def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path
         from tactile.study.storing import check_store
 
         check_store(out)
+        if out.suffix == ".zarr" and out.exists():
+            raise InputError(f"{out}: is there already; remove it, or name another")
     if plot is not None:
         from tactile.plots import check_file
 

@@ -1,13 +1,17 @@
 """The store of a study that is being solved: Zarr, block by block, resumable.
 
-One process writes. A block's values come first and its mark last, each file of it written beside
-its place and renamed, and the store itself appears with its axes complete; so whenever the process
-ends, what is marked is whole, and what is not is solved again. The attribute ``question`` is a hash
+A block's values come first and its mark last, each file of it written beside its place and renamed,
+and the store itself appears with its axes complete; so whenever the process ends, what is marked is
+whole, and what is not is solved again. Several processes may write, as no two blocks share a file
+and the values of one are the same whoever solves it; whose store appears first is kept. The
+attribute ``question`` is a hash
 of all that the numbers depend on: a store of another question is refused.
 """
 
 import hashlib
 import json
+import math
+import tempfile
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -17,11 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
-from tactile.study.storing import MARKS, check_store, write_zarr, written_whole
+from tactile.study.storing import MARKS, check_store, readable, write_zarr
 from tactile.study.sweep import Block, Study, blocks, frame, provenance, variables
 
 BLOCK_POINTS = 2**18
 """Designs × frequencies of a block: half a second of work, 4 MiB of each response."""
+LARGEST = 1_000_000
+"""Blocks of a study: six days of one core."""
 
 
 def block_designs(study: Study) -> int:
@@ -30,8 +36,28 @@ def block_designs(study: Study) -> int:
 
 
 def study_blocks(study: Study) -> list[Block]:
-    """Return the blocks of a study, in order."""
-    return list(blocks(study.shape, block_designs(study)))
+    """Return the blocks of a study, in order.
+
+    Raises
+    ------
+    InputError
+        Where there are more than `LARGEST`.
+    """
+    cut = blocks(study.shape, block_designs(study))
+    first = next(blocks(study.shape, block_designs(study)))
+    count = math.prod(_counts(study, first))
+    if count > LARGEST:
+        raise InputError(
+            f"the study has {study.designs:g} designs, {count} blocks of work, more than "
+            f"{LARGEST}; ask for fewer values along its axes or fewer frequencies, or make several "
+            "studies of it"
+        )
+    return list(cut)
+
+
+def _counts(study: Study, first: Block) -> tuple[int, ...]:
+    """Return how many blocks there are along each axis."""
+    return tuple(-(-size // part.stop) for size, part in zip(study.shape, first, strict=True))
 
 
 def question(study: Study) -> str:
@@ -74,7 +100,8 @@ class BlockStore:
     Raises
     ------
     InputError
-        Where something else is there, or the store of another study.
+        Where something else is there, or the store of another study, or it cannot be read; and
+        where the study has too many blocks.
     """
 
     def __init__(self, study: Study, path: str | Path) -> None:
@@ -82,12 +109,12 @@ class BlockStore:
         if self.path.suffix != ".zarr":
             raise InputError(f"{self.path}: what is stored as it goes must end in .zarr")
         self._blocks = study_blocks(study)
-        if self.path.exists():
-            _check_question(study, self.path)
-        else:
+        if not self.path.exists():
             _make(study, self._blocks, self.path)
-        self._group = _open(self.path, "r+")
-        self._marks = self._group[MARKS]
+        _check_question(study, self.path)
+        with readable(self.path):
+            self._group = _open(self.path, "r+")
+            self._marks = self._group[MARKS]
 
     def pending(self) -> Iterator[Block]:
         """Yield the blocks that are not stored, in order."""
@@ -112,7 +139,8 @@ def _open(path: Path, mode: Literal["r", "r+"]) -> Any:
 
 def _check_question(study: Study, path: Path) -> None:
     """Raise InputError where a store is not of this study."""
-    known = dict(_open(path, "r").attrs)
+    with readable(path):
+        known = dict(_open(path, "r").attrs)
     source = provenance(study)["source"]
     if known.get("question") == question(study):
         return
@@ -129,21 +157,31 @@ def _check_question(study: Study, path: Path) -> None:
 
 
 def _make(study: Study, parts: list[Block], path: Path) -> None:
-    """Make an empty store: axes and attributes, variables of NaN, no block marked."""
+    """Make an empty store, unless another run has made one meanwhile, which is left."""
+    with tempfile.TemporaryDirectory(".new", f".{path.name}.", path.parent) as aside:
+        new = Path(aside) / path.name
+        _fill(study, parts, new)
+        try:
+            new.rename(path)
+        except OSError:
+            if not path.exists():
+                raise
+
+
+def _fill(study: Study, parts: list[Block], path: Path) -> None:
+    """Write axes and attributes, variables of NaN, and marks of no block."""
     data = frame(study)
     data.attrs |= {"question": question(study), "variables": " ".join(variables(study))}
     chunks = tuple(part.stop for part in parts[0])
-    counts = tuple(-(-size // step) for size, step in zip(study.shape, chunks, strict=True))
-    with written_whole(path) as new:
-        write_zarr(data, new)
-        group = _open(new, "r+")
-        for name, (dimensions, labels, kind) in variables(study).items():
-            last = (np.size(study.frequency),) * (len(dimensions) - len(chunks))
-            group.create_array(
-                name, shape=(*study.shape, *last), chunks=(*chunks, *last), dtype=kind,
-                fill_value=np.nan, dimension_names=dimensions, attributes=labels,
-            )  # fmt: skip
+    write_zarr(data, path)
+    group = _open(path, "r+")
+    for name, (dimensions, labels, kind) in variables(study).items():
+        last = (np.size(study.frequency),) * (len(dimensions) - len(chunks))
         group.create_array(
-            MARKS, shape=counts, chunks=(1,) * len(counts), dtype=bool, fill_value=False,
-            compressors=None,
+            name, shape=(*study.shape, *last), chunks=(*chunks, *last), dtype=kind,
+            fill_value=np.nan, dimension_names=dimensions, attributes=labels,
         )  # fmt: skip
+    group.create_array(
+        MARKS, shape=_counts(study, parts[0]), chunks=(1,) * len(chunks), dtype=bool,
+        fill_value=False, compressors=None,
+    )  # fmt: skip

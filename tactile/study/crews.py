@@ -38,11 +38,15 @@ Found = dict[str, NDArray[Any]]
 
 PACKAGE = "tactile-display"
 CONNECT_S = 5.0
-"""Within which a scheduler must answer, and have a worker."""
+"""Within which a scheduler must answer."""
+WORKERS_S = 5.0
+"""Within which it must have a worker."""
+COUNTED_S = 5.0
+"""Between looks at how many threads a cluster has."""
 LOST_S = 15.0
 """After which a cluster without workers is given up; a nanny starts a new one in less."""
 RESTARTS = 3
-"""New pools that a run may start."""
+"""New pools that a run may start while no part succeeds."""
 RETRIES = 3
 """Of a part on a cluster."""
 
@@ -82,6 +86,9 @@ class OwnCrew:
         future.set_result(solve_part(part))
         return future
 
+    def succeed(self) -> None:
+        """Note that a part is solved."""
+
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
         """Raise where the crew cannot go on after what a part met."""
         raise error
@@ -115,6 +122,10 @@ class PoolCrew:
         self._origin[future] = self._pool
         return future
 
+    def succeed(self) -> None:
+        """Note that a part is solved: new pools may be started again."""
+        self._restarts = 0
+
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
         """Start a new pool where a worker died; raise any other error."""
         if not isinstance(error, BrokenExecutor | CancelledError):
@@ -127,7 +138,9 @@ class PoolCrew:
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._restarts += 1
         if self._restarts > RESTARTS:
-            raise CrewLostError(f"workers died in {self._restarts} pools (short of memory?)")
+            raise CrewLostError(
+                f"workers died in {self._restarts} pools one after another (short of memory?)"
+            )
         self._pool = self._start()
 
     def watch(self) -> None:
@@ -158,20 +171,43 @@ class ClusterCrew:
         with study_extra("a cluster"):
             import distributed
         self.address = address
-        self._seen = time.monotonic()
+        self._missed: float | None = None
         self._client: Any = _connect(distributed, address)
         try:
-            self.size = sum(self._client.nthreads().values())
+            self._count()
             _check_versions(self._client)
             self._executor = self._client.get_executor(pure=False, retries=RETRIES)
         except BaseException:
             self._client.close()
             raise
 
+    def _count(self) -> int:
+        """Return how many threads there are now; raise where the scheduler is gone."""
+        gone = f"the scheduler at {self.address} is gone"
+        if self._client.status != "running":
+            raise CrewLostError(gone)
+        try:
+            self._threads: int = sum(self._client.nthreads().values())
+        except OSError as error:
+            raise CrewLostError(gone) from error
+        self._counted = time.monotonic()
+        return self._threads
+
+    @property
+    def size(self) -> int:
+        """How many threads there are, or were a moment ago; at least one, which may come yet."""
+        if time.monotonic() - self._counted > COUNTED_S:
+            self._count()
+        return max(1, self._threads)
+
     def submit(self, part: Study) -> "Future[Found]":
         """Have a part solved."""
         future: Future[Found] = self._executor.submit(solve_part, part)
         return future
+
+    def succeed(self) -> None:
+        """Note that a part is solved, so that somebody is there."""
+        self._missed = None
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
         """Raise that the crew is lost where the cluster failed, and any other error as it is."""
@@ -189,11 +225,11 @@ class ClusterCrew:
 
     def watch(self) -> None:
         """Raise where the scheduler is gone, or has had no worker for a while."""
-        if self._client.status != "running":
-            raise CrewLostError(f"the scheduler at {self.address} is gone")
-        if self._client.nthreads():
-            self._seen = time.monotonic()
-        elif time.monotonic() - self._seen > LOST_S:
+        if self._count():
+            self._missed = None
+        elif self._missed is None:
+            self._missed = time.monotonic()
+        elif time.monotonic() - self._missed > LOST_S:
             raise CrewLostError(f"the scheduler at {self.address} has lost all its workers")
 
     def close(self) -> None:
@@ -208,22 +244,26 @@ def _connect(distributed: Any, address: str) -> Any:
     try:
         with _quiet(), ThreadPoolExecutor(1) as aside:
             kind = aside.submit(asyncio.run, _kind_of(distributed, address)).result()
+            client = (
+                distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+                if kind == "Scheduler"
+                else None
+            )
     except ValueError as error:
         raise InputError(f"{where}: {error}; it reads as tcp://host:8786") from None
     except (OSError, TimeoutError):
-        kind = ""
-    if kind != "Scheduler":
+        client = None
+    if client is None:
         raise InputError(
             f"{where}: no scheduler answers within {CONNECT_S:g} s; start it (dask scheduler), and "
             "give the address that it prints"
         )
-    client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     try:
-        client.wait_for_workers(1, timeout=CONNECT_S)
+        client.wait_for_workers(1, timeout=WORKERS_S)
     except TimeoutError:
         client.close()
         raise InputError(
-            f"{where}: has no workers after {CONNECT_S:g} s; start some: dask worker {address}"
+            f"{where}: has no workers after {WORKERS_S:g} s; start some: dask worker {address}"
         ) from None
     return client
 

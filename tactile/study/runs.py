@@ -183,7 +183,8 @@ def solve_blocks(
     flying: dict[Future[Found], Block] = {}
     again: list[Block] = []
     while True:
-        while len(flying) < (WINDOW * crew.size if crew.size > 1 else 1):
+        window = 1 if isinstance(crew, OwnCrew) else WINDOW * crew.size
+        while len(flying) < window:
             block = again.pop() if again else next(waiting, None)
             if block is None:
                 break
@@ -201,4 +202,5 @@ def solve_blocks(
                 crew.explain(future, error)
                 again.append(block)
             else:
+                crew.succeed()
                 yield block, found

@@ -8,6 +8,7 @@ all, as it is written beside its place and then renamed.
 """
 
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,8 @@ MARKS = "progress/stored"
 (`tactile.study.block_store`)."""
 AS_STORED: dict[str, Any] = {"decode_times": False, "decode_timedelta": False}
 """No unit of ours is a date."""
+NUMBERED = ("scenario", "design")
+"""Axes along which there is nothing but a number; all others have values."""
 
 
 def check_store(path: str | Path) -> Path:
@@ -55,8 +58,7 @@ def check_store(path: str | Path) -> Path:
     if path.suffix == ".nc" and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     try:
-        _beside(path).touch()
-        _beside(path).unlink()
+        tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     return path
@@ -68,14 +70,22 @@ def _beside(path: Path) -> Path:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a path to write to, and rename it to this one once that is done."""
-    new = _beside(path)
+    """Give a path to write to, and rename it to this one once that is done.
+
+    A folder that was there is renamed before it goes (``.NAME.old``), so that whenever the process
+    ends there is one of the two.
+    """
+    new, old = _beside(path), path.with_name(f".{path.name}.old")
     if new.is_dir():
         shutil.rmtree(new)
     yield new
     if path.is_dir():
-        shutil.rmtree(path)
+        if old.is_dir():
+            shutil.rmtree(old)
+        path.rename(old)
     new.replace(path)
+    if old.is_dir():
+        shutil.rmtree(old)
 
 
 def save(data: "xarray.Dataset", path: str | Path) -> None:
@@ -126,18 +136,31 @@ def load_study(path: str | Path) -> "xarray.Dataset":
     with study_extra(f"{path.suffix} file"):
         import xarray
 
-        try:
+        with readable(path):
             if path.suffix == ".nc":
-                data = _joined(xarray.load_dataset(path, engine="h5netcdf", **AS_STORED))
-            else:
-                data = xarray.open_zarr(path, chunks={}, consolidated=False, **AS_STORED)
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    if path.suffix == ".zarr":
-        if "variables" in data.attrs:  # a group knows no order
-            data = data[data.attrs["variables"].split()]
-        data.attrs.update(stored_share(path))
-    return _plain_names(data)
+                return _plain_names(
+                    _joined(xarray.load_dataset(path, engine="h5netcdf", **AS_STORED))
+                )
+            data = xarray.open_zarr(path, chunks={}, consolidated=False, **AS_STORED)
+            if "variables" in data.attrs:  # a group knows no order
+                data = data[data.attrs["variables"].split()]
+            data.attrs.update(stored_share(path))
+            for name in data.dims:
+                if name not in data.coords and name not in NUMBERED:
+                    raise ValueError(f"the values along {name} are missing")
+            return _plain_names(data)
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Raise InputError for what a file that is cut or holds something else makes of reading it."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        why = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: cannot be read: {why}; name another file, or remove it"
+        ) from error
 
 
 def stored_share(path: Path) -> dict[str, str]:

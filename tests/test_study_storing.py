@@ -26,7 +26,7 @@ def data() -> xr.Dataset:
             criteria=("smallest_displacement", "blocked_force"),
             responses=("displacement", "admittance"),
             scenarios=None,
-            conditions=Conditions(band=(0, 1000)),
+            conditions=Conditions(band=(0, 930)),
         )
     )
 

@@ -42,6 +42,18 @@ def test_the_best_of_one_objective_is_told_in_words(command: Command) -> None:
 
 
 @pytest.mark.ci
+def test_a_displays_finger_and_limits_are_the_start(command: Command) -> None:
+    """The reference display's finger is the low one and its limit 100 V: as without a display."""
+    alone, with_display = (
+        json.loads(command(*QUICK, *more, "--json")[1])["designs"]["attainable_um"]
+        for more in ((), ("--display", "reference-24"))
+    )
+    assert with_display == pytest.approx(alone)
+    halved = command(*QUICK, "--display", "reference-24", "--voltage", "50", "--json")[1]
+    assert json.loads(halved)["designs"]["attainable_um"][0] == pytest.approx(alone[0] / 2)
+
+
+@pytest.mark.ci
 def test_fingers_limits_and_json(command: Command) -> None:
     code, out, _ = command(
         *QUICK, "--robust", "0.8", "--scenarios", "4", "--limit", "standing=25",

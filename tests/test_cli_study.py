@@ -111,6 +111,13 @@ def test_a_displays_bender_finger_and_limits_are_the_start(command: Command) -> 
     assert with_limit > with_ten > 0
 
 
+def test_a_displays_own_finger_is_kept_where_parts_are_drawn(command: Command) -> None:
+    code, out, _ = command("length_mm=18,20", "--display", "reference-24", "--scenarios", 8,
+                           "--json")  # fmt: skip
+    assert code == 0
+    assert json.loads(out)["axes"]["load"] == ["display"]
+
+
 def test_ranges_have_their_stop_and_no_noise() -> None:
     assert parse_values("x", "8:9:0.1", is_named=False).tolist() == [
         8.0, 8.1, 8.2, 8.3, 8.4, 8.5, 8.6, 8.7, 8.8, 8.9, 9.0,

@@ -12,9 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+import tactile
 from tactile.cli.app import AsJson, app
 from tactile.errors import InputError
 from tactile.files import nearest
+from tactile.study.asking import Start, start_from
 from tactile.study.criteria import CRITERIA, Conditions
 from tactile.study.parameters import NAMED
 
@@ -43,7 +45,10 @@ def optimize_design(
         list[str] | None, typer.Option(help="name=value of a further parameter.")
     ] = None,
     load: Annotated[
-        str | None, typer.Option(help="Finger: low, high or none; low by default.")
+        str | None, typer.Option(help="Finger: low, high, none or display; low by default.")
+    ] = None,
+    display: Annotated[
+        str | None, typer.Option(help="Whose bender, finger and limits are the start.")
     ] = None,
     robust: Annotated[
         float | None,
@@ -55,7 +60,9 @@ def optimize_design(
     band: Annotated[
         str, typer.Option("--band-hz", "--band", help="low:high, in which criteria judge.")
     ] = "10:1000",
-    voltage_v: Annotated[float, typer.Option("--voltage-v", "--voltage", help="Limit.")] = 100.0,
+    voltage_v: Annotated[
+        float | None, typer.Option("--voltage-v", "--voltage", help="Limit, 100 by default.")
+    ] = None,
     current_ma: Annotated[float | None, typer.Option(help="Limit of one channel.")] = None,
     amplitude_um: Annotated[float, typer.Option(help="Flat shear that a drive is for.")] = 10.0,
     seed: Annotated[int, typer.Option(help="Of scenarios and search.")] = 0,
@@ -78,6 +85,7 @@ def optimize_design(
     from tactile.study.optimizing import Task
     from tactile.study.scenarios import draw_scenarios
 
+    start = Start() if display is None else start_from(tactile.load_display(display))
     if scenarios is not None and robust is None:
         raise InputError("--scenarios: belongs to --robust, as --robust 0.9 --scenarios 64")
     fixed = {name: _number_or_name(name, text) for name, text in _pairs(fix or [])}
@@ -89,7 +97,7 @@ def optimize_design(
     drawn = None if robust is None else draw_scenarios(count, seed=seed)
     spans = {name: _span(name, text) for name, text in _pairs(bounds)}
     if drawn is None and not {"load", "firmness"} & (fixed.keys() | spans.keys()):
-        fixed["load"] = "low"
+        fixed["load"] = start.meant[0]
     task = Task(
         bounds=spans,
         objectives=tuple(objective),
@@ -97,12 +105,14 @@ def optimize_design(
         limits=dict(_limit(name, text) for name, text in _pairs(limit or [])),
         conditions=Conditions(
             band=_span("band", band),
-            voltage=voltage_v,
-            current=math.inf if current_ma is None else current_ma * 1e-3,
+            voltage=start.voltage if voltage_v is None else voltage_v,
+            current=start.current if current_ma is None else current_ma * 1e-3,
             amplitude=amplitude_um * 1e-6,
         ),
         scenarios=drawn,
         share=0.9 if robust is None else robust,
+        fingers=start.fingers,
+        base=start.base,
         seed=seed,
     )
     _check_files(task, out, plot, report)

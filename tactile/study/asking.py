@@ -71,6 +71,11 @@ class Start:
     voltage: float = 100.0
     current: float = math.inf
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether the finger is one that somebody told, and not the paper's two."""
+        return self.meant == ("display",)
+
 
 def start_from(display: Display) -> Start:
     """Return a display's bender, its finger as the load "display", and its limits."""
@@ -98,12 +103,12 @@ def ask(words: Words, start: Start | None = None) -> Study:
     fixed = {name: _one(name, values) for name, values in _assigned(words.fixed, start).items()}
     scenarios = None
     has_finger = bool({"load", "firmness"} & (set(axes) | set(fixed)))
+    if not has_finger and (start.is_measured or not words.scenarios):
+        axes["load"], has_finger = np.array(start.meant), True
     if words.scenarios:
         scenarios = draw_scenarios(words.scenarios, seed=words.seed)
         if has_finger:
             scenarios = replace(scenarios, values={})
-    elif not has_finger:
-        axes["load"] = np.array(start.meant)
     is_paper = not (words.criteria or words.keep)
     band = _band(words, is_paper=is_paper)
     limits = Conditions(

@@ -70,6 +70,15 @@ def test_figures_for_machines_are_those_of_the_data_set(command: Command) -> Non
     assert told["figures"]["footprint_mm2"]["unit"] == "mm²"
 
 
+def test_curves_are_kept_beside_the_default_criterion(command: Command) -> None:
+    code, _, _ = command("length_mm=18,20", "--scenarios", 4, "--keep", "displacement",
+                         "--out", "s.zarr")  # fmt: skip
+    assert code == 0
+    data = load_study("s.zarr")
+    curves = np.abs(data["displacement_um_per_v"]).min("frequency_hz")
+    assert np.allclose(curves, data["smallest_displacement_um_per_v"])
+
+
 def test_what_is_neither_good_nor_bad_is_told_from_where_to_where(command: Command) -> None:
     """A slender cantilever's resonance goes with 1/l²: 930.3 Hz at 20 mm (finite elements)."""
     code, out, _ = command("length_mm=20,40", "--criterion", "first_resonance", "--json")

@@ -109,7 +109,7 @@ def ask(words: Words, start: Start | None = None) -> Study:
         scenarios = draw_scenarios(words.scenarios, seed=words.seed)
         if has_finger:
             scenarios = replace(scenarios, values={})
-    is_paper = not (words.criteria or words.keep)
+    is_paper = not words.criteria and not (words.keep and words.frequency)
     band = _band(words, is_paper=is_paper)
     limits = Conditions(
         band=band,

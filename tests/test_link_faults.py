@@ -65,6 +65,7 @@ def test_each_disconnect_is_survived_in_step_and_counted(
     bench: Callable[..., Bench], link: str, times: int
 ) -> None:
     rig, random = bench(link), np.random.default_rng(times)
+    gc.collect()  # what earlier tests left
     threads, files = threading.active_count(), len(os.listdir("/proc/self/fd"))
     rig.start()
     rig.play(0.1)
@@ -93,8 +94,8 @@ def test_each_disconnect_is_survived_in_step_and_counted(
         "dropped_replies", "fragments_dropped",
     }  # fmt: skip
     gc.collect()
-    assert threading.active_count() == threads
-    assert len(os.listdir("/proc/self/fd")) == files
+    assert threading.active_count() <= threads
+    assert len(os.listdir("/proc/self/fd")) <= files
 
 
 BURSTS = {

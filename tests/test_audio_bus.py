@@ -406,8 +406,8 @@ def cycle(display: Display, times: int) -> None:
         with opened(display) as bus:
             bus.start()
             bus.write(DriveBlock(0, np.full((100, CHANNELS), 5.0)))
-    assert threading.active_count() == threads
-    assert len(os.listdir("/proc/self/fd")) == files
+    assert threading.active_count() <= threads
+    assert len(os.listdir("/proc/self/fd")) <= files
 
 
 @pytest.mark.ci

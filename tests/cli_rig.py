@@ -5,9 +5,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -24,8 +23,7 @@ KEYS = {
 SHORT = ["--seconds", "0.1"]
 
 
-@dataclass(frozen=True)
-class Result:
+class Result(NamedTuple):
     """What a command did."""
 
     code: int
@@ -45,15 +43,32 @@ class Result:
 Command = Callable[..., Result]
 
 
-@pytest.fixture
-def command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def command_of(*words: str) -> Any:
+    """Return a fixture that runs ``tactile`` with these words first, in an empty folder."""
+
+    @pytest.fixture
+    def command(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> Command:
+        return runner(tmp_path, monkeypatch, capsys, *words)
+
+    return command
+
+
+command = command_of()
+
+
+def runner(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *words: str,
 ) -> Command:
-    """Run the command in this process, in an empty folder."""
-    monkeypatch.chdir(tmp_path)
+    """Return what runs the command in this process, in a folder, with these words first."""
+    monkeypatch.chdir(folder)
 
     def run(*arguments: object) -> Result:
-        monkeypatch.setattr(sys, "argv", ["tactile", *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["tactile", *words, *map(str, arguments)])
         monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # a script's
         capsys.readouterr()
         with pytest.raises(SystemExit) as left:

@@ -1,17 +1,16 @@
 """``tactile adjust`` reads measurements of finite elements and writes a display that has them."""
 
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import Command, assert_mistake, command_of
 from numpy.typing import NDArray
 from reference_beam import LOW_FINGER, Beam, response
 
-from tactile.cli import main
 from tactile.display import load_display
 
+command = command_of("adjust")
 FREQUENCY = np.concatenate([np.geomspace(10, 800, 25), np.linspace(850, 1050, 20)])
 
 
@@ -42,22 +41,10 @@ def in_air(tmp_path: Path) -> list[str]:
     ]  # fmt: skip
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["tactile", "adjust", *words])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    return int(caught.value.code or 0)
-
-
-def test_a_finger_is_fitted_and_written(
-    tmp_path: Path,
-    loaded: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_finger_is_fitted_and_written(tmp_path: Path, loaded: str, command: Command) -> None:
     out = tmp_path / "mine.toml"
-    assert run(monkeypatch, "--load", loaded, "--out", str(out)) == 0
-    said = capsys.readouterr().out
+    code, said, _ = command("--load", loaded, "--out", out)
+    assert code == 0
     assert "k0_n_per_m" in said
     assert "loaded.csv" in said
     load = load_display(out).load_at(1.0)
@@ -66,26 +53,22 @@ def test_a_finger_is_fitted_and_written(
 
 
 @pytest.mark.ci
-def test_a_fit_is_drawn(tmp_path: Path, in_air: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_is_drawn(tmp_path: Path, in_air: list[str], command: Command) -> None:
     plot = tmp_path / "fit.png"
-    assert run(monkeypatch, *in_air, "--plot", str(plot)) == 0
+    assert command(*in_air, "--plot", plot).code == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_bimorph_is_fitted_and_written(
-    tmp_path: Path,
-    in_air: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, in_air: list[str], command: Command
 ) -> None:
     out = tmp_path / "mine.toml"
-    assert run(monkeypatch, *in_air, "--out", str(out), "--json") == 0
-    told = json.loads(capsys.readouterr().out)
+    told = command(*in_air, "--out", out, "--json").json
     assert told["constants"]["d31_pm_per_v"]["value"] == pytest.approx(-280, rel=0.005)
     assert set(told["misfit"]) == {"electrical.csv", "mechanical.csv"}
     assert load_display(out).bimorph.piezo.d31 == pytest.approx(-280e-12, rel=0.005)
-    assert run(monkeypatch, *in_air, "--stiffness", "--out", str(out), "--force", "--json") == 0
-    softer = json.loads(capsys.readouterr().out)["constants"]["s11e_um2_per_n"]["value"]
+    again = command(*in_air, "--stiffness", "--out", out, "--force", "--json")
+    softer = again.json["constants"]["s11e_um2_per_n"]["value"]
     assert load_display(out).bimorph.piezo.s11E == pytest.approx(softer * 1e-12, rel=1e-5)
 
 
@@ -100,13 +83,5 @@ def test_a_bimorph_is_fitted_and_written(
         (["--load", "none.csv"], "none.csv: no such file"),
     ],
 )
-def test_a_mistake_is_one_line(
-    words: list[str],
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert run(monkeypatch, *words) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
+def test_a_mistake_is_one_line(words: list[str], said: str, command: Command) -> None:
+    assert_mistake(command(*words), said)

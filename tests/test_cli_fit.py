@@ -1,21 +1,18 @@
 """The command ``fit``: files in, a texture that loads out, a report, and mistakes in one line."""
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cli_rig import Command, runner
 from scipy.io import wavfile
 from slides import Surface, slide
 
-from tactile import cli
 from tactile.texture.descriptor import load
 
 FULL_SCALE = 50.0
-Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
@@ -23,22 +20,11 @@ def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
     """Run the command in this process, in a folder with slides of ribs at four speeds."""
-    monkeypatch.chdir(tmp_path)
     ribs = Surface(level_db=-20, wavelength_mm=2.6, harmonics_um=(4.0,))
     for k, speed in enumerate((0.02, 0.03, 0.05, 0.06)):
         signal = slide(ribs, speed, seed=k).signal / FULL_SCALE
         wavfile.write(tmp_path / f"{k}.wav", 10000, np.round(signal * 32767).astype(np.int16))
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["tactile", "fit", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        out, err = capsys.readouterr()
-        assert isinstance(left.value.code, int)
-        return left.value.code, out, err
-
-    return run
+    return runner(tmp_path, monkeypatch, capsys, "fit")
 
 
 FILES = ["0.wav", "1.wav", "2.wav", "3.wav"]

@@ -1,36 +1,14 @@
 """The command ``optimize``: designs and a recommendation, files, and mistakes in one line."""
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cli_rig import Command, command_of
 
-from tactile import cli
-
-Command = Callable[..., tuple[int, str, str]]
+command = command_of("optimize")
 QUICK = ["length_mm=8:40", "--objective", "attainable"]
 FRONT = [*QUICK, "width_mm=1:6", "--objective", "footprint"]
-
-
-@pytest.fixture
-def command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Command:
-    """Run the command in this process and in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["tactile", "optimize", *arguments])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        out, err = capsys.readouterr()
-        assert isinstance(left.value.code, int)
-        return left.value.code, out, err
-
-    return run
 
 
 def test_the_best_of_one_objective_is_told_in_words(command: Command) -> None:

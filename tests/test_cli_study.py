@@ -1,36 +1,16 @@
 """The command ``study``: the paper's answer by default, tables, JSON, and mistakes in one line."""
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import Command, command_of
 
-from tactile import cli
 from tactile.study.asking import parse_values
 from tactile.study.storing import load_study
 
-Command = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Command:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["tactile", "study", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        out, err = capsys.readouterr()
-        assert isinstance(left.value.code, int)
-        return left.value.code, out, err
-
-    return run
+command = command_of("study")
 
 
 def test_by_default_it_is_the_papers_question_and_answer(command: Command) -> None:
@@ -75,7 +55,7 @@ def test_curves_are_kept_beside_the_default_criterion(command: Command) -> None:
                          "--out", "s.zarr")  # fmt: skip
     assert code == 0
     data = load_study("s.zarr")
-    curves = np.abs(data["displacement_um_per_v"]).min("frequency_hz")
+    curves = abs(data["displacement_um_per_v"]).min("frequency_hz")
     assert np.allclose(curves, data["smallest_displacement_um_per_v"])
 
 

@@ -246,3 +246,15 @@ def test_the_figures_for_the_benchmark_reach_their_goals() -> None:
     assert figures["clean_percent"] < 1.0
     assert figures["one_branch_percent"] > 60
     assert figures["covered_percent"] > 70
+
+
+@pytest.mark.parametrize(("load", "shift"), [(LOW_FINGER, 0.12), (HIGH_FINGER, 0.06)])
+@pytest.mark.parametrize("error", [0.95, 1.05])
+def test_a_bimorph_that_is_off_shifts_the_stiffness_as_the_note_says(
+    load: Load, shift: float, error: float
+) -> None:
+    """By two finite-element beams: one that is measured, one that the fit takes it for."""
+    measured = response(Beam(d31=Beam().d31 * error), FREQUENCY, load=load).displacement
+    k0 = fitted(measured, branches=1).constants[0].value
+    assert abs(k0 / load[0] - 1) == pytest.approx(shift, abs=0.015)
+    assert (k0 > load[0]) == (error < 1)

@@ -14,7 +14,8 @@ import tactile
 from tactile.cli.app import AsJson, app
 from tactile.study.asking import Words, ask, start_from
 from tactile.study.criteria import CRITERIA, variable
-from tactile.study.findings import Figures, check_share, summarize
+from tactile.study.findings import Figures, summarize
+from tactile.study.ranges import SHARE, check_share
 from tactile.study.runs import fitting_workers, run_study
 from tactile.study.storing import check_store
 from tactile.study.sweep import RESPONSES, Study
@@ -51,7 +52,7 @@ def study_design(
     ] = None,
     current_ma: Annotated[float | None, typer.Option(help="Limit of one channel.")] = None,
     amplitude_um: Annotated[float, typer.Option(help="Flat shear that a drive is for.")] = 10.0,
-    within: Annotated[float, typer.Option(help="Share of the best that is good enough.")] = 0.85,
+    within: Annotated[float, typer.Option(help="Share of the best that is good enough.")] = SHARE,
     display: Annotated[
         str | None, typer.Option(help="Whose bender, finger and limits are the start.")
     ] = None,
@@ -135,7 +136,12 @@ def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, sh
     if report is not None:
         from tactile.report import study_report, write_report
 
-        write_report(report, "Study of a bender", study_report(data), subtitle=data.attrs["title"])
+        write_report(
+            report,
+            "Study of a bender",
+            study_report(data, share=share),
+            subtitle=data.attrs["title"],
+        )
 
 
 def _run(

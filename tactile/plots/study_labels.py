@@ -15,14 +15,12 @@ import numpy as np
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.plots.style import COLORS
-from tactile.study.criteria import CRITERIA
+from tactile.study.findings import FINGER, FREQUENCY, in_decibels, number_axes, sign_of
 from tactile.study.ranges import Range
 
 if TYPE_CHECKING:
     import xarray
 
-FREQUENCY = "frequency_hz"
-SCENARIO = "scenario"
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
 FINGER_LOOK = {"low finger": 0, "high finger": 1, "in air": 2}
 """Places among colors and dashes that the paper's fingers keep from picture to picture."""
@@ -61,11 +59,7 @@ def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
     InputError
         Where there is none.
     """
-    numbers = [
-        str(d)
-        for d in values.dims
-        if d not in (FREQUENCY, SCENARIO) and values.sizes[d] > 1 and values[d].dtype.kind in "fiu"
-    ]
+    numbers = number_axes(values)
     if axis is None and numbers:
         return numbers[0]
     if axis is None or axis not in numbers:
@@ -107,7 +101,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
 def told_of(axis: "xarray.DataArray", at: int) -> str:
     """Return what a place on an axis is called; nothing where a number has no other."""
     value = axis.values[at]
-    if axis.name == "load":
+    if axis.name == FINGER:
         return "in air" if str(value) == "none" else f"{value} finger"
     if axis.size == 1:
         return ""
@@ -127,12 +121,6 @@ def label(values: "xarray.DataArray") -> str:
     return f"{name} [{unit}]" if unit not in ("", "1") else name
 
 
-def sign_of(values: "xarray.DataArray") -> int:
-    """Return 1 where more is better, −1 where less is, 0 where neither is known to be."""
-    criterion = CRITERIA.get(str(values.attrs.get("criterion", "")))
-    return 0 if criterion is None else criterion.sign
-
-
 def banded(data: "xarray.Dataset", values: "xarray.DataArray") -> "xarray.DataArray":
     """Return a variable at the frequencies in the study's band, all of them where it has none."""
     low, high = json.loads(data.attrs.get("conditions", "{}")).get("band") or (0.0, np.inf)
@@ -148,9 +136,11 @@ def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
     return values
 
 
-def told_share(share: float, sign: int) -> str:
-    """Return in words what is good enough."""
-    if sign < 0:
+def told_share(share: float, values: "xarray.DataArray") -> str:
+    """Return in words what of a criterion is good enough."""
+    if in_decibels(values):
+        return f"within {20 * np.log10(1 / share):.3g} dB of the best"
+    if sign_of(values) < 0:
         return f"at most {100 / share:.4g} % of the best"
     return f"at least {100 * share:.4g} % of the best"
 

@@ -14,21 +14,19 @@ from numpy.typing import NDArray
 
 from tactile.errors import InputError
 from tactile.plots.study_labels import (
-    FREQUENCY,
-    SCENARIO,
     Line,
     axis_of,
     banded,
     label,
     lines_of,
     over_frequency,
-    sign_of,
     told_range,
     told_share,
     variable_of,
 )
 from tactile.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
-from tactile.study.ranges import Range, overlap, within
+from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
+from tactile.study.ranges import SHARE, Range, overlap, within
 
 if TYPE_CHECKING:
     import xarray
@@ -39,8 +37,6 @@ Floats = NDArray[np.float64]
 Ends = list[tuple[float, str, str]]
 """Values, names and colors at the right ends of lines."""
 
-SHARE = 0.85
-"""Of the best that is good enough, unless told otherwise: the paper's."""
 WIDTH = 1.8
 """Points."""
 MAP_COLORS = "cividis"
@@ -300,13 +296,7 @@ def criterion_figure(
     for line in lines_of(values, (along,)):
         told = line.name
         if sign:
-            good = within(
-                x,
-                line.values.values,
-                share=share,
-                sign=sign,
-                in_db=values.attrs.get("units") == "dB",
-            )
+            good = range_of(line.values, share)
             ranges.append(good)
             told = f"{line.name}  {told_range(good, unit)}".strip()
             _shade(axes, x, line, good)
@@ -315,10 +305,11 @@ def criterion_figure(
     axes.set(xlabel=label(values[along]), ylabel=_side(values, 44), xlim=(x[0], x[-1]))
     if sign:
         best = max(good.value for good in ranges)
-        axes.set_ylim(0, None if sign > 0 else min(axes.get_ylim()[1], WORST * best))
+        is_open = sign > 0 or in_decibels(values)
+        axes.set_ylim(0, None if is_open else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
     if axes.get_legend_handles_labels()[1]:
-        title = told_share(share, sign) if sign else None
+        title = told_share(share, values) if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip
     return figure

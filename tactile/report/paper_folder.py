@@ -10,10 +10,11 @@ import numpy as np
 
 from tactile.errors import InputError
 from tactile.plots import drawn, length_map_figure, response_phase_figure, save
-from tactile.plots.study_labels import FREQUENCY
 from tactile.plots.style import new_figure
 from tactile.report.page import Picture, Section, Table, write_report
 from tactile.report.studies import provenance_sections
+from tactile.study.extras import study_extra
+from tactile.study.findings import FREQUENCY
 from tactile.study.paper import FIGURES, KINDS, REFERENCE, SMALLEST, Claim, PaperFigure, claims
 from tactile.study.sweep import solve_study
 
@@ -72,10 +73,8 @@ def write_paper(
 
 def _prepare(folder: Path) -> None:
     """See that all libraries are there, make the folder, and see that it takes a file."""
-    try:
+    with study_extra("a study"):
         import xarray  # noqa: F401
-    except ImportError:
-        raise InputError("a study needs xarray; pip install 'tactile-display[study]'") from None
     new_figure(1.0, 1.0)
     try:
         folder.mkdir(parents=True, exist_ok=True)

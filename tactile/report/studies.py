@@ -21,32 +21,42 @@ from tactile.plots import (
     tolerance_figure,
 )
 from tactile.plots.study_labels import (
-    FREQUENCY,
-    SCENARIO,
     label,
     lines_of,
-    sign_of,
     told_of,
     told_range,
     told_share,
 )
 from tactile.report.page import Picture, Section, Table
-from tactile.study.findings import WORST, agreed, reached
-from tactile.study.ranges import overlap, within
+from tactile.study.findings import (
+    FINGER,
+    FREQUENCY,
+    SCENARIO,
+    WORST,
+    agreed,
+    number_axes,
+    range_of,
+    reached,
+    sign_of,
+)
+from tactile.study.ranges import SHARE, overlap
 
 if TYPE_CHECKING:
     import xarray
 
-SHARE = 0.85
-"""Of the best that is good enough: the paper's."""
 MOST_DESIGNS = 40
 """Of a front that are told in a table, evenly picked."""
 DESIGN_ATTRIBUTES = ("base", "fixed", "fingers", "conditions", "bounds", "limits")
 """Attributes that hold values as JSON."""
 
 
-def study_report(data: "xarray.Dataset") -> list[Section]:
+def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Section]:
     """Return the sections of a study, as `tactile.study.sweep.solve_study` makes it.
+
+    Parameters
+    ----------
+    data : of `solve_study` or `load_study`
+    share : of the best that is good enough
 
     Raises
     ------
@@ -61,8 +71,8 @@ def study_report(data: "xarray.Dataset") -> list[Section]:
         sections.append(
             Section("The best", tuple(filter(None, (_best(data, ranked), _agreed(data)))))
         )
-    sections += [_criterion(data, name) for name in judged]
-    sections += [_response(data, name) for name in curves]
+    sections += [_criterion(data, name, share) for name in judged]
+    sections += [_response(data, name, share) for name in curves]
     if SCENARIO in data.dims:
         sections += [_tolerance(data, name) for name in (*judged, *curves)]
     return [s for s in sections if s.content] + provenance_sections(data)
@@ -110,7 +120,7 @@ def _asked(data: "xarray.Dataset") -> Table:
             rows.append((label(axis), f"{axis.size}", f"{axis.min():.4g} … {axis.max():.4g}"))
         else:
             rows.append((label(axis), f"{axis.size}", ", ".join(map(str, axis.values))))
-    designs = int(np.prod([n for d, n in data.sizes.items() if d != FREQUENCY]))
+    designs = int(np.prod([n for d, n in data.sizes.items() if d not in (FREQUENCY, SCENARIO)]))
     return Table(("axis", "values", "which"), tuple(rows), f"{designs} designs in all.")
 
 
@@ -119,7 +129,7 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     rows = []
     for name in names:
         values = reached(data[name])
-        for finger in lines_of(values, [str(d) for d in values.dims if d != "load"]):
+        for finger in lines_of(values, [str(d) for d in values.dims if d != FINGER]):
             rest = finger.values * sign_of(values)
             if not bool(np.isfinite(rest).any()):
                 continue
@@ -147,21 +157,10 @@ def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
     """Return a criterion along each axis of numbers, the best over all others but the finger."""
     found = {}
     for axis in number_axes(values):
-        others = [d for d in values.dims if d not in ("load", axis)]
+        others = [d for d in values.dims if d not in (FINGER, axis)]
         best = values.min if sign_of(values) < 0 else values.max
         found[axis] = best(others, keep_attrs=True).rename(values.name)
     return found
-
-
-def number_axes(values: "xarray.DataArray | xarray.Dataset") -> list[str]:
-    """Return the axes of two or more numbers, frequency and scenarios apart."""
-    return [
-        str(d)
-        for d in values.dims
-        if d not in (FREQUENCY, SCENARIO, "load")
-        and values.sizes[d] > 1
-        and values[d].dtype.kind in "fiu"
-    ]
 
 
 def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
@@ -173,7 +172,7 @@ def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
         if sign := sign_of(values):
             kept = number_axes(values)
             one = reached(values)
-            size = (agreed(one) if "load" in one.dims else one * sign).transpose(*kept, ...)
+            size = (agreed(one) if FINGER in one.dims else one * sign).transpose(*kept, ...)
             worst = size.min([d for d in size.dims if d not in kept])
             if kept and bool(np.isfinite(worst).any()):
                 return {str(d): int(k) for d, k in worst.argmax(kept).items()}
@@ -191,24 +190,24 @@ def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Pictur
         return f"Not drawn: {error}"
 
 
-def _criterion(data: "xarray.Dataset", name: str) -> Section:
+def _criterion(data: "xarray.Dataset", name: str, share: float) -> Section:
     """Return a criterion along each axis, with what is good enough under each finger."""
     values = reached(data[name])
     content: list[str | Picture | Table] = []
     for axis, profile in _profiles(values).items():
-        others = len([d for d in values.dims if d not in ("load", axis) and values.sizes[d] > 1])
+        others = len([d for d in values.dims if d not in (FINGER, axis) and values.sizes[d] > 1])
         words = f"{label(values)} along {label(values[axis])}"
         extreme = "best" if sign_of(values) else "largest"
         caption = f"{words}, the {extreme} over all other axes." if others else f"{words}."
         part = profile.to_dataset(name=name)
-        draw = partial(criterion_figure, part, name, axis=axis, share=SHARE)
+        draw = partial(criterion_figure, part, name, axis=axis, share=share)
         content.append(_pictured(draw, words, caption))
         if sign_of(values):
-            content.append(_ranges(profile, axis, is_all=not others))
+            content.append(_ranges(profile, axis, share, is_all=not others))
     return Section(_sentence(label(values).split(" [")[0]), tuple(content))
 
 
-def _ranges(profile: "xarray.DataArray", axis: str, *, is_all: bool) -> Table:
+def _ranges(profile: "xarray.DataArray", axis: str, share: float, *, is_all: bool) -> Table:
     """Return what is good enough under each finger, and what all share.
 
     They share it only where there is no other axis, along which each might have its own best.
@@ -216,29 +215,18 @@ def _ranges(profile: "xarray.DataArray", axis: str, *, is_all: bool) -> Table:
     profile = profile.sortby(axis)
     unit = str(profile[axis].attrs.get("units", ""))
     lines = lines_of(profile, (axis,))
-    found = [
-        within(
-            profile[axis].values,
-            line.values.values,
-            share=SHARE,
-            sign=sign_of(profile),
-            in_db=profile.attrs.get("units") == "dB",
-        )
-        for line in lines
-    ]
+    found = [range_of(line.values, share) for line in lines]
     rows = [(line.name or "all", told_range(r, unit)) for line, r in zip(lines, found, strict=True)]
     if len(found) > 1 and is_all:
         shared = overlap(found)
         told = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
         rows.append(("shared by all", told))
-    heads = (
-        "finger",
-        f"{profile[axis].attrs.get('long_name', axis)}, {told_share(SHARE, sign_of(profile))}",
-    )
+    told = profile[axis].attrs.get("long_name", axis)
+    heads = ("finger", f"{told}, {told_share(share, profile)}")
     return Table(heads, tuple(rows))
 
 
-def _response(data: "xarray.Dataset", name: str) -> Section:
+def _response(data: "xarray.Dataset", name: str, share: float) -> Section:
     """Return maps of a response over each axis of numbers, else the response itself."""
     values = data[name]
     title = _sentence(label(values).split(" [")[0])
@@ -249,7 +237,7 @@ def _response(data: "xarray.Dataset", name: str) -> Section:
         part, at = _slice(data, name, axis)
         words = f"{label(values)} over {label(values[axis])} and frequency{at}"
         caption = f"Level of the {words}; below, the smallest in the band and what is good enough."
-        draw = partial(length_map_figure, part, name, axis=axis, share=SHARE)
+        draw = partial(length_map_figure, part, name, axis=axis, share=share)
         content.append(_pictured(draw, words, caption))
     if not content:
         words = f"Size and phase of the {label(values)}"

@@ -79,11 +79,9 @@ class Start:
 
 def start_from(display: Display) -> Start:
     """Return a display's bender, its finger as the load "display", and its limits."""
-    load = display.load
-    finger = load if isinstance(load, FingerLoad) else load.at(NORMAL_FORCE)
     return Start(
         display.bimorph,
-        {**FINGERS, "display": finger},
+        {**FINGERS, "display": display.load_at(NORMAL_FORCE)},
         ("display",),
         display.limits.voltage,
         display.limits.current,

@@ -5,7 +5,7 @@ frequencies, in which the band's ends are), so that they do not depend on how de
 sampled; "smallest" is that of the frequencies solved.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -215,6 +215,17 @@ CRITERIA: dict[str, Criterion] = {
     "footprint": Criterion("mm²", "width times height of the bender", -1, False, _footprint),
     "standing": Criterion("mm", "length of the bender, clamp included", -1, False, _standing),
 }
+
+
+def numbers_of(names: Iterable[str], solved: Solved) -> dict[str, Floats]:
+    """Return criteria (...,) by name, in their units; infinite or NaN where a bender does not move.
+
+    That is one without piezoelectricity, whose drive for any shear is infinite.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {name: np.asarray(CRITERIA[name].judge(solved)) for name in names}
+
+
 UNIT_NAMES = {
     "µm/V": "um_per_v",
     "mN/V": "mn_per_v",

@@ -4,10 +4,13 @@ import numpy as np
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
-from tactile.actuator.response import blocked_force, tip_response
+from tactile.actuator.response import tip_response
+from tactile.study.criteria import Conditions, Solved, numbers_of, variable
+from tactile.study.parameters import Specimen
 
 BAND = (10.0, 1000.0)
 """Hz in which shear is to be flat."""
+CRITERIA_TOLD = ("smallest_displacement", "shaping", "attainable", "blocked_force")
 
 
 def response_figures(
@@ -24,24 +27,24 @@ def response_figures(
     Returns
     -------
     dict of dict
-        By load: static and smallest displacement per volt to 1 kHz [µm/V], the frequency of the
-        largest below 5 kHz [Hz], the shaping in dB that a flat response from 10 Hz to 1 kHz needs,
-        the shear [µm] that full drive attains everywhere to 1 kHz, blocked force [mN/V].
+        By load: static displacement per volt [µm/V], the frequency of the largest below 5 kHz [Hz],
+        and from 10 Hz to 1 kHz what `tactile.study.criteria` says: the smallest displacement per
+        volt [µm/V], the shaping [dB] that a flat response needs, the shear [µm] that is attainable
+        everywhere at the limits of drive and field; and the blocked force [mN/V].
     """
-    frequency = np.arange(1.0, 5001.0)
-    band = (frequency >= BAND[0]) & (frequency <= BAND[1])
-    force = float(np.abs(blocked_force(bimorph, [0.0])[0])[0])
+    frequency = np.arange(0.0, 5001.0)
+    band = frequency[(frequency >= BAND[0]) & (frequency <= BAND[1])]
+    conditions = Conditions(band=BAND, voltage=voltage)
     figures = {}
     for name, load in loads.items():
-        size = np.abs(tip_response(bimorph, load, np.append(frequency, 0.0)).displacement)
-        static, size = float(size[-1]), size[:-1]
-        low, high = float(size[band].min()), float(size[band].max())
+        size = np.abs(tip_response(bimorph, load, frequency).displacement)
+        solved = Solved(
+            Specimen(bimorph=bimorph, load=load), tip_response(bimorph, load, band), conditions
+        )
+        found = numbers_of(CRITERIA_TOLD, solved)
         figures[name] = {
-            "static_um_per_v": static * 1e6,
-            "smallest_um_per_v": low * 1e6,
+            "static_um_per_v": float(size[0]) * 1e6,
             "peak_hz": float(frequency[size.argmax()]),
-            "shaping_db": 20 * float(np.log10(high / low)),
-            "attainable_um": low * voltage * 1e6,
-            "blocked_force_mn_per_v": force * 1e3,
+            **{variable(criterion): float(value) for criterion, value in found.items()},
         }
     return figures

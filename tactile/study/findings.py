@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile.errors import InputError
 from tactile.study.criteria import CRITERIA
-from tactile.study.ranges import Range, overlap, shares, within
+from tactile.study.ranges import SHARE, Range, check_share, overlap, shares, within
 from tactile.study.sweep import LARGEST
 
 if TYPE_CHECKING:
@@ -23,18 +23,13 @@ WORST = 0.05
 """Share of scenarios that a design may fail."""
 MOST_RANGES = 24
 """Beyond which ranges are told of the best of the other axes alone."""
-FINGER = "load"
+FINGER, SCENARIO, FREQUENCY = "load", "scenario", "frequency_hz"
+"""Axes that have a meaning of their own."""
 
 Figures = dict[str, Any]
 
 
-def check_share(share: float) -> None:
-    """Raise InputError where a share of the best cannot be."""
-    if not 0 < share < 1:
-        raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
-
-
-def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
+def summarize(data: "xarray.Dataset", *, share: float = SHARE) -> Figures:
     """Return what a study says, as plain data.
 
     Parameters
@@ -62,7 +57,7 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
         raise InputError("the study is too large to be summed up in memory; open it with xarray")
     found: Figures = {
         "designs": int(np.prod([data.sizes[name] for name in _axes(data)], dtype=float)),
-        "scenarios": data.sizes.get("scenario", 0),
+        "scenarios": data.sizes.get(SCENARIO, 0),
         "axes": {name: data[name].values.tolist() for name in _axes(data)},
         "share": share,
         "best": [],
@@ -93,33 +88,52 @@ def summarize(data: "xarray.Dataset", *, share: float = 0.85) -> Figures:
 
 def _span(values: "xarray.DataArray") -> list[Figures]:
     """Return from where to where a criterion goes of which neither more nor less is better."""
-    if _sign(values) or not bool(values.notnull().any()):
+    if sign_of(values) or not bool(values.notnull().any()):
         return []
     told = {"criterion": values.attrs["criterion"], "unit": values.attrs["units"]}
     return [told | {"low": float(values.min()), "high": float(values.max())}]
 
 
 def _axes(data: "xarray.Dataset | xarray.DataArray") -> list[str]:
-    return [str(d) for d in data.dims if d not in ("scenario", "frequency_hz")]
+    return [str(d) for d in data.dims if d not in (SCENARIO, FREQUENCY)]
 
 
-def _sign(values: "xarray.DataArray") -> int:
-    return CRITERIA[values.attrs["criterion"]].sign
+def number_axes(values: "xarray.DataArray | xarray.Dataset") -> list[str]:
+    """Return the axes of two or more numbers, frequency and scenarios apart."""
+    return [d for d in _axes(values) if values.sizes[d] > 1 and values[d].dtype.kind in "fiu"]
+
+
+def sign_of(values: "xarray.DataArray") -> int:
+    """Return 1 where more is better, −1 where less is, 0 where neither is known to be."""
+    criterion = CRITERIA.get(str(values.attrs.get("criterion", "")))
+    return 0 if criterion is None else criterion.sign
+
+
+def range_of(values: "xarray.DataArray", share: float) -> Range:
+    """Return what of its one axis is within a share of a criterion's best; see `within`."""
+    (axis,) = values.dims
+    return within(
+        values[axis].values,
+        values.values,
+        share=share,
+        sign=sign_of(values),
+        in_db=in_decibels(values),
+    )
 
 
 def reached(values: "xarray.DataArray") -> "xarray.DataArray":
     """Return what all but the worst scenarios reach; the median of what is neither good nor bad."""
     values = values.load()
-    if "scenario" not in values.dims:
+    if SCENARIO not in values.dims:
         return values
-    share = {1: WORST, -1: 1 - WORST, 0: 0.5}[_sign(values)]
-    found = values.quantile(share, "scenario", method="weibull", keep_attrs=True, skipna=False)
+    share = {1: WORST, -1: 1 - WORST, 0: 0.5}[sign_of(values)]
+    found = values.quantile(share, SCENARIO, method="weibull", keep_attrs=True, skipna=False)
     return found.drop_vars("quantile")
 
 
 def _best(values: "xarray.DataArray") -> list[Figures]:
     """Return the best design for each finger, and the one that suits all of them best."""
-    sign = _sign(values)
+    sign = sign_of(values)
     if not sign or not bool(np.isfinite(values).any()):
         return []
     cases: list[tuple[str | None, xarray.DataArray]] = [(None, values)]
@@ -139,14 +153,15 @@ def agreed(values: "xarray.DataArray") -> "xarray.DataArray":
 
     Fingers are far apart, so that the smallest of all would be that of the stiffest one alone.
     """
-    size = values.copy(data=shares(values.values, sign=_sign(values), in_db=_in_db(values)))
+    size = values.copy(data=shares(values.values, sign=sign_of(values), in_db=in_decibels(values)))
     rest = [d for d in size.dims if d != FINGER]
     worst = (size / size.max(rest)).min(FINGER, skipna=False) * 100
     return worst.assign_attrs({**values.attrs, "units": "% of each finger's own best"})
 
 
-def _in_db(values: "xarray.DataArray") -> bool:
-    return bool(values.attrs["units"] == "dB")
+def in_decibels(values: "xarray.DataArray") -> bool:
+    """Tell whether a criterion is a level, of which differences matter and not ratios."""
+    return bool(values.attrs.get("units") == "dB")
 
 
 def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figures:
@@ -165,17 +180,14 @@ def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figur
 
 def _along(values: "xarray.DataArray") -> str | None:
     """Return the first axis of two or more ascending numbers."""
-    for name in _axes(values):
-        along = values[name].values
-        if along.dtype.kind in "iuf" and along.size > 1 and np.all(np.diff(along) > 0):
-            return name
-    return None
+    ascending = (d for d in number_axes(values) if np.all(np.diff(values[d].values) > 0))
+    return next(ascending, None)
 
 
 def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures, Range]]:
     """Yield the range along the first axis of numbers, for each of what the other axes say."""
-    along, sign = _along(values), _sign(values)
-    if along is None or not sign:
+    along = _along(values)
+    if along is None or not sign_of(values):
         return
     others = [name for name in _axes(values) if name != along]
     places: Sequence[Figures] = [
@@ -188,12 +200,9 @@ def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures,
             for b in _best(values) if b["finger"] != "all"
         ]  # fmt: skip
     for at in places:
-        line = values.sel(at).values
-        if np.any(np.isfinite(line)):
-            yield (
-                at,
-                within(values[along].values, line, share=share, sign=sign, in_db=_in_db(values)),
-            )
+        line = values.sel(at)
+        if bool(np.isfinite(line).any()):
+            yield at, range_of(line, share)
 
 
 def _told(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:

@@ -22,7 +22,7 @@ from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.study.criteria import CRITERIA, Conditions, Solved, variable
+from tactile.study.criteria import CRITERIA, Conditions, Solved, numbers_of, variable
 from tactile.study.parameters import FINGERS, PARAMETERS, specimen
 from tactile.study.scenarios import Scenarios
 from tactile.study.searching import LARGE, Search, find_best, find_front, hypervolume
@@ -208,8 +208,7 @@ def _judge_piece(task: Task, common: dict[str, Any], designs: Floats) -> dict[st
     made = specimen(values, base=task.base, fingers=task.fingers)
     response = response_of(made, task.frequency)
     solved = Solved(made, response, task.conditions)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return {name: CRITERIA[name].judge(solved) for name in task.criteria}
+    return numbers_of(task.criteria, solved)
 
 
 def attained(values: Floats, share: float, sign: int) -> Floats:
@@ -339,9 +338,7 @@ def middle(task: Task) -> Task:
     return replace(task, scenarios=None, fixed={**task.fixed, **drawn})
 
 
-def _labeled(
-    task: Task, search: Search, designs: Floats, lowered: Floats
-) -> "xarray.Dataset":  # fmt: skip
+def _labeled(task: Task, search: Search, designs: Floats, lowered: Floats) -> "xarray.Dataset":
     """Return designs (N, D) and what they are judged by, with labels and how they came to be."""
     import xarray
 

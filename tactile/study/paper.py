@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.response import blocked_force
 from tactile.study.criteria import Conditions
+from tactile.study.findings import range_of
 from tactile.study.parameters import standard_value
-from tactile.study.ranges import Range, overlap, within
+from tactile.study.ranges import SHARE, Range, overlap
 from tactile.study.sweep import Study, solve_study
 
 if TYPE_CHECKING:
@@ -44,8 +45,6 @@ KINDS: dict[Kind, str] = {
     "design against unnoticed change, and says nothing of the paper.",
 }
 FINGERS = ("low", "high")
-SHARE = 0.85
-"""Of the best smallest amplitude that is good enough."""
 BAND = (0.0, 1000.0)
 """Hz."""
 STATED = {"low": (18.0, 27.0), "high": (10.0, 20.0)}
@@ -180,9 +179,7 @@ FIGURES: tuple[PaperFigure, ...] = (
 def good_lengths(data: "xarray.Dataset") -> dict[str, Range]:
     """Return the range of good lengths [mm] under each finger of a study over length."""
     return {
-        str(finger): within(
-            data["length_mm"].values, data[SMALLEST].sel(load=finger).values, share=SHARE
-        )
+        str(finger): range_of(data[SMALLEST].sel(load=finger), SHARE)
         for finger in data["load"].values
     }
 

@@ -13,6 +13,9 @@ from tactile.errors import InputError
 
 Floats = NDArray[np.float64]
 
+SHARE = 0.85
+"""Of the best that is good enough, unless told otherwise: the paper's."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -60,8 +63,7 @@ def within(
     along, values = np.asarray(along, np.float64), np.asarray(values, np.float64)
     if along.size < 2 or np.any(np.diff(along) <= 0):
         raise InputError("a range needs an axis of two or more ascending numbers")
-    if not 0 < share < 1:
-        raise InputError(f"share = {share:g}: must be above 0 and below 1, as 0.85")
+    check_share(share)
     size = shares(values, sign=sign, in_db=in_db)
     best = int(np.nanargmax(size))
     level = share * size[best]
@@ -73,6 +75,12 @@ def within(
         value=float(values[best]),
         is_cut=ends[0][1] or ends[1][1],
     )
+
+
+def check_share(share: float) -> None:
+    """Raise InputError where a share of the best cannot be."""
+    if not 0 < share < 1:
+        raise InputError(f"share = {share:g}: must be above 0 and below 1, as {SHARE:g}")
 
 
 def shares(values: Floats, *, sign: int, in_db: bool) -> Floats:

@@ -21,7 +21,7 @@ from tactile.study.block_store import BlockStore, study_blocks
 from tactile.study.crews import ClusterCrew, CrewLostError, Found, OwnCrew, PoolCrew, part_of
 from tactile.study.extras import study_extra
 from tactile.study.storing import check_store, load_study, save
-from tactile.study.sweep import Block, Study, check_memory, frame, variables
+from tactile.study.sweep import Block, Study, check_memory, labeled, variables
 
 if TYPE_CHECKING:
     import xarray
@@ -68,10 +68,7 @@ class MemoryStore:
 
     def data(self) -> "xarray.Dataset":
         """Return the data set."""
-        data = frame(self._study)
-        for name, (dimensions, labels, _) in variables(self._study).items():
-            data[name] = (dimensions, self._values[name], labels)
-        return data
+        return labeled(self._study, self._values)
 
 
 def points(study: Study) -> int:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution, minimize
 from scipy.stats import qmc
 
-from tactile.errors import InputError
+from tactile.study.extras import study_extra
 
 Floats = NDArray[np.float64]
 Score = Callable[[Floats], tuple[Floats, Floats]]
@@ -65,14 +65,10 @@ def find_front(
     InputError
         Where pymoo is missing.
     """
-    try:
+    with study_extra("a front of several objectives"):
         from pymoo.algorithms.moo.nsga2 import NSGA2
         from pymoo.core.problem import Problem
         from pymoo.problems.static import StaticProblem
-    except ImportError:
-        raise InputError(
-            "several objectives need pymoo: pip install 'tactile-display[study]'"
-        ) from None
     start, evaluations = first_population(score, low, high, seed)
     f, g = score(start[:1])
     problem = Problem(n_var=len(low), n_obj=f.shape[1], n_ieq_constr=g.shape[1], xl=low, xu=high)

@@ -23,7 +23,7 @@ from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import TipResponse, tip_response
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.study.criteria import CRITERIA, Conditions, Solved, variable
+from tactile.study.criteria import CRITERIA, Conditions, Solved, numbers_of, variable
 from tactile.study.extras import study_extra
 from tactile.study.parameters import (
     FINGERS,
@@ -223,8 +223,10 @@ def solve_block(study: Study, block: Block) -> dict[str, NDArray[Any]]:
             slice(b.start + p.start, b.start + p.stop) for b, p in zip(block, piece, strict=True)
         )
         for name, values in _solve_piece(study, whole).items():
-            last = () if values.ndim == len(shape) else values.shape[-1:]
-            found.setdefault(name, np.empty((*shape, *last), values.dtype))[piece] = values
+            if name not in found:
+                last = () if values.ndim == len(shape) else values.shape[-1:]
+                found[name] = np.empty((*shape, *last), values.dtype)
+            found[name][piece] = values
     return found
 
 
@@ -236,8 +238,7 @@ def _solve_piece(study: Study, piece: Block) -> dict[str, NDArray[Any]]:
     if response is not None:
         found.update(_kept(study, response, len(piece)))
     judged = Solved(designs, _banded(study, response), study.conditions)
-    for name in study.criteria:
-        value = np.asarray(CRITERIA[name].judge(judged))
+    for name, value in numbers_of(study.criteria, judged).items():
         found[variable(name)] = value.reshape((1,) * (len(piece) - value.ndim) + value.shape)
     return found
 
@@ -385,8 +386,12 @@ def solve_study(study: Study) -> "xarray.Dataset":
         Where xarray is missing, or it takes more than `LARGEST` bytes.
     """
     check_memory(study)
+    return labeled(study, solve_block(study, tuple(slice(0, size) for size in study.shape)))
+
+
+def labeled(study: Study, solved: Mapping[str, NDArray[Any]]) -> "xarray.Dataset":
+    """Return the data set of a study whose variables have been solved."""
     data = frame(study)
-    solved = solve_block(study, tuple(slice(0, size) for size in study.shape))
     for name, (dimensions, labels, _) in variables(study).items():
         data[name] = (dimensions, solved[name], labels)
     return data

@@ -326,6 +326,24 @@ def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
     assert rig.misplaced()[0] < SAMPLE
 
 
+@pytest.mark.parametrize("link", ["serial", "can", "canfd"])
+@pytest.mark.parametrize(("lead", "is_whole"), [("&lead_ms=50", True), ("", False)])
+def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
+    bench: Callable[..., Bench], link: str, lead: str, is_whole: bool
+) -> None:
+    """For who knows what comes: nothing is lost where the lead that adapts loses samples."""
+    rig = bench(link, f"&rearm=true{lead}")
+    rig.start()
+    rig.play(0.6)
+    for _ in range(4):
+        rig.model.stall(0.04)
+        rig.play(0.6)
+    assert ("lost_samples" not in rig.faults()) is is_whole
+    assert (rig.bus.counters.underruns == 0) is is_whole
+    assert (rig.bus.lead == 0.05) is is_whole
+    assert rig.misplaced()[0] < SAMPLE
+
+
 @EVERY
 @pytest.mark.parametrize("fifo", [64, 14])
 def test_nothing_is_sent_beyond_the_credit(

@@ -18,17 +18,18 @@ from firmware_protocol.messages import Message
 from tactile.bus.base import RATE, Bus, DriveBlock, DriveFrame, Floats, Frames, Rig, Status, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
-from tactile.bus.options import flag, sample_format
+from tactile.bus.options import flag, number, sample_format
 from tactile.bus.peer import Peer
 from tactile.bus.registry import Address
 from tactile.bus.session import Phase, Session
+from tactile.bus.stream import LEAST_LEAD, LONGEST_LEAD
 from tactile.bus.wire import Clock, Wire, WireError
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError, BusStateError, InputError
 
 logger = logging.getLogger("tactile.bus")
 
-LINK_OPTIONS = ("format", "rearm")
+LINK_OPTIONS = ("format", "rearm", "lead_ms")
 """Of every device whose amplifiers speak the protocol."""
 OPENING = 2.0
 """s in which an amplifier must have answered, and its clock be known."""
@@ -66,6 +67,7 @@ class LinkBus(Bus):
     choose : makes the plan from the amplifiers' CAPS; may raise InputError
     nodes : of the amplifiers, in the order of channels; all that answer, if not given
     rearm : whether to arm again what went to 0 V because the link broke
+    lead : by which samples go ahead [s], for who knows what comes; None for the least that will do
     clock : of a modeled wire, which turns when its `receive` waits; None for real time
 
     Attributes
@@ -90,6 +92,7 @@ class LinkBus(Bus):
         *,
         nodes: Sequence[int] = (),
         rearm: bool = False,
+        lead: float | None = None,
         clock: Clock | None = None,
     ) -> None:
         super().__init__(wiring)
@@ -103,7 +106,7 @@ class LinkBus(Bus):
         self._waits_until = -math.inf
         self._session = Session(
             wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
-            nodes=nodes, rearm=rearm,
+            nodes=nodes, rearm=rearm, lead=lead,
         )  # fmt: skip
         self._session.connected(self._clock.now())
         self._thread: threading.Thread | None = None
@@ -466,7 +469,15 @@ def open_link(
     wiring = Wiring.of(rig, sample_rate or RATE)
     config_of(wiring, 1, 1)
     choose = planner(address, rig, sample_rate, link)
-    return LinkBus(wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"))
+    return LinkBus(
+        wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"), lead=lead_of(address)
+    )
+
+
+def lead_of(address: Address) -> float | None:
+    """Return the lead that is asked for [s], None where it is to be the least that will do."""
+    lead = number(address, "lead_ms", 1e3 * LEAST_LEAD, 1e3 * LONGEST_LEAD)
+    return None if lead is None else lead * 1e-3
 
 
 def planner(

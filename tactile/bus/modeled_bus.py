@@ -19,7 +19,7 @@ from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
 from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, ModelClock, Party, SerialModel
-from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, planner
+from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, lead_of, planner
 from tactile.bus.options import flag, number, whole
 from tactile.bus.registry import Address
 from tactile.bus.serial_bus import SerialWire
@@ -180,7 +180,7 @@ def open_modeled(address: Address, rig: Rig, sample_rate: float | None) -> Model
 
     return ModeledBus(
         wiring, model, connect, planner(address, rig, sample_rate, link),
-        keep=keep, rearm=flag(address, "rearm"),
+        keep=keep, rearm=flag(address, "rearm"), lead=lead_of(address),
     )  # fmt: skip
 
 

@@ -87,6 +87,7 @@ class Session:
     counters : of the bus
     nodes : of the amplifiers, in the order of channels; all that answer, if not given
     rearm : whether it may arm again what went to 0 V by itself
+    lead : by which samples go ahead [s]; None for one that goes with underruns
 
     Attributes
     ----------
@@ -108,8 +109,9 @@ class Session:
         counters: Counters,
         nodes: Sequence[int] = (),
         rearm: bool = False,
+        lead: float | None = None,
     ) -> None:
-        self.wiring, self.token, self.rearm = wiring, token, rearm
+        self.wiring, self.token, self.rearm, self._lead = wiring, token, rearm, lead
         self.peers = [Peer(token, node) for node in nodes]
         self.plan: Plan | None = None
         self.stream: Stream | None = None
@@ -390,7 +392,7 @@ class Session:
                 )
         self.plan = self._choose(caps)
         self.wiring = replace(w, sample_rate=float(self.plan.sample_rate))
-        self.stream = Stream(self.peers, self.plan, w.channels, self._counters)
+        self.stream = Stream(self.peers, self.plan, w.channels, self._counters, self._lead)
 
     def _after_clock(self, now: float) -> None:
         if not all(peer.locked for peer in self.peers):

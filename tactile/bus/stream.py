@@ -27,6 +27,8 @@ Complex = NDArray[np.complex128]
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
 """s that samples are sent before they are put out: at first, and between what (SPEC.md, 8.1)."""
+LONGEST_LEAD = 50e-3
+"""s that may be asked for: amplifiers have room for 64 ms at least, a whole packet among them."""
 RAISE, LOWER = 1.5, 0.1e-3
 """By which the lead grows at an underrun, and s by which it falls in a second."""
 
@@ -56,6 +58,7 @@ class Stream:
     plan : how samples are packed
     channels : C of what is written
     counters : to count in what is late and what is dropped
+    lead : one that is kept [s]; None for one that goes with underruns
 
     Attributes
     ----------
@@ -64,9 +67,15 @@ class Stream:
     """
 
     def __init__(
-        self, peers: Sequence[Peer], plan: Plan, channels: int, counters: Counters
+        self,
+        peers: Sequence[Peer],
+        plan: Plan,
+        channels: int,
+        counters: Counters,
+        lead: float | None = None,
     ) -> None:
-        self.lead = LEAD
+        self.lead = LEAD if lead is None else lead
+        self._least, self._most = (LEAST_LEAD, MOST_LEAD) if lead is None else (lead, lead)
         self._plan, self._counters = plan, counters
         ends = np.minimum(np.cumsum([peer.caps.channels for peer in peers]), channels).tolist()
         starts = [0, *ends[:-1]]
@@ -156,9 +165,9 @@ class Stream:
         late, self._late = self.late - self._late, self.late
         self._counters.late_blocks -= -late // self._plan.packet_samples
         if running and fresh:
-            self.lead = min(self.lead * RAISE, MOST_LEAD)
+            self.lead = min(self.lead * RAISE, self._most)
         elif running and now > self._lowered:
-            self.lead = max(self.lead - LOWER * (now - self._lowered), LEAST_LEAD)
+            self.lead = max(self.lead - LOWER * (now - self._lowered), self._least)
         self._lowered = max(now, self._lowered)
 
     # What waits

@@ -6,6 +6,7 @@ and that time (of the processor, whatever else runs) grows as the study does.
 """
 
 import logging
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tactile.bench.figures import Figure, at_least, at_most
+from tactile.bench.resources import resident_bytes
 from tactile.study.block_store import BLOCK_POINTS
 from tactile.study.criteria import Conditions
 from tactile.study.runs import points, run_study
@@ -69,7 +71,9 @@ def measure_dask() -> Iterator[Figure]:
 
 def measure_million() -> Iterator[Figure]:
     """Solve a robust sweep of a million designs: memory, and time against a tenth of it."""
-    from resource import RUSAGE_SELF, getrusage  # not on Windows
+    if sys.platform == "win32":  # no accounting of a process's memory there
+        return
+    from resource import RUSAGE_SELF, getrusage
 
     rates = {}
     with TemporaryDirectory() as folder:  # libraries are loaded
@@ -83,5 +87,5 @@ def measure_million() -> Iterator[Figure]:
         yield Figure(f"study.designs_{designs}.points_per_second", rates[designs], "1/s")
     growth = rates[DESIGNS[0]] / rates[DESIGNS[1]]
     yield at_most("study.million.time_per_point_over_that_of_a_tenth", growth, "×", GROWTH)
-    peak = getrusage(RUSAGE_SELF).ru_maxrss / 2**20
+    peak = resident_bytes(getrusage(RUSAGE_SELF).ru_maxrss) / 2**30
     yield at_most("study.million.peak_memory", peak, "GiB", MEMORY_GIB)

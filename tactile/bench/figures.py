@@ -2,12 +2,14 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tactile.bus.stream import LEAD, LONGEST_LEAD, MOST_LEAD
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +62,17 @@ def at_most(name: str, value: float, unit: str, limit: float) -> Figure:
 def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
     """Return a figure that must reach a limit."""
     return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
+
+
+def machine_figures(name: str, late: list[float]) -> Iterator[Figure]:
+    """Return how late a bare loop woke beside a measurement; see `tactile.bench.metronome`."""
+    for part in (50, 99, 99.9):
+        value = 1e3 * float(np.percentile(late, part))
+        yield Figure(f"{name}.machine.p{part:g}", value, "ms")
+    yield Figure(f"{name}.machine.most", 1e3 * max(late), "ms")
+    for lead in (LEAD, MOST_LEAD, LONGEST_LEAD):
+        missed = 1e4 * sum(lateness > lead for lateness in late) / len(late)
+        yield Figure(f"{name}.machine.later_than_{1e3 * lead:g}_ms", missed, "of 10 000")
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:

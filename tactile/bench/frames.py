@@ -27,6 +27,7 @@ from tactile.bus.base import DriveFrame, Wiring
 from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus, Monotonic
+from tactile.bus.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer
@@ -159,7 +160,8 @@ def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
         amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"))
         with LinkBus(
             Wiring.of(display, RATE), connect,
-            lambda caps: plan(link, display.channels, Ability.of(caps)), nodes=[1],
+            lambda caps: plan(link, display.channels, Ability.of(caps)),
+            nodes=[1], lead=LONGEST_LEAD,
         ) as bus:  # fmt: skip
             assert isinstance(bus, LinkBus)
             ledger = _played(bus, display, amplifier, sent, seconds)
@@ -167,6 +169,7 @@ def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
             yield at_most(f"{name}.lost_frames", float(bus.counters.dropped_samples), "", 0)
             late = 1e4 * bus.counters.late_blocks / max(bus.counters.blocks, 1)
             yield at_most(f"{name}.late_frames", late, "of 10 000", 1)
+            yield at_most(f"{name}.disconnects", float(bus.counters.disconnects), "", 0)
             yield Figure(f"{name}.underruns", float(bus.counters.underruns), "")
         amplifier.close()
     yield Figure(f"{name}.compared", float(ledger.compared), "samples")

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import State
-from tactile.bench.figures import Figure, at_most
-from tactile.bench.virtual import VirtualAmplifier, can_be_built, real_time, workshop
+from tactile.bench.figures import Figure, at_most, machine_figures
+from tactile.bench.metronome import metronome
+from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
 from tactile.daemon.host import Host
@@ -141,26 +142,10 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     """Measure it over a pty, with samples and with spectrum frames."""
     if not can_be_built():
         return
-    yield from _machine(seconds)
-    yield from _measured("latency", "", seconds, goals=True)
+    with metronome() as late:
+        yield from _measured("latency", "", seconds, goals=True)
+    yield from machine_figures("latency", late)
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
-
-
-def _machine(seconds: float) -> Iterator[Figure]:
-    """Measure how late a bare loop of 2 ms wakes, at real-time priority where that is allowed.
-
-    What a machine stands still for is in every figure of it.
-    """
-    interval, late = 2e-3, []
-    with real_time():
-        due = time.monotonic()
-        for _ in range(int(seconds / interval)):
-            due += interval
-            time.sleep(max(0.0, due - time.monotonic()))
-            late.append(time.monotonic() - due)
-    for part in (50, 99, 99.9):
-        yield Figure(f"latency.machine.p{part:g}", 1e3 * float(np.percentile(late, part)), "ms")
-    yield Figure("latency.machine.most", 1e3 * max(late), "ms")
 
 
 def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterator[Figure]:

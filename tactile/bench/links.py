@@ -1,14 +1,17 @@
 """Links: what gets through to the C amplifier in real time, and what that costs.
 
-The drive is rendered as it is played, in blocks of 16; then what the amplifier has put out is
-compared with it position by position: with what the frames say, which must be the same to the last
-bit, and with the renderer's drive. Where the amplifier bridged or faded, because the machine stood
-still, samples differ; they are counted, and no step may exceed the slew limit.
+The drive is rendered as it is played, in blocks of 16, as far ahead as an amplifier has room for:
+where the finger goes is known beforehand. Then what the amplifier has put out is compared with it
+position by position: with what the frames say, which must be the same to the last bit, and with the
+renderer's drive. Where the amplifier bridged or faded, because the machine stood still for longer,
+samples differ; they are counted, and no step may exceed the slew limit. A bare loop runs beside it
+and tells for how long the machine stood still (`tactile.bench.metronome`).
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -18,8 +21,9 @@ from numpy.typing import NDArray
 from firmware_protocol import samples
 from firmware_protocol.host import codes_of
 from firmware_protocol.messages import FULL_SCALE_CODE, State
-from tactile.bench.figures import RATE, Figure, at_most
+from tactile.bench.figures import RATE, Figure, at_most, machine_figures
 from tactile.bench.frames import stream_frames
+from tactile.bench.metronome import metronome
 from tactile.bench.virtual import (
     SocketCan,
     VirtualAmplifier,
@@ -33,6 +37,7 @@ from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus, Monotonic
 from tactile.bus.registry import open_bus
+from tactile.bus.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
@@ -41,13 +46,12 @@ from tactile.texture.surface import load_texture
 
 BLOCK = 16
 SHORT, LONG = 5.0, 600.0
+"""s of a stream."""
 CHUNK = 1 << 22
 """Bytes of records that are compared at a time."""
 
 Codes = NDArray[np.int16]
 Indices = NDArray[np.int64] | NDArray[np.int32]
-
-"""s of a stream."""
 
 
 @dataclass
@@ -155,10 +159,10 @@ def _stream(
     yield from _figures(name, bus, ledger, len(sent) / rate, _slew_step(display, rate))
 
 
-def _serial(name: str, options: str, seconds: float) -> Iterator[Figure]:
+def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
     with workshop() as folder:
         amplifier = VirtualAmplifier(folder, "--pty")
-        url = f"serial://{amplifier.path}?{options}&rearm=true"
+        url = f"serial://{amplifier.path}?{options}&rearm=true&lead_ms={1e3 * LONGEST_LEAD:g}"
         with open_bus(url, load_display("reference-24")) as bus:
             assert isinstance(bus, LinkBus)
             yield from _stream(name, folder, bus, amplifier, seconds)
@@ -174,6 +178,7 @@ def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
         lambda caps: plan(link, display.channels, Ability.of(caps)),
         nodes=[1],
         rearm=True,
+        lead=LONGEST_LEAD,
     )
 
 
@@ -186,14 +191,22 @@ def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
         amplifier.close()
 
 
+STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
+    "links.uart_3M.bfp8": partial(_serial, options="baud=3000000&format=bfp8"),
+    "links.usb.pcm12": partial(_serial, options="format=pcm12"),
+    "links.canfd_1_5": _can_fd,
+    "links.can_1.spectrum": stream_frames,
+}
+
+
 def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
-    """Stream oak to the C amplifier over each link at its bit time."""
+    """Stream oak to the C amplifier over each link at its bit time, a metronome beside it."""
     if not can_be_built():
         return
-    yield from _serial("links.uart_3M.bfp8", "baud=3000000&format=bfp8", seconds)
-    yield from _serial("links.usb.pcm12", "format=pcm12", seconds)
-    yield from _can_fd("links.canfd_1_5", seconds)
-    yield from stream_frames("links.can_1.spectrum", seconds)
+    for name, stream in STREAMS.items():
+        with metronome() as late:
+            yield from stream(name, seconds)
+        yield from machine_figures(name, late)
 
 
 def measure_streams_long() -> Iterator[Figure]:

@@ -92,4 +92,9 @@ def peak_memory(command: list[str]) -> int:
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, command)
-    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resident_bytes(usage.ru_maxrss)
+
+
+def resident_bytes(told: int) -> int:
+    """Return what a system's accounting tells as ``ru_maxrss`` in bytes; macOS does, Linux KiB."""
+    return told * (1 if sys.platform == "darwin" else 1024)

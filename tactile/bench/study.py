@@ -19,7 +19,7 @@ from tactile.bench.figures import Figure, at_least, at_most, seconds
 from tactile.study.criteria import Conditions
 from tactile.study.fit_figures import load_fit_figures
 from tactile.study.paper import over_length
-from tactile.study.ranges import within
+from tactile.study.ranges import SHARE, within
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import PIECE_POINTS, Study, solve_block, solve_study
 
@@ -109,7 +109,7 @@ def _lengths() -> Iterator[Figure]:
     found = solve_study(replace(study, responses=()))
     for finger, ends in LENGTHS.items():
         values = found.smallest_displacement_um_per_v.sel(load=finger).values
-        good = within(found.length_mm.values, values, share=0.85)
+        good = within(found.length_mm.values, values, share=SHARE)
         for name, value, expected in zip(("from", "to"), (good.low, good.high), ends, strict=True):
             met = abs(value - expected) <= 0.1
             goal = f"{expected:g} ± 0.1"

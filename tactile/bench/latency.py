@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import State
 from tactile.bench.figures import Figure, at_most, machine_figures
-from tactile.bench.metronome import metronome
+from tactile.bench.metronome import beating
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
@@ -142,7 +142,7 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     """Measure it over a pty, with samples and with spectrum frames."""
     if not can_be_built():
         return
-    with metronome() as late:
+    with beating() as late:
         yield from _measured("latency", "", seconds, goals=True)
     yield from machine_figures("latency", late)
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)

@@ -23,7 +23,7 @@ from firmware_protocol.host import codes_of
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.bench.figures import RATE, Figure, at_most, machine_figures
 from tactile.bench.frames import stream_frames
-from tactile.bench.metronome import metronome
+from tactile.bench.metronome import beating
 from tactile.bench.virtual import (
     SocketCan,
     VirtualAmplifier,
@@ -204,7 +204,7 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
     if not can_be_built():
         return
     for name, stream in STREAMS.items():
-        with metronome() as late:
+        with beating() as late:
             yield from stream(name, seconds)
         yield from machine_figures(name, late)
 

@@ -22,7 +22,7 @@ PRIORITY = 6
 
 
 @contextmanager
-def metronome() -> Iterator[list[float]]:
+def beating() -> Iterator[list[float]]:
     """Wake for each block meanwhile; at the end the list holds by how much each was late [s].
 
     The priority is real-time where that is allowed.

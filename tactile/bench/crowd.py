@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.messages import FULL_SCALE_CODE
-from tactile.bench.figures import Figure, at_most
+from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
@@ -155,6 +155,10 @@ def measure_crowd(crowd: Crowd = SHORT) -> Iterator[Figure]:
     """Measure a crowd's daemon for a short while."""
     if not can_be_built() or sys.platform != "linux":
         return
+    yield from beside_machine(crowd.name, _measured(crowd))
+
+
+def _measured(crowd: Crowd) -> Iterator[Figure]:
     with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         yield from asyncio.run(_session(amplifier, crowd))
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.bench.metronome import STEP, beating
 from tactile.bus.stream import LEAD, LONGEST_LEAD, MOST_LEAD
 
 Floats = NDArray[np.float64]
@@ -64,15 +65,17 @@ def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
     return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
 
 
-def machine_figures(name: str, late: list[float]) -> Iterator[Figure]:
-    """Return how late a bare loop woke beside a measurement; see `tactile.bench.metronome`."""
+def beside_machine(name: str, measured: Iterator[Figure]) -> Iterator[Figure]:
+    """Yield what is measured, then by how much a bare loop that ran beside it woke late."""
+    with beating() as steps:
+        yield from measured
+    late = 1e3 * STEP * np.array(list(steps.elements()))
     for part in (50, 99, 99.9):
-        value = 1e3 * float(np.percentile(late, part))
-        yield Figure(f"{name}.machine.p{part:g}", value, "ms")
-    yield Figure(f"{name}.machine.most", 1e3 * max(late), "ms")
-    for lead in (LEAD, MOST_LEAD, LONGEST_LEAD):
-        missed = 1e4 * sum(lateness > lead for lateness in late) / len(late)
-        yield Figure(f"{name}.machine.later_than_{1e3 * lead:g}_ms", missed, "of 10 000")
+        yield Figure(f"{name}.machine.p{part:g}", float(np.percentile(late, part)), "ms")
+    yield Figure(f"{name}.machine.most", float(late.max()), "ms")
+    for lead in 1e3 * np.array((LEAD, MOST_LEAD, LONGEST_LEAD)):
+        missed = 1e4 * float(np.mean(late > lead))
+        yield Figure(f"{name}.machine.later_than_{lead:g}_ms", missed, "of 10 000")
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:

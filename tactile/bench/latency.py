@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import State
-from tactile.bench.figures import Figure, at_most, machine_figures
-from tactile.bench.metronome import beating
+from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
@@ -142,9 +141,7 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     """Measure it over a pty, with samples and with spectrum frames."""
     if not can_be_built():
         return
-    with beating() as late:
-        yield from _measured("latency", "", seconds, goals=True)
-    yield from machine_figures("latency", late)
+    yield from beside_machine("latency", _measured("latency", "", seconds, goals=True))
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
 
 

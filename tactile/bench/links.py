@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from firmware_protocol import samples
 from firmware_protocol.host import codes_of
 from firmware_protocol.messages import FULL_SCALE_CODE, State
-from tactile.bench.figures import RATE, Figure, at_most, machine_figures
+from tactile.bench.figures import RATE, Figure, at_most, beside_machine
 from tactile.bench.frames import stream_frames
-from tactile.bench.metronome import beating
 from tactile.bench.virtual import (
     SocketCan,
     VirtualAmplifier,
@@ -204,9 +203,7 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
     if not can_be_built():
         return
     for name, stream in STREAMS.items():
-        with beating() as late:
-            yield from stream(name, seconds)
-        yield from machine_figures(name, late)
+        yield from beside_machine(name, stream(name, seconds))
 
 
 def measure_streams_long() -> Iterator[Figure]:

@@ -12,39 +12,43 @@ import select
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 PERIOD = 2e-3
 """s of a block of 16 samples at 8 kHz."""
+STEP = 1e-4
+"""s of lateness that are counted as one."""
 PRIORITY = 6
 """Real-time, one above that of a stream."""
 
 
 @contextmanager
-def beating() -> Iterator[list[float]]:
-    """Wake for each block meanwhile; at the end the list holds by how much each was late [s].
+def beating() -> Iterator[Counter[int]]:
+    """Wake for each block meanwhile; at the end what is yielded counts by how many `STEP` late.
 
     The priority is real-time where that is allowed.
     """
-    late: list[float] = []
+    late = Counter[int]()
     process = subprocess.Popen(
         [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     try:
         yield late
     finally:
-        late += json.loads(process.communicate()[0])
+        told = json.loads(process.communicate()[0])
+    late.update({int(steps): count for steps, count in told.items()})
 
 
-def beat() -> list[float]:
-    """Wake for each block until standard input ends; return by how much each was late [s]."""
-    late = []
+def beat() -> Counter[int]:
+    """Wake for each block until standard input ends; count by how many `STEP` each was late."""
+    late = Counter[int]()
     due = time.monotonic()
     while not select.select([sys.stdin], [], [], 0)[0]:
         due += PERIOD
         time.sleep(max(due - time.monotonic(), 0.0))
-        late.append(max(time.monotonic() - due, 0.0))
+        late[max(round((time.monotonic() - due) / STEP), 0)] += 1
     return late
 
 

@@ -40,6 +40,7 @@ def test_fingers_limits_and_json(command: Command) -> None:
     assert code == 0
     told = json.loads(out)
     assert told["attributes"]["share"] == 0.8
+    assert 0 <= told["attributes"]["unseen_loss"] < 1
     assert told["attributes"]["objectives"] == "robust_attainable_um"
     assert json.loads(told["attributes"]["fixed"]) == {"width_mm": 3.0}
     assert told["designs"]["robust_standing_mm"][told["place"]] <= 25

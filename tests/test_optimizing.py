@@ -290,6 +290,35 @@ def test_a_robust_optimum_attains_less_than_the_middle_and_says_both() -> None:
     assert "in the middle" in recommend(best).words
 
 
+@pytest.mark.parametrize("count", [4, 64])
+def test_what_unseen_fingers_lose_is_that_of_a_sweep_of_their_own(count: int) -> None:
+    """A few fingers make an optimum that others do not have; many tell the truth."""
+    unseen = draw_scenarios(256, seed=8)
+    task = Task(
+        bounds={"length_mm": (12.0, 30.0)},
+        objectives=("attainable",),
+        frequency=np.linspace(10, 1000, 9),
+        conditions=BAND,
+        scenarios=draw_scenarios(count, seed=7),
+        unseen=unseen,
+    )
+    best = find_designs(task)
+    study = Study(
+        axes={"length_mm": best.length_mm.values}, frequency=task.frequency,
+        criteria=("attainable",), conditions=BAND, scenarios=unseen,
+    )  # fmt: skip
+    swept = float(attained_by_90(solve_study(study)["attainable_um"].values[0]))
+    loss = 1 - swept / float(best["robust_attainable_um"][0])
+    assert best.attrs["unseen_loss"] == pytest.approx(loss, rel=1e-9, abs=1e-12)
+    assert abs(loss) < 0.06 if count == 64 else loss > 0.06
+
+
+def attained_by_90(values: Floats) -> float:
+    """Return the 10 % quantile after Weibull: at place 0.1 (n + 1) of n in order, from 1 on."""
+    place = 0.1 * (len(values) + 1) - 1
+    return float(np.interp(place, np.arange(len(values)), np.sort(values)))
+
+
 # What is recommended
 
 

@@ -29,6 +29,8 @@ SHOWN = 10
 """Designs along a front that are printed."""
 SCENARIOS = 64
 """Drawn for ``--robust`` where nobody says how many."""
+UNSEEN = 4
+"""Times as many are drawn anew, to tell what the choice of those was worth."""
 
 
 @app.command("optimize")
@@ -110,6 +112,7 @@ def optimize_design(
             amplitude=amplitude_um * 1e-6,
         ),
         scenarios=drawn,
+        unseen=None if drawn is None else draw_scenarios(UNSEEN * count, seed=seed + 1),
         share=0.9 if robust is None else robust,
         fingers=start.fingers,
         base=start.base,
@@ -233,6 +236,9 @@ def _tell(front: "xarray.Dataset", *, as_json: bool) -> None:
     typer.echo(f"{advice.words}")
     error = front.attrs["sampling_error"]
     typer.echo(f"Between the frequencies that were solved, figures differ by {error:.2%} at most.")
+    if (loss := front.attrs.get("unseen_loss")) is not None:
+        worse = f"{loss:.1%} worse at most" if loss > 0 else "no worse"
+        typer.echo(f"For fingers and parts that the search has not seen they are {worse}.")
 
 
 def _keep(

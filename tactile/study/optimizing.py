@@ -56,6 +56,7 @@ class Task:
     conditions : band and limits of drive
     frequency : ascending (F,) [Hz]; `FREQUENCIES` of them over the band by default
     scenarios : fingers and tolerances, or None for the one that is fixed
+    unseen : more of them, which judge once more what was found by the others; or None
     share : of the scenarios that attain at least what a design counts for
     fingers : what ``load`` may name
     base : what nobody varies
@@ -75,6 +76,7 @@ class Task:
     conditions: Conditions = field(default_factory=Conditions)
     frequency: ArrayLike = ()
     scenarios: Scenarios | None = None
+    unseen: Scenarios | None = None
     share: float = 0.9
     fingers: Mapping[str, FingerLoad] = field(default_factory=lambda: FINGERS)
     base: Bimorph = field(default_factory=Bimorph)
@@ -123,6 +125,8 @@ def _check_bounds(task: Task) -> None:
         if np.ndim(value):
             raise InputError(f"{name}: {np.size(value)} values are fixed; give one, or bounds")
     drawn = {} if task.scenarios is None else task.scenarios.values
+    if task.unseen is not None and drawn.keys() != task.unseen.values.keys():
+        raise InputError("unseen: must draw what the scenarios of the search do")
     if "load" in task.fixed and "firmness" in drawn:
         raise InputError(
             f"load = {task.fixed['load']!r}: the scenarios draw the finger; leave out one of them"
@@ -261,7 +265,9 @@ def find_designs(task: Task, progress: Progress = lambda done, total: None) -> "
         found so far (share of the box between best and worst of the front, a tenth wider), or the
         ``best`` of a single objective. Attributes: how it came to be, ``objectives``, the number of
         ``evaluations``, and ``sampling_error``: the largest relative change of an objective or
-        limited criterion when four times as many frequencies judge the same designs.
+        limited criterion when four times as many frequencies judge the same designs. With
+        ``unseen`` scenarios also ``unseen_loss``: the largest share by which one of them is worse
+        there, since what was found is the best for the fingers that the search saw.
 
     Raises
     ------
@@ -315,6 +321,15 @@ def sampling_error(task: Task, designs: Floats) -> float:
     )
 
 
+def unseen_loss(task: Task, unseen: Scenarios, designs: Floats) -> float:
+    """Return by what share designs count for less, at most, in scenarios that had no part in it."""
+    seen, other = _counted(task, designs), _counted(replace(task, scenarios=unseen), designs)
+    return max(
+        float((_sign(task, name) * (a - other[name]) / np.maximum(np.abs(a), _least(a))).max())
+        for name, a in seen.items()
+    )
+
+
 def _least(values: Floats) -> float:
     """Return what a change is measured by at least: a thousandth of the largest."""
     return 1e-3 * float(np.abs(values).max()) or 1.0
@@ -322,12 +337,16 @@ def _least(values: Floats) -> float:
 
 def _counted(task: Task, designs: Floats) -> dict[str, Floats]:
     """Return what designs (N, D) count for (N,), of each criterion."""
-    found = {}
-    for name, values in judge(task, designs).items():
-        low = task.limits.get(name, (-math.inf, math.inf))[0]
-        sign = CRITERIA[name].sign or (1 if low > -math.inf else -1)
-        found[name] = attained(values, task.share, sign)
-    return found
+    return {
+        name: attained(values, task.share, _sign(task, name))
+        for name, values in judge(task, designs).items()
+    }
+
+
+def _sign(task: Task, name: str) -> int:
+    """Return 1 where more of a criterion is better, or has a lowest value; else −1."""
+    low = task.limits.get(name, (-math.inf, math.inf))[0]
+    return CRITERIA[name].sign or (1 if low > -math.inf else -1)
 
 
 def middle(task: Task) -> Task:
@@ -335,7 +354,7 @@ def middle(task: Task) -> Task:
     if task.scenarios is None:
         return task
     drawn = {name: float(np.median(array)) for name, array in task.scenarios.values.items()}
-    return replace(task, scenarios=None, fixed={**task.fixed, **drawn})
+    return replace(task, scenarios=None, unseen=None, fixed={**task.fixed, **drawn})
 
 
 def _labeled(task: Task, search: Search, designs: Floats, lowered: Floats) -> "xarray.Dataset":
@@ -396,4 +415,6 @@ def _provenance(task: Task, search: Search, designs: Floats) -> dict[str, Any]:
         drawn = {**task.scenarios.values, **task.scenarios.factors}
         spread = {name: [float(np.mean(x)), float(np.std(x))] for name, x in drawn.items()}
         found["drawn"] = json.dumps(spread)
+    if task.unseen is not None:
+        found["unseen_loss"] = unseen_loss(task, task.unseen, designs)
     return found

@@ -83,7 +83,7 @@ def test_response_as_json_gives_the_figures_of_each_finger_asked_for(command: Co
     display, low = tactile.load_display("reference-24"), figures["low"]
     r = tactile.tip_response(display.bimorph, tactile.FingerLoad.low(), np.arange(10.0, 1001.0))
     size = np.abs(r.displacement)
-    assert low["smallest_displacement_um_per_v"] == pytest.approx(size.min() * 1e6)
+    assert low["smallest_um_per_v"] == pytest.approx(size.min() * 1e6)
     assert low["attainable_um"] == pytest.approx(size.min() * 1e6 * 100)
     assert low["shaping_db"] == pytest.approx(20 * np.log10(size.max() / size.min()))
     rest = tactile.tip_response(display.bimorph, tactile.FingerLoad.low(), [0.0]).displacement[0]

@@ -5,12 +5,18 @@ import numpy as np
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
-from tactile.study.criteria import Conditions, Solved, numbers_of, variable
+from tactile.study.criteria import Conditions, Solved, numbers_of
 from tactile.study.parameters import Specimen
 
 BAND = (10.0, 1000.0)
 """Hz in which shear is to be flat."""
-CRITERIA_TOLD = ("smallest_displacement", "shaping", "attainable", "blocked_force")
+TOLD = {
+    "smallest_um_per_v": "smallest_displacement",
+    "shaping_db": "shaping",
+    "attainable_um": "attainable",
+    "blocked_force_mn_per_v": "blocked_force",
+}
+"""Criteria by what they are called here."""
 
 
 def response_figures(
@@ -41,10 +47,10 @@ def response_figures(
         solved = Solved(
             Specimen(bimorph=bimorph, load=load), tip_response(bimorph, load, band), conditions
         )
-        found = numbers_of(CRITERIA_TOLD, solved)
+        found = numbers_of(TOLD.values(), solved)
         figures[name] = {
             "static_um_per_v": float(size[0]) * 1e6,
             "peak_hz": float(frequency[size.argmax()]),
-            **{variable(criterion): float(value) for criterion, value in found.items()},
+            **{name: float(found[criterion]) for name, criterion in TOLD.items()},
         }
     return figures

@@ -27,8 +27,8 @@ Complex = NDArray[np.complex128]
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
 """s that samples are sent before they are put out: at first, and between what (SPEC.md, 8.1)."""
-LONGEST_LEAD = 50e-3
-"""s that may be asked for: amplifiers have room for 64 ms at least, a whole packet among them."""
+LONGEST_LEAD = 100e-3
+"""s that may be asked for. Amplifiers have room for 64 ms at least, which the credit keeps."""
 RAISE, LOWER = 1.5, 0.1e-3
 """By which the lead grows at an underrun, and s by which it falls in a second."""
 

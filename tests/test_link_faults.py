@@ -135,6 +135,29 @@ def test_each_burst_of_errors_is_survived_in_step_and_counted(
     assert rig.bus.status.link == "up"
 
 
+def test_no_one_reads_of_a_link_that_is_down_but_not_why(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, read = bench("serial"), []
+    other = threading.Thread(target=lambda: read.append(rig.bus.status))
+    wire = rig.bus._wire
+    assert wire is not None
+    close = wire.close
+
+    def read_meanwhile() -> None:
+        other.start()
+        other.join(0.2)
+        close()
+
+    monkeypatch.setattr(wire, "close", read_meanwhile)
+    rig.start()
+    rig.play(0.1)
+    rig.model.unplug(0.08)
+    rig.play(0.4)
+    other.join()
+    assert [(status.link, bool(status.detail)) for status in read] == [("down", True)]
+
+
 # Not armed again
 
 

@@ -146,12 +146,12 @@ class LinkBus(Bus):
     @property
     def status(self) -> Status:
         """How it stands now."""
-        session = self._session
-        up = self._wire is not None and session.phase.value > Phase.CLOCK.value
-        wire = self._wire
-        warning = wire.warning if wire is not None else ""
-        detail = session.trouble or warning or session.fragments.warning
-        return Status(self.state, "up" if up else "down", detail)
+        with self._changed:
+            session, wire = self._session, self._wire
+            up = wire is not None and session.phase.value > Phase.CLOCK.value
+            warning = wire.warning if wire is not None else ""
+            detail = session.trouble or warning or session.fragments.warning
+            return Status(self.state, "up" if up else "down", detail)
 
     @property
     def lead(self) -> float:

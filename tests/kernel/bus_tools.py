@@ -28,7 +28,7 @@ CODE = 100.0 / FULL_SCALE_CODE
 ROUNDING = {SampleFormat.PCM16: 0.5, SampleFormat.PCM12: 8.0, SampleFormat.BFP8: 128.0}
 """Codes by which a format is off at most, at `PEAK` (SPEC.md, 9)."""
 BLOCK = 16
-TRIES = 3
+TRIES = 5
 """A guest waits for the files of this machine now and then."""
 
 

@@ -35,9 +35,13 @@ def display(tmp_path_factory: pytest.TempPathFactory) -> Display:
     return three(tmp_path_factory)
 
 
-def open_files() -> int:
-    """Return how many descriptors this process has open."""
-    return len(os.listdir("/proc/self/fd"))
+def open_files() -> set[tuple[str, str]]:
+    """Return the descriptors that this process has open, and what they lead to."""
+    found = set()
+    for number in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # the listing's own
+            found.add((number, os.readlink(f"/proc/self/fd/{number}")))
+    return found
 
 
 @pytest.fixture(autouse=True)
@@ -54,8 +58,8 @@ def _nothing_is_left() -> Iterator[None]:
     end = time.monotonic() + DEADLINE
     while threading.active_count() > threads and time.monotonic() < end:
         time.sleep(1e-3)  # of pyserial or python-can, which do not join
-    assert threading.active_count() == threads
-    assert open_files() == files
+    assert threading.active_count() <= threads
+    assert open_files() <= files  # what earlier tests left may end meanwhile
 
 
 def refused(kind: type[Exception], url: str, display: Display) -> str:
@@ -64,7 +68,8 @@ def refused(kind: type[Exception], url: str, display: Display) -> str:
     with pytest.raises(kind) as found:
         open_bus(url, display)
     assert isinstance(found.value, InputError) == (kind is InputError)
-    assert (threading.active_count(), open_files()) == (threads, files)
+    assert threading.active_count() <= threads
+    assert open_files() <= files
     said = str(found.value)
     assert said
     assert "\n" not in said
@@ -319,7 +324,8 @@ def test_no_thread_and_no_descriptor_is_left_by_use(display: Display, bench: Rea
         with open_bus(f"serial://{path}", display) as bus:
             bus.start()
             assert threading.active_count() == threads + 1
-        assert (threading.active_count(), open_files()) == (threads, files)
+        assert threading.active_count() <= threads
+        assert open_files() <= files
 
 
 def test_a_can_bus_is_shut_down_where_opening_fails(display: Display) -> None:

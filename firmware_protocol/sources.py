@@ -19,9 +19,6 @@ from firmware_protocol.packet import TURN
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-QUEUE = 4
-"""Frames that wait per channel."""
-
 
 def truncated(numerator: Ints, denominator: Ints | int) -> Ints:
     """Return a division that truncates toward zero."""
@@ -239,9 +236,9 @@ class SpectrumSource(Source):
             self.active[c] = True
             queue.append(frame)
             queue.sort(key=lambda other: other.position)
-            self.newest = max(self.newest, queue[min(len(queue), QUEUE) - 1].position + 1)
-            if len(queue) > QUEUE:
-                del queue[QUEUE:]
+            self.newest = max(self.newest, queue[min(len(queue), spectrum.QUEUE) - 1].position + 1)
+            if len(queue) > spectrum.QUEUE:
+                del queue[spectrum.QUEUE :]
                 self.future += 1
 
     def ready(self, n: int, longest: int) -> int:

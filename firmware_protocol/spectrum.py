@@ -28,6 +28,8 @@ Integers = NDArray[np.int64]
 FULL_SCALE = 32767
 TURN = 1 << 32
 QUARTER = TURN // 4
+QUEUE = 4
+"""Frames that wait for their turn, per channel (section 10.3)."""
 SINE: Integers = np.rint(FULL_SCALE * np.sin(2 * np.pi * np.arange(1025) / 1024)).astype(np.int64)
 """(1025,) sample codes, one turn and its end."""
 STEPS_PER_DECADE = 80

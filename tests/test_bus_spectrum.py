@@ -1,6 +1,7 @@
 """Spectrum frames over a bus: what the amplifier puts out is what the reference makes of them."""
 
 from contextlib import closing
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,8 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from firmware_protocol import spectrum
+from firmware_protocol.config import Config
 from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile.bus import modeled_bus
 from tactile.bus.base import Counters, DriveBlock, DriveFrame
+from tactile.bus.board import config_of
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 from tactile.display import Display, load_display
@@ -73,10 +77,24 @@ def reference(
     return np.concatenate(pieces)
 
 
+@pytest.mark.parametrize("extra", ["", "&lead_ms=100&fifo_ms=128"])
+@pytest.mark.parametrize(("carriers_at_most", "frame_rate"), [(16, 50), (8, 100)])
 def test_over_can_the_amplifier_plays_what_the_reference_synthesizer_does(
     display: Display,
+    monkeypatch: pytest.MonkeyPatch,
+    carriers_at_most: int,
+    frame_rate: float,
+    extra: str,
 ) -> None:
-    with closing(opened("mock:?link=can&keep=all", display)) as bus:
+    """However long a lead is asked for: of frames an amplifier keeps four (SPEC.md, 10.3)."""
+
+    def config(*args: object, **named: object) -> Config:
+        return replace(config_of(*args, **named), carriers=carriers_at_most)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(modeled_bus, "config_of", config)
+    with closing(opened("mock:?link=can&keep=all" + extra, display)) as bus:
+        assert bus.frames is not None
+        assert bus.frames.rate == frame_rate
         carriers, spacing, frames = rendered(bus, display)
         bus.tune(carriers)
         bus.start()

@@ -49,6 +49,17 @@ class Part(NamedTuple):
     packets: list[tuple[Peer, int, list[Packet]]]
 
 
+def _room(plan: Plan) -> float:
+    """Return the longest lead for which amplifiers have room besides their credit [s].
+
+    A frame sets out by its spacing, the time that it takes on the wire, and the lead before its
+    position. Four spacings are the most of which none finds the queue full (SPEC.md, 8.1).
+    """
+    if not plan.carriers:
+        return math.inf
+    return (spectrum.QUEUE - 1 - plan.use) * plan.packet_samples / plan.sample_rate
+
+
 class Stream:
     """What waits, and when it is due.
 
@@ -62,7 +73,7 @@ class Stream:
 
     Attributes
     ----------
-    lead : [s]
+    lead : [s], of frames no longer than amplifiers have room for
     end : position after what was written
     """
 
@@ -74,8 +85,9 @@ class Stream:
         counters: Counters,
         lead: float | None = None,
     ) -> None:
-        self.lead = LEAD if lead is None else lead
-        self._least, self._most = (LEAST_LEAD, MOST_LEAD) if lead is None else (lead, lead)
+        first, least, most = (LEAD, LEAST_LEAD, MOST_LEAD) if lead is None else (lead, lead, lead)
+        self._most = min(most, _room(plan))
+        self._least, self.lead = min(least, self._most), min(first, self._most)
         self._plan, self._counters = plan, counters
         ends = np.minimum(np.cumsum([peer.caps.channels for peer in peers]), channels).tolist()
         starts = [0, *ends[:-1]]

@@ -80,17 +80,18 @@ def decode_pcm12(data: bytes, samples: int, channels: int) -> Codes:
 def encode_bfp8(codes: Codes) -> bytes:
     """Return codes as mantissas of 8 bits, an exponent for each 32 of a channel."""
     samples, channels = codes.shape
-    blocks = -(samples // -BLOCK)
-    padded = np.zeros((channels, blocks * BLOCK), np.int32)
-    padded[:, :samples] = codes.T
-    padded = padded.reshape(channels, blocks, BLOCK)
-    need = np.maximum(2 * padded.max(axis=2) + 1, -2 * padded.min(axis=2))
-    exponent = np.minimum(np.searchsorted(REACH, need), LARGEST_EXPONENT)
-    half = (1 << exponent) >> 1
-    mantissa = (padded + half[..., None]) >> exponent[..., None]
-    out = np.empty((channels, blocks, BLOCK + 1), np.int8)
-    out[..., 0] = exponent
-    out[..., 1:] = np.clip(mantissa, -127, 127)
+    blocks, width = -(samples // -BLOCK), min(samples, BLOCK)
+    rows = np.zeros((channels, blocks * width), np.int32)
+    rows[:, :samples] = codes.T
+    rows = rows.reshape(channels, blocks, width)
+    need = np.maximum(2 * rows.max(axis=2) + 1, -2 * rows.min(axis=2))
+    exponent = np.minimum(np.searchsorted(REACH, need), LARGEST_EXPONENT)[..., None]
+    rows += (1 << exponent) >> 1
+    rows >>= exponent
+    np.maximum(rows, -127, out=rows)
+    out = np.empty((channels, blocks, width + 1), np.int8)
+    out[..., :1] = exponent
+    out[..., 1:] = np.minimum(rows, 127, out=rows)
     return out.reshape(channels, -1)[:, : samples + blocks].tobytes()
 
 

@@ -1,11 +1,11 @@
 """Links: what gets through to the C amplifier in real time, and what that costs.
 
-The drive is rendered as it is played, in blocks of 16, as far ahead as an amplifier has room for:
-where the finger goes is known beforehand. Then what the amplifier has put out is compared with it
-position by position: with what the frames say, which must be the same to the last bit, and with the
-renderer's drive. Where the amplifier bridged or faded, because the machine stood still for longer,
-samples differ; they are counted, and no step may exceed the slew limit. A bare loop runs beside it
-and tells for how long the machine stood still (`tactile.bench.metronome`).
+The drive is rendered as it is played and sent in blocks of 16, as far ahead as an amplifier has
+room for: where the finger goes is known beforehand. Then what the amplifier has put out is compared
+with it position by position: with what the frames say, which must be the same to the last bit, and
+with the renderer's drive. Where the amplifier bridged or faded, because the machine stood still for
+longer, samples differ; they are counted, and no step may exceed the slew limit. Bare loops run
+beside it and tell for how long the machine stood still (`tactile.bench.metronome`).
 """
 
 import time
@@ -44,6 +44,8 @@ from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture
 
 BLOCK = 16
+RENDERED = 4 * BLOCK
+"""Samples that are rendered at a time: less than half the work, where it is known what comes."""
 SHORT, LONG = 5.0, 600.0
 """s of a stream."""
 CHUNK = 1 << 22
@@ -133,13 +135,15 @@ def _play(
     """Play, and keep what was sent."""
     renderer.fade_in()
     sent = 0
-    for position, force in way.blocks(bus.wiring.sample_rate, BLOCK):
+    for position, force in way.blocks(bus.wiring.sample_rate, RENDERED):
         drive = display.to_channels(renderer.block(position, force)).astype(np.float64)
         if not sent:
             bus.start()
         file.write(codes_of(drive, display.limits.voltage).tobytes())
-        bus.write(DriveBlock(sent, drive))
-        sent += len(drive)
+        for k in range(0, len(drive), BLOCK):
+            block = drive[k : k + BLOCK]
+            bus.write(DriveBlock(sent, block))
+            sent += len(block)
     bus.stop()
 
 

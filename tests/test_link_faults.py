@@ -212,7 +212,10 @@ def test_a_short_disconnect_that_the_amplifier_plays_through_needs_no_arming(
 
 @EVERY
 def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
-    bench: Callable[..., Bench], link: str, monkeypatch: pytest.MonkeyPatch
+    bench: Callable[..., Bench],
+    link: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     def stronger(wiring: Wiring, *arguments: int, **named: object) -> object:
         strong = replace(wiring, voltage=1.5 * VOLTAGE, slew=2 * wiring.slew)
@@ -241,6 +244,9 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
         assert status.slew_limit_v_per_s == rig.panel.slew
     assert rig.model.resets == rig.bus.counters.reconnects == 2
     assert rig.misplaced()[0] < SAMPLE
+    session = rig.bus.peers[0].host.session
+    shown = ("its clock began anew", "it refused what is of", f"its session is 0, not {session}")
+    assert any(f"node 1 was reset: {what}" in caplog.text for what in shown)
 
 
 # Heartbeats and death

@@ -134,14 +134,16 @@ class Peer:
             self._late = late
 
     @property
-    def forgot(self) -> bool:
-        """Whether it was reset: its clock began anew, or it knows no session."""
+    def forgot(self) -> str:
+        """What shows that it was reset, and no longer knows this host; empty where nothing does."""
         refused, status = self.refused, self.host.status
         if self._restarted:
-            return True
+            return "its clock began anew"
         if refused is not None and refused.code == m.NakCode.SESSION:
-            return True
-        return self._told_all and status is not None and status.session != self.host.session
+            return "it refused what is of this session"
+        if self._told_all and status is not None and status.session != self.host.session:
+            return f"its session is {status.session}, not {self.host.session}"
+        return ""
 
     def poll(self, now: float) -> list[Packet]:
         """Return what is to be sent now."""

@@ -244,9 +244,9 @@ class Session:
         if any(peer.lost for peer in self.peers):
             return "the amplifier does not answer"
         if self.phase.value > Phase.GREET.value and self.phase is not Phase.GONE:
-            reset = [peer.host.node for peer in self.peers if peer.forgot]
-            if reset:
-                return f"node {reset[0]} was reset: it has forgotten this host"
+            for peer in self.peers:
+                if peer.forgot:
+                    return f"node {peer.host.node} was reset: {peer.forgot}"
             silent = [peer.host.node for peer in self.peers if now - peer.heard > SILENCE]
             if silent:
                 return f"node {silent[0]} has been silent for {SILENCE * 1e3:.0f} ms"

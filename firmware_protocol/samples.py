@@ -80,7 +80,7 @@ def decode_pcm12(data: bytes, samples: int, channels: int) -> Codes:
 def encode_bfp8(codes: Codes) -> bytes:
     """Return codes as mantissas of 8 bits, an exponent for each 32 of a channel."""
     samples, channels = codes.shape
-    blocks, width = -(samples // -BLOCK), min(samples, BLOCK)
+    blocks, width = -(samples // -BLOCK), min(max(samples, 1), BLOCK)
     rows = np.zeros((channels, blocks * width), np.int32)
     rows[:, :samples] = codes.T
     rows = rows.reshape(channels, blocks, width)

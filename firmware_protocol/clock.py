@@ -38,10 +38,11 @@ frame, FTDI's latency timer) in ever other phases: 249.577 ms is 1996.62, 249.57
 as long. Probes each 250 ms would keep step with it."""
 DRIFT_LIMIT = 0.02
 """Beyond it a clock has jumped: twice the 1 % of a microcontroller's RC oscillator (assumed)."""
+TURNAROUND = 2.5e-3
+"""s in which an amplifier answers, or its stamp of receipt is not trusted (SPEC.md, 7.2)."""
 LEAPS = 3
 """Exchanges in a row that tell of a clock that leapt ahead: an amplifier that was reset begins at
-0, so that it hardly ever does; a host and an amplifier that are both held up seem to, now and then.
-"""
+0, so that it hardly ever does, and a stamp may be wrong, of a counter read while it carries."""
 SILENCE = 12.0
 """s without an exchange, as long as the memory, after which the estimate begins anew: a restart
 in a long silence could not be told from drift."""
@@ -58,9 +59,16 @@ class Exchange:
     t3: int
     t4: float
 
+    def taken(self, tick_hz: float) -> int:
+        """Return the first tick that is surely after `t1`: `t2`, or `t3` where that is long after.
+
+        An amplifier that was held up may say that it received what it only found later.
+        """
+        return self.t3 if self.t3 - self.t2 > TURNAROUND * tick_hz else self.t2
+
     def round_trip(self, tick_hz: float) -> float:
         """Return the time that both ways took [s], the amplifier's own taken off."""
-        return self.t4 - self.t1 - (self.t3 - self.t2) / tick_hz
+        return self.t4 - self.t1 - (self.t3 - self.taken(tick_hz)) / tick_hz
 
     def is_possible(self, tick_hz: float) -> bool:
         """Tell whether time ran forward; ticks may be one off, and run at another rate."""
@@ -73,10 +81,11 @@ class Exchange:
         """Tell whether it can be of the same run of the amplifier as the exchange before it."""
         if not last.t1 < self.t1 <= last.t4 + SILENCE:
             return False
-        passed, tick = (self.t2 - last.t2) / tick_hz, 1 / tick_hz
-        longest, shortest = self.t4 - last.t1, max(self.t1 - last.t4, 0.0)
-        fastest, slowest = 1 + DRIFT_LIMIT, 1 - DRIFT_LIMIT
-        return shortest * slowest - tick <= passed <= longest * fastest + tick
+        least, most = self.t1 - last.t4, self.t4 - last.t1
+        from_answer = (self.taken(tick_hz) - last.t3 + 1) / tick_hz
+        to_answer = (self.t3 - last.taken(tick_hz) - 1) / tick_hz
+        not_behind = from_answer >= least - DRIFT_LIMIT * abs(least)
+        return not_behind and to_answer <= most + DRIFT_LIMIT * most
 
     def is_anew(self, last: "Exchange") -> bool:
         """Tell whether it alone tells of another run: ticks went back, or there was silence."""
@@ -135,8 +144,8 @@ class ClockEstimator:
     def add(self, t1: float, t2: int, t3: int, t4: float) -> bool:
         """Take an exchange; return False, and count it, where it cannot be.
 
-        One that leaps ahead or lags where no oscillator does may have a wrong stamp, of a process
-        that was held up: it is dropped, and the next ones, soon, tell whether the clock leapt.
+        One that leaps ahead or lags where no oscillator does may have a wrong stamp: it is dropped,
+        and the next ones, soon, tell whether the clock leapt.
 
         Parameters
         ----------
@@ -169,7 +178,8 @@ class ClockEstimator:
 
     def _feed(self) -> None:
         """Take the middle between the tightest bounds of the window into the regression."""
-        below = [(self._seconds(e.t2), e.t1 - self._origin) for e in self._window]
+        asked = [(e.t1, e.taken(self.tick_hz)) for e in self._window]
+        below = [(self._seconds(taken), t1 - self._origin) for t1, taken in asked]
         above = [(self._seconds(e.t3), e.t4 - self._origin) for e in self._window]
         lead = (
             max(host - x - self._lead(x) for x, host in below)

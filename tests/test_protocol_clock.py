@@ -6,6 +6,7 @@ limits are the promised ones, which the measured figures keep by a factor of thr
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -210,18 +211,45 @@ def test_an_amplifier_that_restarts_is_begun_anew(start: int, leap: int) -> None
         assert abs(estimator.ticks_at(e.t4) - ticks(e.t4, start=start)) <= 2
 
 
-@pytest.mark.parametrize("stale", [0.02, 0.1])
-def test_stamps_of_a_process_that_was_held_up_are_no_restart(stale: float) -> None:
-    """They say that it received before it was asked, and the answers are read late."""
+def held_up(begin: float, asked: float, end: float, back: float) -> Exchange:
+    """Return one of an amplifier held up from ``begin`` to ``end``: it takes it as come before."""
+    return Exchange(asked, ticks(begin), ticks(end), end + back)
+
+
+@pytest.mark.parametrize("times", [1, 3, 50])
+@pytest.mark.parametrize("stale", [3e-3, 0.02, 0.1])
+def test_an_amplifier_that_is_held_up_moves_nothing_however_often(stale: float, times: int) -> None:
+    """It says that it received before it was asked; the host reads soon, or as late as it does."""
+    for back in (BACK, stale + 2e-3):
+        estimator = ClockEstimator(TICK_HZ)
+        feed(estimator, steady(20, 5.0))
+        for k in range(times):
+            at = 10.0 + k * (2 * stale + 0.01)
+            feed(estimator, [held_up(at - stale, at, at + 1e-3, back), exchange(at + stale + 0.01)])
+        assert estimator.restarts == 0
+        assert abs(estimator.drift_ppm) < 1
+        assert abs(estimator.ticks_at(at + 1) - ticks(at + 1)) < 1e-6 * TICK_HZ
+
+
+def test_one_that_is_held_up_each_time_is_known_as_far_as_it_can_be() -> None:
+    """To the half of what lies between question and answer."""
+    estimator = ClockEstimator(TICK_HZ)
+    late = [held_up(at - 9e-3, at, at + 2e-3, BACK) for at in (10 + 0.25 * k for k in range(40))]
+    feed(estimator, late)
+    assert estimator.locked
+    assert abs(estimator.ticks_at(19.0) - ticks(19.0)) <= (2e-3 + BACK) / 2 * TICK_HZ + 2
+
+
+@pytest.mark.parametrize("wrong", [2**32, -(2**24)])
+def test_a_counter_read_while_it_carries_is_no_restart(wrong: int) -> None:
+    """Both stamps of two exchanges are wrong by the carry; none of them counts."""
     estimator, plain = ClockEstimator(TICK_HZ), ClockEstimator(TICK_HZ)
     feed(estimator, steady(20, 5.0))
     feed(plain, steady(20, 5.0))
-    at = 10.0 - stale
-    held = Exchange(10.0, ticks(at), ticks(10.0 + 1e-3), 10.15 + stale)
-    again = Exchange(10.01, ticks(at + 1e-3), ticks(10.0 + 2e-3), 10.16 + stale)
-    for e in (held, again):
-        assert e.is_possible(TICK_HZ)
-        assert not estimator.add(e.t1, e.t2, e.t3, e.t4)
+    for e in (exchange(10.0), exchange(10.01)):
+        torn = replace(e, t2=e.t2 + wrong, t3=e.t3 + wrong)
+        assert torn.is_possible(TICK_HZ)
+        assert not estimator.add(torn.t1, torn.t2, torn.t3, torn.t4)
     feed(estimator, steady(20, 10.2))
     feed(plain, steady(20, 10.2))
     assert (estimator.restarts, estimator.rejected) == (0, 2)

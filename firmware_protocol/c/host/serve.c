@@ -84,7 +84,7 @@ static bool held_up(const virtual_amplifier *v)
 
 /* What waits after the process was held up came meanwhile, where a board's DMA would have taken
  * it: it counts as come before what is overdue. (A TIME among it is answered as received before it
- * was sent; hosts drop such an exchange.) */
+ * was sent; hosts take it as received when it was answered: SPEC.md, 7.2.) */
 static void serve(virtual_amplifier *v, void (*receive)(virtual_amplifier *v))
 {
     struct pollfd wait = {0};

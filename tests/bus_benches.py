@@ -49,6 +49,8 @@ SETTLING = 30e-3
 """s in which an amplifier in memory, whose time goes only while somebody waits, is at 0 V."""
 SWITCH, FAST_SWITCH = sys.getswitchinterval(), 5e-4
 """s after which Python's threads take turns: 5 ms, and while bridge and host are in one process."""
+LEAD = "lead_ms=60"
+"""Of buses in real time: a machine that stands still for less does no harm."""
 TRIES = 12
 """Runs of a test, where the machine stalls."""
 STALLS = ("underruns", "late_blocks", "dropped_samples", "disconnects")
@@ -276,9 +278,9 @@ class RealBench(Bench):
         if self.url in ("pty", "rfc2217"):
             amplifier, path = self.pty(channels)
             if self.url == "pty":
-                return amplifier, f"serial://{path}"
+                return amplifier, f"serial://{path}?{LEAD}"
             port = self._open.enter_context(bridge("rfc2217", path))
-            return amplifier, f"serial:rfc2217://127.0.0.1:{port}?baud=3000000"
+            return amplifier, f"serial:rfc2217://127.0.0.1:{port}?baud=3000000&{LEAD}"
         path = str(self._directory / f"can{self._count}")
         fd = ["--fd"] if self.url == "virtual" else []
         amplifier = self.amplifier(channels, "--can", path, *fd)
@@ -287,9 +289,9 @@ class RealBench(Bench):
             select_nothing(1e-3)
         if self.url == "virtual":
             name = self._open.enter_context(virtual_can(path, fd=True))
-            return amplifier, f"can:virtual/{name}?fd=true"
+            return amplifier, f"can:virtual/{name}?fd=true&{LEAD}"
         tty = self._open.enter_context(bridge("slcan", path))
-        return amplifier, f"can:slcan/{tty}?bitrate=1000000"
+        return amplifier, f"can:slcan/{tty}?bitrate=1000000&{LEAD}"
 
     def open(self, display: Display, sample_rate: float | None = None) -> Bus:
         prefer(0)
@@ -332,8 +334,8 @@ def steadied(cases: Test) -> Test:
     """Repeat tests of a class, a few times at most, whose failure this machine's stalls explain.
 
     What plays in real time plays late where amplifier, bridge or host are not run for longer than
-    the lead, 8 ms: here the scheduler lets 5 to 20 ms pass now and then. The amplifier then fades,
-    as it must, and what was put out is not what a test compares with. Such a run shows itself: it
+    the lead, 60 ms. The amplifier then fades, as it must, and what was put out is not what a test
+    compares with. Such a run shows itself: it
     has failed, *and* the bus has counted underruns, late or dropped samples, or lost the link. One
     stall no counter shows: the virtual amplifier, held up for milliseconds, takes what waits as
     come before, so that a STOP begins its ramp before the last samples (`EarlyError`). Such a run

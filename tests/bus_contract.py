@@ -19,8 +19,8 @@ VOLTAGE = 100.0
 SLOW = 0.05e6
 """V/s of the display of the ramps: 16 samples from 100 V. That of the other one is 2e6, by which
 any sample may follow any other at 8 kHz."""
-LONG = 480
-"""Samples, 60 ms: more than any bus sends ahead."""
+LONG = 1200
+"""Samples, 75 ms at the highest rate: more than any bus sends ahead."""
 ROUNDING = 1e-9
 """V; of differences of doubles up to 100 V, with ample room."""
 

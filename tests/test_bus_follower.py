@@ -101,16 +101,16 @@ def test_boards_wait_for_what_follows_also_at_the_least_lead_and_at_the_end() ->
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("drift", [300, -300])
+@pytest.mark.parametrize("drift", [1000, -1000])
 def test_boards_whose_crystals_differ_play_on_together(drift: int) -> None:
-    """As far apart in 40 s as two of 20 ppm in ten minutes: 12 ms, more than the lead."""
+    """As far apart in 12 s as two of 20 ppm in ten minutes: 12 ms, more than the lead."""
     assert KINDS
     url = f"mock:?link=canfd&boards=2&drift_ppm={drift}"
     display = load_display("reference-24")
     with open_bus(url, display, sample_rate=2500.0) as bus:
         assert isinstance(bus, ModeledBus)
         assert bus.wiring == Wiring.of(display, 2500.0)
-        time = np.arange(40 * 2500) / 2500
+        time = np.arange(12 * 2500) / 2500
         tone = (20 * np.sin(2 * np.pi * 50 * time) * np.minimum(time * 5, 1))[:, None]
         bus.start()
         for k in range(0, len(tone), 250):

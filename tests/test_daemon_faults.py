@@ -163,6 +163,7 @@ def test_a_program_that_hangs_is_a_finger_that_lifts_and_it_goes_on(daemon: Daem
     wait_for("it plays again", lambda: daemon.amplifier.take().codes.any())
 
 
+@pytest.mark.ci
 def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(daemon: Daemon) -> None:
     daemon.play()
     before = daemon.children

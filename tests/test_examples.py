@@ -47,6 +47,7 @@ def run(name: str, *words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.ci
 def test_hand_tracking(daemon: dict[str, str]) -> None:
     said = run(
         "hand_tracking.py", "--url", daemon["url"], "--display", "left", "--seconds", SECONDS
@@ -98,6 +99,7 @@ def test_every_example_is_run_here() -> None:
     assert names == {name.removeprefix("test_") for name in globals() if name[5:] in names}
 
 
+@pytest.mark.ci
 def test_a_display_without_a_daemon_has_the_same_interface() -> None:
     with open_display("reference-24", device="sim:") as display:
         display.select("wood-oak")

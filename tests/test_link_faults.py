@@ -355,7 +355,9 @@ def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
     assert rig.misplaced()[0] < SAMPLE
 
 
-@pytest.mark.parametrize("link", ["serial", "can", "canfd"])
+@pytest.mark.parametrize(
+    "link", ["serial", *(pytest.param(link, marks=pytest.mark.ci) for link in ("can", "canfd"))]
+)
 @pytest.mark.parametrize(("lead", "is_whole"), [("&lead_ms=50", True), ("", False)])
 def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
     bench: Callable[..., Bench], link: str, lead: str, is_whole: bool

@@ -121,6 +121,7 @@ class TestEveryIdealBus:
             assert SECOND <= len(out) <= SECOND + 64
         np.testing.assert_allclose(out, volts[-len(out) :], rtol=0, atol=bench.wire)
 
+    @pytest.mark.ci
     def test_memory_does_not_grow(self, bench: Bench, display: Display) -> None:
         if "keep=all" in bench.url:
             pytest.skip("keeps everything")

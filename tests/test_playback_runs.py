@@ -240,6 +240,7 @@ def test_an_oak_that_is_too_strong_is_limited_and_the_summary_says_so(
     assert s.faults == {}, "the limiter keeps what the bus allows"
 
 
+@pytest.mark.ci
 def test_memory_does_not_grow_with_the_length_of_a_run(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:

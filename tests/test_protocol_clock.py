@@ -345,6 +345,7 @@ def test_the_promised_error_is_kept(link: str) -> None:
     assert np.abs(error).max() <= 6 * bench.LIMITS_US[link]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("link", ["jitter", "can_usb", "can_usb_padded", "usb_full_speed"])
 def test_it_errs_less_than_the_simpler_ones_where_both_ways_wait_alike(link: str) -> None:
     """The least margin measured is 12 % (least squares on `can_usb`), else 20 % and more."""

@@ -45,6 +45,7 @@ from firmware_protocol.serial_link import SerialDecoder, encode_frame
 # The files
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", FILES)
 def test_follows_the_schema(name: str) -> None:
     schema = load("schema")

@@ -189,6 +189,7 @@ def test_a_grating_is_played_within_a_tenth_of_a_decibel_and_a_degree(
     assert abs(np.degrees(np.angle(ratio))) < 1.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("name", "finger"), EACH)
 def test_acceleration_stop_and_reversal_are_played_at_40_db(name: str, finger: str) -> None:
     load = getattr(tactile.FingerLoad, finger)()

@@ -15,6 +15,9 @@ BLOCK = 32
 LARGEST_EXPONENT = 8
 REACH = 255 << np.arange(LARGEST_EXPONENT + 1)
 """Twice the magnitude that an exponent reaches without leaving ±127 by rounding."""
+HALF = np.array([(1 << exponent) >> 1 for exponent in range(LARGEST_EXPONENT + 1)], np.int16)
+UNROUNDED = np.int16(FULL_SCALE_CODE - HALF[-1])
+"""Largest code that does not leave 16 bits by rounding; those beyond it are 127 as it is."""
 
 
 def size(sample_format: int, samples: int, channels: int) -> int:
@@ -81,17 +84,18 @@ def encode_bfp8(codes: Codes) -> bytes:
     """Return codes as mantissas of 8 bits, an exponent for each 32 of a channel."""
     samples, channels = codes.shape
     blocks, width = -(samples // -BLOCK), min(max(samples, 1), BLOCK)
-    rows = np.zeros((channels, blocks * width), np.int32)
-    rows[:, :samples] = codes.T
-    rows = rows.reshape(channels, blocks, width)
-    need = np.maximum(2 * rows.max(axis=2) + 1, -2 * rows.min(axis=2))
-    exponent = np.minimum(np.searchsorted(REACH, need), LARGEST_EXPONENT)[..., None]
-    rows += (1 << exponent) >> 1
-    rows >>= exponent
-    np.maximum(rows, -127, out=rows)
+    rows = np.zeros((blocks * width, channels), np.int16)
+    np.minimum(codes, UNROUNDED, out=rows[:samples])
+    rows = rows.reshape(blocks, width, channels)
+    high = np.maximum.reduce(rows, axis=1).astype(np.int32)
+    low = np.minimum.reduce(rows, axis=1).astype(np.int32)
+    exponent = REACH.searchsorted(np.maximum(2 * high + 1, -2 * low)).astype(np.int16)
+    np.minimum(exponent, LARGEST_EXPONENT, out=exponent)
+    rows += HALF[exponent][:, None]
+    rows >>= exponent[:, None]
     out = np.empty((channels, blocks, width + 1), np.int8)
-    out[..., :1] = exponent
-    out[..., 1:] = np.minimum(rows, 127, out=rows)
+    out[..., 0] = exponent.T
+    out[..., 1:] = np.maximum(rows, -127, out=rows).transpose(2, 0, 1)
     return out.reshape(channels, -1)[:, : samples + blocks].tobytes()
 
 

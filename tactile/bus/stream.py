@@ -95,7 +95,7 @@ class Stream:
         self._peers = peers[: len(self._spans)]
         self._followers = [Follower(plan.sample_rate) for _ in self._peers[1:]]
         self._parts: deque[Part] = deque()
-        self._partial: list[Floats] = []
+        self._partial: Floats = np.zeros((0, channels))
         self._partial_start = self.end = 0
         self._last: Floats | None = None
         self._playing = self._blocked = False
@@ -191,20 +191,16 @@ class Stream:
         position, volts = position + early, volts[early:]
         if not len(volts):
             return
-        if self._partial and position != self.end:
+        if len(self._partial) and position != self.end:
             self._flush()
-        if not self._partial:
-            self._partial_start = position
-        self._partial.append(volts.copy())  # the caller's
         self.end = position + len(volts)
-        size = self._plan.packet_samples
-        if self.end - self._partial_start >= size:
-            together = np.concatenate(self._partial)
-            whole = len(together) // size * size
-            for k in range(0, whole, size):
-                self._pack(self._partial_start + k, together[k : k + size])
-            self._partial = [together[whole:]] if whole < len(together) else []
-            self._partial_start += whole
+        if len(self._partial):
+            volts = np.concatenate([self._partial, volts])
+        start, size = self.end - len(volts), self._plan.packet_samples
+        whole = len(volts) // size * size
+        for k in range(0, whole, size):
+            self._pack(start + k, volts[k : k + size])
+        self._partial, self._partial_start = volts[whole:].copy(), start + whole  # the caller's
 
     def hold(self) -> int:
         """Let the last sample go on for `HOLD`; return the position after what was written."""
@@ -217,12 +213,12 @@ class Stream:
         return end
 
     def _flush(self) -> None:
-        if self._partial:
-            volts, self._partial = np.concatenate(self._partial), []
+        volts, self._partial = self._partial, self._partial[:0]
+        if len(volts):
             self._pack(self._partial_start, volts)
 
     def _pack(self, position: int, volts: Floats) -> None:
-        self._last = volts[-1]
+        self._last = volts[-1].copy()
         first, *others = self._peers
         packets = self._packed(first, [(position, volts[:, self._spans[0]])])
         for follower, peer, span in zip(self._followers, others, self._spans[1:], strict=True):
@@ -307,13 +303,13 @@ class Stream:
         """Host time at which something has to go at the latest [s]."""
         if self._parts:
             return math.inf if self._blocked else -math.inf
-        partial = self.due(self._partial_start) if self._partial else math.inf
+        partial = self.due(self._partial_start) if len(self._partial) else math.inf
         tail = math.inf if self._tail is None else self.due(self._tail - HALF)
         return min(partial, tail) - LATEST
 
     def take(self, now: float) -> list[Packet]:
         """Return the packets that are next, if the amplifiers have room for them."""
-        if self._partial and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
+        if len(self._partial) and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
             self._flush()
         if self._tail is not None and now >= self.due(self._tail - HALF) - LATEST:
             self._flush_followers()

@@ -122,9 +122,8 @@ class SerialWire(Wire):
             self._written += taken
             self._times.append((self._written, self._since))
 
-    @property
     def waited(self) -> float:
-        """For how long the oldest byte has waited that the kernel still has [s]."""
+        """Tell for how long the oldest byte has waited that the kernel still has [s]."""
         gone = self._written - self._line.waiting()
         while self._times and self._times[0][0] <= gone:
             self._times.popleft()

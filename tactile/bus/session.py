@@ -63,6 +63,8 @@ class Phase(Enum):
     GONE = auto()
 
 
+LASTING = [p for p in Phase if p not in (Phase.DOWN, Phase.SEARCH, Phase.GONE)]
+"""Those that end when all amplifiers have answered."""
 AGAIN: dict[int, Phase] = {NakCode.TIME: Phase.START, NakCode.NOT_ARMED: Phase.ARM}
 """Where a START that came too late, or after the watchdog, goes on."""
 
@@ -128,6 +130,9 @@ class Session:
         self._quick = self._owes_heartbeat = False
         self._heartbeat = -math.inf
         self._seq = 0
+        self._after: dict[Phase, Callable[[float], None]] = {
+            phase: getattr(self, f"_after_{phase.name.lower()}") for phase in LASTING
+        }
 
     # What is wanted
 
@@ -206,18 +211,20 @@ class Session:
         told = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.look(dropped + sum(status.fragments_dropped for status in told), now)
 
-    def poll(self, now: float, send: Callable[[Packet], float], waited: float = 0.0) -> None:
+    def poll(
+        self, now: float, send: Callable[[Packet], float], waited: Callable[[], float] = float
+    ) -> None:
         """Send what is to be sent now.
 
         ``send`` hands a packet to the wire and returns the seconds that it takes there; ``waited``
-        is for how long the oldest of them has not left.
+        tells for how long the oldest of them has not left.
         """
         self._advance(now)
         out = []
         if self.phase is Phase.SEARCH and self._due(now, SEARCH):
             out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
         heard = self.phase.value > Phase.GREET.value
-        if heard and self._owes_heartbeat and max(self._wire_free - now, waited) < QUEUED:
+        if heard and self._owes_heartbeat and max(self._wire_free - now, waited()) < QUEUED:
             self._owes_heartbeat, self._heartbeat = False, now
             out.append(self._to_all(m.Heartbeat(self.token)))
         for peer in self.peers:
@@ -338,7 +345,7 @@ class Session:
                 if refused:
                     self._refused(refused[0], now)
                 else:
-                    getattr(self, f"_after_{self.phase.name.lower()}")(now)
+                    self._after[self.phase](now)
 
     def _refused(self, nak: m.Nak, now: float) -> None:
         """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""

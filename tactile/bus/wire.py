@@ -100,9 +100,8 @@ class Wire(ABC):
     def close(self) -> None:
         """Let go of it; any number of times."""
 
-    @property
     def waited(self) -> float:
-        """For how long the oldest has waited of what was sent and has not left [s]."""
+        """Tell for how long the oldest has waited of what was sent and has not left [s]."""
         return 0.0
 
     @property

@@ -209,7 +209,7 @@ class LinkBus(Bus):
         wire = self._wire
         if wire is not None and not wire.busy:
             try:
-                self._session.poll(self._clock.now(), wire.send, wire.waited)
+                self._session.poll(self._clock.now(), wire)
             except OSError as error:
                 self._failure = str(error)
 

@@ -1,7 +1,7 @@
 """A session with the amplifiers of one link, from HELLO to DISARM: what to say, and when.
 
-No I/O and no clock: whoever holds the wire hands over what came to `receive` and sends what `poll`
-returns. It goes from phase to phase toward what is wanted of it; a phase ends when all amplifiers
+No waiting and no clock: whoever holds the wire hands over what came to `receive`, and lets `poll`
+send. It goes from phase to phase toward what is wanted of it; a phase ends when all amplifiers
 have answered what it asked. What goes wrong is told by `trouble` and, where it ends what was
 wanted, by `refusal`; nothing raises.
 """
@@ -23,7 +23,7 @@ from tactile.bus.base import Counters, Floats, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.peer import Peer
 from tactile.bus.stream import Stream
-from tactile.bus.wire import FragmentWatch
+from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
 
 SEARCH = 0.06
@@ -63,8 +63,8 @@ class Phase(Enum):
     GONE = auto()
 
 
-LASTING = [p for p in Phase if p not in (Phase.DOWN, Phase.SEARCH, Phase.GONE)]
-"""Those that end when all amplifiers have answered."""
+AFTER = {phase: f"_after_{phase.name.lower()}" for phase in Phase}
+"""What ends each but the first two and the last."""
 AGAIN: dict[int, Phase] = {NakCode.TIME: Phase.START, NakCode.NOT_ARMED: Phase.ARM}
 """Where a START that came too late, or after the watchdog, goes on."""
 
@@ -130,9 +130,6 @@ class Session:
         self._quick = self._owes_heartbeat = False
         self._heartbeat = -math.inf
         self._seq = 0
-        self._after: dict[Phase, Callable[[float], None]] = {
-            phase: getattr(self, f"_after_{phase.name.lower()}") for phase in LASTING
-        }
 
     # What is wanted
 
@@ -211,32 +208,26 @@ class Session:
         told = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.look(dropped + sum(status.fragments_dropped for status in told), now)
 
-    def poll(
-        self, now: float, send: Callable[[Packet], float], waited: Callable[[], float] = float
-    ) -> None:
-        """Send what is to be sent now.
-
-        ``send`` hands a packet to the wire and returns the seconds that it takes there; ``waited``
-        tells for how long the oldest of them has not left.
-        """
+    def poll(self, now: float, wire: Wire) -> None:
+        """Hand to the wire what is to be sent now."""
         self._advance(now)
         out = []
         if self.phase is Phase.SEARCH and self._due(now, SEARCH):
             out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
         heard = self.phase.value > Phase.GREET.value
-        if heard and self._owes_heartbeat and max(self._wire_free - now, waited()) < QUEUED:
+        if heard and self._owes_heartbeat and max(self._wire_free - now, wire.waited()) < QUEUED:
             self._owes_heartbeat, self._heartbeat = False, now
             out.append(self._to_all(m.Heartbeat(self.token)))
         for peer in self.peers:
             out += peer.poll(now)
-        self._send(out, now, send)
+        self._send(out, now, wire)
         if self.phase is Phase.RUN and self.stream is not None:
             while now >= self._wire_free - HELD and (part := self.stream.take(now)):
-                self._send(part, now, send)
+                self._send(part, now, wire)
 
-    def _send(self, packets: list[Packet], now: float, send: Callable[[Packet], float]) -> None:
+    def _send(self, packets: list[Packet], now: float, wire: Wire) -> None:
         for packet in packets:
-            self._wire_free = max(self._wire_free, now) + send(packet)
+            self._wire_free = max(self._wire_free, now) + wire.send(packet)
 
     @property
     def deadline(self) -> float:
@@ -345,7 +336,7 @@ class Session:
                 if refused:
                     self._refused(refused[0], now)
                 else:
-                    self._after[self.phase](now)
+                    getattr(self, AFTER[self.phase])(now)
 
     def _refused(self, nak: m.Nak, now: float) -> None:
         """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""

@@ -49,6 +49,8 @@ BUS_OFF, CONTROLLER = 0x40, 0x04
 PASSIVE, ACTIVE = 0x30, 0x40
 """Of error frames: classes, and states of the controller in the second byte (linux/can/error.h)."""
 CHECK = "check wiring, termination and bit rate"
+INTERFACES = "/sys/class/net"
+"""Of the kernel, a directory each."""
 
 
 class Channel(ABC):
@@ -375,10 +377,12 @@ def connect(address: Address, link: Can, clock: Clock) -> CanWire:
 def _look_for(channel: str) -> None:
     """Raise OSError where there is no CAN, or no such interface.
 
-    python-can does as well, but prints a line about it and leaves a socket open.
+    python-can does as well, but prints a line about it and leaves a socket open. Nor is this asked
+    by `socket.if_nameindex`: it keeps the GIL while it waits for whoever sets an interface down,
+    and all of Python stands still.
     """
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW):
-        if channel not in [name for _, name in socket.if_nameindex()]:
+        if channel not in os.listdir(INTERFACES):
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
 
@@ -402,8 +406,8 @@ def _reason(interface: str, channel: str, error: Exception) -> str:
 def find() -> Iterator[Found]:
     """Yield the CAN interfaces of the kernel."""
     with suppress(OSError):
-        for name in sorted(os.listdir("/sys/class/net")):
-            with suppress(OSError), open(f"/sys/class/net/{name}/type", encoding="ascii") as kind:
+        for name in sorted(os.listdir(INTERFACES)):
+            with suppress(OSError), open(f"{INTERFACES}/{name}/type", encoding="ascii") as kind:
                 if kind.read().strip() == "280":  # ARPHRD_CAN
                     yield Found(f"can:socketcan/{name}", "CAN interface")
 

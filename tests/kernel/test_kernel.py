@@ -21,6 +21,8 @@ import pytest
 
 HERE = Path(__file__).parent
 PROJECT = HERE.parents[1]
+HANGING = 20
+"""s of a guest's time after which a check tells where it is; the longest takes 5."""
 FETCHING = ("apt-get", "dpkg-deb", "depmod")
 RESULT = re.compile(r"^([A-Z]+) \S*?(\w+\.py)::(\w+)", re.MULTILINE)
 TITLE = re.compile(r"^(?:_{3,}|={3,}) (.+) (?:_{3,}|={3,})$", re.MULTILINE)
@@ -118,7 +120,8 @@ def run(machine: Machine, environment: dict[str, str]) -> Results:
     need(machine.tools)
     boot = [str(HERE / machine.script), "--seconds", str(machine.seconds)]
     boot += ["--modules", machine.modules]
-    boot += ["--", sys.executable, "-m", "pytest", "-rA", "--color=no", "-p", "no:cacheprovider"]
+    boot += ["--", sys.executable, "-m", "pytest", "-vv", "-rA", "--color=no"]
+    boot += ["-p", "no:cacheprovider", "-o", f"faulthandler_timeout={HANGING}"]
     done = subprocess.run(
         [*boot, *(str(HERE / script) for script in machine.scripts)],
         stdout=subprocess.PIPE,

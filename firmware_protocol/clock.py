@@ -67,7 +67,7 @@ class Exchange:
         return self.t3 if self.t3 - self.t2 > TURNAROUND * tick_hz else self.t2
 
     def round_trip(self, tick_hz: float) -> float:
-        """Return the time that both ways took [s], the amplifier's own taken off."""
+        """Return the time that both ways took [s], the amplifier's own taken off if short."""
         return self.t4 - self.t1 - (self.t3 - self.taken(tick_hz)) / tick_hz
 
     def is_possible(self, tick_hz: float) -> bool:

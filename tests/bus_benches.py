@@ -335,8 +335,8 @@ def steadied(cases: Test) -> Test:
 
     What plays in real time plays late where amplifier, bridge or host are not run for longer than
     the lead, 60 ms. The amplifier then fades, as it must, and what was put out is not what a test
-    compares with. Such a run shows itself: it
-    has failed, *and* the bus has counted underruns, late or dropped samples, or lost the link. One
+    compares with. Such a run shows itself: it has failed, *and* the bus has counted underruns, late
+    or dropped samples, or lost the link. One
     stall no counter shows: the virtual amplifier, held up for milliseconds, takes what waits as
     come before, so that a STOP begins its ramp before the last samples (`EarlyError`). Such a run
     proves nothing and is repeated. A bus that causes these by itself does so each time, and fails

@@ -10,6 +10,7 @@ import random
 import socket
 import struct
 import threading
+from abc import ABC, abstractmethod
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any
@@ -95,7 +96,7 @@ class _Unread(msgspec.Struct):
     message: str = ""
 
 
-class WebSocketTransport:
+class WebSocketTransport(ABC):
     """Carries messages over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
 
     Parameters
@@ -127,8 +128,9 @@ class WebSocketTransport:
         self._outbox = Outbox(receiver.dropped)
         self._launch()
 
+    @abstractmethod
     def _launch(self) -> None:
-        raise NotImplementedError
+        """Run `_run` somewhere."""
 
     def send(self, command: Command) -> None:
         """Hand over a message, from any thread."""

@@ -23,7 +23,15 @@ from tactile.client import Connection, Display, Receiver
 from tactile.client.base import TIMEOUT
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.daemon.host import Client, Host
-from tactile.daemon.messages import API_VERSION, Answer, Command, Contact, Hello, Welcome
+from tactile.daemon.messages import (
+    ALL_ROLES,
+    API_VERSION,
+    Answer,
+    Command,
+    Contact,
+    Hello,
+    Welcome,
+)
 from tactile.daemon.metrics import Metrics, Traffic
 from tactile.daemon.requests import Requests
 
@@ -72,7 +80,7 @@ class LocalTransport:
         await host.start()
         try:
             self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
-            self._host, self._client = host, host.connect("local", may_arm=True)
+            self._host, self._client = host, host.connect("local", roles=ALL_ROLES)
             self._started.set_result(host)
             await self._ending.wait()
             self._client.close()
@@ -106,7 +114,8 @@ class LocalTransport:
         elif isinstance(command, Hello):
             answer = Welcome(
                 id=command.id, server="local", version=API_VERSION, session="local",
-                displays=self._host.displays, may_arm=True, time_us=time.monotonic_ns() // 1000,
+                displays=self._host.displays, may_arm=True, roles=tuple(sorted(ALL_ROLES)),
+                time_us=time.monotonic_ns() // 1000,
             )  # fmt: skip
         else:
             answer = self._requests.offer(command)

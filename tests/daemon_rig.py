@@ -35,6 +35,7 @@ from tactile.daemon.messages import (
     Failure,
     GetStats,
     ListTextures,
+    Role,
     Select,
     Stats,
     Subscribe,
@@ -64,8 +65,10 @@ def display(name: str) -> DisplayInfo:
 class Hand:
     """A client that notes."""
 
-    def __init__(self, hands: "Hands", name: str, may_arm: bool) -> None:
-        self.hands, self.name, self.may_arm = hands, name, may_arm
+    def __init__(self, hands: "Hands", name: str, roles: frozenset[Role]) -> None:
+        self.hands, self.name, self.roles = hands, name, roles
+        self.sounds = self.holds_voltage = False
+        self.quieted = self.gave_up = 0
         self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(256)
         self.contacts: list[Contact] = []
         self.commands: list[Command] = []
@@ -94,7 +97,7 @@ class Hand:
         if code is not None:
             return Failure(code=code, message="as told", field="display")
         if isinstance(command, Arm):
-            if not self.may_arm:
+            if "arm" not in self.roles:
                 return Failure(code="unauthorized", message="may not arm")
             self.hands.armed = True
         elif isinstance(command, Disarm | EStop):
@@ -121,6 +124,14 @@ class Hand:
             velocity_mm_s=(0.0, 0.0), normal_force_n=0.0, shear_um=(0.0,), drive_v=(0.0,),
             counters={},
         )  # fmt: skip
+
+    def quiet(self) -> None:
+        self.quieted += 1
+        self.sounds = False
+
+    def give_up(self) -> None:
+        self.gave_up += 1
+        self.holds_voltage = False
 
     def close(self) -> None:
         self.closed += 1
@@ -155,8 +166,8 @@ class Hands:
     def displays(self) -> tuple[DisplayInfo, ...]:
         return tuple(display(name) for name in self.names)
 
-    def connect(self, name: str, *, may_arm: bool) -> Hand:
-        self.clients.append(Hand(self, name, may_arm))
+    def connect(self, name: str, *, roles: frozenset[Role]) -> Hand:
+        self.clients.append(Hand(self, name, roles))
         return self.clients[-1]
 
     def healthy(self) -> bool:
@@ -297,7 +308,7 @@ GOOD: dict[str, tuple[dict[str, Any], str]] = {
     "arm": ({"type": "arm", "display": "right"}, "done"),
     "disarm": ({"type": "disarm", "display": "right"}, "done"),
     "estop": ({"type": "estop"}, "done"),
-    "clear": ({"type": "clear", "display": "right"}, "done"),
+    "clear": ({"type": "clear", "display": "right", "estop": 1}, "done"),
     "get_stats": ({"type": "get_stats", "display": "right"}, "stats"),
     "ping": ({"type": "ping", "time_us": 77}, "pong"),
 }  # fmt: skip

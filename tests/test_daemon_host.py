@@ -36,9 +36,11 @@ def host(runner: asyncio.Runner) -> Iterator[Host]:
 class Program:
     """A client, and the loop that it lives in."""
 
-    def __init__(self, runner: asyncio.Runner, host: Host, *, may_arm: bool = True) -> None:
+    def __init__(
+        self, runner: asyncio.Runner, host: Host, *, roles: frozenset[m.Role] = m.ALL_ROLES
+    ) -> None:
         self.runner = runner
-        self.client: Client = host.connect("test", may_arm=may_arm)
+        self.client: Client = host.connect("test", roles=roles)
 
     def ask(self, *commands: m.Command) -> list[m.Answer]:
         async def all_at_once() -> list[m.Answer]:
@@ -152,7 +154,7 @@ def test_an_e_stop_holds_until_it_is_cleared_and_needs_arming_then(program: Prog
 
 
 def test_who_may_not_arm_may_stop(runner: asyncio.Runner, host: Host, program: Program) -> None:
-    osc = Program(runner, host, may_arm=False)
+    osc = Program(runner, host, roles=frozenset({"play", "stop"}))
     assert failure(osc.ask(m.Arm(display=NAME))).code == "unauthorized"
     assert failure(osc.ask(m.Clear(display=NAME))).code == "unauthorized"
     program.ask(m.Arm(display=NAME))
@@ -187,7 +189,7 @@ def test_a_display_is_disarmed_when_the_last_client_that_may_arm_has_gone(
 ) -> None:
     first, second = Program(runner, host), Program(runner, host)
     program.close()
-    watching = Program(runner, host, may_arm=False)
+    watching = Program(runner, host, roles=frozenset({"play", "stop"}))
     first.ask(m.Arm(display=NAME))
     first.close()
     runner.run(asyncio.sleep(0.1))

@@ -185,7 +185,7 @@ def test_what_is_sent_reaches_the_display_by_a_client_that_may_not_arm() -> None
             link.send(bundle(packet("/tactile/gain", 0.5), packet("/tactile/estop")))
             await until(lambda: len(hands.log) == 4)
             (hand,) = hands.clients
-            assert not hand.may_arm
+            assert "arm" not in hand.roles
             assert [c.display for c in hand.contacts] == ["right", "left"]
             assert {type(c) for c in hand.commands} == {Gain, EStop}
             assert figure(there, "tactile_clients", transport="osc") == 1

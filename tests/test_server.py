@@ -190,7 +190,7 @@ def test_welcome_says_what_there_is() -> None:
             assert (welcome["version"], welcome["id"], welcome["may_arm"]) == (1, 7, True)
             assert welcome["messages_per_second"] == 500
             assert hands.clients[0].name == "µ"
-            assert hands.clients[0].may_arm
+            assert "arm" in hands.clients[0].roles
 
     run(story)
 

@@ -124,7 +124,9 @@ async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure
             memory.append((passed, resident(), resident(child.pid)))
         busy.kill()
         busy.wait()
-        stats = await host.connect("bench", may_arm=False).request(m.GetStats(display=NAME))
+        stats = await host.connect("bench", roles=frozenset({"watch"})).request(
+            m.GetStats(display=NAME)
+        )
         assert isinstance(stats, m.Stats)
     steps.take()
     return _figures(stats.counters, np.array(memory), steps.largest, crowd)

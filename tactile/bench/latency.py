@@ -106,7 +106,9 @@ async def _session(folder: Path, device: str, seconds: float) -> tuple[Traced, F
             raise subprocess.CalledProcessError(client.returncode or 1, "client")
         task.cancel()
         traced.take()
-        stats = await host.connect("bench", may_arm=False).request(m.GetStats(display=NAME))
+        stats = await host.connect("bench", roles=frozenset({"watch"})).request(
+            m.GetStats(display=NAME)
+        )
         assert isinstance(stats, m.Stats)
     sent = np.load(folder / "sent.npy")
     numbers = [n for n in traced.numbers if n >= 0]

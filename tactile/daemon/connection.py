@@ -18,6 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from tactile.daemon.config import ServerConfig
 from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read
 from tactile.daemon.messages import (
+    ALL_ROLES,
     API_VERSION,
     Answer,
     Command,
@@ -110,7 +111,7 @@ class Connection:
         hello = await self._greeted()
         if isinstance(hello, Close):
             return hello
-        self._client = site.host.connect(hello.client, may_arm=True)
+        self._client = site.host.connect(hello.client, roles=ALL_ROLES)
         session = secrets.token_hex(4)
         about = {"session": session, "client": hello.client}
         log.info("a client came", extra={"fields": about})
@@ -187,6 +188,7 @@ class Connection:
             session=session,
             displays=self._site.host.displays,
             may_arm=True,
+            roles=tuple(sorted(ALL_ROLES)),
             time_us=time.monotonic_ns() // 1000,
             messages_per_second=self._site.config.messages_per_second,
         )

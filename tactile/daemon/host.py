@@ -144,19 +144,19 @@ class Host:
         """Return what there is to select."""
         return tuple(self._textures.values())
 
-    def connect(self, name: str, *, may_arm: bool) -> "Client":
-        """Return a new client."""
-        client = Client(self, next(self._numbers), name, may_arm=may_arm)
+    def connect(self, name: str, *, roles: frozenset[m.Role]) -> "Client":
+        """Return a new client, which may do what its roles allow."""
+        client = Client(self, next(self._numbers), name, roles=roles)
         self._clients[client.number] = client
         return client
 
     def drop(self, client: "Client") -> None:
         """Forget a client: its finger lifts, what it plays fades."""
         if self._clients.pop(client.number, None) is not None and not self._closed:
-            alone = not any(other.may_arm for other in self._clients.values())
+            alone = not any("arm" in other.roles for other in self._clients.values())
             for playing in self.playing.values():
                 self.run(partial(playing.leave, client.number))
-                if client.may_arm and alone and not playing.config.arm_on_start:
+                if "arm" in client.roles and alone and not playing.config.arm_on_start:
                     self.run(playing.rest)
 
     def run(self, work: Callable[[], Awaitable[None]]) -> None:
@@ -215,11 +215,14 @@ class Client:
     Attributes
     ----------
     outbox : events and telemetry for it; full, the oldest telemetry goes
-    may_arm : whether it may arm and clear
+    roles : what it may do, as of `tactile.daemon.messages`
+    sounds : whether it has waveforms or effects that may still sound
+    holds_voltage : whether it armed a display whose high voltage is on
     """
 
-    def __init__(self, host: Host, number: int, name: str, *, may_arm: bool) -> None:
-        self.number, self.name, self._host, self.may_arm = number, name, host, may_arm
+    def __init__(self, host: Host, number: int, name: str, *, roles: frozenset[m.Role]) -> None:
+        self.number, self.name, self._host, self.roles = number, name, host, roles
+        self.sounds = self.holds_voltage = False
         self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
@@ -233,6 +236,12 @@ class Client:
                 if k != oldest:
                     self.outbox.put_nowait(one)
         self.outbox.put_nowait(what)
+
+    def quiet(self) -> None:
+        """Fade its waveforms and effects, since it gives no sign of life."""
+
+    def give_up(self) -> None:
+        """Give up its share of high voltage, since it gives no sign of life."""
 
     def close(self) -> None:
         """Lift the finger, let all fade; idempotent."""
@@ -405,7 +414,7 @@ class Client:
         return m.Done()
 
     def _may_not(self) -> Failure | None:
-        if self.may_arm:
+        if "arm" in self.roles:
             return None
         return Failure(code="unauthorized", message="this connection may not arm")
 

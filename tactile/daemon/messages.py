@@ -22,11 +22,20 @@ The connection is closed with 4400 where the first message is no hello, 4401 for
 for another version, 4408 where no hello comes, 4429 where there are too many clients, 4008 for a
 flood of failures or a client that does not read, 1009 for what is too large, 1001 at the end.
 
-High voltage is off until a client arms a display, or its configuration does. It goes off again
-with the last client that may arm.
+High voltage is off until a client arms a display, or its configuration does. It belongs to the
+clients that armed it, and goes off when the last of them leaves, or shows no sign of life for half
+a second.
+
+**E-stop.** Each e-stop of a display has a number. It is latched: the display stays at 0 V, over any
+restart of playback, daemon or machine, until a `Clear` names that number. A newer e-stop has
+another number, which a `Clear` of the older one does not end.
+
+**Roles.** What a client may do follows from the token it says, or from the user it runs as:
+"watch" reads what there is and how it stands, "play" touches, selects and plays, "arm" arms and
+clears, "stop" disarms. Every client that is let in may e-stop. `Welcome` tells which roles it has.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta, Struct
@@ -56,6 +65,10 @@ Microseconds = Annotated[int, Meta(ge=-(2**62), le=2**62)]
 Micrometers = Annotated[float, Meta(ge=0, le=500)]
 Milliseconds = Annotated[float, Meta(ge=0, le=60_000)]
 Hertz = Annotated[float, Meta(ge=0, le=1000)]
+
+Role = Literal["watch", "play", "arm", "stop"]
+"""What a client may do; see the module's docstring."""
+ALL_ROLES: frozenset[Role] = frozenset(get_args(Role))
 
 Code = Literal[
     "malformed", "too_large", "unknown_type", "invalid_field", "unknown_texture", "unknown_display",
@@ -223,9 +236,13 @@ class EStop(Request, frozen=True, kw_only=True, tag="estop"):
 
 
 class Clear(Request, frozen=True, kw_only=True, tag="clear"):
-    """End an e-stop, where a person has decided so; the display is disarmed then."""
+    """End the e-stop with the number ``estop``, where a person has decided so.
+
+    The display is disarmed then. The number stands in `Done`, `Event`, `Stats` and `DisplayInfo`.
+    """
 
     display: Name
+    estop: Annotated[int, Meta(ge=1, le=2**53)]
 
 
 class Subscribe(Request, frozen=True, kw_only=True, tag="subscribe"):
@@ -254,7 +271,8 @@ class DisplayInfo(Struct, frozen=True, kw_only=True):
     """A display: its contactors (N, 2), limits, and what its link takes.
 
     ``latency_ms`` is from a contact message to the skin, about; ``waveforms`` whether the link has
-    room for samples, without which `Append` and `Effect` are unsupported.
+    room for samples, without which `Append` and `Effect` are unsupported; ``estop`` the number of
+    the e-stop that holds, 0 where none does.
     """
 
     name: str
@@ -264,6 +282,7 @@ class DisplayInfo(Struct, frozen=True, kw_only=True):
     voltage_limit_v: float
     waveforms: bool
     latency_ms: float
+    estop: int = 0
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
@@ -275,6 +294,7 @@ class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
     displays: tuple[DisplayInfo, ...]
     may_arm: bool
     time_us: Microseconds
+    roles: tuple[Role, ...] = ()
     largest_message: int = LARGEST_MESSAGE
     messages_per_second: int = 0
 
@@ -295,7 +315,9 @@ class Textures(Reply, frozen=True, kw_only=True, tag="textures"):
 
 
 class Done(Reply, frozen=True, kw_only=True, tag="done"):
-    """It was done."""
+    """It was done; of an `EStop`, ``estops`` holds the number that was latched by display."""
+
+    estops: dict[str, int] = {}
 
 
 class Appended(Reply, frozen=True, kw_only=True, tag="appended"):
@@ -316,7 +338,8 @@ class Stats(Reply, frozen=True, kw_only=True, tag="stats"):
     """How a display stands. ``counters`` hold what a bus and playback count.
 
     ``state`` is "disarmed", "armed", "estopped" or "lost" (its playback died and is restarted);
-    ``link`` "up" or "down"; ``owner`` whether the finger is this client's.
+    ``link`` "up" or "down"; ``owner`` whether the finger is this client's; ``estop`` the number of
+    the e-stop that holds, 0 where none does.
     """
 
     display: str
@@ -327,6 +350,7 @@ class Stats(Reply, frozen=True, kw_only=True, tag="stats"):
     owner: bool
     latency_ms: float
     counters: dict[str, int]
+    estop: int = 0
 
 
 class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
@@ -340,13 +364,15 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
 class Event(Message, frozen=True, kw_only=True, tag="event"):
     """Something that a client should know: a change of state, a fault, an underrun.
 
-    Kinds are "armed", "disarmed", "estopped", "fault", "underrun", "link", "lost" (playback died
-    and is started again) and "textures" (they were read again); more may come.
+    Kinds are "armed", "disarmed", "estopped" (with its number ``estop``), "cleared", "fault",
+    "underrun", "link", "silent" (a client gave no sign of life, and its waveforms faded), "lost"
+    (playback died and is started again) and "textures" (they were read again); more may come.
     """
 
     display: str
     kind: str
     detail: str = ""
+    estop: int = 0
 
 
 class Telemetry(Message, frozen=True, kw_only=True, tag="telemetry"):

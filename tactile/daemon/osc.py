@@ -29,6 +29,7 @@ from tactile.daemon.messages import (
     EStop,
     Failure,
     Gain,
+    Role,
     Select,
     Stop,
 )
@@ -42,6 +43,8 @@ LARGEST_PACKET = 4096
 MOST_VALUES = 8
 NUMBERS = {tag: struct.Struct(">" + code) for tag, code in zip("fdih", "fdiq", strict=True)}
 BUNDLE, BUNDLE_HEAD = b"#bundle\0", 16
+ROLES: frozenset[Role] = frozenset({"play", "stop"})
+"""Of every sender."""
 MOST_SENDERS = 16
 SILENCE = 5.0
 """s after which a sender is forgotten."""
@@ -233,7 +236,7 @@ class OscProtocol(asyncio.DatagramProtocol):
                 if now - self._senders[oldest].heard < YIELDS_AFTER:
                     return None
                 self._forget(oldest)
-            client = self._host.connect(f"osc {addr[0]}:{addr[1]}", may_arm=False)
+            client = self._host.connect(f"osc {addr[0]}:{addr[1]}", roles=ROLES)
 
             def answered(answer: Answer) -> None:
                 if isinstance(answer, Failure):

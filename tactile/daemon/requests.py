@@ -20,6 +20,7 @@ from tactile.daemon.messages import (
     Failure,
     Message,
     Reply,
+    Role,
     Telemetry,
 )
 from tactile.daemon.metrics import Source, Traffic
@@ -37,12 +38,30 @@ class Client(Protocol):
 
     outbox: "asyncio.Queue[Event | Telemetry]"
 
+    @property
+    def sounds(self) -> bool:
+        """Whether it has waveforms or effects that may still sound."""
+        ...
+
+    @property
+    def holds_voltage(self) -> bool:
+        """Whether it armed a display whose high voltage is on."""
+        ...
+
     def contact(self, message: Contact, arrival: float) -> Failure | None:
         """Take where the finger is; ``arrival`` is on the monotonic clock [s]."""
         ...
 
     async def request(self, command: Command) -> Answer:
         """Carry out a command; what is wrong with it is the answer."""
+        ...
+
+    def quiet(self) -> None:
+        """Fade its waveforms and effects, since it gives no sign of life."""
+        ...
+
+    def give_up(self) -> None:
+        """Give up its share of high voltage, since it gives no sign of life."""
         ...
 
     def close(self) -> None:
@@ -70,8 +89,8 @@ class Host(Source, Protocol):
         """What there is to play on."""
         ...
 
-    def connect(self, name: str, *, may_arm: bool) -> Client:
-        """Return a new client."""
+    def connect(self, name: str, *, roles: frozenset[Role]) -> Client:
+        """Return a new client, which may do what its roles allow."""
         ...
 
     def beat(self) -> bool:

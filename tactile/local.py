@@ -21,8 +21,9 @@ import msgspec
 
 from tactile.client import Connection, Display, Receiver
 from tactile.client.base import TIMEOUT
+from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig
-from tactile.daemon.host import Client, Host
+from tactile.daemon.host import Host
 from tactile.daemon.messages import (
     ALL_ROLES,
     API_VERSION,

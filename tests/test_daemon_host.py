@@ -1,16 +1,19 @@
 """What a client may ask of the host, answered by real playback of a simulated display."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
 from tactile.daemon import messages as m
+from tactile.daemon.client import OUTBOX, Client
 from tactile.daemon.config import Config, DisplayConfig, load_config
-from tactile.daemon.host import OUTBOX, Client, Host
+from tactile.daemon.host import Host
 from tactile.daemon.playing import STILL, hangs
 from tactile.errors import BusError, InputError
 
@@ -19,14 +22,37 @@ Run = Callable[[Coroutine[Any, Any, T]], T]
 NAME = "right"
 
 
+class Loop:
+    """An event loop that runs all the time, as a daemon's does: playback wants its heartbeats."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(60)
+
+    def call(self, work: Callable[[], T]) -> T:
+        async def called() -> T:
+            return work()
+
+        return self.run(called())
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+
 @pytest.fixture(scope="module")
-def runner() -> Iterator[asyncio.Runner]:
-    with asyncio.Runner() as runner:
+def runner() -> Iterator[Loop]:
+    with closing(Loop()) as runner:
         yield runner
 
 
 @pytest.fixture(scope="module")
-def host(runner: asyncio.Runner) -> Iterator[Host]:
+def host(runner: Loop) -> Iterator[Host]:
     host = Host(Config(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),)))
     runner.run(host.start())
     yield host
@@ -36,11 +62,9 @@ def host(runner: asyncio.Runner) -> Iterator[Host]:
 class Program:
     """A client, and the loop that it lives in."""
 
-    def __init__(
-        self, runner: asyncio.Runner, host: Host, *, roles: frozenset[m.Role] = m.ALL_ROLES
-    ) -> None:
+    def __init__(self, runner: Loop, host: Host, *, roles: frozenset[m.Role] = m.ALL_ROLES) -> None:
         self.runner = runner
-        self.client: Client = host.connect("test", roles=roles)
+        self.client: Client = runner.call(lambda: host.connect("test", roles=roles))
 
     def ask(self, *commands: m.Command) -> list[m.Answer]:
         async def all_at_once() -> list[m.Answer]:
@@ -57,7 +81,7 @@ class Program:
 
     def touch(self, force: float = 0.5, x: float = 0.0) -> m.Failure | None:
         contact = m.Contact(display=NAME, position_mm=(x, 0.0), normal_force_n=force)
-        return self.client.contact(contact, time.monotonic())
+        return self.runner.call(lambda: self.client.contact(contact, time.monotonic()))
 
     def stats(self) -> m.Stats:
         (answer,) = self.ask(m.GetStats(display=NAME))
@@ -73,7 +97,7 @@ class Program:
 
 
 @pytest.fixture
-def program(runner: asyncio.Runner, host: Host) -> Iterator[Program]:
+def program(runner: Loop, host: Host) -> Iterator[Program]:
     program = Program(runner, host)
     yield program
     program.close()
@@ -144,29 +168,49 @@ def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Prog
 
 def test_an_e_stop_holds_until_it_is_cleared_and_needs_arming_then(program: Program) -> None:
     program.ask(m.Arm(display=NAME))
-    assert program.ask(m.EStop()) == [m.Done()]
+    (done,) = program.ask(m.EStop())
+    assert isinstance(done, m.Done)
+    number = done.estops[NAME]
+    assert program.stats().estop == number
     assert program.until(lambda stats: stats.state == "estopped")
     assert failure(program.ask(m.Arm(display=NAME))).code == "estopped"
     assert failure(program.ask(WAVE)).code == "estopped"
-    assert program.ask(m.Clear(display=NAME)) == [m.Done()]
+    assert program.ask(m.Clear(display=NAME, estop=number)) == [m.Done()]
     assert program.stats().state == "disarmed"
     assert program.ask(m.Arm(display=NAME)) == [m.Done()]
 
 
-def test_who_may_not_arm_may_stop(runner: asyncio.Runner, host: Host, program: Program) -> None:
+def test_a_clear_ends_the_e_stop_that_it_names_and_no_newer_one(program: Program) -> None:
+    (first,), (second,) = program.ask(m.EStop()), program.ask(m.EStop())
+    assert isinstance(first, m.Done)
+    assert isinstance(second, m.Done)
+    old, new = first.estops[NAME], second.estops[NAME]
+    assert new == old + 1
+    late = failure(program.ask(m.Clear(display=NAME, estop=old)))
+    assert (late.code, late.field) == ("estopped", "estop")
+    assert f"e-stop {new} holds" in late.message
+    never = failure(program.ask(m.Clear(display=NAME, estop=new + 1)))
+    assert (never.code, never.field) == ("invalid_field", "estop")
+    assert program.stats().estop == new
+    assert program.ask(m.Clear(display=NAME, estop=new)) == [m.Done()]
+    assert program.ask(m.Clear(display=NAME, estop=old)) == [m.Done()], "ended long ago"
+    assert program.stats().estop == 0
+
+
+def test_who_may_not_arm_may_stop(runner: Loop, host: Host, program: Program) -> None:
     osc = Program(runner, host, roles=frozenset({"play", "stop"}))
     assert failure(osc.ask(m.Arm(display=NAME))).code == "unauthorized"
-    assert failure(osc.ask(m.Clear(display=NAME))).code == "unauthorized"
+    assert failure(osc.ask(m.Clear(display=NAME, estop=1))).code == "unauthorized"
     program.ask(m.Arm(display=NAME))
     assert osc.ask(m.Disarm(display=NAME)) == [m.Done()]
     program.until(lambda stats: stats.state == "disarmed")
-    assert osc.ask(m.EStop()) == [m.Done()]
-    program.ask(m.Clear(display=NAME))
+    osc.ask(m.EStop())
+    program.ask(m.Clear(display=NAME, estop=program.stats().estop))
     osc.close()
 
 
 def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
-    runner: asyncio.Runner, host: Host, program: Program
+    runner: Loop, host: Host, program: Program
 ) -> None:
     other = Program(runner, host)
     program.touch()
@@ -184,16 +228,16 @@ def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
     other.close()
 
 
-def test_a_display_is_disarmed_when_the_last_client_that_may_arm_has_gone(
-    runner: asyncio.Runner, host: Host, program: Program
+def test_a_display_is_disarmed_when_the_last_client_that_armed_it_has_gone(
+    runner: Loop, host: Host, program: Program
 ) -> None:
     first, second = Program(runner, host), Program(runner, host)
     program.close()
     watching = Program(runner, host, roles=frozenset({"play", "stop"}))
     first.ask(m.Arm(display=NAME))
+    second.ask(m.Arm(display=NAME))
     first.close()
-    runner.run(asyncio.sleep(0.1))
-    assert watching.until(lambda stats: stats.state == "armed")
+    assert host.playing[NAME].arming == {second.client.number}
     second.close()
     watching.until(lambda stats: stats.state == "disarmed")
     watching.close()
@@ -235,7 +279,7 @@ def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None
 
 
 def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
-    runner: asyncio.Runner, program: Program
+    runner: Loop, program: Program
 ) -> None:
     program.ask(m.Subscribe(display=NAME, rate_hz=100.0))
     runner.run(asyncio.sleep(1.5))
@@ -249,7 +293,7 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
 
 
 def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
-    runner: asyncio.Runner, host: Host, program: Program
+    runner: Loop, host: Host, program: Program
 ) -> None:
     program.ask(OAK, m.Select(display=NAME, layers=(m.Layer(texture="leather-calf"),)))
     program.ask(OAK)

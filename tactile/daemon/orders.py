@@ -1,7 +1,7 @@
 """What the server tells a playback process, and what it is answered.
 
 Both go as pickles over the child's standard streams, each order with a number that comes back with
-its answer. An e-stop is obeyed by whoever reads it, all else by the loop at a block's edge.
+its answer; the loop obeys at a block's edge. An e-stop is no order: playback watches the latch.
 """
 
 from dataclasses import dataclass
@@ -29,6 +29,7 @@ class Setup:
     gain: float
     worn: bool
     memory: str
+    latch: str
 
 
 @dataclass(frozen=True)
@@ -122,13 +123,10 @@ class Disarm:
 
 
 @dataclass(frozen=True)
-class EStop:
-    """To 0 V, now."""
-
-
-@dataclass(frozen=True)
 class Clear:
-    """End an e-stop."""
+    """End the e-stop with a number at the device; the server writes it to the latch then."""
+
+    estop: int
 
 
 @dataclass(frozen=True)
@@ -149,5 +147,5 @@ class News:
 
 
 Order = (
-    Keep | Drop | Select | Scale | Wave | Shape | Silence | Forget | Arm | Disarm | EStop | Clear
+    Keep | Drop | Select | Scale | Wave | Shape | Silence | Forget | Arm | Disarm | Clear
 )  # fmt: skip

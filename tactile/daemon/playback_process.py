@@ -3,6 +3,10 @@
 It is a process of its own, so that nothing that a server does holds up a block. Its standard input
 is the server's pipe: where that ends, for whatever reason, it fades out, disarms and exits. What
 it writes never holds it up: answers wait in a queue of their own thread.
+
+Another thread watches the latch and the server's signs of life, also while the loop waits for the
+amplifier: an e-stop goes to the bus at once, and a server that is silent for `SILENCE` is one that
+could not stop what plays, so all fades and high voltage goes off.
 """
 
 import os
@@ -11,20 +15,28 @@ import queue
 import signal
 import sys
 import threading
+import time
+import traceback
 from collections import deque
 from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tactile.bus.base import Bus
 from tactile.daemon import orders, priority
+from tactile.daemon.latch import Latch, Writer
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
 from tactile.daemon.player import Player
 from tactile.daemon.shared import Shared
+from tactile.daemon.silence import Silence
 from tactile.devices import open_bus
-from tactile.errors import TactileError
+from tactile.errors import BusStateError, TactileError
 
 IDLE = 20e-3
 """s between looks at orders while nothing plays."""
+WATCH = 5e-3
+"""s between looks at the latch and at the server's signs of life."""
+SILENCE = 0.15
+"""s without a sign of life of the server after which all fades and is disarmed."""
 WAITING = 256
 """Answers and news that wait to be written; more are dropped, since nobody reads them."""
 PATIENCE = 0.1
@@ -36,33 +48,37 @@ class Program:
 
     Parameters
     ----------
-    player, bus : what it plays with
+    player : what it plays with
+    latch : the display's e-stop latch
     out : where answers go
     """
 
-    def __init__(self, player: Player, out: BinaryIO) -> None:
-        self._player, self._out = player, out
+    def __init__(self, player: Player, latch: Latch, out: BinaryIO) -> None:
+        self._player, self._latch, self._out = player, latch, out
         self._orders: deque[tuple[int, Order]] = deque()
         self._said: queue.Queue[Answer | News] = queue.Queue(WAITING)
         self._news = threading.Event()
         self._stopping = threading.Lock()
-        self._ended = False
+        self._estop = 0
+        self._beats, self._silence = 0, Silence(longest_step=2 * WATCH)
+        self._forsaken = self._ended = False
         self._told = "", "disarmed", "up"
         self._underruns = 0
 
     def run(self, pipe: BinaryIO) -> None:
         """Play until the pipe ends."""
-        for work, words in ((self._write, ()), (self._read, (pipe,))):
+        for work, words in ((self._write, ()), (self._read, (pipe,)), (self._watch, ())):
             threading.Thread(target=work, args=words, name="tactile-talk", daemon=True).start()
         priority.urge()
-        player, estops = self._player, self._player.memory.estops
+        player = self._player
         try:
             while not self._ended:
-                if player.memory.estops != estops:
-                    estops = player.memory.estops
-                    self._estop()
+                self.look_at_latch()
                 while self._orders:
                     self._obey(*self._orders.popleft())
+                if self._forsaken and player.running:
+                    player.forsake()
+                    self._say(News("disarmed", f"the server was silent for {SILENCE:g} s"))
                 if player.running:
                     player.step()
                     if player.report.blocks % 16 == 0:
@@ -81,12 +97,7 @@ class Program:
     def _read(self, pipe: BinaryIO) -> None:
         try:
             while not self._ended:
-                number, order = pickle.load(pipe)
-                if isinstance(order, orders.EStop):
-                    self._estop()
-                    self._say(Answer(number))
-                else:
-                    self._orders.append((number, order))
+                self._orders.append(pickle.load(pipe))
                 self._news.set()
         except (EOFError, OSError, pickle.UnpicklingError):
             return  # the server is gone
@@ -94,17 +105,43 @@ class Program:
             self._ended = True
             self._news.set()
 
-    def _estop(self) -> None:
-        """Stop at once, whoever was asked first: this loop, or who reads orders."""
+    def _watch(self) -> None:
+        try:
+            while not self._ended:
+                time.sleep(WATCH)
+                self.look_at_latch()
+                self.look_at_server(time.monotonic())
+        finally:  # also where an amplifier cannot be e-stopped: its watchdog takes it to 0 V
+            self._ended = True
+            self._news.set()
+
+    def look_at_latch(self) -> None:
+        """Stop at once where there is a new e-stop, and latch one that the amplifier tells of."""
         with self._stopping:
-            if self._player.bus.state != "estopped":
-                self._player.bus.estop()
+            bus, holds = self._player.bus, self._latch.holds
+            if holds and holds != self._estop:
+                bus.estop()
+                self._estop = holds
+            elif bus.state == "estopped" and not holds:
+                why = bus.status.detail or "no reason known"
+                self._estop = self._latch.trip(f"by the amplifier: {why}")
+
+    def look_at_server(self, now: float) -> None:
+        """See whether the server still gives signs of life; ``now`` is of a monotonic clock [s]."""
+        beats, before = self._player.memory.beats, self._beats
+        self._beats = beats
+        self._forsaken = self._silence.look(now, sign=beats != before) > SILENCE
+        if self._forsaken:
+            self._news.set()
 
     def _obey(self, number: int, order: Order) -> None:
         try:
             value = self._do(order)
         except (TactileError, ValueError) as error:
             self._say(Answer(number, failure=str(error)))
+        except Exception as error:  # playing goes on, whatever was wrong with an order
+            traceback.print_exc()
+            self._say(Answer(number, failure=f"playback failed: {error!r}"))
         else:
             self._say(Answer(number, value))
 
@@ -132,13 +169,40 @@ class Program:
             case orders.Forget():
                 player.forget(order.client)
             case orders.Arm():
+                self._may_arm()
                 player.arm()
             case orders.Disarm():
                 player.disarm()
             case orders.Clear():
-                player.bus.clear()
-                player.write_report()
+                self._clear(order.estop)
         return ()
+
+    def _may_arm(self) -> None:
+        """Refuse to arm while an e-stop holds, or the server could not stop what plays.
+
+        Raises
+        ------
+        BusStateError
+            Where that is so.
+        """
+        if self._latch.holds:
+            raise BusStateError(f"e-stop {self._latch.holds} holds, {self._latch.reason}")
+        if self._forsaken:
+            raise BusStateError(f"the server was silent for {SILENCE:g} s")
+
+    def _clear(self, estop: int) -> None:
+        """Make the device ready after an e-stop, unless a newer one holds.
+
+        Raises
+        ------
+        BusError
+            Where the device refuses, or a newer e-stop holds.
+        """
+        if self._latch.holds == estop:
+            self._player.bus.clear()
+            self._player.write_report()
+        if self._latch.holds != estop:
+            raise BusStateError(f"e-stop {self._latch.holds} holds, not {estop}")
 
     def _append(self, order: orders.Wave) -> tuple[float, ...]:
         waves = self._player.voice(order.client).queue
@@ -150,12 +214,11 @@ class Program:
     # What there is to say
 
     def _tell_changes(self) -> None:
-        """Tell of another state, another line of trouble, and underruns."""
+        """Tell of another state but e-stops, another line of trouble, and underruns."""
         status, counters = self._player.bus.status, self._player.bus.counters
         told, self._told = self._told, (status.detail, status.state, status.link)
-        if status.state != told[1]:
-            kind = {"running": "armed", "estopped": "estopped"}.get(status.state, "disarmed")
-            self._say(News(kind, status.detail))
+        if status.state != told[1] and status.state != "estopped":
+            self._say(News("armed" if status.state == "running" else "disarmed", status.detail))
         if status.link != told[2]:
             self._say(News("link", status.detail or f"the link is {status.link}"))
         elif status.detail and status.detail != told[0]:
@@ -227,7 +290,7 @@ def main() -> None:
         sys.exit(1)
     memory = Shared(setup.memory, len(setup.display.contactors))
     player = Player(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
-    program = Program(player, out)
+    program = Program(player, Latch(setup.latch, Writer.PLAYBACK), out)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     refused = priority.prepare()
     out.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
-from tactile.daemon.shared import COUNTERS, Report, Shared, Trace
+from tactile.daemon.shared import COUNTERS, Report, Shared, State, Trace
 from tactile.daemon.waves import Effect, Queue, Singles
 from tactile.display import Display
 from tactile.rendering.layer import Layer
@@ -35,6 +35,8 @@ LATENESS = 0.9
 """Of the bus's ``ahead``; a block that is later than that is skipped, for it would be late."""
 HELD_UP = 20e-3
 """s after which one is skipped on a bus that is never late."""
+STATES: dict[str, State] = {"running": "armed", "estopped": "estopped"}
+"""How a bus's state is told; any other is "disarmed"."""
 IN_AIR = 10 ** (-34 / 20)
 """Of waves while nothing touches: an unloaded bimorph rings up by 34 dB (physics.md)."""
 REPORTED = 5
@@ -284,6 +286,14 @@ class Player:
         self.bus.stop()
         self.write_report()
 
+    def forsake(self) -> None:
+        """Fade out all that anybody plays, and stop the bus: nobody could stop it later."""
+        for client in list(self.voices):
+            voice = self.voices[client]
+            voice.queue.clear()
+            voice.effect.begin(None)
+        self.disarm()
+
     # The loop
 
     @property
@@ -362,7 +372,7 @@ class Player:
         """Tell how it stands."""
         r, status = self.report, self.bus.status
         r.time = time.monotonic()
-        r.state = {"running": "armed", "estopped": "estopped"}.get(status.state, "disarmed")
+        r.state = STATES.get(status.state, "disarmed")
         r.link, r.detail = status.link, status.detail
         r.touching, r.client = self.tracker.touching, self._client
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])

@@ -2,6 +2,9 @@
 
 Playback that dies is started again, with back-off, and told what its clients had; it is armed again
 only where the configuration says so. What an amplifier does meanwhile is its own watchdog's part.
+
+High voltage belongs to those who armed: `Playing.arming` holds their numbers. An e-stop is written
+to the latch, which playback watches, and waits for nothing.
 """
 
 import asyncio
@@ -10,16 +13,19 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from msgspec import structs
 
 from tactile.daemon import drawing, orders
 from tactile.daemon.children import Child
 from tactile.daemon.config import DisplayConfig
+from tactile.daemon.latch import Latch
 from tactile.daemon.messages import SILENCE, DisplayInfo, Event
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
+from tactile.daemon.paths import state_folder
 from tactile.daemon.shared import Report, Shared, Touch
+from tactile.daemon.tasks import watched
 from tactile.display import Display, load_display
 from tactile.errors import BusError, InputError
 
@@ -34,6 +40,10 @@ ENDING = 1.0
 FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
 STILL = 4.0
 """s without a report after which playback hangs."""
+CONFIGURATION = 0
+"""Stands for the configuration among the clients that armed; their numbers begin at 1."""
+OWNERLESS = 0.5
+"""s after which high voltage that belongs to nobody is switched off."""
 REARMED = ("serial:", "can:", "i2c:")
 """Devices whose link may arm again by itself."""
 MOST_TEXTURES = 16
@@ -100,6 +110,7 @@ class Playing:
         self, config: DisplayConfig, workbench: "Workbench", tell: Callable[[Event], None]
     ) -> None:
         self.config, self.display = config, configured(config)
+        self.latch = Latch.open(config.device, state_folder())
         self.memory = Shared.create(len(self.display.contactors))
         self.how = Opened()
         self.parts: dict[int, Part] = {}
@@ -115,32 +126,41 @@ class Playing:
         self._textures: dict[tuple[str, int], int] = {}
         self._about = self._described()
         self._making: dict[tuple[str, int], asyncio.Task[int]] = {}
-        self._armed = config.arm_on_start
+        self.arming: set[int] = set()
+        self._estops = 0
+        self._owned = 0.0
         self._keeper: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
 
     # The process
 
     async def start(self) -> None:
-        """Open the device.
+        """Open the device, and arm it where the configuration says so and no e-stop holds.
 
         Raises
         ------
         BusError
-            Where it cannot be.
+            Where it cannot be opened.
         """
         await self._open()
-        if self._armed:
-            await self.ask(orders.Arm())
+        name = self.config.name
+        if self.latch.holds:
+            log.warning("%s: e-stop %d holds, %s", name, self.latch.holds, self.latch.reason)
+        elif self.config.arm_on_start:
+            try:
+                await self.arm(CONFIGURATION)
+            except BusError as error:
+                log.error("%s: not armed at the start: %s", name, error)
         self.keep_open()
 
     def keep_open(self) -> None:
         """See to it from now on that it is open."""
-        self._keeper = asyncio.create_task(self._keep())
+        self._keeper = watched(asyncio.create_task(self._keep()))
 
     async def _open(self) -> None:
         config, loop = self.config, asyncio.get_running_loop()
-        inherited = () if self.memory.descriptor is None else (self.memory.descriptor,)
+        shared = self.memory.descriptor, self.latch.descriptor
+        inherited = tuple(one for one in shared if one is not None)
         self._opened = loop.create_future()
 
         def heard(what: Any) -> None:
@@ -154,11 +174,12 @@ class Playing:
         child.tell(
             Setup(
                 self.display, url, config.sample_rate_hz, config.accept_unsafe_hold,
-                config.gain, config.worn, self.memory.handle,
+                config.gain, config.worn, self.memory.handle, self.latch.handle,
             )
         )  # fmt: skip
         try:
-            self.how = await asyncio.wait_for(asyncio.shield(self._opened), OPENING)
+            async with asyncio.timeout(OPENING):
+                self.how = await asyncio.shield(self._opened)
         except TimeoutError:
             self.how = Opened(why_not=f"not open after {OPENING:g} s")
         if self.how.why_not:
@@ -197,9 +218,9 @@ class Playing:
             self.lost = True
             self._say("lost", "playback died; it is started again")
 
-    def _say(self, kind: Any, detail: str) -> None:
+    def _say(self, kind: str, detail: str, *, estop: int = 0) -> None:
         log.info("%s: %s %s", self.config.name, kind, detail)
-        self._tell(Event(display=self.config.name, kind=kind, detail=detail))
+        self._tell(Event(display=self.config.name, kind=kind, detail=detail, estop=estop))
 
     async def _keep(self) -> None:
         """Start playback again, whenever it dies or hangs."""
@@ -216,9 +237,14 @@ class Playing:
                 continue
             try:
                 await self._again()
-            except (BusError, OSError) as error:
-                self.failure = str(error)
-                log.error("%s: %s; again in %g s", self.config.name, error, retry)
+            except Exception as error:  # whatever it was: a display is never given up in silence
+                self.failure = str(error) or type(error).__name__
+                self.lost = True
+                expected = isinstance(error, BusError | OSError)
+                log.error(
+                    "%s: %s; again in %g s", self.config.name, self.failure, retry,
+                    exc_info=None if expected else error,
+                )  # fmt: skip
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, LONGEST_RETRY)
 
@@ -229,12 +255,12 @@ class Playing:
         await self._open()
         self.failure = ""
         await self.renew()
-        for client, part in self.parts.items():
+        for client, part in list(self.parts.items()):
             await self.ask(orders.Scale(client, part.gain, part.sounds))
-        if self._armed and self.config.rearm:
+        if self.arming and self.config.rearm and not self.latch.holds:
             await self.ask(orders.Arm())
         else:
-            self._armed = False
+            self.arming.clear()
             self._say("disarmed", "playback is back, and disarmed")
 
     async def close(self) -> None:
@@ -245,6 +271,7 @@ class Playing:
         if self._child is not None:
             await self._child.end(ENDING)
         self.memory.close()
+        self.latch.close()
 
     # What it is told
 
@@ -264,21 +291,123 @@ class Playing:
         self._asked[number] = future
         self._child.tell((number, order))
         try:
-            value = await asyncio.wait_for(future, within)
+            async with asyncio.timeout(within):
+                return await future
         except TimeoutError:
             raise BusError(f"playback did not answer in {within:g} s") from None
         finally:
             self._asked.pop(number, None)
-        if isinstance(order, orders.Arm | orders.Disarm):
-            self._armed = isinstance(order, orders.Arm)
-        return value
 
-    async def estop(self) -> None:
-        """To 0 V, past all orders that wait."""
-        self._armed = False
-        self.memory.ask_estop()
+    # High voltage
+
+    async def arm(self, client: int) -> None:
+        """Arm for a client, to whom high voltage belongs from now on.
+
+        Raises
+        ------
+        BusError
+            Where the amplifier does not start, or an e-stop holds.
+        """
+        self.arming.add(client)
+        try:
+            await self.ask(orders.Arm())
+        except BusError:
+            self.arming.discard(client)
+            raise
+
+    async def disarm(self) -> None:
+        """Fade out, and switch high voltage off, whoever it belongs to.
+
+        Raises
+        ------
+        BusError
+            Where playback does not answer.
+        """
+        self.arming.clear()
         if not self.lost:
-            await self.ask(orders.EStop())
+            await self.ask(orders.Disarm())
+
+    async def give_up(self, client: int) -> None:
+        """Take away a client's share of high voltage; switch it off where nobody else has one.
+
+        Raises
+        ------
+        BusError
+            Where playback does not answer.
+        """
+        if client in self.arming:
+            self.arming.discard(client)
+            if not self.arming:
+                await self.disarm()
+
+    def estop(self, reason: str) -> int:
+        """Latch an e-stop, which playback watches; wait for nothing.
+
+        Parameters
+        ----------
+        reason : who asked for it, in one line
+
+        Returns
+        -------
+        int
+            The number of the e-stop, which a clear must name.
+        """
+        self.arming.clear()
+        return self.latch.trip(reason)
+
+    def notice_estop(self) -> bool:
+        """Tell clients of an e-stop that was not told yet; return whether there was one."""
+        number = self.latch.number
+        if number == self._estops:
+            return False
+        self._estops = number
+        if self.latch.holds:
+            self.arming.clear()
+            self._say("estopped", self.latch.reason, estop=number)
+        return True
+
+    async def clear(self, estop: int) -> None:
+        """End the e-stop with a number; nothing to do where it was ended before.
+
+        Raises
+        ------
+        BusError
+            Where the device refuses it, or a newer e-stop holds.
+        """
+        if not self.latch.holds:
+            return
+        await self.ask(orders.Clear(estop))
+        self.latch.clear(estop)
+        self._say("cleared", f"e-stop {estop} was cleared", estop=estop)
+
+    async def silence(self, client: int) -> None:
+        """Fade the waveforms and effects of a client.
+
+        Raises
+        ------
+        BusError
+            Where playback does not answer.
+        """
+        await self.ask(orders.Silence(client))
+
+    def is_ownerless(self, now: float) -> bool:
+        """Return whether high voltage has belonged to nobody for too long; ``now`` in s."""
+        if self.arming or self.state != "armed":
+            self._owned = now
+        return now - self._owned > OWNERLESS
+
+    async def take_voltage(self) -> None:
+        """Switch off high voltage that belongs to nobody."""
+        self._owned = time.monotonic()
+        log.error("%s: high voltage belonged to nobody; it is switched off", self.config.name)
+        await self.disarm()
+
+    async def save_latch(self) -> None:
+        """Have the latch on the disk, so that it outlives the machine's power."""
+        try:
+            await asyncio.to_thread(self.latch.save)
+        except (OSError, ValueError) as error:
+            log.error("%s: the e-stop latch was not saved: %s", self.config.name, error)
 
     async def texture(self, name: str, seed: int) -> int:
         """Return the number of a texture that is ready.
@@ -357,13 +486,13 @@ class Playing:
             now = time.monotonic()
             lifted = self.finger.touch._replace(time=now, arrival=now, normal_force=0.0)
             self.touch(client, lifted)
+        work = [self.give_up(client)]
         if self.parts.pop(client, None) is not None and not self.lost:
-            await self.ask(orders.Forget(client))
+            work.append(self._forget(client))
+        await asyncio.gather(*work)
 
-    async def rest(self) -> None:
-        """Disarm, if it is armed."""
-        if self._armed and not self.lost:
-            await self.ask(orders.Disarm())
+    async def _forget(self, client: int) -> None:
+        await self.ask(orders.Forget(client))
 
     # How it stands
 
@@ -371,6 +500,13 @@ class Playing:
     def report(self) -> Report:
         """The latest of playback."""
         return self.memory.report()
+
+    @property
+    def state(self) -> Literal["disarmed", "armed", "estopped", "lost"]:
+        """How it stands: as playback reports of its amplifier, unless an e-stop holds."""
+        if self.lost:
+            return "lost"
+        return "estopped" if self.latch.holds else self.report.state
 
     @property
     def alive(self) -> bool:
@@ -389,7 +525,7 @@ class Playing:
         """What clients are told."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
         latency = self.report.latency or self.how.latency + renders
-        return structs.replace(self._about, latency_ms=1e3 * latency)
+        return structs.replace(self._about, latency_ms=1e3 * latency, estop=self.latch.holds)
 
     def _described(self) -> DisplayInfo:
         d = self.display

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ TRACE = struct.Struct("<QQQdd")
 REPORT = struct.Struct(f"<Qd3BQ7d{len(COUNTERS)}Q{DETAIL}s")
 HEADS = 64
 """Bytes before the rings: how many contacts and traces were written, the report's number, and how
-many e-stops were asked for."""
+many heartbeats of the server."""
 AT_CONTACTS = HEADS
 AT_TRACES = AT_CONTACTS + 128 * CONTACTS
 AT_REPORT = AT_TRACES + 64 * TRACES
@@ -50,7 +50,8 @@ Ring = tuple[int, int, int, struct.Struct, int]
 """Where it begins, bytes and number of its entries, their form, and where their count is."""
 CONTACT_RING: Ring = (AT_CONTACTS, 128, CONTACTS, CONTACT, 0)
 TRACE_RING: Ring = (AT_TRACES, 64, TRACES, TRACE, 8)
-STATES = ("disarmed", "armed", "estopped")
+State = Literal["disarmed", "armed", "estopped"]
+STATES: tuple[State, ...] = get_args(State)
 
 
 class Touch(NamedTuple):
@@ -82,7 +83,7 @@ class Report:
 
     blocks: int = 0
     time: float = 0.0
-    state: str = "disarmed"
+    state: State = "disarmed"
     link: str = "down"
     touching: bool = False
     client: int = 0
@@ -151,15 +152,15 @@ class Shared:
             else:
                 Path(what).unlink()
 
-    # E-stop
+    # Signs of life
 
-    def ask_estop(self) -> None:
-        """Ask for an e-stop, past all that waits in the pipe."""
-        NUMBER.pack_into(self._map, 24, self.estops + 1)
+    def beat(self) -> None:
+        """Give a sign of life of the server."""
+        NUMBER.pack_into(self._map, 24, self.beats + 1)
 
     @property
-    def estops(self) -> int:
-        """How many were asked for."""
+    def beats(self) -> int:
+        """Number of signs of life that the server has given."""
         return int(NUMBER.unpack_from(self._map, 24)[0])
 
     # Contacts

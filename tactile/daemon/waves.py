@@ -206,7 +206,7 @@ class Effect:
         for when, value, frequency in curve.transients:
             wave += curve.size * value * _tap(time - when, frequency)
         self._at += count / self._rate
-        if self._at > _end(curve):
+        if self._at > end_of(curve):
             self._curve, self._last, self._phase = None, 0.0, 0.0
         return np.asarray(wave[:, None], np.float32)
 
@@ -221,7 +221,7 @@ class Effect:
         return np.asarray(self._from * (1 - new) + size * new)
 
 
-def _end(curve: Curve) -> float:
+def end_of(curve: Curve) -> float:
     """Return when a curve is over [s]."""
     ends = [ENDING]
     if len(curve.amplitude):

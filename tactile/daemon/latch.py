@@ -1,0 +1,228 @@
+"""The e-stop latch of one display: a file that server, e-stop process and playback all map.
+
+Each of the three counts the e-stops that it was asked for in a word of its own, so that none ever
+waits for another, and a process that is stopped or killed at any instant keeps nobody from tripping
+the latch. The number of an e-stop is the sum of the three counts. It holds until the server has
+written that number, or a later one, as cleared: a clear of an older e-stop never ends a newer one.
+
+The file outlives all processes. Its blocks are there from the beginning, so that a full disk keeps
+no e-stop from being written. A file that is damaged is an e-stop.
+"""
+
+import hashlib
+import mmap
+import os
+import sys
+import tempfile
+import time
+from enum import IntEnum
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError
+
+if sys.platform != "win32":
+    import fcntl
+
+MAGIC = 0x31504F5453454354
+"""First word of the file: "TCESTOP1", little-endian."""
+CLEARED = 4
+"""Word that holds the number up to which e-stops were cleared."""
+WORDS, TEXT = 8, 248
+"""Words of the header; bytes of the note of each writer, after the time of its e-stop."""
+SIZE = 8 * WORDS + 3 * (8 + TEXT)
+LOCK_WITHIN = 3.0
+"""s for the processes of a daemon that was killed to let go of the file."""
+LONGEST_NAME = 200
+"""Characters of a file's name, which file systems hold to 255 bytes."""
+UNSAVED = ("sim:",)
+"""Devices without any voltage, the latch of which ends with the daemon."""
+
+
+class Writer(IntEnum):
+    """Who trips the latch; the value is the index of its word."""
+
+    SERVER = 1
+    ESTOP_PROCESS = 2
+    PLAYBACK = 3
+
+
+class Latch:
+    """The latch, mapped.
+
+    Parameters
+    ----------
+    handle : of the file, as its `Latch.handle` says in the server
+    writer : who maps it
+    """
+
+    def __init__(self, handle: str, writer: Writer) -> None:
+        self.handle, self._writer = handle, writer
+        kind, _, what = handle.partition(":")
+        self._file = int(what) if kind == "fd" else os.open(what, os.O_RDWR)
+        self._map = mmap.mmap(self._file, SIZE)
+        self._words: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, WORDS)
+
+    @classmethod
+    def open(cls, device: str, folder: Path) -> "Latch":
+        """Return the server's latch of a device, and keep every other daemon from it.
+
+        Parameters
+        ----------
+        device : URL of the device that the latch guards
+        folder : where latches are kept; created where it is missing
+
+        Raises
+        ------
+        InputError
+            Where the file cannot be had, or another daemon has it.
+        """
+        if device.startswith(UNSAVED):
+            file, name = tempfile.mkstemp(prefix="tactile-estop-")
+            path = Path(name)
+        else:
+            path = folder / file_name(device)
+            try:
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+            except OSError as error:
+                raise InputError(
+                    f"e-stop latch of {device}: {path}: {error.strerror}; it must be writable, or "
+                    "STATE_DIRECTORY name another folder"
+                ) from error
+            _lock(file, device, path)
+        intact = _is_intact(file)
+        if sys.platform == "win32":
+            os.close(file)
+            latch = cls(f"file:{path}", Writer.SERVER)
+        else:
+            latch = cls(f"fd:{file}", Writer.SERVER)
+            if device.startswith(UNSAVED):
+                path.unlink()
+        if not intact:
+            latch.trip(f"the file of the latch of {device} was damaged")
+        return latch
+
+    @property
+    def descriptor(self) -> int | None:
+        """Descriptor that a child process has to inherit, None where it opens the file itself."""
+        kind, _, number = self.handle.partition(":")
+        return int(number) if kind == "fd" else None
+
+    @property
+    def number(self) -> int:
+        """Number of the latest e-stop, 0 where there has been none."""
+        return int(self._words[Writer.SERVER : CLEARED].sum())
+
+    @property
+    def holds(self) -> int:
+        """Number of the e-stop that holds, 0 where none does."""
+        number = self.number
+        return number if number > int(self._words[CLEARED]) else 0
+
+    @property
+    def reason(self) -> str:
+        """One line on who tripped it last, and when; empty where nobody did."""
+        notes = []
+        for writer in Writer:
+            at = self._place(writer)
+            when = np.frombuffer(self._map, np.float64, 1, at)[0]
+            note = self._map[at + 8 : at + 8 + TEXT].rstrip(b"\0").decode(errors="replace")
+            notes.append((float(when), note))
+        when, note = max(notes)
+        return f"{note}, {time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(when))}" if note else ""
+
+    def trip(self, reason: str) -> int:
+        """Latch an e-stop; never wait.
+
+        Parameters
+        ----------
+        reason : who asked for it, in one line
+
+        Returns
+        -------
+        int
+            The number of the e-stop.
+        """
+        self._words[self._writer] += np.uint64(1)
+        self._note(reason)
+        return self.number
+
+    def clear(self, number: int) -> None:
+        """End the e-stop with a number, and those before it; only the server does that."""
+        self._words[CLEARED] = max(number, int(self._words[CLEARED]))
+
+    def save(self) -> None:
+        """Wait until the disk has it.
+
+        Raises
+        ------
+        OSError
+            Where the disk fails.
+        """
+        self._map.flush()
+        os.fsync(self._file)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        del self._words
+        self._map.close()
+        os.close(self._file)
+
+    def _note(self, reason: str) -> None:
+        at = self._place(self._writer)
+        np.frombuffer(self._map, np.float64, 1, at)[0] = time.time()
+        text = " ".join(reason.split()).encode()[:TEXT]
+        self._map[at + 8 : at + 8 + TEXT] = text.ljust(TEXT, b"\0")
+
+    @staticmethod
+    def _place(writer: Writer) -> int:
+        return 8 * WORDS + (writer - 1) * (8 + TEXT)
+
+
+def file_name(device: str) -> str:
+    """Return the name of the file that latches a device."""
+    name = quote(device, safe="")
+    if len(name) > LONGEST_NAME:
+        name = f"{name[: LONGEST_NAME - 20]}~{hashlib.sha256(device.encode()).hexdigest()[:16]}"
+    return name + ".estop"
+
+
+def _is_intact(file: int) -> bool:
+    """Return whether a file holds a latch; make it a new one where it is empty or damaged."""
+    content = os.read(file, SIZE + 1)
+    if len(content) == SIZE:
+        words = np.frombuffer(content, np.uint64, WORDS).tolist()
+        if words[0] == MAGIC and words[CLEARED] <= sum(words[Writer.SERVER : CLEARED]) < 2**53:
+            return True
+    os.ftruncate(file, 0)
+    os.lseek(file, 0, os.SEEK_SET)
+    os.write(file, MAGIC.to_bytes(8, "little") + bytes(SIZE - 8))
+    return not content
+
+
+def _lock(file: int, device: str, path: Path) -> None:
+    """Keep other daemons from a latch; wait for what is left of one that was killed.
+
+    Raises
+    ------
+    InputError
+        Where another daemon has it.
+    """
+    if sys.platform == "win32":
+        return  # the device itself lets no second daemon in
+    end = time.monotonic() + LOCK_WITHIN
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() > end:
+                os.close(file)
+                raise InputError(
+                    f"e-stop latch of {device}: another daemon has it ({path}); end that first"
+                ) from None
+            time.sleep(0.02)

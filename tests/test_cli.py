@@ -176,6 +176,7 @@ def test_every_command_is_among_these(command: Command) -> None:
         "serve",
     }
     wanted |= {"response", "serve", "sheet", "show", "strength", "textures"}
+    wanted |= {"clear", "estop"}
     wanted |= {"adjust", "materials", "optimize", "paper", "study"}
     assert names == wanted
 

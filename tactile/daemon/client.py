@@ -328,17 +328,17 @@ class Client:
             await asyncio.sleep(interval)
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
-        r = playing.report
+        r, latch = playing.report, playing.latch
         return m.Stats(
             display=playing.config.name,
             state=playing.state,
             link="up" if r.link == "up" and not playing.lost else "down",
-            detail=playing.failure or r.detail,
+            detail=playing.failure or (latch.reason if latch.holds else r.detail),
             touching=r.touching,
             owner=playing.finger.client == self.number,
             latency_ms=1e3 * r.latency,
             counters=r.counters,
-            estop=playing.latch.holds,
+            estop=latch.holds,
         )
 
     _ACTIONS: dict[type, Callable[..., Awaitable[Answer]]] = {  # noqa: RUF012

@@ -22,13 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile.daemon.estop_request import LARGEST_REQUEST
 from tactile.daemon.latch import Latch, Writer
 from tactile.daemon.paths import runtime_folder
 
 log = logging.getLogger("tactile.estop")
 
-LARGEST_REQUEST = 1024
-"""Bytes."""
 CREDENTIALS = struct.Struct("3i")
 """Process, user and group of a sender, as Linux tells them (unix(7), SCM_CREDENTIALS)."""
 
@@ -84,7 +83,6 @@ class Desk:
     def __init__(self, latches: dict[str, Latch]) -> None:
         self._latches = latches
         self._new = threading.Event()
-        threading.Thread(target=self._save, name="tactile-save", daemon=True).start()
 
     def answer(self, request: bytes, sender: str) -> dict[str, Any]:
         """Carry out a request and return the answer.
@@ -100,7 +98,7 @@ class Desk:
             return {"error": 'no request; {"estop": null} stops all displays'}
         if wanted is None:
             chosen = self._latches
-        elif wanted in self._latches:
+        elif isinstance(wanted, str) and wanted in self._latches:
             chosen = {wanted: self._latches[wanted]}
         else:
             names = ", ".join(self._latches)
@@ -121,8 +119,8 @@ class Desk:
             with suppress(OSError):  # who does not read the answer needs none
                 link.sendto(json.dumps(answer).encode(), socket.MSG_DONTWAIT, address)
 
-    def _save(self) -> None:
-        """Have e-stops on the disk, which may take its time; they are latched before."""
+    def save(self) -> None:
+        """Write e-stops to the disk as they come, for ever; latched they are before."""
         while True:
             self._new.wait()
             self._new.clear()
@@ -167,6 +165,7 @@ def main() -> None:
     desk = Desk({name: Latch(h, Writer.ESTOP_PROCESS) for name, h in setup.latches.items()})
     pickle.dump(EstopReady(address), out)
     out.flush()
+    threading.Thread(target=desk.save, daemon=True).start()
     threading.Thread(target=_end_with, args=(pipe, address), daemon=True).start()
     while True:
         desk.serve(link)

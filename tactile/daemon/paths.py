@@ -3,6 +3,7 @@
 import os
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import platformdirs
@@ -68,3 +69,20 @@ def _is_open(path: Path) -> bool:
         return path.is_socket() and os.access(path, os.W_OK)
     except OSError:
         return False
+
+
+def estop_sockets() -> list[Path]:
+    """Return the e-stop sockets of all daemons of this machine that this user can see.
+
+    A datagram that goes to somebody who poses as a daemon does no harm, so nobody's is left out.
+    """
+    folders = {SYSTEM_FOLDER}
+    with suppress(OSError):
+        folders.add(runtime_folder())
+    if sys.platform != "win32" and os.geteuid() == 0:
+        folders.update(Path("/run/user").glob(f"*/{APP}"))
+    found = []
+    for folder in sorted(folders):
+        with suppress(OSError):
+            found += sorted(folder.glob("estop-*.sock"))
+    return found

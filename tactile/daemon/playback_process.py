@@ -70,27 +70,32 @@ class Program:
         for work, words in ((self._write, ()), (self._read, (pipe,)), (self._watch, ())):
             threading.Thread(target=work, args=words, name="tactile-talk", daemon=True).start()
         priority.urge()
-        player = self._player
         try:
             while not self._ended:
-                self.look_at_latch()
-                while self._orders:
-                    self._obey(*self._orders.popleft())
-                if self._forsaken and player.running:
-                    player.forsake()
-                    self._say(News("disarmed", f"the server was silent for {SILENCE:g} s"))
-                if player.running:
-                    player.step()
-                    if player.report.blocks % 16 == 0:
-                        self._tell_changes()
-                else:
+                if not self.turn():
                     self._news.wait(IDLE)
                     self._news.clear()
-                    player.write_report()
-                    self._tell_changes()
         finally:
-            player.bus.close()
+            self._player.bus.close()
             self._said_all()
+
+    def turn(self) -> bool:
+        """Obey, and play a block; return whether there are more to play."""
+        player = self._player
+        self.look_at_latch()
+        while self._orders:
+            self._obey(*self._orders.popleft())
+        if self._forsaken and player.running:
+            player.forsake()
+            self._say(News("disarmed", f"the server was silent for {SILENCE:g} s"))
+        if player.running:
+            player.step()
+            if player.report.blocks % 16 == 0:
+                self._tell_changes()
+        else:
+            player.write_report()
+            self._tell_changes()
+        return player.running
 
     # Orders
 

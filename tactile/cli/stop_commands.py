@@ -1,0 +1,91 @@
+"""Commands for an emergency: ``estop`` and ``clear``.
+
+``estop`` must come at once, so nothing is imported here that it does not need.
+"""
+
+import json
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from tactile.cli.app import AsJson, app
+from tactile.daemon.estop_request import request_estop
+
+
+@app.command("estop")
+def stop_displays(
+    display: Annotated[
+        str | None, typer.Argument(help="The only display to stop; all where none is named.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Stop every display of this machine at once: 0 V, high voltage off, until it is cleared.
+
+    It has a way of its own, which works also while a daemon is flooded or hangs. Exit code 1 says
+    that nothing was stopped.
+
+    Example: tactile estop
+    """
+    answers = request_estop(display)
+    latched = any(answer.estops for answer in answers)
+    if as_json:
+        typer.echo(json.dumps([asdict(answer) for answer in answers]))
+        raise typer.Exit(0 if latched else 1)
+    for answer in answers:
+        for name, number in answer.estops.items():
+            typer.echo(f"{name}: e-stop {number} is latched; tactile clear ends it")
+        if answer.failure and not latched:
+            typer.echo(f"{answer.socket}: {answer.failure}", err=True)
+    if not answers:
+        typer.echo("no daemon of tactile runs on this machine that could be stopped", err=True)
+    raise typer.Exit(0 if latched else 1)
+
+
+@app.command("clear")
+def clear_display(
+    display: Annotated[
+        str | None, typer.Argument(help="Name of the display, where several are e-stopped.")
+    ] = None,
+    estop: Annotated[
+        int | None, typer.Option(help="Number of the e-stop to end; asked for where not given.")
+    ] = None,
+    url: Annotated[
+        str | None, typer.Option(help="Of the daemon; by default the one of this machine.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """End an e-stop, once a person has seen that it is safe; the display is disarmed then.
+
+    Only the e-stop that is named ends: one that comes meanwhile holds.
+
+    Example: tactile clear right --estop 3
+    """
+    from tactile.client import open_connection
+    from tactile.errors import InputError
+
+    if as_json and estop is None:
+        raise InputError("clear --json: --estop must name the e-stop, as nobody is asked")
+    with open_connection(url, client_name="tactile clear", reconnect=False) as connection:
+        holding = {one.name: one.estop for one in connection.welcome.displays if one.estop}
+        chosen = [display] if display is not None else list(holding)
+        if len(chosen) > 1:
+            raise InputError(f"clear: {', '.join(chosen)} are e-stopped; name one of them")
+        names = [one.name for one in connection.welcome.displays]
+        if chosen and chosen[0] not in names:
+            raise InputError(f"clear: no display {chosen[0]!r}; there are {', '.join(names)}")
+        cleared = 0
+        if chosen and (estop is not None or holding.get(chosen[0])):
+            (name,) = chosen
+            cleared = estop if estop is not None else holding[name]
+            why = connection.display(name).stats().detail
+            question = f"{name}: e-stop {cleared} holds. {why} Is it safe to clear it?"
+            if estop is None:
+                typer.confirm(question, abort=True)
+            connection.display(name).clear(estop=cleared)
+    if as_json:
+        typer.echo(json.dumps({"display": chosen[0] if chosen else None, "cleared": cleared}))
+    elif cleared:
+        typer.echo(f"{chosen[0]}: e-stop {cleared} is cleared; it is disarmed")
+    else:
+        typer.echo("no e-stop holds")

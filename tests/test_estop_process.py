@@ -1,0 +1,137 @@
+"""The e-stop's own way in: what it answers, to whom, and what nobody can do to it."""
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile.daemon.estop_process import Desk, bind
+from tactile.daemon.estop_request import EstopAnswer, request_estop
+from tactile.daemon.latch import Latch
+from tactile.daemon.paths import estop_sockets, runtime_folder
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(socket, "AF_UNIX"), reason="datagrams of a Unix socket are read here"
+)
+
+
+@pytest.fixture
+def latches(tmp_path: Path) -> Iterator[dict[str, Latch]]:
+    latches = {name: Latch.open("sim:", tmp_path) for name in ("right", "left")}
+    yield latches
+    for latch in latches.values():
+        latch.close()
+
+
+@pytest.fixture
+def desk(latches: dict[str, Latch]) -> Desk:
+    return Desk(latches)
+
+
+@pytest.fixture
+def served(desk: Desk) -> Iterator[Path]:
+    """Serve in a thread of this process."""
+    link, address = bind()
+    ending = threading.Event()
+
+    def serve() -> None:
+        while not ending.is_set():
+            desk.serve(link)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield Path(address)
+    ending.set()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as last:
+        last.sendto(b"end", address)
+    thread.join()
+    link.close()
+
+
+def holds(latches: dict[str, Latch]) -> dict[str, int]:
+    return {name: latch.holds for name, latch in latches.items()}
+
+
+def test_all_displays_or_one_are_stopped(desk: Desk, latches: dict[str, Latch]) -> None:
+    assert desk.answer(b'{"estop": "left"}', "me") == {"estops": {"left": 1}}
+    assert holds(latches) == {"right": 0, "left": 1}
+    assert desk.answer(b'{"estop": null}', "me") == {"estops": {"right": 1, "left": 2}}
+    assert latches["left"].reason.startswith("me, ")
+
+
+def test_an_unknown_display_is_named(desk: Desk, latches: dict[str, Latch]) -> None:
+    answer = desk.answer(b'{"estop": "rihgt"}', "me")
+    assert answer == {"error": "no display 'rihgt'; there are right, left"}
+    assert holds(latches) == {"right": 0, "left": 0}
+
+
+@given(
+    st.one_of(
+        st.binary(max_size=200),
+        st.recursive(
+            st.none() | st.integers() | st.text(),
+            lambda x: st.lists(x) | st.dictionaries(st.text(), x),
+            max_leaves=5,
+        ).map(lambda value: json.dumps(value).encode()),
+        st.dictionaries(st.just("estop"), st.integers() | st.lists(st.integers())).map(
+            lambda value: json.dumps(value).encode()
+        ),
+    )
+)
+def test_what_is_no_request_is_answered_and_stops_nothing(request: bytes) -> None:
+    with closing(Latch.open("sim:", Path())) as latch:
+        answer = Desk({"right": latch}).answer(request, "me")
+        assert set(answer) == {"error"}
+        assert latch.holds == 0
+
+
+def test_a_program_of_another_process_finds_it_and_is_named(
+    served: Path, latches: dict[str, Latch]
+) -> None:
+    assert estop_sockets() == [served]
+    assert served.parent == runtime_folder()
+    (answer,) = request_estop(within=30)
+    assert answer.estops == {"right": 1, "left": 1}
+    assert not answer.failure
+    assert f"user {os.getuid()}, process {os.getpid()}" in latches["right"].reason
+
+
+def test_others_may_write_to_the_socket(served: Path) -> None:
+    assert served.stat().st_mode & 0o777 == 0o666
+
+
+def test_who_reads_no_answers_holds_up_nobody(served: Path, latches: dict[str, Latch]) -> None:
+    """Its queue of answers runs full, and the rest of them are thrown away."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
+        deaf.bind("")
+        for _ in range(1000):
+            deaf.sendto(b'{"estop": "left"}', str(served))
+        (answer,) = request_estop("right", within=30)
+    assert answer.estops == {"right": 1}
+    assert latches["left"].number == 1000
+
+
+def test_rubbish_and_datagrams_that_are_too_long_hold_up_nobody(served: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        for size in (0, 1, 100, 60_000):
+            link.sendto(b"\xff" * size, str(served))
+    (answer,) = request_estop(within=30)
+    assert answer.estops == {"right": 1, "left": 1}
+
+
+def test_a_daemon_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[str, Latch]) -> None:
+    link, address = bind()
+    link.close()
+    (answer,) = request_estop()
+    assert answer == EstopAnswer(address, failure="nobody listens there any more")
+
+
+def test_where_no_daemon_runs_there_is_no_answer() -> None:
+    assert request_estop() == []

@@ -1,0 +1,169 @@
+"""The e-stop latch: what holds, what ends it, and what survives whom."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile.daemon import latch as module
+from tactile.daemon.latch import CLEARED, SIZE, Latch, Writer, file_name
+from tactile.errors import InputError
+
+DEVICE = "serial:///dev/ttyACM0?rearm=true"
+WRITERS = list(Writer)
+
+
+def opened(folder: Path, device: str = DEVICE) -> AbstractContextManager[Latch]:
+    """Open the latch as a server that starts does, and close it in the end."""
+    return closing(Latch.open(device, folder))
+
+
+@pytest.fixture
+def latch(tmp_path: Path) -> Iterator[Latch]:
+    with opened(tmp_path) as latch:
+        yield latch
+
+
+def test_a_new_latch_holds_nothing(latch: Latch) -> None:
+    assert (latch.number, latch.holds, latch.reason) == (0, 0, "")
+
+
+def test_an_e_stop_holds_until_its_number_is_cleared(latch: Latch) -> None:
+    assert latch.trip("by a person") == 1
+    assert latch.holds == 1
+    assert latch.reason.startswith("by a person, 20")
+    latch.clear(1)
+    assert (latch.number, latch.holds) == (1, 0)
+    assert latch.trip("again") == 2
+    latch.clear(1)
+    assert latch.holds == 2, "a clear of an older e-stop ends no newer one"
+
+
+def test_it_holds_over_a_restart_of_the_server(tmp_path: Path) -> None:
+    with opened(tmp_path) as latch:
+        latch.trip("by a person")
+        latch.save()
+    with opened(tmp_path) as latch:
+        assert latch.holds == 1
+        assert "by a person" in latch.reason
+        latch.clear(1)
+    with opened(tmp_path) as latch:
+        assert latch.holds == 0
+
+
+@given(st.lists(st.sampled_from([*WRITERS, "clear latest", "clear older"]), max_size=30))
+def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
+    """Against plain counting: three writers, each with a mapping of its own."""
+    server = Latch.open("sim:", Path())
+    views = {writer: Latch(f"fd:{os.dup(_fd(server))}", writer) for writer in WRITERS}
+    number = cleared = 0
+    for step in steps:
+        if isinstance(step, Writer):
+            number += 1
+            assert views[step].trip(step.name) == number
+            assert step.name in views[Writer.SERVER].reason
+        else:
+            names = number if step == "clear latest" else max(number - 1, 0)
+            views[Writer.SERVER].clear(names)
+            cleared = max(cleared, names)
+        expected = number if number > cleared else 0
+        assert {view.holds for view in views.values()} == {expected}
+    for view in [*views.values(), server]:
+        view.close()
+
+
+def _fd(latch: Latch) -> int:
+    assert latch.descriptor is not None
+    return latch.descriptor
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"x", bytes(SIZE), bytes(SIZE - 1), bytes(SIZE + 1), b"\xff" * SIZE],
+    ids=["short", "zeros", "cut", "long", "noise"],
+)
+def test_a_damaged_file_is_an_e_stop(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / file_name(DEVICE)).write_bytes(content)
+    with opened(tmp_path) as latch:
+        assert latch.holds == 1
+        assert "damaged" in latch.reason
+        latch.clear(1)
+    with opened(tmp_path) as latch:
+        assert latch.holds == 0
+
+
+def test_a_file_that_says_more_was_cleared_than_tripped_is_damaged(tmp_path: Path) -> None:
+    with opened(tmp_path) as latch:
+        latch._words[CLEARED] = 9
+    with opened(tmp_path) as latch:
+        assert latch.holds == 1
+
+
+def test_all_blocks_are_there_from_the_beginning(latch: Latch, tmp_path: Path) -> None:
+    """So that a disk that is full keeps no e-stop from being written."""
+    path = tmp_path / file_name(DEVICE)
+    assert path.stat().st_size == SIZE
+    assert path.stat().st_blocks > 0
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_second_daemon_does_not_get_it(
+    latch: Latch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LOCK_WITHIN", 0.0)
+    with pytest.raises(InputError, match="another daemon has it"):
+        Latch.open(DEVICE, tmp_path)
+
+
+def test_a_simulated_display_has_one_that_nobody_else_sees(tmp_path: Path) -> None:
+    with opened(tmp_path, "sim:") as first, opened(tmp_path, "sim:") as second:
+        first.trip("by a person")
+        assert (first.holds, second.holds) == (1, 0)
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.touch()
+    with pytest.raises(InputError, match=r"e-stop latch of serial.*STATE_DIRECTORY") as caught:
+        Latch.open(DEVICE, blocked / "folder")
+    assert "\n" not in str(caught.value)
+
+
+def test_file_names_differ_as_devices_do_and_are_short() -> None:
+    long = [f"serial:{'x' * k}" for k in (300, 301)]
+    devices = ["mock:", "mock:?a=1", "can:a/b", "can:a_b", *long]
+    names = [file_name(device) for device in devices]
+    assert len(set(names)) == len(names)
+    assert all(len(name) < 255 and "/" not in name for name in names)
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from tactile.daemon.latch import Latch
+latch = Latch.open("mock:", Path(sys.argv[1]))
+print(latch.trip("by a program that is killed"), flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_what_a_killed_server_latched_holds(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", KILLED, str(tmp_path)]
+    for number in (1, 2, 3):
+        with subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as server:
+            assert server.stdout is not None
+            assert server.stdout.readline() == f"{number}\n"
+            server.send_signal(signal.SIGKILL)
+    with opened(tmp_path, "mock:") as latch:
+        assert latch.holds == 3

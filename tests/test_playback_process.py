@@ -1,0 +1,228 @@
+"""What playback does by itself: it watches the latch and the server's signs of life.
+
+The loop is turned by hand and time is passed in; the bus is the mock amplifier.
+"""
+
+import io
+import pickle
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile.bus.base import Wiring
+from tactile.bus.mock_bus import MockBus
+from tactile.daemon import orders
+from tactile.daemon.latch import Latch, Writer
+from tactile.daemon.orders import Answer, Order
+from tactile.daemon.playback_process import SILENCE, WATCH, Program
+from tactile.daemon.player import BLOCK, Player
+from tactile.daemon.shared import Shared
+from tactile.daemon.waves import Curve
+from tactile.display import Display, load_display
+
+RATE = 8000.0
+ME = 1
+
+
+@dataclass
+class Stage:
+    """A program whose loop a test turns, the server's end of all that both map, and the clock."""
+
+    program: Program
+    bus: MockBus
+    memory: Shared
+    latch: Latch
+    now: float = 0.0
+    _number: int = 0
+    _answers: dict[int, Answer] = field(default_factory=dict)
+
+    def wait(self, moment: float) -> float:
+        return moment
+
+    def order(self, order: Order) -> Answer:
+        """Have an order obeyed, and return the answer."""
+        self._number += 1
+        self.program._orders.append(pickle.loads(pickle.dumps((self._number, order))))
+        self.program.turn()
+        while not self.program._said.empty():
+            what = self.program._said.get_nowait()
+            if isinstance(what, Answer):
+                self._answers[what.number] = what
+        return self._answers[self._number]
+
+    def play(self, seconds: float, *, beats: bool = True) -> NDArray[np.float64]:
+        """Play, with or without heartbeats of the server; return what was put out (S, C) [V]."""
+        before = len(self.bus.output)
+        for _ in range(round(seconds / WATCH)):
+            self.now += WATCH
+            if beats:
+                self.memory.beat()
+            self.program.look_at_server(self.now)
+            self.program.look_at_latch()
+            for _ in range(round(WATCH * RATE / BLOCK)):
+                self.program.turn()
+        return self.bus.output[before:]
+
+    def sound(self) -> None:
+        """Begin an effect of a minute."""
+        curve = Curve(
+            2e-6,
+            np.array([[0.0, 1.0], [60.0, 1.0]]),
+            np.array([[0.0, 200.0]]),
+            np.zeros((0, 3)),
+            stream=False,
+        )
+        assert not self.order(orders.Shape(ME, curve)).failure
+
+
+@pytest.fixture(scope="module")
+def display() -> Display:
+    return load_display("reference-24")
+
+
+@pytest.fixture
+def stage(display: Display) -> Iterator[Stage]:
+    memory = Shared.create(len(display.contactors))
+    latch = Latch.open("sim:", Path())
+    bus = MockBus(Wiring.of(display, RATE), keep="all")
+    player = Player(display, bus, Shared(memory.handle, len(display.contactors)), worn=True)
+    program = Program(player, Latch(latch.handle, Writer.PLAYBACK), io.BytesIO())
+    built = Stage(program, bus, memory, latch)
+    player.wait = built.wait
+    yield built
+    bus.close()
+    memory.close()
+
+
+@pytest.fixture
+def playing(stage: Stage) -> Stage:
+    """Return a stage on which an effect sounds."""
+    stage.play(WATCH)
+    assert not stage.order(orders.Arm()).failure
+    stage.sound()
+    assert stage.play(0.1).any()
+    return stage
+
+
+def test_without_heartbeats_all_fades_and_is_disarmed(playing: Stage) -> None:
+    before = playing.play(SILENCE - WATCH, beats=False)
+    assert before[-BLOCK:].any(), "it plays on for as long as a server may be late"
+    after = playing.play(0.1, beats=False)
+    fade = playing.program._player.display.limits.fade
+    assert not after[round((2 * WATCH + fade) * RATE) :].any()
+    assert np.abs(np.diff(after, axis=0)).max() <= playing.bus.wiring.slew / RATE
+    assert playing.bus.state == "idle"
+    assert playing.memory.report().state == "disarmed"
+
+
+def test_what_was_faded_does_not_come_back_with_the_server(playing: Stage) -> None:
+    playing.play(0.3, beats=False)
+    assert not playing.play(0.3).any(), "nobody armed it"
+    assert not playing.order(orders.Arm()).failure
+    assert not playing.play(0.3).any(), "the effect is gone"
+
+
+def test_a_silent_server_arms_nothing(stage: Stage) -> None:
+    stage.play(0.3, beats=False)
+    assert "silent" in stage.order(orders.Arm()).failure
+    stage.play(WATCH)
+    assert not stage.order(orders.Arm()).failure
+
+
+def test_time_in_which_playback_stood_still_is_not_the_servers_silence(playing: Stage) -> None:
+    """The whole machine may have stood still, and the server gave no heartbeat either."""
+    playing.now += 10.0
+    assert playing.play(SILENCE - 3 * WATCH, beats=False)[-BLOCK:].any()
+
+
+@pytest.mark.parametrize("writer", list(Writer))
+def test_whoever_trips_the_latch_the_output_falls_and_stays_at_0(
+    playing: Stage, writer: Writer
+) -> None:
+    number = Latch(playing.latch.handle, writer).trip("by a test")
+    after = playing.play(0.1)
+    assert not after[round(0.01 * RATE) :].any()
+    assert playing.bus.state == "estopped"
+    assert f"e-stop {number} holds" in playing.order(orders.Arm()).failure
+    assert not playing.play(0.1).any()
+
+
+def test_a_clear_must_name_the_e_stop_that_holds(playing: Stage) -> None:
+    playing.latch.trip("first")
+    playing.latch.trip("second")
+    playing.play(0.05)
+    assert "e-stop 2 holds, not 1" in playing.order(orders.Clear(1)).failure
+    assert playing.bus.state == "estopped"
+    assert not playing.order(orders.Clear(2)).failure
+    assert playing.bus.state == "idle"
+    assert "e-stop 2 holds" in playing.order(orders.Arm()).failure, "the server has not said so"
+    playing.latch.clear(2)
+    assert not playing.order(orders.Arm()).failure
+
+
+def test_an_e_stop_while_another_is_cleared_holds(
+    playing: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    playing.latch.trip("first")
+    playing.play(0.05)
+    clear = playing.bus.clear
+
+    def interrupted() -> None:
+        clear()
+        playing.latch.trip("second, while the amplifier was cleared")
+
+    monkeypatch.setattr(playing.bus, "clear", interrupted)
+    assert "e-stop 2 holds, not 1" in playing.order(orders.Clear(1)).failure
+    playing.play(0.05)
+    assert playing.bus.state == "estopped"
+    assert playing.latch.holds == 2
+
+
+def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> None:
+    playing.bus.estop()
+    playing.play(0.05)
+    assert playing.latch.holds == 1
+    assert "by the amplifier" in playing.latch.reason
+    playing.play(0.5)
+    assert playing.latch.number == 1, "it is one e-stop, however long it lasts"
+    assert not playing.order(orders.Clear(1)).failure
+    playing.latch.clear(1)
+    assert not playing.order(orders.Arm()).failure
+
+
+def test_a_new_playback_finds_the_latch_of_the_one_before(stage: Stage, display: Display) -> None:
+    stage.latch.trip("while there was no playback")
+    stage.play(0.05)
+    assert stage.bus.state == "estopped"
+    assert "e-stop 1 holds" in stage.order(orders.Arm()).failure
+
+
+def test_an_order_that_fails_is_answered_and_the_loop_goes_on(
+    playing: Stage, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("nobody expected that")
+
+    monkeypatch.setattr(playing.program._player, "arm", broken)
+    assert "nobody expected that" in playing.order(orders.Arm()).failure
+    assert "ZeroDivisionError" in capfd.readouterr().err
+    assert playing.play(0.05).any()
+
+
+def test_a_watch_that_fails_ends_playback_and_with_it_what_plays(
+    playing: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The amplifier's watchdog does the rest; the server starts playback again."""
+
+    def broken() -> None:
+        raise OSError("the device is gone")
+
+    monkeypatch.setattr(playing.bus, "estop", broken)
+    playing.latch.trip("by a test")
+    with pytest.raises(OSError, match="the device is gone"):
+        playing.program._watch()
+    assert playing.program._ended

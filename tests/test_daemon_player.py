@@ -14,6 +14,7 @@ from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
 from tactile.daemon.player import BLOCK, IN_AIR, Player, Samples
 from tactile.daemon.shared import Shared, Touch
+from tactile.daemon.waves import BLOCK_WORK, Curve, Singles, Voice
 from tactile.devices import open_bus
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
@@ -208,6 +209,58 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
         worn.step()
     assert rms(bus.output[800:]) == pytest.approx(touched, rel=0.05)
     bus.close()
+
+
+def costliest(amplitude: float) -> Curve:
+    """Return an effect of as many points and transients as there may be, which overlap."""
+    time = np.linspace(0, 1, 500)
+    full = np.ones(500)
+    taps = np.column_stack([time / 4, full, 20 * full])
+    return Curve(
+        amplitude, np.column_stack([time, full]), np.column_stack([time, full]), taps, False
+    )
+
+
+def test_a_stroke_is_the_same_while_60_others_play_all_they_may(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their effects and waveforms are of no amplitude; what they cost is counted as it is spent."""
+    alone = stage.slide(0.5)[2000:]
+    stage.slide(0.1, force=0.0)
+    spent = [0]
+    take = Voice.take
+
+    def counted(voice: Voice, count: int) -> Singles | None:
+        spent[-1] += voice.work(count)
+        return take(voice, count)
+
+    monkeypatch.setattr(Voice, "take", counted)
+    step = stage.player.step
+
+    def crowded() -> None:
+        for client in range(10, 70):
+            voice = stage.player.voice(client)
+            voice.queue.append(np.zeros(4000, np.float32), 48_000.0, (client % 24,))
+        spent.append(0)
+        step()
+
+    for client in range(10, 70):
+        stage.player.voice(client).effect.begin(costliest(0.0))
+    monkeypatch.setattr(stage.player, "step", crowded)
+    np.testing.assert_array_equal(stage.slide(0.5)[2000:], alone)
+    assert BLOCK_WORK // 2 < max(spent) <= BLOCK_WORK
+    stage.player.write_report()
+    counters = stage.memory.report().counters
+    assert counters["skipped_samples"] == counters["late_blocks"] == 0
+    assert counters["dropped_waves"] > 250 * 40
+
+
+def test_transients_that_are_too_many_at_once_are_counted(stage: Stage) -> None:
+    curve = costliest(1e-6)
+    stage.player.voice(YOU).effect.begin(curve)
+    stage.rest(0.1)
+    stage.player.write_report()
+    assert stage.memory.report().counters["dropped_waves"] == curve.dropped > 0
 
 
 def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: Display) -> None:

@@ -31,6 +31,7 @@ from tactile.bench.resources import measure_memory, measure_soak, measure_speed
 from tactile.bench.spectrum import measure_spectrum
 from tactile.bench.study import measure_study
 from tactile.bench.tracking import measure_tracking
+from tactile.bench.waves import measure_waves
 
 __all__ = ["BENCHMARKS", "LONG", "Figure", "at_least", "at_most", "measure"]
 
@@ -55,6 +56,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "fit": measure_fit,
     "tracking": measure_tracking,
     "latency": measure_latency,
+    "waves": measure_waves,
     "crowd": measure_crowd,
     "optimize": measure_optimize,
 }

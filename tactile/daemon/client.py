@@ -20,7 +20,7 @@ from tactile.daemon.messages import Answer, Command, Contact, Event, Failure, Te
 from tactile.daemon.playing import Part, Playing
 from tactile.daemon.requests import kind_of
 from tactile.daemon.shared import Touch
-from tactile.daemon.waves import ENDING, Curve, end_of
+from tactile.daemon.waves import ENDING, Curve
 from tactile.errors import BusError
 from tactile.files import nearest
 from tactile.rendering.clock_map import ClockMap
@@ -273,7 +273,7 @@ class Client:
             if np.any(np.diff(rows[:, 0]) < 0):
                 return Failure(code="invalid_field", field=name, message="times must not descend")
         await playing.ask(orders.Shape(self.number, curve))
-        self._sounds_until = max(self._sounds_until, time.monotonic() + end_of(curve) + ENDING)
+        self._sounds_until = max(self._sounds_until, time.monotonic() + curve.end + ENDING)
         return m.Done()
 
     @staticmethod

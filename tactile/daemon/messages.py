@@ -18,6 +18,11 @@ are the textures that the finger's client selected, their shear added up, each w
 the waveforms of all clients, added to that. Each client's `Gain` scales all that is its own. The
 sum is limited as a whole: its tactile image keeps its shape. An e-stop comes before everything.
 
+Waveforms and effects of all clients have part of a block's time between them. Where it is too
+short, clients take turns of a tenth of a second; the time of what is silent goes on. Of an effect
+16 transients sound at once. What is left out, a client's block or a transient, is counted as
+``dropped_waves``.
+
 The connection is closed with 4400 where the first message is no hello, 4401 for a wrong token, 4406
 for another version, 4408 where no hello comes, 4429 where there are too many clients, 4008 for a
 flood of failures or a client that does not read, 1009 for what is too large, 1001 at the end.

@@ -86,7 +86,7 @@ class Program:
         while self._orders:
             self._obey(*self._orders.popleft())
         if self._forsaken and player.running:
-            player.forsake()
+            player.disarm()
             self._say(News("disarmed", f"the server was silent for {SILENCE:g} s"))
         if player.running:
             player.step()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
 from tactile.daemon.shared import COUNTERS, Report, Shared, State, Trace
-from tactile.daemon.waves import Effect, Queue, Singles
+from tactile.daemon.waves import TURN, Singles, Voice, affordable
 from tactile.display import Display
 from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import LOOK_AHEAD
@@ -190,18 +190,6 @@ class Frames:
 
 
 @dataclass
-class Voice:
-    """What a client has to be played."""
-
-    queue: Queue
-    effect: Effect
-    layers: tuple[tuple[int, float], ...] = ()
-    gain: float = 1.0
-    sounds: bool = True
-    gone: bool = False
-
-
-@dataclass
 class Player:
     """Plays one display on its bus.
 
@@ -229,7 +217,7 @@ class Player:
         self.tracker = ContactTracker()
         self.report = Report(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
-        self._client = self._position = self._skipped = 0
+        self._client = self._position = self._skipped = self._dropped_waves = 0
         step = 1 / (self.display.limits.fade * self._rate)
         self._air = Ramp(step, 1.0 if self.worn else IN_AIR)
         self._touching = self.worn
@@ -244,8 +232,7 @@ class Player:
     def voice(self, client: int) -> Voice:
         """Return a client's voice."""
         if client not in self.voices:
-            contactors = len(self.display.contactors)
-            self.voices[client] = Voice(Queue(self._rate, contactors), Effect(self._rate))
+            self.voices[client] = Voice(self._rate, len(self.display.contactors))
         return self.voices[client]
 
     def forget(self, client: int) -> None:
@@ -267,7 +254,7 @@ class Player:
         self.rendering.play([(self.textures[n], g * gain) for n, g in layers if n in self.textures])
 
     def arm(self) -> None:
-        """Start the bus, at 0 V.
+        """Start the bus, at 0 V and in silence: no wave of before goes on.
 
         Raises
         ------
@@ -277,6 +264,8 @@ class Player:
         self.bus.stop()
         self.rendering.flush()
         self.rendering.fade_in()
+        for voice in self.voices.values():
+            voice.silence()
         self._position = 0
         self.bus.start()
         self.write_report()
@@ -285,14 +274,6 @@ class Player:
         """Fade out and stop the bus."""
         self.bus.stop()
         self.write_report()
-
-    def forsake(self) -> None:
-        """Fade out all that anybody plays, and stop the bus: nobody could stop it later."""
-        for client in list(self.voices):
-            voice = self.voices[client]
-            voice.queue.clear()
-            voice.effect.begin(None)
-        self.disarm()
 
     # The loop
 
@@ -349,20 +330,23 @@ class Player:
         return arrival
 
     def _waves(self, count: int) -> Singles | None:
-        """Return the sum of all clients' waves (S, N) [m]."""
+        """Return the sum of all clients' waves (S, N) [m], of those that a block has time for."""
         touching = self.worn or self.tracker.touching
         if touching != self._touching:
             self._touching = touching
             self._air.to(1.0 if touching else IN_AIR)
+        work = {c: amount for c, voice in self.voices.items() if (amount := voice.work(count))}
+        chosen = affordable(work, self.report.blocks // TURN)
         total: Singles | None = None
-        for client in list(self.voices):
-            voice = self.voices[client]
-            both = voice.queue.take(count), voice.effect.take(count)
-            parts = [part for part in both if part is not None]
-            for part in parts:
-                scaled = part * np.float32(voice.gain * self.gain)
+        for client, voice in list(self.voices.items()):
+            dropped = client in work and client not in chosen
+            self._dropped_waves += dropped + voice.effect.dropped
+            voice.effect.dropped = 0
+            wave = voice.skip(count) if dropped else voice.take(count)
+            if wave is not None:
+                scaled = wave * np.float32(voice.gain * self.gain)
                 total = scaled if total is None else total + scaled
-            if voice.gone and not parts:
+            elif voice.gone and client not in work:
                 del self.voices[client]
         if total is None:
             return None
@@ -380,6 +364,7 @@ class Player:
             "limited_samples": self.rendering.limited,
             "lost_contacts": self.memory.lost_contacts,
             "skipped_samples": self._skipped,
+            "dropped_waves": self._dropped_waves,
             "late_contacts": self.tracker.late,
             "invalid_contacts": self.tracker.invalid,
         }

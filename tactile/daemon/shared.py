@@ -30,6 +30,7 @@ COUNTERS = (
     "blocks", "samples", "lost_samples", "repeated_samples", "invalid_samples", "clipped_samples",
     "underruns", "late_blocks", "dropped_samples", "disconnects", "reconnects",
     "limited_samples", "late_contacts", "invalid_contacts", "lost_contacts", "skipped_samples",
+    "dropped_waves",
 )  # fmt: skip
 """Of a report: what a bus counts, then what playback does."""
 DETAIL = 240

@@ -4,11 +4,17 @@ A `Queue` plays samples as they come, resampled to the drive's rate, one client'
 what does not fit is not taken, and the client told (XR_FB_haptic_pcm's ``samplesConsumed``). An
 `Effect` is evaluated block by block from its points (XR_EXT_haptic_parametric). Both are within
 what the limiter lets through like all else.
+
+All clients together may cost `BLOCK_WORK` in a block. Work is counted before it is done, in
+evaluations of a kernel or a transient at a sample, so that what is played never depends on how busy
+the machine is. Waves that do not fit are silent for the block while their time goes on.
 """
 
+import heapq
 import math
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +34,30 @@ KERNEL = (
     np.sinc(_APART) * np.i0(SHAPE * np.sqrt(1 - (_APART / ZEROS) ** 2)) / np.i0(SHAPE),
 )
 """The window times the sinc over distance in zeros; read in straight lines, to 4e-6."""
-SHORT = 1024
-"""Samples that are kept though they have been read."""
+MOST_SEGMENTS = 128
+"""Changes of rate or contactors that wait in a queue: with its `LONGEST`, one every 8 ms."""
 HOLD = 50e-3
 """s for which a streamed effect is held after its last point (XR_EXT_haptic_parametric)."""
 PLAIN = 160.0
 """Hz of an effect without a frequency: that of most phones' actuators (assumed)."""
 PERIODS = 2.0
 """Of a transient."""
+MOST_TRANSIENTS = 16
+"""Of an effect, that sound at once; more are dropped. At 160 Hz, two periods each, these are 1280
+taps a second, more than can be told from a tone (assumed). They cost as much as the rest of it."""
+BLOCK_WORK = 12_000
+"""For the waves of all clients in a block: 0.36 of its 2 ms at 30 ns a unit, as `tactile bench
+waves` measures it."""
+EFFECT_WORK = 1000
+"""Of an effect in a block without its transients, the same for any few samples."""
+TRANSIENT_WORK = 4
+"""Of one at a sample: a sine and a cosine."""
+SEGMENT_WORK = 1000
+"""Of a waveform's segment in a block without its samples, likewise."""
+CONTACTORS = 8
+"""That take as much at a sample as one evaluation of the kernel."""
+TURN = 50
+"""Blocks after which another client is the first whose waves are played: 0.1 s."""
 
 
 class Segment:
@@ -57,33 +79,54 @@ class Segment:
         self._ratio = sample_rate / drive_rate
         self._cut = min(1.0, 1 / self._ratio)
         self._reach = math.ceil(ZEROS / self._cut)
-        self._data = np.zeros(self._reach)
+        self._near = np.arange(1 - self._reach, self._reach + 1)
+        self._data = np.zeros(3 * self._reach, np.float32)
+        self._end = self._reach
         self._at = float(self._reach)
 
     def add(self, samples: Singles) -> None:
         """Add samples."""
-        self._data = np.concatenate([self._data, samples])
+        end = self._end + len(samples)
+        if end + self._reach > len(self._data):
+            self._make_room(len(samples))
+            end = self._end + len(samples)
+        self._data[self._end : end] = samples
+        self._end = end
+
+    def _make_room(self, count: int) -> None:
+        """Let go of what was read, with room for twice what is left and comes: 0 beyond its end."""
+        done = int(self._at) - self._reach
+        left = self._data[done : self._end]
+        self._data = np.zeros(2 * (len(left) + count) + self._reach, np.float32)
+        self._data[: len(left)] = left
+        self._end, self._at = len(left), self._at - done
 
     @property
     def left(self) -> float:
         """What is still to be read [s]."""
-        return max(len(self._data) - self._at, 0.0) / self.rate
+        return max(self._end - self._at, 0.0) / self.rate
+
+    def ready(self, count: int) -> int:
+        """Return how many samples can be read, up to a count."""
+        return min(count, math.ceil((self._end - self._at) / self._ratio))
+
+    def work(self, count: int) -> int:
+        """Return what it takes to read as many."""
+        return SEGMENT_WORK + count * (2 * self._reach + len(self.plays) // CONTACTORS)
 
     def read(self, count: int) -> Floats:
         """Return the next samples, as many as there are up to a count."""
-        count = min(count, math.ceil((len(self._data) - self._at) / self._ratio))
+        count = self.ready(count)
         time = self._at + self._ratio * np.arange(count)
-        low = int(self._at) + 1 - self._reach
-        near = self._data[low : int(self._at + self._ratio * count) + self._reach + 1]
-        index = time.astype(np.intp)[:, None] + np.arange(1 - self._reach, self._reach + 1)
-        near = np.pad(near, (0, max(int(index[-1, -1]) - low + 1 - len(near), 0)) if count else 0)
+        index = time.astype(np.intp)[:, None] + self._near
         kernel = np.interp(np.abs(time[:, None] - index) * self._cut, *KERNEL)
-        read = np.sum(near[index - low] * kernel, axis=1) * self._cut
+        kernel *= self._data[index]
         self._at += self._ratio * count
-        done = int(self._at) - self._reach
-        if done > len(self._data) // 2 > SHORT:
-            self._data, self._at = self._data[done:], self._at - done
-        return np.asarray(read)
+        return np.asarray(kernel.sum(axis=1) * self._cut)
+
+    def skip(self, count: int) -> None:
+        """Go on by a count of samples without reading them."""
+        self._at += self._ratio * count
 
 
 class Queue:
@@ -99,6 +142,7 @@ class Queue:
         self._rate, self._contactors = sample_rate, contactors
         self._segments: deque[Segment] = deque()
         self._ending = np.zeros((0, contactors), np.float32)
+        self._last: Singles | None = None
 
     @property
     def waiting(self) -> float:
@@ -111,14 +155,14 @@ class Queue:
         Returns
         -------
         int
-            How many were taken.
+            How many were taken: none beyond `LONGEST`, nor of one segment more than there may be.
         """
         room = int(max(LONGEST - self.waiting, 0.0) * sample_rate)
         plays = np.full(self._contactors, not contactors, np.float32)
         plays[list(contactors)] = 1
         last = self._segments[-1] if self._segments else None
         if last is None or last.rate != sample_rate or not np.array_equal(last.plays, plays):
-            if not min(room, len(samples)):
+            if not min(room, len(samples)) or len(self._segments) >= MOST_SEGMENTS:
                 return 0
             last = Segment(sample_rate, self._rate, plays)
             self._segments.append(last)
@@ -126,29 +170,52 @@ class Queue:
         return min(room, len(samples))
 
     def clear(self) -> None:
-        """Drop what waits, but for the next few samples, which fade out."""
-        count = int(ENDING * self._rate)
-        ending = self.take(count)
+        """Drop what waits, and let the last sample that was played fade out."""
         self._segments.clear()
-        if ending is not None:
-            ramp = np.linspace(1, 0, count, endpoint=False, dtype=np.float32)
-            self._ending = ending * ramp[:, None]
+        ramp = np.linspace(1, 0, int(ENDING * self._rate) + 1, dtype=np.float32)[1:]
+        self._ending = self._ending[:0] if self._last is None else self._last * ramp[:, None]
+
+    def work(self, count: int) -> int:
+        """Return what the next samples take; 0 where nothing waits."""
+        total = SEGMENT_WORK if len(self._ending) else 0
+        for segment in self._segments:
+            part = segment.ready(count)
+            total += segment.work(part)
+            count -= part
+            if not count:
+                break
+        return total
 
     def take(self, count: int) -> Singles | None:
         """Return the next samples (S, N) [m]; None where nothing waits."""
         if not self._segments and not len(self._ending):
+            self._last = None
             return None
         out, at = np.zeros((count, self._contactors), np.float32), 0
         while self._segments and at < count:
             segment = self._segments[0]
             part = segment.read(count - at)
-            out[at : at + len(part)] = np.outer(part, segment.plays)
+            np.multiply(part[:, None], segment.plays, out=out[at : at + len(part)])
             at += len(part)
             if at < count:
                 self._segments.popleft()
-        ending, self._ending = self._ending[:count], self._ending[count:]
-        out[: len(ending)] += ending
+        if len(self._ending):
+            ending, self._ending = self._ending[:count], self._ending[count:]
+            out[: len(ending)] += ending
+        self._last = out[-1]
         return out
+
+    def skip(self, count: int) -> None:
+        """Go on by the next samples without playing them."""
+        if len(self._ending):
+            self._ending = self._ending[count:]
+        self._last = None
+        while self._segments and count:
+            part = self._segments[0].ready(count)
+            self._segments[0].skip(part)
+            count -= part
+            if count:
+                self._segments.popleft()
 
 
 @dataclass(frozen=True)
@@ -159,8 +226,10 @@ class Curve:
     ----------
     size : [m] of an amplitude of 1
     amplitude, frequency : (P, 2) of time from its beginning [s] and value, or [Hz]
-    transients : (T, 3) of time [s], value and frequency [Hz]
+    transients : (T, 3) of time [s], value and frequency [Hz], in order of time
     stream : whether it goes on from what plays
+    dropped : transients that were left out, `MOST_TRANSIENTS` others sounding when they begin
+    end : when it is over [s]
     """
 
     size: float
@@ -168,6 +237,31 @@ class Curve:
     frequency: Floats
     transients: Floats
     stream: bool
+    dropped: int = field(init=False)
+    end: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Do here, in the server, what playback then has no need to do."""
+        kept = _thinned(self.transients[np.argsort(self.transients[:, 0], kind="stable")])
+        ends = [ENDING, *(kept[:, 0] + PERIODS / kept[:, 2])]
+        if len(self.amplitude):
+            ends.append(self.amplitude[-1, 0] + (HOLD if self.stream else 0.0) + ENDING)
+        object.__setattr__(self, "dropped", len(self.transients) - len(kept))
+        object.__setattr__(self, "transients", kept)
+        object.__setattr__(self, "end", float(max(ends)))
+
+
+def _thinned(transients: Floats) -> Floats:
+    """Return transients without those that begin while as many as may be sound."""
+    ends: list[float] = []
+    kept = []
+    for k, (begin, _, frequency) in enumerate(transients.tolist()):
+        while ends and ends[0] <= begin:
+            heapq.heappop(ends)
+        if len(ends) < MOST_TRANSIENTS:
+            heapq.heappush(ends, begin + PERIODS / frequency)
+            kept.append(k)
+    return transients[kept]
 
 
 class Effect:
@@ -176,6 +270,10 @@ class Effect:
     Parameters
     ----------
     sample_rate : [Hz]
+
+    Attributes
+    ----------
+    dropped : transients that were left out of the curves so far
     """
 
     def __init__(self, sample_rate: float) -> None:
@@ -183,6 +281,8 @@ class Effect:
         self._curve: Curve | None = None
         self._at = self._last = self._phase = 0.0
         self._from = 0.0
+        self._sounding: list[int] = []
+        self.dropped = 0
 
     def begin(self, curve: Curve | None) -> None:
         """Go over to a curve; None ends what plays."""
@@ -190,48 +290,148 @@ class Effect:
             nothing = np.zeros((0, 2))
             curve = Curve(0.0, nothing, nothing, np.zeros((0, 3)), stream=False)
         self._from, self._curve, self._at = self._last, curve, 0.0
+        self._amplitude = np.ascontiguousarray(curve.amplitude.T)
+        self._frequency = np.ascontiguousarray(curve.frequency.T)
+        self._begins = curve.transients[:, 0].tolist()
+        self._ends = (curve.transients[:, 0] + PERIODS / curve.transients[:, 2]).tolist()
+        self._transients = curve.transients * (1.0, curve.size / 2, 2 * np.pi)
+        self._sounding, self._next = [], 0
+        self.dropped += curve.dropped
+
+    def work(self, count: int) -> int:
+        """Return what the next samples take; 0 at rest."""
+        if self._curve is None:
+            return 0
+        end = self._at + count / self._rate
+        while self._next < len(self._begins) and self._begins[self._next] < end:
+            self._sounding.append(self._next)
+            self._next += 1
+        self._sounding = [k for k in self._sounding if self._ends[k] > self._at]
+        return EFFECT_WORK + TRANSIENT_WORK * count * len(self._sounding)
 
     def take(self, count: int) -> Singles | None:
         """Return the next samples (S, 1) [m], the same for all contactors; None at rest."""
         curve = self._curve
         if curve is None:
             return None
+        self.work(count)
         time = self._at + np.arange(count) / self._rate
-        size = self._amplitude(curve, time)
-        plain = np.full(count, PLAIN)
-        f = np.interp(time, *curve.frequency.T) if len(curve.frequency) else plain
+        size = self._size(curve, time)
+        f = np.interp(time, *self._frequency) if self._frequency.size else np.full(count, PLAIN)
         turns = self._phase + np.cumsum(f) / self._rate
         wave = size * np.sin(2 * np.pi * turns)
         self._phase, self._last = float(turns[-1] % 1), float(size[-1])
-        for when, value, frequency in curve.transients:
-            wave += curve.size * value * _tap(time - when, frequency)
-        self._at += count / self._rate
-        if self._at > end_of(curve):
-            self._curve, self._last, self._phase = None, 0.0, 0.0
+        if self._sounding:
+            wave += _taps(time, self._transients[self._sounding])
+        self._go_on(curve, count)
         return np.asarray(wave[:, None], np.float32)
 
-    def _amplitude(self, curve: Curve, time: Floats) -> Floats:
+    def skip(self, count: int) -> None:
+        """Go on by the next samples without playing them."""
+        if self._curve is not None:
+            self._last = 0.0
+            self._go_on(self._curve, count)
+
+    def _go_on(self, curve: Curve, count: int) -> None:
+        self._at += count / self._rate
+        if self._at > curve.end:
+            self._curve, self._last, self._phase = None, 0.0, 0.0
+
+    def _size(self, curve: Curve, time: Floats) -> Floats:
         """Return the amplitude [m], going over from the last curve's."""
         size = np.zeros(len(time))
-        if len(curve.amplitude):
-            last = curve.amplitude[-1, 0] + (HOLD if curve.stream else 0.0)
-            size = curve.size * np.interp(time, *curve.amplitude.T)
-            size *= np.clip(1 - (time - last) / ENDING, 0, 1)
-        new = np.clip(time / ENDING, 0, 1)
-        return np.asarray(self._from * (1 - new) + size * new)
+        if self._amplitude.size:
+            last = self._amplitude[0, -1] + (HOLD if curve.stream else 0.0)
+            size = curve.size * np.interp(time, *self._amplitude)
+            if time[-1] > last:
+                size *= np.clip(1 - (time - last) / ENDING, 0, 1)
+        if self._at < ENDING:
+            new = np.clip(time / ENDING, 0, 1)
+            size = self._from * (1 - new) + size * new
+        return np.asarray(size)
 
 
-def end_of(curve: Curve) -> float:
-    """Return when a curve is over [s]."""
-    ends = [ENDING]
-    if len(curve.amplitude):
-        ends.append(curve.amplitude[-1, 0] + (HOLD if curve.stream else 0.0) + ENDING)
-    ends += [when + PERIODS / frequency for when, _, frequency in curve.transients]
-    return max(ends)
+def _taps(time: Floats, transients: Floats) -> Floats:
+    """Return the sum of transients at times (S,) [s]: sines under half a cosine, falling.
+
+    Their columns (T, 3) are when they begin [s], half their size [m] and angular frequency [1/s].
+    """
+    phase = np.subtract.outer(transients[:, 0], time)
+    phase *= -transients[:, 2:]
+    np.minimum(np.maximum(phase, 0.0, out=phase), 2 * np.pi * PERIODS, out=phase)
+    return np.asarray(transients[:, 1] @ ((1 + np.cos(phase / (2 * PERIODS))) * np.sin(phase)))
 
 
-def _tap(time: Floats, frequency: float) -> Floats:
-    """Return a transient at times [s] after its beginning: sines under half a cosine, falling."""
-    way = time * frequency / PERIODS
-    size = np.where((way >= 0) & (way < 1), (1 + np.cos(np.pi * way)) / 2, 0.0)
-    return np.asarray(size * np.sin(2 * np.pi * frequency * time))
+class Voice:
+    """What a client has to be played.
+
+    Parameters
+    ----------
+    sample_rate : of the drive [Hz]
+    contactors : N
+
+    Attributes
+    ----------
+    queue, effect : its waves
+    layers : numbers of its textures, each with its gain
+    gain : of all that is its own
+    sounds : whether its textures sound
+    gone : whether the client has left
+    """
+
+    def __init__(self, sample_rate: float, contactors: int) -> None:
+        self._rate, self._contactors = sample_rate, contactors
+        self.silence()
+        self.layers: tuple[tuple[int, float], ...] = ()
+        self.gain = 1.0
+        self.sounds, self.gone = True, False
+
+    def silence(self) -> None:
+        """Drop all waves at once, where nothing sounds."""
+        self.queue, self.effect = Queue(self._rate, self._contactors), Effect(self._rate)
+        self._last: Singles | None = None
+        self._silent = False
+
+    def work(self, count: int) -> int:
+        """Return what the next samples of its waves take; 0 where it has none."""
+        return self.queue.work(count) + self.effect.work(count)
+
+    def take(self, count: int) -> Singles | None:
+        """Return the next samples of its waves (S, N or 1) [m]; None where it has none."""
+        parts = [p for p in (self.queue.take(count), self.effect.take(count)) if p is not None]
+        wave = parts[0] + parts[1] if len(parts) == 2 else parts[0] if parts else None
+        self._last = wave
+        if wave is not None and self._silent:
+            wave = wave * _rise(count)
+        self._silent = False
+        return wave
+
+    def skip(self, count: int) -> Singles | None:
+        """Go on by the next samples in silence; return the fade to it (S, N or 1) [m], if any."""
+        self.queue.skip(count)
+        self.effect.skip(count)
+        last, self._last, self._silent = self._last, None, True
+        return None if last is None else last[-1] * (1 - _rise(count))
+
+
+def _rise(count: int) -> Singles:
+    """Return a ramp to 1 (S, 1)."""
+    return np.arange(1, count + 1, dtype=np.float32)[:, None] / np.float32(count)
+
+
+def affordable(work: Mapping[int, int], turn: int) -> set[int]:
+    """Return whose waves are played in a block: in order from one client on, all that fit.
+
+    Parameters
+    ----------
+    work : of each client that has waves
+    turn : which of them is the first; the others follow in order of their numbers
+    """
+    clients, left = sorted(work), BLOCK_WORK
+    first = turn % max(len(clients), 1)
+    chosen = set()
+    for client in clients[first:] + clients[:first]:
+        if work[client] <= left:
+            left -= work[client]
+            chosen.add(client)
+    return chosen

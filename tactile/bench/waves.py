@@ -1,0 +1,100 @@
+"""Waves: what a block of all clients' waveforms and effects costs, and what a unit of work is.
+
+Processor time is measured, so that other programs on the machine count as little as can be.
+"""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from tactile.bench.figures import RATE, Figure, at_most
+from tactile.bus.base import Wiring
+from tactile.bus.mock_bus import MockBus
+from tactile.daemon import messages as m
+from tactile.daemon.player import BLOCK, Player
+from tactile.daemon.shared import Shared
+from tactile.daemon.waves import BLOCK_WORK, Curve, Voice
+from tactile.display import load_display
+
+CLIENTS = 60
+BLOCKS = 1000
+SECONDS = 3.0
+"""Of an effect."""
+
+
+def costliest(seconds: float = SECONDS) -> Curve:
+    """Return an effect of all the points and transients that one may have, which overlap."""
+    time = np.linspace(0.0, seconds, m.MOST_POINTS)
+    full = np.full(m.MOST_POINTS, 1.0)
+    return Curve(
+        1e-6,
+        np.column_stack([time, full]),
+        np.column_stack([time, 200 * full]),
+        np.column_stack([time / 4, full, 20 * full]),
+        stream=False,
+    )
+
+
+def plain(seconds: float = SECONDS) -> Curve:
+    """Return an effect of two points."""
+    return Curve(
+        1e-6,
+        np.array([[0.0, 1.0], [seconds, 1.0]]),
+        np.array([[0.0, 200.0], [seconds, 200.0]]),
+        np.zeros((0, 3)),
+        stream=False,
+    )
+
+
+def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
+    """Keep a client's queue full, of so many segments in a message."""
+    samples = np.full(m.MOST_SAMPLES // cuts, 1e-6, np.float32)
+    while voice.queue.waiting < 0.05:
+        for k in range(cuts):
+            if not voice.queue.append(samples, sample_rate, (k % 2,) if cuts > 1 else ()):
+                return
+
+
+def _player() -> Player:
+    display = load_display("reference-24")
+    memory = Shared.create(len(display.contactors))
+    return Player(display, MockBus(Wiring.of(display, RATE)), memory)
+
+
+def _microseconds(clients: int, curve: Curve | None, *, cuts: int = 0) -> tuple[float, ...]:
+    """Return the mean and the 99th percentile of a block's time [µs], and its mean work."""
+    player, taken, works = _player(), [], []
+    for block in range(BLOCKS):
+        for client in range(1, clients + 1):
+            voice = player.voice(client)
+            if curve is not None and block % 100 == 0:
+                voice.effect.begin(curve)
+            if cuts:
+                fill(voice, cuts=cuts)
+        works.append(sum(voice.work(BLOCK) for voice in player.voices.values()))
+        begun = time.thread_time_ns()
+        player._waves(BLOCK)
+        taken.append(1e-3 * (time.thread_time_ns() - begun))
+        player.report.blocks += 1
+    return float(np.mean(taken)), float(np.percentile(taken, 99)), float(np.mean(works))
+
+
+def measure_waves() -> Iterator[Figure]:
+    """Time a block of one client's waves by their kind, then of a crowd that plays all it may."""
+    kinds = {
+        "effect": (plain(), 0),
+        "effect_with_transients": (costliest(), 0),
+        "waveform": (None, 1),
+        "waveform_of_short_segments": (None, m.MOST_SAMPLES // 24),
+    }
+    for name, (curve, cuts) in kinds.items():
+        one, _, work = _microseconds(1, curve, cuts=cuts)
+        two, _, works = _microseconds(2, curve, cuts=cuts)
+        yield Figure(f"waves.{name}", two - one, "µs a block")
+        yield Figure(f"waves.{name}.unit", 1e3 * (two - one) / (works - work), "ns")
+    yield Figure("waves.budget", float(BLOCK_WORK), "units a block")
+    for name, curve, cuts in (("plain", plain(), 0), ("costliest", costliest(), 1)):
+        mean, p99, _ = _microseconds(CLIENTS, curve, cuts=cuts)
+        yield Figure(f"waves.{CLIENTS}_clients.{name}.mean", 1e-3 * mean, "ms a block")
+        yield at_most(f"waves.{CLIENTS}_clients.{name}.p99", 1e-3 * p99, "ms a block", 1)

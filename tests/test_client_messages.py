@@ -77,7 +77,7 @@ def test_positions_may_be_arrays_of_numpy(display: Any, daemon: Daemon) -> None:
         (lambda d: d.touch((0.0, 101.0)), r"position_mm\[1\]: 101000.0: .* <= 100000.0"),
         (lambda d: d.touch((0.0, 0.0), velocity=(0.0, math.inf)), r"velocity_mm_s\[1\]: inf"),
         (lambda d: d.touch((0.0, 0.0), normal_force=-0.1), "normal_force_n: -0.1: .* >= 0"),
-        (lambda d: d.touch((0.0, 0.0), time=math.nan), "time: nan s is not finite"),
+        (lambda d: d.touch((0.0, 0.0), time=math.nan), "time: nan s is not a finite time"),
         (lambda d: d.gain(1.5), "gain: 1.5: .* <= 1"),
         (lambda d: d.select(["a", ("b", 2.0)]), r"layers\[1\].gain: 2.0: .* <= 1"),
         (lambda d: d.select([3]), "layers: 3 is no texture"),

@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from concurrent.futures import Future
 
-from tactile.client.wire import Telemetry
+from tactile.client.wire import Telemetry, to_number
 from tactile.errors import InputError
 
 LONGEST = 64
@@ -26,8 +26,9 @@ class TelemetryQueue:
     """
 
     def __init__(self, display: str, rate: float) -> None:
+        rate = to_number(rate, "rate [Hz]")
         if not rate > 0:
-            raise InputError(f"rate: {rate} Hz is not above 0")
+            raise InputError(f"rate: {rate:g} Hz is not above 0")
         self.display, self.rate = display, rate
         self._lock = threading.Lock()
         self._items: deque[Telemetry] = deque(maxlen=LONGEST)

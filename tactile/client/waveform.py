@@ -5,7 +5,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from itertools import islice
 
-from tactile.client.wire import checked
+from tactile.client.wire import checked, to_index, to_items, to_number
 from tactile.daemon.messages import MOST_SAMPLES, Append
 from tactile.errors import InputError
 
@@ -53,15 +53,18 @@ class Waveform:
         contactors: Iterable[int] = (),
         append: bool = False,
     ) -> None:
-        self._samples: Iterator[float] = iter(samples)
+        self._samples: Iterator[float] = to_items(samples, "samples")
         self._rest = b""
         self._append = append
         self._head = Append(
             display=display,
-            sample_rate_hz=float(sample_rate),
-            amplitude_um=float(amplitude) * 1e6,
+            sample_rate_hz=to_number(sample_rate, "sample_rate [Hz]"),
+            amplitude_um=to_number(amplitude, "amplitude [m]") * 1e6,
             samples=b"",
-            contactors=tuple(int(contactor) for contactor in contactors),
+            contactors=tuple(
+                to_index(contactor, f"contactors[{place}]")
+                for place, contactor in enumerate(to_items(contactors, "contactors", 4096))
+            ),
         )
 
     def message(self) -> Append | None:

@@ -4,14 +4,19 @@
 """
 
 import math
-from collections.abc import Iterable, Sequence
+import operator
+import reprlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, TypeVar
 
 import msgspec
 
 from tactile.daemon import messages
 from tactile.daemon.messages import (
+    MOST_LAYERS,
+    MOST_POINTS,
     Contact,
     Effect,
     FrequencyPoint,
@@ -27,6 +32,11 @@ M = TypeVar("M", bound=Message)
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
 """A texture or several, each with its gain where it is a pair; none is ``()``."""
 Pair = tuple[float, float]
+
+AMPLITUDE_POINT = "amplitude_points", "time [s], value"
+FREQUENCY_POINT = "frequency_points", "time [s], frequency [Hz]"
+TRANSIENT = "transients", "time [s], value, frequency [Hz]"
+"""What the points of an effect are called, and what each consists of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +91,7 @@ class Stats:
     owner : whether that finger is this client's
     latency : from a contact to the skin [s]
     counters : what playback, bus and amplifier count
+    estop : number of the e-stop that holds, 0 for none
     """
 
     display: str
@@ -91,6 +102,7 @@ class Stats:
     owner: bool
     latency: float
     counters: dict[str, int]
+    estop: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +141,13 @@ class Event:
         "disconnected", "refused" (a contact, or what was to be restored after a reconnection)
     display : its name, or "" where it concerns all
     detail : in one line
+    estop : number of the e-stop, of "estopped"
     """
 
     kind: str
     display: str = ""
     detail: str = ""
+    estop: int = 0
 
 
 def checked(message: M) -> M:
@@ -144,7 +158,11 @@ def checked(message: M) -> M:
     InputError
         Where a value is not one that may be sent; names the field on the wire, with its unit.
     """
-    return _read(msgspec.to_builtins(message, builtin_types=(bytes,)), type(message))
+    try:
+        plain = msgspec.to_builtins(message, builtin_types=(bytes,))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{type(message).__name__.lower()}: {error}") from None
+    return _read(plain, type(message))
 
 
 def _read(plain: dict[str, Any], kind: type[M]) -> M:
@@ -166,17 +184,68 @@ def _value_at(plain: Any, path: str) -> str:
     return f"{plain!r}: " if isinstance(plain, float | int | str) else ""
 
 
+def shown(value: object) -> str:
+    """Return a value for a text: in one line, and not too long."""
+    return " ".join(reprlib.repr(value).split())
+
+
+def to_number(value: Any, what: str) -> float:
+    """Return a finite number; ``what`` names the value and its unit.
+
+    Raises
+    ------
+    InputError
+        Where it is none.
+    """
+    try:
+        made = float(value * 1.0)  # float() alone takes texts as well
+    except (TypeError, ValueError, OverflowError):
+        made = math.nan
+    if not math.isfinite(made):
+        raise InputError(f"{what}: {shown(value)} is not a finite number")
+    return made
+
+
+def to_items(values: Any, what: str, most: int | None = None) -> Iterator[Any]:
+    """Return an iterator over values, over at most one more than there may be.
+
+    Raises
+    ------
+    InputError
+        Where they are no sequence.
+    """
+    try:
+        return islice(values, None if most is None else most + 1)
+    except TypeError:
+        raise InputError(f"{what}: {shown(values)} is not a sequence") from None
+
+
+def to_index(value: Any, what: str) -> int:
+    """Return a whole number.
+
+    Raises
+    ------
+    InputError
+        Where it is none.
+    """
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise InputError(f"{what}: {shown(value)} is not a whole number") from None
+
+
 def to_microseconds(time: float) -> int:
     """Return a time [s] in whole microseconds.
 
     Raises
     ------
     InputError
-        Where it is not a number.
+        Where it is not a finite number, or too long.
     """
-    if not math.isfinite(time):
-        raise InputError(f"time: {time} s is not finite")
-    return round(time * 1e6)
+    try:
+        return round(time * 1e6)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"time: {shown(time)} s is not a finite time, as 12.5") from None
 
 
 def to_contact(
@@ -186,19 +255,39 @@ def to_contact(
     velocity: Sequence[float] | None,
     time_us: int,
 ) -> Contact:
-    """Return a contact of [m], [N] and [m/s]."""
-    x, y = position
-    plain = {
-        "type": "contact",
-        "display": display,
-        "position_mm": (float(x) * 1e3, float(y) * 1e3),
-        "normal_force_n": float(normal_force),
-        "time_us": time_us,
-    }
-    if velocity is not None:
-        vx, vy = velocity
-        plain["velocity_mm_s"] = (float(vx) * 1e3, float(vy) * 1e3)
+    """Return a contact of [m], [N] and [m/s].
+
+    Raises
+    ------
+    InputError
+        Where a value is not of that form, or out of range.
+    """
+    try:  # every frame: what is wrong is looked for only where something is
+        x, y = position
+        plain = {
+            "type": "contact",
+            "display": display,
+            "position_mm": (float(x * 1e3), float(y * 1e3)),
+            "normal_force_n": float(normal_force * 1.0),
+            "time_us": time_us,
+        }
+        if velocity is not None:
+            vx, vy = velocity
+            plain["velocity_mm_s"] = (float(vx * 1e3), float(vy * 1e3))
+    except (TypeError, ValueError, OverflowError):
+        to_number(normal_force, "normal_force [N], as 0.5")
+        _to_pair(position, "position [m]: {} is not two numbers, as (0.012, 0.003)")
+        _to_pair(velocity, "velocity [m/s]: {} is not two numbers, as (0.08, 0.0)")
+        raise
     return _read(plain, Contact)
+
+
+def _to_pair(values: Any, complaint: str) -> Pair:
+    try:
+        x, y = values
+        return float(x * 1.0), float(y * 1.0)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(complaint.format(shown(values))) from None
 
 
 def to_layers(layers: Layers) -> tuple[Layer, ...]:
@@ -213,7 +302,7 @@ def to_layers(layers: Layers) -> tuple[Layer, ...]:
         case str() | Layer() | (str(), int() | float()):
             return (_to_layer(layers),)
         case _:
-            return tuple(_to_layer(layer) for layer in layers)
+            return tuple(_to_layer(layer) for layer in to_items(layers, "layers", MOST_LAYERS))
 
 
 def _to_layer(layer: object) -> Layer:
@@ -240,13 +329,31 @@ def to_effect(
     return checked(
         Effect(
             display=display,
-            amplitude_um=float(amplitude) * 1e6,
-            amplitude=tuple(Point(t * 1e3, value) for t, value in amplitude_points),
-            frequency=tuple(FrequencyPoint(t * 1e3, hz) for t, hz in frequency_points),
-            transients=tuple(Transient(t * 1e3, *rest) for t, *rest in transients),
+            amplitude_um=to_number(amplitude, "amplitude [m]") * 1e6,
+            amplitude=tuple(
+                Point(t * 1e3, value) for t, value in _to_rows(amplitude_points, *AMPLITUDE_POINT)
+            ),
+            frequency=tuple(
+                FrequencyPoint(t * 1e3, hz)
+                for t, hz in _to_rows(frequency_points, *FREQUENCY_POINT)
+            ),
+            transients=tuple(
+                Transient(t * 1e3, *rest) for t, *rest in _to_rows(transients, *TRANSIENT)
+            ),
             stream=stream,
         )
     )
+
+
+def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list[float]]:
+    """Yield each of the points of an effect, whose values have these names."""
+    most = names.count(",") + 1
+    for index, row in enumerate(to_items(rows, what, MOST_POINTS)):
+        where = f"{what}[{index}]"
+        values = list(to_items(row, where, most))
+        if not fewest <= len(values) <= most:
+            raise InputError(f"{where}: {shown(row)} is not ({names})")
+        yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 
 def from_info(info: messages.DisplayInfo) -> DisplayInfo:
@@ -278,6 +385,7 @@ def from_stats(stats: messages.Stats) -> Stats:
         owner=stats.owner,
         latency=stats.latency_ms * 1e-3,
         counters=stats.counters,
+        estop=stats.estop,
     )
 
 

@@ -51,7 +51,7 @@ def main() -> None:
     """Read the command line, and play."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", help="of the daemon; default ws://127.0.0.1:7411/v1")
+    parser.add_argument("--url", help="of the daemon; default that of this machine")
     parser.add_argument("--displays", nargs="+", help="one or two; default the first two there are")
     parser.add_argument("--textures", nargs=2, default=["wood-oak", "leather-calf"])
     asyncio.run(play(parser.parse_args()))

@@ -345,7 +345,7 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
     (lambda d: d.disarm(), m.Disarm(display="left")),
     (lambda d: d.estop(), m.EStop(display="left")),
     (lambda d: d.connection.estop(), m.EStop()),
-    (lambda d: d.clear(), m.Clear(display="left")),
+    (lambda d: d.clear(estop=3), m.Clear(display="left", estop=3)),
     (
         lambda d: d.append([0.5, -1.0], sample_rate=8000.0, amplitude=5e-6, contactors=[1]),
         m.Append(

@@ -23,13 +23,14 @@ from tactile.client.base import (
     TIMEOUT,
     BaseConnection,
     BaseDisplay,
+    BaseTelemetryStream,
     Encoding,
+    as_callback,
     as_kind,
     endpoint,
     secret,
 )
 from tactile.client.events import LONGEST, Callback
-from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
 from tactile.daemon import messages
@@ -46,7 +47,8 @@ C = TypeVar("C", bound="Connection | Display")
 async def _wait(future: "Future[T]", timeout: float, what: str) -> T:
     """Return a future's result; stop waiting for it where it does not come."""
     try:
-        return await asyncio.wait_for(asyncio.wrap_future(future), timeout)
+        async with asyncio.timeout(timeout):
+            return await asyncio.wrap_future(future)
     except TimeoutError:
         raise ClientTimeoutError(f"{what}: no answer in {timeout:g} s") from None
 
@@ -181,13 +183,13 @@ class Connection(BaseConnection):
         """Return the textures that may be selected."""
         return (await self._ask(messages.ListTextures(), messages.Textures, timeout)).textures
 
-    async def estop(self, *, timeout: float | None = None) -> None:
-        """Set all displays to 0 V at once."""
-        await self._ask(messages.EStop(), Done, timeout)
+    async def estop(self, *, timeout: float | None = None) -> dict[str, int]:
+        """Set all displays to 0 V at once; return the number of each e-stop by display."""
+        return (await self._ask(messages.EStop(), Done, timeout)).estops
 
     def on_event(self, callback: Callback) -> Callback:
         """Call back with each `Event`; what a coroutine function returns is run as a task."""
-        if callback not in self._callbacks:
+        if as_callback(callback) not in self._callbacks:
             self._callbacks = (*self._callbacks, callback)
         return callback
 
@@ -227,8 +229,7 @@ class Connection(BaseConnection):
         await asyncio.gather(*busy, return_exceptions=True)
 
     async def _ask(self, request: Request, kind: type[R], timeout: float | None) -> R:
-        future = self._session.ask(wire.checked(request))
-        limit = self._limit(request, timeout)
+        future, limit = self._begin(request, timeout)
         return as_kind(await _wait(future, limit, type(request).__name__.lower()), kind)
 
     async def __aenter__(self) -> Self:
@@ -289,7 +290,8 @@ class Display(BaseDisplay):
 
     async def gain(self, gain: float, *, timeout: float | None = None) -> None:
         """Scale all that is this program's: 0 … 1."""
-        await self._ask(messages.Gain(display=self.name, gain=float(gain)), timeout)
+        number = wire.to_number(gain, "gain")
+        await self._ask(messages.Gain(display=self.name, gain=number), timeout)
 
     async def stop(self, *, timeout: float | None = None) -> None:
         """Fade out: textures until `resume`, waveforms for good."""
@@ -309,14 +311,18 @@ class Display(BaseDisplay):
         self._end_playback()
         await self._ask(messages.Disarm(display=self.name), timeout)
 
-    async def estop(self, *, timeout: float | None = None) -> None:
-        """Set this display to 0 V at once, until `clear`; `Connection.estop` sets all."""
+    async def estop(self, *, timeout: float | None = None) -> int:
+        """Set this display to 0 V at once, as `tactile.client.sync.Display.estop`."""
         self._end_playback()
-        await self._ask(messages.EStop(display=self.name), timeout)
+        request = messages.EStop(display=self.name)
+        return (await self._connection._ask(request, Done, timeout)).estops.get(self.name, 0)
 
-    async def clear(self, *, timeout: float | None = None) -> None:
-        """End an e-stop, where a person has decided so; the display is disarmed then."""
-        await self._ask(messages.Clear(display=self.name), timeout)
+    async def clear(self, *, estop: int | None = None, timeout: float | None = None) -> None:
+        """End an e-stop, where a person has decided so, as `tactile.client.sync.Display.clear`."""
+        if estop is None:
+            estop = self.estopped or (await self.stats(timeout=timeout)).estop or None
+        if estop is not None:
+            await self._ask(messages.Clear(display=self.name, estop=estop), timeout)
 
     async def append(
         self,
@@ -419,14 +425,8 @@ class Display(BaseDisplay):
         await self.close()
 
 
-class TelemetryStream(AsyncIterator[wire.Telemetry]):
+class TelemetryStream(BaseTelemetryStream, AsyncIterator[wire.Telemetry]):
     """What a display does, as it comes, as `tactile.client.sync.TelemetryStream`."""
-
-    def __init__(self, display: Display, rate: float, timeout: float | None) -> None:
-        self._session = display._connection._session
-        self._queue = TelemetryQueue(display.name, rate)
-        patience = display._connection.timeout if timeout is None else timeout
-        self._timeout, self._asked = patience, False
 
     async def __anext__(self) -> wire.Telemetry:
         if not self._asked:

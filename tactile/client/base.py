@@ -2,16 +2,20 @@
 
 import difflib
 import os
+import socket
 import time
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Future
 from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
 
 from tactile.client import wire
 from tactile.client.events import Callback
-from tactile.client.session import Session
+from tactile.client.session import QUIETER, Session
+from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
+from tactile.daemon import paths
 from tactile.daemon.messages import (
     PATH,
     Append,
@@ -20,17 +24,22 @@ from tactile.daemon.messages import (
     Hello,
     Reply,
     Request,
+    Role,
     Select,
     Welcome,
 )
 from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError
 
-DEFAULT_URL = f"ws://127.0.0.1:7411{PATH}"
 PORT = 7411
+EXAMPLE_URL = f"ws://127.0.0.1:{PORT}{PATH}"
+UNIX = "ws+unix://"
+"""What the address of a Unix socket begins with; its path follows."""
 TIMEOUT = 1.0
 """s for an answer, where nothing else is said."""
 PATIENT = 20.0
 """s, at least, for what takes the daemon longer: to make a texture ready, to start a device."""
+LONGEST_TIMEOUT = 1e6
+"""s that a program may wait for an answer."""
 CLIENT_NAME = "python"
 NORMAL_FORCE = 0.5
 """N; where a program knows only that there is contact. Assumed: light exploration."""
@@ -38,6 +47,12 @@ SHORTEST_PAUSE, LONGEST_PAUSE = 0.005, 0.1
 """s to wait before what the daemon had no room for is sent again."""
 Encoding = Literal["msgpack", "json"]
 R = TypeVar("R", bound=Reply)
+
+
+def default_url() -> str:
+    """Return the address of the daemon on this machine: of its Unix socket where it has one."""
+    found = paths.find_sockets()
+    return f"{UNIX}{found[0]}" if found else EXAMPLE_URL
 
 
 def endpoint(url: str | None) -> str:
@@ -48,14 +63,20 @@ def endpoint(url: str | None) -> str:
     InputError
         Where it is no address of a WebSocket.
     """
-    url = url or os.environ.get("TACTILE_URL") or DEFAULT_URL
-    parts = urlsplit(url)
+    url = url or os.environ.get("TACTILE_URL") or default_url()
+    if not isinstance(url, str):
+        raise InputError(f"url {url!r} is not a text as {EXAMPLE_URL!r}")
+    if url.startswith(UNIX):
+        if not hasattr(socket, "AF_UNIX") or not url.startswith(f"{UNIX}/"):
+            raise InputError(f"url {url!r}: not as {UNIX}/run/tactile/tactile.sock, on Linux")
+        return url
     try:
+        parts = urlsplit(url)
         port = parts.port
     except ValueError as error:
         raise InputError(f"url {url!r}: {error}") from None
     if parts.scheme not in ("ws", "wss") or not parts.hostname:
-        raise InputError(f"url {url!r} is not as {DEFAULT_URL}")
+        raise InputError(f"url {url!r} is not as {EXAMPLE_URL}")
     where = parts.netloc if port or parts.scheme == "wss" else f"{parts.netloc}:{PORT}"
     path = parts.path if parts.path.strip("/") else PATH
     return parts._replace(netloc=where, path=path).geturl()
@@ -64,6 +85,19 @@ def endpoint(url: str | None) -> str:
 def secret(token: str | None) -> str:
     """Return the token as given, or of ``TACTILE_TOKEN``."""
     return token if token is not None else os.environ.get("TACTILE_TOKEN", "")
+
+
+def as_callback(callback: Callback) -> Callback:
+    """Return something that can be called.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be.
+    """
+    if not callable(callback):
+        raise InputError(f"callback: {wire.shown(callback)} is not a function")
+    return callback
 
 
 def as_kind(reply: Reply, kind: type[R]) -> R:
@@ -100,16 +134,44 @@ class BaseConnection:
         timeout: float = TIMEOUT,
         rearm: bool = False,
     ) -> None:
-        self.timeout = timeout
+        self.timeout = TIMEOUT
+        self.timeout = self._patience(timeout)
         self._transport = transport
         hello = wire.checked(Hello(client=client_name, token=token))
         self._session = Session(transport, hello, monotonic=time.monotonic, rearm=rearm)
 
+    def _begin(self, request: Request, timeout: float | None) -> "tuple[Future[Any], float]":
+        """Send a request; return the future of its answer, and how long to wait for it [s].
+
+        What makes a display quieter is sent also where the timeout is none.
+        """
+        try:
+            limit = self._limit(request, timeout)
+        except InputError:
+            if isinstance(request, QUIETER):
+                self._session.ask(request)
+            raise
+        return self._session.ask(wire.checked(request)), limit
+
     def _limit(self, request: Request, timeout: float | None) -> float:
         """Return how long to wait for an answer [s]."""
-        if timeout is not None:
-            return timeout
-        return max(self.timeout, PATIENT) if isinstance(request, Select | Arm) else self.timeout
+        patient = timeout is None and isinstance(request, Select | Arm)
+        return max(self.timeout, PATIENT) if patient else self._patience(timeout)
+
+    def _patience(self, timeout: float | None) -> float:
+        """Return a timeout as given, or the connection's [s].
+
+        Raises
+        ------
+        InputError
+            Where it cannot be waited for.
+        """
+        if timeout is None:
+            return self.timeout
+        seconds = wire.to_number(timeout, "timeout [s]")
+        if not 0 <= seconds <= LONGEST_TIMEOUT:
+            raise InputError(f"timeout: {seconds:g} s is not in 0 … {LONGEST_TIMEOUT:g} s")
+        return seconds
 
     @property
     def connected(self) -> bool:
@@ -133,6 +195,11 @@ class BaseConnection:
     def displays(self) -> dict[str, wire.DisplayInfo]:
         """The displays that the daemon has, by name."""
         return {info.name: wire.from_info(info) for info in self.welcome.displays}
+
+    @property
+    def roles(self) -> frozenset[Role]:
+        """What the daemon lets this program do: some of "watch", "play", "arm" and "stop"."""
+        return frozenset(self.welcome.roles)
 
     @property
     def clock_offset(self) -> float:
@@ -161,7 +228,7 @@ class BaseConnection:
             return str(display)
         listed = ", ".join(names) or "none"
         if display is not None:
-            near = difflib.get_close_matches(display, names, 1)
+            near = difflib.get_close_matches(str(display), names, 1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise NotFoundError(f"no display {display!r}; there are: {listed}{hint}")
         if len(names) != 1:
@@ -177,7 +244,7 @@ class BaseDisplay:
     def __init__(self, name: str, owns: bool) -> None:
         self.name = name
         self._owns = owns
-        self._position: Sequence[float] = (0.0, 0.0)
+        self._position = (0.0, 0.0)
         self._playing = 0
 
     @property
@@ -200,6 +267,11 @@ class BaseDisplay:
         raise NotFoundError(f"no display {self.name!r} any more")
 
     @property
+    def estopped(self) -> int:
+        """Number of the e-stop that holds as far as the daemon last reported; 0 for none."""
+        return self._connection._session.estops.numbers.get(self.name, 0)
+
+    @property
     def dropped_contacts(self) -> int:
         """How many were not sent: a newer one came first, or the daemon was not there."""
         return self._connection._session.dropped_contacts[self.name]
@@ -213,7 +285,8 @@ class BaseDisplay:
     ) -> None:
         now = time.monotonic_ns() // 1000 if time_s is None else wire.to_microseconds(time_s)
         contact: Contact = wire.to_contact(self.name, position, normal_force, velocity, now)
-        self._position = position
+        x, y = contact.position_mm
+        self._position = (x * 1e-3, y * 1e-3)
         self._connection._session.tell(contact)
 
     def _append(
@@ -234,6 +307,8 @@ class BaseDisplay:
         return waveform.message()
 
     def _only_mine(self, callback: Callback) -> Callback:
+        as_callback(callback)
+
         def called(event: wire.Event) -> Any:
             return callback(event) if event.display in ("", self.name) else None
 
@@ -241,7 +316,7 @@ class BaseDisplay:
 
     def _playback(self, waveform: Waveform, timeout: float | None) -> "Playback":
         self._playing += 1
-        return Playback(self, waveform, self._connection.timeout if timeout is None else timeout)
+        return Playback(self, waveform, self._connection._patience(timeout))
 
     def _end_playback(self) -> None:
         """Let a `play` of another thread or task send no more."""
@@ -281,3 +356,19 @@ class Playback:
         if appended.samples_consumed * 4 >= len(message.samples):
             return 0.0
         return min(max(appended.buffered / 2, SHORTEST_PAUSE), LONGEST_PAUSE)
+
+
+class BaseTelemetryStream:
+    """What a display does, as it comes.
+
+    Parameters
+    ----------
+    display : whose it is
+    rate : how often it is to come [Hz]
+    timeout : for each, beyond its period; by default the connection's [s]
+    """
+
+    def __init__(self, display: BaseDisplay, rate: float, timeout: float | None) -> None:
+        self._session = display._connection._session
+        self._queue = TelemetryQueue(display.name, rate)
+        self._timeout, self._asked = display._connection._patience(timeout), False

@@ -60,7 +60,7 @@ class Outbox:
         return len(self._contacts)
 
     def clear(self) -> None:
-        """Forget all of it; contacts count as dropped."""
+        """Forget all of it; contacts count as dropped, and a session sends its e-stops again."""
         with self._lock:
             names = list(self._contacts)
             self._urgent.clear()

@@ -18,23 +18,23 @@ import msgspec
 from tactile.client import wire
 from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
+from tactile.client.wishes import EStops, Wishes
 from tactile.daemon.messages import (
     Answer,
     Arm,
+    Clear,
     Command,
     Contact,
     Disarm,
     EStop,
     Event,
     Failure,
-    Gain,
     Hello,
     Ping,
     Play,
     Pong,
     Reply,
     Request,
-    Select,
     Stop,
     Subscribe,
     Telemetry,
@@ -51,7 +51,9 @@ from tactile.errors import (
 MOST_WAITING = 256
 """Requests at a time."""
 QUIETER = Stop | Disarm | EStop
-"""Requests that are sent also where nobody waits for the answer any more."""
+"""Requests that are never too many, and sent also where nobody waits for the answer any more."""
+RAISING = Arm | Clear | Play
+"""Requests that an e-stop withdraws while they wait; disarming withdraws `Arm` alone."""
 DISARMED_BY = {"disarmed", "estopped", "lost"}
 """Events after which a display is not armed."""
 REFUSALS: dict[str, type[RequestError]] = {
@@ -83,37 +85,6 @@ class Clock:
         self.round_trip, self.offset = min(self._seen)
 
 
-@dataclass
-class Wishes:
-    """What a program has of one display, as far as the daemon confirmed it."""
-
-    layers: Select | None = None
-    gain: Gain | None = None
-    stop: Stop | None = None
-    armed: Arm | None = None
-
-    def granted(self, command: Command) -> None:
-        """Remember what was done."""
-        match command:
-            case Select():
-                self.layers = command
-            case Gain():
-                self.gain = command
-            case Stop():
-                self.stop = command
-            case Play():
-                self.stop = None
-            case Arm():
-                self.armed = command
-            case Disarm():
-                self.armed = None
-
-    def restored(self, rearm: bool) -> list[Request]:
-        """Return what to ask of a daemon that knows nothing of us; high voltage comes last."""
-        wished = [self.gain, self.layers, self.stop, self.armed if rearm else None]
-        return [command for command in wished if command is not None]
-
-
 class Session:
     """One program's conversation with one daemon, over any number of connections.
 
@@ -135,16 +106,17 @@ class Session:
     ) -> None:
         self._transport, self._hello, self._rearm = transport, hello, rearm
         self._monotonic = monotonic
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a transport may answer before `send` returns
         self._last_id = 0
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
         self._wishes: dict[str, Wishes] = {}
         self._queues: dict[str, weakref.WeakSet[TelemetryQueue]] = {}
         self._refused: tuple[str, float] = ("", 0.0)
+        self.estops = EStops()
         self.notify: Callable[[wire.Event], None] = lambda event: None
         self.welcome: Welcome | None = None
         self.ready: Future[Welcome] = Future()
-        self.connected = self.closed = False
+        self.connected = self.closed = self._final = False
         self.reason = "not connected yet"
         self.clock = Clock()
         self.counters: Counter[str] = Counter(
@@ -160,27 +132,60 @@ class Session:
     def ask(self, command: Request) -> "Future[Any]":
         """Send a request and return the future of its answer; cancel it to stop waiting.
 
+        `EStop` and `Disarm` first withdraw the wish to be armed, whatever becomes of them. An
+        `EStop` that cannot be sent, or is not confirmed, is sent first over the next connection.
+
         Raises
         ------
         DisconnectedError
             Where there is no connection.
         ClientError
-            Where too many requests wait already.
+            Where too many requests wait already; not for what makes a display quieter.
         """
-        if not self.connected:
-            raise DisconnectedError(f"not connected: {self.reason}")
-        if len(self._waiting) >= MOST_WAITING:
-            raise ClientError(f"{MOST_WAITING} requests wait for an answer already")
-        return self._ask(command)
+        if isinstance(command, EStop | Disarm):
+            self._withdraw(command)
+        with self._lock:
+            if not self.connected:
+                raise self._disconnected(command, f"not connected: {self.reason}")
+            if len(self._waiting) >= MOST_WAITING and not isinstance(command, QUIETER):
+                raise ClientError(f"{MOST_WAITING} requests wait for an answer already")
+            return self._ask(command)
+
+    def _withdraw(self, command: EStop | Disarm) -> None:
+        """Forget the wish to be armed, and fail what would raise voltage: it is not sent then."""
+        stopping = isinstance(command, EStop)
+        with self._lock:
+            if stopping:
+                self.estops.request(command.display)
+            for display, wish in self._wishes.items():
+                if command.display in (None, display):
+                    wish.disarm()
+            waiting = list(self._waiting.values())
+        for request, future, _ in waiting:
+            raising = isinstance(request, RAISING if stopping else Arm)
+            if raising and command.display in (None, getattr(request, "display", None)):
+                what, by = type(request).__name__.lower(), type(command).__name__.lower()
+                with suppress(InvalidStateError):
+                    future.set_exception(ClientError(f"{what}: withdrawn by {by}() meanwhile"))
+
+    def _disconnected(self, command: Request, text: str) -> DisconnectedError:
+        if isinstance(command, EStop) and not self._final:
+            text += "; the e-stop is kept and will be sent first when the daemon is back"
+        return DisconnectedError(text)
 
     def _ask(self, command: Request) -> "Future[Any]":
+        """Send a request; under the lock, so that requests go out in the order of the calls."""
         future: Future[Any] = Future()
         with self._lock:
             self._last_id = number = self._last_id + 1
             command = msgspec.structs.replace(command, id=number)
             self._waiting[number] = (command, future, self._monotonic())
-        future.add_done_callback(lambda _: self._waiting.pop(number, None))
-        self._transport.send(command)  # type: ignore[arg-type]
+            future.add_done_callback(lambda _: self._waiting.pop(number, None))
+            if isinstance(command, EStop):
+                self.estops.request(command.display, number)
+            elif isinstance(command, Arm):
+                self._of(command.display).arming = number
+            self._transport.send(command)  # type: ignore[arg-type]
         return future
 
     def tell(self, contact: Contact) -> None:
@@ -218,7 +223,7 @@ class Session:
     def close(self) -> None:
         """End it: nothing is answered any more."""
         self.closed = True
-        self.lost("closed")
+        self.lost("closed", final=True)
         with self._lock:
             queues = [queue for group in self._queues.values() for queue in group]
             self._queues.clear()
@@ -242,14 +247,18 @@ class Session:
             else:
                 self.ready.set_result(hello.result())
 
-    def lost(self, reason: str) -> None:
-        """Fail what waits; until the next `opened` nothing can be asked."""
+    def lost(self, reason: str, *, final: bool = False) -> None:
+        """Fail what waits; until the next `opened`, if there is one, nothing can be asked."""
         with self._lock:
             was, self.connected, self.reason = self.connected, False, reason
-            waiting = [future for _, future, _ in self._waiting.values()]
-        for future in [*waiting, self.ready]:
+            self._final = final
+            waiting = list(self._waiting.values())
+            self.estops.disconnect()
+        for command, future, _ in waiting:
             with suppress(InvalidStateError):
-                future.set_exception(DisconnectedError(reason))
+                future.set_exception(self._disconnected(command, reason))
+        with suppress(InvalidStateError):
+            self.ready.set_exception(DisconnectedError(reason))
         if was and not self.closed:
             self.notify(wire.Event("disconnected", detail=reason))
 
@@ -270,13 +279,16 @@ class Session:
 
     def received(self, answer: Answer) -> None:
         """Take what the daemon says."""
+        if isinstance(answer, Telemetry):
+            self._fill(answer)
+            return
+        with self._lock:
+            self.estops.report(answer)
         match answer:
-            case Telemetry():
-                self._fill(answer)
             case Event():
                 if answer.kind in DISARMED_BY:
-                    self._of(answer.display).armed = None
-                self.notify(wire.Event(answer.kind, answer.display, answer.detail))
+                    self._of(answer.display).disarm()
+                self.notify(wire.Event(answer.kind, answer.display, answer.detail, answer.estop))
             case _:
                 self._answered(answer)
 
@@ -310,6 +322,8 @@ class Session:
             self.clock.exchange(asked, reply.server_time_us * 1e-6, self._monotonic())
         elif not isinstance(reply, Failure):
             self._granted(command)
+        elif isinstance(command, Arm) and reply.code == "estopped":
+            self._of(command.display).disarm()
         with suppress(InvalidStateError):
             if isinstance(reply, Failure):
                 future.set_exception(refusal(reply))
@@ -317,12 +331,9 @@ class Session:
                 future.set_result(reply)
 
     def _granted(self, command: Request) -> None:
-        if isinstance(command, EStop):
-            names = [command.display] if command.display else list(self._wishes)
-            for name in names:
-                self._of(name).armed = None
-        elif (display := getattr(command, "display", None)) is not None:
-            self._of(display).granted(command)  # type: ignore[arg-type]
+        if (display := getattr(command, "display", None)) is not None:
+            with self._lock:
+                self._of(display).grant(command)  # type: ignore[arg-type]
 
     def _refuse(self, failure: Failure) -> None:
         """Tell once a second what is wrong with a stream, rather than at its rate."""
@@ -338,27 +349,29 @@ class Session:
     def _welcomed(self, welcome: Welcome, asked: float) -> None:
         self.clock = Clock()
         self.clock.exchange(asked, welcome.time_us * 1e-6, self._monotonic())
-        again = self.welcome is not None
-        self.welcome = welcome
-        if again:
-            self._restore()
-        with self._lock:
+        with self._lock:  # nothing is asked or withdrawn between what is restored
+            again = self.welcome is not None
+            self.welcome = welcome
+            for estop in self.estops.unsent():
+                self._ask(estop).add_done_callback(self._told)
+            if again:
+                self._restore(welcome)
             self.connected = not self.closed
             self.counters["reconnections"] += again
         if again:
             self.notify(wire.Event("connected", detail=welcome.server))
 
-    def _restore(self) -> None:
-        with self._lock:
-            wishes, displays = dict(self._wishes), list(self._queues)
-        commands = [self._subscription(display) for display in displays]
-        for command in [
-            *commands, *(c for wish in wishes.values() for c in wish.restored(self._rearm))
-        ]:  # fmt: skip
-            self._ask(command).add_done_callback(self._told)
+    def _restore(self, welcome: Welcome) -> None:
+        for info in welcome.displays:
+            if info.estop:
+                self._of(info.name).disarm()
+        commands: list[Request] = [self._subscription(display) for display in self._queues]
+        commands += [c for wish in self._wishes.values() for c in wish.restored(self._rearm)]
         if not self._rearm:
-            for wish in wishes.values():
-                wish.armed = None
+            for wish in self._wishes.values():
+                wish.disarm()
+        for command in commands:
+            self._ask(command).add_done_callback(self._told)
 
     def _told(self, restored: "Future[Any]") -> None:
         error = None if restored.cancelled() else restored.exception()

@@ -21,13 +21,14 @@ from tactile.client.base import (
     TIMEOUT,
     BaseConnection,
     BaseDisplay,
+    BaseTelemetryStream,
     Encoding,
+    as_callback,
     as_kind,
     endpoint,
     secret,
 )
 from tactile.client.events import Callback, Dispatcher
-from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
 from tactile.daemon import messages
@@ -65,7 +66,7 @@ def open_connection(
 
     Parameters
     ----------
-    url : of the daemon; else the environment's TACTILE_URL, else ws://127.0.0.1:7411/v1
+    url : of the daemon; else the environment's TACTILE_URL, else of the one on this machine
     token : where the daemon wants one; else the environment's TACTILE_TOKEN
     timeout : for the connection and, where a call says nothing else, for each answer [s]
     client_name : under which the daemon lists this program
@@ -168,16 +169,16 @@ class Connection(BaseConnection):
         """Return the textures that may be selected."""
         return self._ask(messages.ListTextures(), messages.Textures, timeout).textures
 
-    def estop(self, *, timeout: float | None = None) -> None:
-        """Set all displays to 0 V at once."""
-        self._ask(messages.EStop(), Done, timeout)
+    def estop(self, *, timeout: float | None = None) -> dict[str, int]:
+        """Set all displays to 0 V at once; return the number of each e-stop by display."""
+        return self._ask(messages.EStop(), Done, timeout).estops
 
     def on_event(self, callback: Callback) -> Callback:
         """Call back with each `Event`, in a thread for that; also as a decorator.
 
         The callback may use the displays. Events are dropped and counted while it is slow.
         """
-        self._dispatcher.add(callback)
+        self._dispatcher.add(as_callback(callback))
         return callback
 
     def close(self) -> None:
@@ -201,8 +202,7 @@ class Connection(BaseConnection):
         self._dispatcher.close(max(self.timeout, 1.0))
 
     def _ask(self, request: Request, kind: type[R], timeout: float | None) -> R:
-        future = self._session.ask(wire.checked(request))
-        limit = self._limit(request, timeout)
+        future, limit = self._begin(request, timeout)
         return as_kind(_wait(future, limit, type(request).__name__.lower()), kind)
 
     def __enter__(self) -> Self:
@@ -282,7 +282,7 @@ class Display(BaseDisplay):
 
     def gain(self, gain: float, *, timeout: float | None = None) -> None:
         """Scale all that is this program's: 0 … 1."""
-        self._ask(messages.Gain(display=self.name, gain=float(gain)), timeout)
+        self._ask(messages.Gain(display=self.name, gain=wire.to_number(gain, "gain")), timeout)
 
     def stop(self, *, timeout: float | None = None) -> None:
         """Fade out: textures until `resume`, waveforms for good."""
@@ -302,14 +302,33 @@ class Display(BaseDisplay):
         self._end_playback()
         self._ask(messages.Disarm(display=self.name), timeout)
 
-    def estop(self, *, timeout: float | None = None) -> None:
-        """Set this display to 0 V at once, until `clear`; `Connection.estop` sets all."""
-        self._end_playback()
-        self._ask(messages.EStop(display=self.name), timeout)
+    def estop(self, *, timeout: float | None = None) -> int:
+        """Set this display to 0 V at once, until `clear`; `Connection.estop` sets all.
 
-    def clear(self, *, timeout: float | None = None) -> None:
-        """End an e-stop, where a person has decided so; the display is disarmed then."""
-        self._ask(messages.Clear(display=self.name), timeout)
+        It is armed again only by `arm`, whatever becomes of this call. Where the daemon is not
+        there, or does not confirm, this raises, and it is sent first over the next connection.
+
+        Returns
+        -------
+        int
+            Number of the e-stop, which `clear` takes.
+        """
+        self._end_playback()
+        request = messages.EStop(display=self.name)
+        return self._connection._ask(request, Done, timeout).estops.get(self.name, 0)
+
+    def clear(self, *, estop: int | None = None, timeout: float | None = None) -> None:
+        """End an e-stop, where a person has decided so; the display is disarmed then.
+
+        Parameters
+        ----------
+        estop : its number, by default `estopped`; a newer e-stop goes on
+        timeout : for the answer [s]
+        """
+        if estop is None:
+            estop = self.estopped or self.stats(timeout=timeout).estop or None
+        if estop is not None:
+            self._ask(messages.Clear(display=self.name, estop=estop), timeout)
 
     def append(
         self,
@@ -448,18 +467,12 @@ class Display(BaseDisplay):
         self.close()
 
 
-class TelemetryStream(Iterator[wire.Telemetry]):
+class TelemetryStream(BaseTelemetryStream, Iterator[wire.Telemetry]):
     """What a display does, as it comes; the newest 64 wait until they are read.
 
     Reading raises `ClientTimeoutError` where nothing comes; reading on is fine then. It goes on
     after a reconnection, and ends when the connection is closed. Get it from `Display.telemetry`.
     """
-
-    def __init__(self, display: Display, rate: float, timeout: float | None) -> None:
-        self._session = display._connection._session
-        self._queue = TelemetryQueue(display.name, rate)
-        patience = display._connection.timeout if timeout is None else timeout
-        self._timeout, self._asked = patience, False
 
     def __next__(self) -> wire.Telemetry:
         if not self._asked:

@@ -32,8 +32,8 @@ class Receiver(Protocol):
         """Take what the daemon says."""
         ...
 
-    def lost(self, reason: str) -> None:
-        """Forget the connection, or the attempt to make one."""
+    def lost(self, reason: str, *, final: bool = False) -> None:
+        """Forget the connection, or the attempt to make one; finally where no other follows."""
         ...
 
     def wanted(self, command: Command) -> bool:

@@ -16,15 +16,17 @@ from contextlib import suppress
 from typing import Any
 
 import msgspec
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection, connect, unix_connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
+from tactile.client.base import UNIX
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
 from tactile.daemon.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
+    PATH,
     Answer,
     Append,
     Command,
@@ -32,7 +34,7 @@ from tactile.daemon.messages import (
     Failure,
     Welcome,
 )
-from tactile.errors import ClientError
+from tactile.errors import ClientError, InputError
 
 logger = logging.getLogger("tactile.client")
 
@@ -101,16 +103,23 @@ class WebSocketTransport(ABC):
 
     Parameters
     ----------
-    url : as ``ws://127.0.0.1:7411/v1``
+    url : as ``ws://127.0.0.1:7411/v1`` or ``ws+unix:///run/tactile/tactile.sock``
     timeout : to open a connection, and to close one [s]
     reconnect : whether to connect again, for as long as it takes
     encoding : "msgpack" or "json"
+
+    Raises
+    ------
+    InputError
+        Where the encoding is neither.
     """
 
     def __init__(
         self, url: str, *, timeout: float, reconnect: bool = True, encoding: str = "msgpack"
     ) -> None:
         self._url, self._timeout, self._reconnect = url, timeout, reconnect
+        if encoding not in ("msgpack", "json"):
+            raise InputError(f"encoding: {encoding!r} is neither 'msgpack' nor 'json'")
         self._protocol = JSON_PROTOCOL if encoding == "json" else MSGPACK_PROTOCOL
         self._codec = _Codec(self._protocol)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -160,7 +169,7 @@ class WebSocketTransport(ABC):
                 await _end(attempt)
                 reason = "closed" if attempt.cancelled() else attempt.result()
                 self._outbox.clear()
-                self._receiver.lost(reason)
+                self._receiver.lost(reason, final=self._closing or not self._reconnect)
                 if not self._reconnect:
                     break
                 await asyncio.wait({stop}, timeout=self._pause())
@@ -181,7 +190,7 @@ class WebSocketTransport(ABC):
                 await self._talk(connection)
             finally:
                 await self._hang_up(connection)
-        except ConnectionRefusedError:
+        except (ConnectionRefusedError, FileNotFoundError):
             return f"{self._url}: nobody listens there; is the daemon running (tactile serve)?"
         except (OSError, WebSocketException, ClientError, EOFError) as error:
             return f"{self._url}: {error or type(error).__name__}"
@@ -191,8 +200,10 @@ class WebSocketTransport(ABC):
         return f"{self._url}: closed by the daemon"
 
     async def _connect(self) -> ClientConnection:
-        connection = await connect(
-            self._url,
+        path = self._url.removeprefix(UNIX)
+        to = (self._url,) if path == self._url else (path, f"ws://localhost{PATH}")
+        connection = await (connect if path == self._url else unix_connect)(
+            *to,
             subprotocols=[Subprotocol(self._protocol)],
             compression=None,
             proxy=None,  # the daemon is in the room
@@ -253,6 +264,7 @@ class WebSocketTransport(ABC):
                     if self._receiver.wanted(command):
                         self._spend(command, loop.time())
                         await connection.send(self._codec.encode(command), text=self._codec.text)
+                await asyncio.sleep(0)  # sending does not wait: others must get their turn
             if self._outbox.contacts:
                 loop.call_at(self._next_contact, self._more.set)
 
@@ -271,7 +283,8 @@ class WebSocketTransport(ABC):
 
     async def _answer(self, future: "Future[Any]", timeout: float, what: str) -> Any:
         try:
-            return await asyncio.wait_for(asyncio.wrap_future(future), timeout)
+            async with asyncio.timeout(timeout):
+                return await asyncio.wrap_future(future)
         except TimeoutError:
             raise ClientError(f"no answer to {what} in {timeout:g} s") from None
 

@@ -1,0 +1,106 @@
+"""What a program has of its displays over any number of connections: wishes, and e-stops."""
+
+from dataclasses import dataclass
+
+from tactile.daemon.messages import (
+    Answer,
+    Arm,
+    Command,
+    Done,
+    EStop,
+    Event,
+    Failure,
+    Gain,
+    Play,
+    Request,
+    Select,
+    Stats,
+    Stop,
+    Welcome,
+)  # fmt: skip
+
+
+@dataclass
+class Wishes:
+    """What a program has of one display, as far as the daemon confirmed it.
+
+    Attributes
+    ----------
+    arming : id of the `Arm` whose confirmation makes the display one to be armed again, or 0
+    """
+
+    layers: Select | None = None
+    gain: Gain | None = None
+    stop: Stop | None = None
+    armed: Arm | None = None
+    arming: int = 0
+
+    def grant(self, command: Command) -> None:
+        """Remember what was done; not an `Arm` that was withdrawn before it was confirmed."""
+        match command:
+            case Select():
+                self.layers = command
+            case Gain():
+                self.gain = command
+            case Stop():
+                self.stop = command
+            case Play():
+                self.stop = None
+            case Arm() if command.id == self.arming:
+                self.armed = command
+
+    def disarm(self) -> None:
+        """Forget that the display was to be armed, also where the answer is still to come."""
+        self.armed, self.arming = None, 0
+
+    def restored(self, rearm: bool) -> list[Request]:
+        """Return what to ask of a daemon that knows nothing of us; high voltage comes last."""
+        wished = [self.gain, self.layers, self.stop, self.armed if rearm else None]
+        return [command for command in wished if command is not None]
+
+
+class EStops:
+    """E-stops that the daemon has not confirmed yet, and the numbers of those that hold.
+
+    Attributes
+    ----------
+    numbers : by display, as they were last reported; 0 for none
+    """
+
+    def __init__(self) -> None:
+        self.numbers: dict[str, int] = {}
+        self._pending: dict[str | None, int] = {}  # id of the newest request, 0 for none
+
+    def request(self, display: str | None, number: int = 0) -> None:
+        """Keep an e-stop until it is confirmed; the number is the id of its request, if any."""
+        self._pending[display] = number
+
+    def disconnect(self) -> None:
+        """Take all that was not confirmed as not sent."""
+        self._pending = dict.fromkeys(self._pending, 0)
+
+    def unsent(self) -> list[EStop]:
+        """Return what is to be sent first over a new connection."""
+        return [EStop(display=display) for display, number in self._pending.items() if not number]
+
+    def report(self, answer: Answer) -> None:
+        """Take what an answer tells of e-stops; one that was refused is kept."""
+        match answer:
+            case Welcome():
+                self.numbers = {info.name: info.estop for info in answer.displays}
+            case Event(kind="estopped" | "cleared"):
+                self.numbers[answer.display] = answer.estop if answer.kind == "estopped" else 0
+            case Stats():
+                self.numbers[answer.display] = answer.estop
+            case Done():
+                self.numbers.update(answer.estops)
+        if isinstance(answer, Done | Failure) and answer.id:
+            self._settle(answer)
+
+    def _settle(self, reply: Done | Failure) -> None:
+        for display, number in list(self._pending.items()):
+            if number == reply.id:
+                if isinstance(reply, Done) or reply.code == "unknown_display":
+                    del self._pending[display]
+                else:
+                    self._pending[display] = 0

@@ -179,7 +179,7 @@ def test_without_rearm_it_stays_at_0_volts_says_so_and_starts_again_after_stop(
     assert rig.silent
     assert not any(a.high_voltage for a in rig.model.amplifiers)
     status = rig.bus.status
-    assert (status.state, status.link) == ("running", "up")
+    assert (status.state, status.link, status.playing) == ("idle", "up", False)
     assert "not armed again" in status.detail
     assert "start again, or rearm=true" in status.detail
     assert (rig.bus.counters.disconnects, rig.bus.counters.reconnects) == (1, 1)

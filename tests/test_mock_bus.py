@@ -34,7 +34,6 @@ from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display import Display
-from tactile.errors import BusStateError
 
 SECOND = 8000
 
@@ -175,13 +174,12 @@ def test_e_stops_from_other_threads_meet_whoever_writes(impatient: None) -> None
         position = 0
         for thread in threads:
             thread.start()
-        try:
-            while True:
-                bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
-                position += 16
-        except BusStateError:
-            for thread in threads:
-                thread.join()
+        while bus.state == "running":
+            bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
+            position += 16
+        bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
+        for thread in threads:
+            thread.join()
         assert failed == []
         assert bus.state == "estopped"
         assert not bus.output[-1].any()

@@ -236,14 +236,14 @@ def test_while_the_link_is_down_status_says_so_and_write_neither_raises_nor_bloc
     one.write(level(40, 4000), 800)
     assert 0.4 <= one.runner.now() - begun <= 0.6
     status = one.bus.status
-    assert (status.state, status.link) == ("running", "down")
+    assert (status.state, status.link, status.playing) == ("running", "down", False)
     assert status.detail
     assert "\n" not in status.detail
     assert one.bus.counters.disconnects == 1
     assert one.bus.counters.dropped_samples > 3000
     one.wire.gone = False
     one.write(level(40, 8000), 4800)
-    assert one.bus.status == replace(status, link="up", detail="")
+    assert one.bus.status == replace(status, link="up", detail="", playing=True)
     assert one.bus.counters.reconnects == 1
 
 

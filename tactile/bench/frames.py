@@ -26,8 +26,9 @@ from tactile.bench.virtual import (
 from tactile.bus.base import DriveFrame, Wiring
 from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanWire
-from tactile.bus.link_bus import LinkBus, Monotonic
+from tactile.bus.link_bus import LinkBus
 from tactile.bus.stream import LONGEST_LEAD
+from tactile.bus.wire import Monotonic
 from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer

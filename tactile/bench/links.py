@@ -34,9 +34,10 @@ from tactile.bench.virtual import (
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.can_bus import CanWire
-from tactile.bus.link_bus import LinkBus, Monotonic
+from tactile.bus.link_bus import LinkBus
 from tactile.bus.registry import open_bus
 from tactile.bus.stream import LONGEST_LEAD
+from tactile.bus.wire import Monotonic
 from tactile.bus.wire_time import Can
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory

@@ -127,8 +127,12 @@ class AudioBus(Bus):
         """How it stands now."""
         if self.state != "closed" and self.told is None:
             self._tended()
-        up = self._player is not None
-        return Status(self.state, "up" if up else "down", self._trouble or self._remark())
+        state, up = self.state, self._player is not None
+        detail = self._trouble or self._remark()
+        return Status(state, "up" if up else "down", detail, state == "running" and up)
+
+    def _has_fallen(self) -> bool:
+        return self._tended() is not self._begun
 
     def _remark(self) -> str:
         if not self._coupling:
@@ -206,7 +210,7 @@ class AudioBus(Bus):
             raise BusError(f"start: the link is down: {self._trouble}")
         self._trouble = ""
         player.tell("start", position)
-        if not player.settled(ANSWER, rest=False):
+        if not player.settled(ANSWER, rest=False) and self.state != "estopped":
             self._lose("it does not start")
             raise BusError(f"start: {self._trouble}")
         self._begun = player
@@ -216,20 +220,21 @@ class AudioBus(Bus):
         for k in range(0, len(block.volts), PIECE):
             volts = block.volts[k : k + PIECE]
             player = self._room(block.position + k)
-            if self.state != "running":
-                return
             if player is None:
-                self.counters.dropped_samples += len(volts)
-                time.sleep(len(volts) / self.wiring.sample_rate)
+                self._drop(block.position + k, len(volts))
             else:
                 player.tell("samples", block.position + k, self._block, volts)
+
+    def _drop(self, position: int, count: int) -> None:
+        self._tended()
+        super()._drop(position, count)
 
     def _room(self, position: int) -> Player | None:
         """Wait until a position is near; None where the card does not play."""
         rate = self.wiring.sample_rate
         while self.state == "running":
-            player = self._tended()
-            if player is None or player is not self._begun:
+            player = self._begun
+            if player is None:
                 return None
             told = player.told if time.monotonic() - player.told_at < FRESH else self.told
             if told is None:

@@ -7,13 +7,25 @@ calls one of them, so that no program ends with volts on a finger. `estop` overt
 queued, takes high voltage away and holds until a person decides to `clear` it.
 
 What arrives wrong is counted, not raised: a gap in positions, samples sent twice, volts beyond what
-the amplifier allows. Only a call that its state forbids raises. A link that fails does not raise
-either: `status` tells the truth about it, what could not be sent is counted, and the driver
-connects again.
+the amplifier allows. Only a call that its caller's own mistake made wrong raises: a `write` to a
+bus that nobody started. A link that fails does not raise: `status` tells the truth about it, what
+could not be sent is counted, and the driver connects again. Neither does an e-stop from another
+thread, or an amplifier that went to 0 V by itself and is not armed again: the state becomes
+"estopped" or "idle", and what is written from then on is dropped and counted, at the pace of a bus
+that has one, until `stop` or `abort` says that no more comes.
+
+Any thread may call anything, a signal handler `estop`. Calls but `write` and `estop` go one at a
+time. An e-stop waits for none of them and wins against all: e-stops are counted, and the bus is
+"estopped" until a `clear` that began after the latest of them has ended. What a driver does for
+another call may so come after what it did for an e-stop. `_stop` and `_abort` then must change
+nothing; after `_start` and `_clear` the driver's `_estop` is called once more.
 """
 
+import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from types import TracebackType
 from typing import ClassVar, Literal, Protocol
@@ -21,11 +33,11 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import BusStateError, InputError
+from tactile.bus.states import BusState, States
+from tactile.errors import BusError, BusStateError, InputError
 
 Floats = NDArray[np.float64]
 HostDeath = Literal["ramps", "zero", "holds", "unknown"]
-BusState = Literal["idle", "running", "estopped", "closed"]
 
 RATE = 8000.0
 """Hz, of the drive where neither caller nor link asks for another."""
@@ -143,7 +155,8 @@ class Counters:
     clipped_samples : values beyond the amplifier's own voltage limit
     underruns : times the amplifier had nothing to play, and faded
     late_blocks : not all of which came before it was due
-    dropped_samples : not sent, for they were late already or the link was down
+    dropped_samples : not sent, for they were late already, the link was down, or the bus was
+        e-stopped
     disconnects, reconnects : of the link
     """
 
@@ -174,11 +187,14 @@ class Status:
     state : of the bus
     link : whether the amplifier can be reached
     detail : one line on what is wrong; empty where nothing is
+    playing : whether the amplifier is known to play. A bus that arms again by itself stays
+        "running" while its link is down or its amplifier at 0 V, but does not play.
     """
 
     state: BusState
     link: Literal["up", "down"] = "up"
     detail: str = ""
+    playing: bool = False
 
 
 class Bus(ABC):
@@ -188,7 +204,6 @@ class Bus(ABC):
     ----------
     wiring : the `Wiring` it was opened for
     counters : the `Counters`
-    state : "idle", "running", "estopped" or "closed"
     frames : what it takes in place of blocks; None where it takes blocks
     on_host_death : what the amplifier does when the host goes silent
     paced : whether `write` waits until it is time; otherwise it takes what it gets
@@ -201,14 +216,23 @@ class Bus(ABC):
     def __init__(self, wiring: Wiring) -> None:
         self.wiring = wiring
         self.counters = Counters()
-        self.state: BusState = "idle"
         self._next = 0
         self._anchor = 0, 0.0
+        self._states = States()
+        self._call_lock = threading.RLock()  # held by start, stop, abort, clear and close
+
+    @property
+    def state(self) -> BusState:
+        """What it does: "idle", "running", "estopped" or "closed"."""
+        if self._states.running and self._has_fallen():
+            self._states.fall()
+        return self._states.now
 
     @property
     def status(self) -> Status:
         """How it stands now."""
-        return Status(self.state)
+        state = self.state
+        return Status(state, playing=state == "running")
 
     def start(self, position: int = 0) -> None:
         """Begin playing with the sample at ``position``.
@@ -216,15 +240,18 @@ class Bus(ABC):
         Raises
         ------
         BusStateError
-            Unless idle.
+            Unless idle, or where an e-stop came meanwhile.
+        BusError
+            Where the amplifier does not start.
         """
-        if self.state != "idle":
-            way = "clear" if self.state == "estopped" else "stop"
-            raise BusStateError(f"start: the bus is {self.state}, not idle; {way} it first")
-        self._next = position
-        self._start(position)
-        self._anchor = position, time.monotonic() + self.ahead
-        self.state = "running"
+        with self._call_lock, self._before_estops("start") as estops:
+            if self.state != "idle":
+                way = "clear" if self.state == "estopped" else "stop"
+                raise BusStateError(f"start: the bus is {self.state}, not idle; {way} it first")
+            self._next = position
+            self._start(position)
+            self._anchor = position, time.monotonic() + self.ahead
+            self._states.begin(estops)
 
     @property
     def ahead(self) -> float:
@@ -246,18 +273,20 @@ class Bus(ABC):
         Raises
         ------
         BusStateError
-            Unless running, and a bus that takes blocks.
+            Where it is closed, or idle for nobody started it, or takes frames.
         InputError
             Where the block does not have a column per channel.
         """
         if self.frames is not None:
             raise BusStateError("write: the bus takes frames; write_frame")
-        if self.state != "running":
-            raise BusStateError(f"write: the bus is {self.state}, not running; start it first")
+        plays = self._may_play("write")
         if block.volts.ndim != 2 or block.volts.shape[1] != self.wiring.channels:
             raise InputError(
                 f"write: block of shape {block.volts.shape}, needs (S, {self.wiring.channels})"
             )
+        if not plays:
+            self._drop(block.position, len(block.volts))
+            return
         gap = block.position - self._next
         volts = block.volts
         if gap < 0:
@@ -281,7 +310,8 @@ class Bus(ABC):
             Unless idle, and a bus that takes frames.
         """
         if self.frames is None or self.state != "idle":
-            raise BusStateError(f"tune: the bus is {self.state} and takes {self._takes}")
+            takes = "blocks" if self.frames is None else "frames"
+            raise BusStateError(f"tune: the bus is {self.state} and takes {takes}")
         self._tune(carriers)
 
     def write_frame(self, frame: DriveFrame) -> None:
@@ -290,16 +320,20 @@ class Bus(ABC):
         Raises
         ------
         BusStateError
-            Unless running, and a bus that takes frames.
+            Where it is closed, or idle for nobody started it, or takes blocks.
         InputError
             Where it does not have a row per channel.
         """
-        if self.frames is None or self.state != "running":
-            raise BusStateError(f"write_frame: the bus is {self.state} and takes {self._takes}")
+        if self.frames is None:
+            raise BusStateError("write_frame: the bus takes blocks; write")
+        plays = self._may_play("write_frame")
         if frame.volts.ndim != 2 or len(frame.volts) != self.wiring.channels:
             raise InputError(
                 f"write_frame: shape {frame.volts.shape}, needs ({self.wiring.channels}, P)"
             )
+        if not plays:
+            self._drop(frame.position, 1)
+            return
         if frame.position < self._next:
             self.counters.repeated_samples += 1
             return
@@ -310,9 +344,20 @@ class Bus(ABC):
         self.counters.invalid_samples += int(bad.sum())
         self._write_frame(DriveFrame(frame.position, np.where(bad, 0.0, frame.volts)))
 
-    @property
-    def _takes(self) -> str:
-        return "blocks" if self.frames is None else "frames"
+    def _may_play(self, call: str) -> bool:
+        """Tell whether the driver plays what is written; raise where nobody may write."""
+        state = self.state
+        if state == "running":
+            return True
+        if state == "estopped" or (state == "idle" and self._states.interrupted):
+            return False
+        raise BusStateError(f"{call}: the bus is {state}, not running; start it first")
+
+    def _drop(self, position: int, count: int) -> None:
+        """Count samples from a position on that nobody plays, and wait as if they were played."""
+        self.counters.dropped_samples += count
+        if self.paced:
+            time.sleep(count / self.wiring.sample_rate)
 
     def _tune(self, carriers: Floats) -> None:
         raise NotImplementedError
@@ -332,43 +377,78 @@ class Bus(ABC):
 
     def stop(self) -> None:
         """Ramp to 0 V within the fade and be idle; nothing to do unless running."""
-        if self.state == "running":
-            self.state = "idle"
-            self._stop()
+        with self._call_lock:
+            if self._states.rest():
+                self._stop()
 
     def abort(self) -> None:
         """Go to 0 V at the slew limit and be idle; nothing to do unless running."""
-        if self.state == "running":
-            self.state = "idle"
-            self._abort()
+        with self._call_lock:
+            if self._states.rest():
+                self._abort()
 
     def estop(self) -> None:
         """Go to 0 V at the slew limit before anything that is queued, high voltage off, and stay.
 
-        May be called from any thread, in any state; only `clear` ends it.
+        May be called from any thread, in any state; only a `clear` that begins later ends it.
         """
-        if self.state != "closed":
-            self.state = "estopped"
-            self._estop()
+        if self._states.estop():
+            try:
+                self._estop()
+            finally:
+                self._states.end_estop()
 
     def clear(self) -> None:
-        """End an e-stop and be idle, where a person has decided so; else nothing to do.
+        """End the e-stops there have been and be idle, where a person has decided so.
+
+        There is nothing to do unless e-stopped.
 
         Raises
         ------
+        BusStateError
+            Where another e-stop is under way, or came meanwhile: it holds.
         BusError
             Where the amplifier refuses it.
         """
-        if self.state == "estopped":
+        with self._call_lock, self._before_estops("clear") as estops:
+            if self.state != "estopped":
+                return
+            if self._states.estop_under_way:
+                raise BusStateError("clear: an e-stop is under way; clear it when it has ended")
             self._clear()
-            self.state = "idle"
+            self._states.clear(estops)
 
     def close(self) -> None:
         """Stop, and let go of the device; the bus cannot be used again."""
-        if self.state != "closed":
-            self.stop()
-            self._close()
-            self.state = "closed"
+        with self._call_lock:
+            if self.state != "closed":
+                self.stop()
+                self._close()
+                self._states.close()
+
+    @contextmanager
+    def _before_estops(self, call: str) -> Iterator[int]:
+        """Let a call be as if it had come before each e-stop that comes while it lasts.
+
+        Yields how many e-stops there were before.
+        """
+        before, reason = self._states.estops, None
+        try:
+            yield before
+        except BusError as error:
+            if self._states.estops == before:
+                raise
+            reason = error
+        finally:
+            if self._states.estops != before:
+                self._estop()
+        if self._states.estops != before:
+            why = f"{call}: the bus was e-stopped meanwhile; clear it first"
+            raise BusStateError(why) from reason
+
+    def _has_fallen(self) -> bool:
+        """Tell, while running, whether the amplifier is at 0 V for good, and not by a call."""
+        return False
 
     def __enter__(self) -> "Bus":
         return self
@@ -393,13 +473,16 @@ class Bus(ABC):
         """Play a block that begins where the last ended or later, and is within the limit."""
 
     @abstractmethod
-    def _stop(self) -> None: ...
+    def _stop(self) -> None:
+        """Ramp to 0 V; change nothing after an `_estop`."""
 
     @abstractmethod
-    def _abort(self) -> None: ...
+    def _abort(self) -> None:
+        """Go to 0 V at the slew limit; change nothing after an `_estop`."""
 
     @abstractmethod
-    def _estop(self) -> None: ...
+    def _estop(self) -> None:
+        """Go to 0 V and stay, from any thread and without waiting for another call."""
 
     @abstractmethod
     def _clear(self) -> None: ...

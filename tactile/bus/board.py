@@ -97,14 +97,14 @@ class Board:
         return self._volts(self._run(count))
 
     def end(self, *, quick: bool) -> Floats:
-        """Stop, and return what is put out until the ramp has ended (S, C) [V]."""
+        """Stop, and return what is put out until it is at 0 V (S, C) [V], also in an e-stop."""
         self.request(m.Stop(SESSION, quick))
         config = self.amplifier.config
         fade = config.fade_limit_us * config.rate_max_hz // 1_000_000 + 1
         runs: list[Played] = []
-        while not runs or runs[-1].state == State.RAMPDOWN:
+        while not runs or not _rests(runs[-1]):
             runs += self._run(fade)
-        ended = [run.state for run in runs].index(State.ARMED)
+        ended = [_rests(run) for run in runs].index(True)
         return self._volts(runs[: ended + 1])
 
     def estop(self) -> Floats:
@@ -135,6 +135,11 @@ class Board:
     def _volts(self, runs: list[Played]) -> Floats:
         codes = np.concatenate([run.codes for run in runs])
         return codes * (self.amplifier.config.full_scale_uv * 1e-6 / FULL_SCALE_CODE)
+
+
+def _rests(run: Played) -> bool:
+    """Tell whether a run of instants ended the ramp, or came after it."""
+    return run.state not in (State.RUNNING, State.RAMPDOWN) and not run.codes[-1].any()
 
 
 def config_of(

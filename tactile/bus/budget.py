@@ -21,6 +21,7 @@ from firmware_protocol.clock import INTERVAL
 from firmware_protocol.host import pcm
 from firmware_protocol.messages import HEARTBEAT_MS, PACKET_MAX, SampleFormat
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
+from tactile.bus.base import Wiring
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited, Usb, above_zero
 from tactile.errors import InputError
 
@@ -35,6 +36,7 @@ __all__ = [
     "Uart",
     "Unlimited",
     "Usb",
+    "check_limits",
     "plan",
     "spectrum_group",
     "table",
@@ -110,6 +112,28 @@ class Ability:
 
 
 # What is sent
+
+
+def check_limits(wiring: Wiring, caps: Sequence[m.Caps]) -> None:
+    """See that a display's demands are within what its amplifiers can.
+
+    Raises
+    ------
+    InputError
+        Where they are not: for channels, voltage or slew.
+    """
+    have = sum(c.channels for c in caps)
+    if have < wiring.channels:
+        raise InputError(f"the display has {wiring.channels} channels, the amplifiers {have}")
+    for name, wanted, limit, scale, unit in (
+        ("voltage_v", wiring.voltage, min(c.voltage_limit_uv for c in caps), 1e-6, "V"),
+        ("slew_v_per_us", wiring.slew, min(c.slew_limit_v_per_s for c in caps), 1.0, "V/s"),
+    ):
+        if int(wanted / scale) > limit:  # whole units are what LIMITS tells
+            raise InputError(
+                f"limits.{name}: the display's {wanted:g} {unit} is more than the amplifier's "
+                f"{limit * scale:g} {unit}; lower it in the display file"
+            )
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.options import flag, number, sample_format
 from tactile.bus.peer import Peer
 from tactile.bus.registry import Address
-from tactile.bus.session import Phase, Session
+from tactile.bus.session import Phase, Session, Want
 from tactile.bus.stream import LEAST_LEAD, LONGEST_LEAD
-from tactile.bus.wire import Clock, Wire, WireError
+from tactile.bus.wire import Clock, Monotonic, Wire, WireError
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError, BusStateError, InputError
 
@@ -43,18 +43,6 @@ SLICE = 20e-3
 """s that who writes sleeps at most, between signs of life."""
 FIRST_RETRY, LONGEST_RETRY = 0.05, 1.0
 """s after which a broken wire is connected again; doubled each time in vain."""
-
-
-class Monotonic:
-    """The host's clock."""
-
-    def now(self) -> float:
-        """Return the time [s]."""
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        time.sleep(seconds)
 
 
 class LinkBus(Bus):
@@ -151,7 +139,16 @@ class LinkBus(Bus):
             up = wire is not None and session.phase.value > Phase.CLOCK.value
             warning = wire.warning if wire is not None else ""
             detail = session.trouble or warning or session.fragments.warning
-            return Status(self.state, "up" if up else "down", detail)
+            state = self.state
+            playing = state == "running" and session.known_to_run(self._clock.now())
+            return Status(state, "up" if up else "down", detail, playing)
+
+    def _has_fallen(self) -> bool:
+        session = self._session
+        if session.phase is Phase.RUN and session.want is Want.RUN:
+            return False
+        with self._changed:
+            return session.gives_up(self._clock.now()) and not session.tripped
 
     @property
     def lead(self) -> float:
@@ -215,8 +212,8 @@ class LinkBus(Bus):
 
     def _noticed(self) -> None:
         """Act on a new phase; the lock is held."""
-        if self._session.tripped and self.state != "closed":
-            self.state = "estopped"
+        if self._session.tripped:
+            self._states.trip()
         if self._broken and self._session.phase.value >= Phase.READY.value:
             self._broken, self._retry = False, FIRST_RETRY
             self.counters.reconnects += 1
@@ -303,13 +300,13 @@ class LinkBus(Bus):
 
         def started() -> object:
             session.alive(self._clock.now())
-            return session.phase is Phase.RUN or session.refusal
+            return session.phase is Phase.RUN or session.want is not Want.RUN
 
         if not self._wait(started, STARTING):
             session.end(self._clock.now(), quick=True)
             raise BusError(f"start: the amplifier does not start; {session.trouble}")
-        if session.refusal:
-            raise BusError(f"start: {session.refusal}")
+        if session.want is not Want.RUN:
+            raise BusError(f"start: {session.refusal or session.trouble}")
 
     def _write(self, block: DriveBlock) -> None:
         stream, size = self._session.stream, self.plan.packet_samples
@@ -325,6 +322,12 @@ class LinkBus(Bus):
                 else:
                     self.counters.dropped_samples += len(volts)
             self._wake()
+
+    def _drop(self, position: int, count: int) -> None:
+        stream = self._session.stream
+        assert stream is not None
+        self._sleep(stream.due(position + count) - stream.ahead)
+        self.counters.dropped_samples += count
 
     def _tune(self, carriers: Floats) -> None:
         if not 0 < len(carriers) <= self.plan.carriers:
@@ -424,7 +427,11 @@ class LinkBus(Bus):
                 raise BusError(f"clear: the link is down: {session.trouble}")
             session.clear(self._clock.now())
             self._pump()
-        done = self._wait(lambda: session.phase is Phase.READY or session.refusal, STARTING)
+
+        def ended() -> object:
+            return session.phase is Phase.READY or session.refusal or session.want is Want.ESTOP
+
+        done = self._wait(ended, STARTING)
         why = session.refusal or session.trouble or "no answer"
         if not done:
             self._estop()

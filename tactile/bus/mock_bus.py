@@ -76,7 +76,10 @@ class MockBus(Bus):
 
     def _write(self, block: DriveBlock) -> None:
         with self._guard:
-            self._take(block)
+            if self.state == "running":
+                self._take(block)
+            else:  # e-stopped just now
+                self.counters.dropped_samples += len(block.volts)
 
     def _take(self, block: DriveBlock) -> None:
         gap = block.position - self._position

@@ -11,7 +11,7 @@ from dataclasses import replace
 from firmware_protocol import messages as m
 from firmware_protocol.clock import ClockEstimator
 from firmware_protocol.host import Host
-from firmware_protocol.messages import Message, State
+from firmware_protocol.messages import Fault, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
 from tactile.bus.aside import RETRY, TRIES, Aside
@@ -87,6 +87,20 @@ class Peer:
     def state(self) -> State | None:
         """Its state by the latest PULSE or STATUS."""
         return None if self._told is None else State(self._told)
+
+    @property
+    def complaint(self) -> str:
+        """Why it does not run, as one line."""
+        node, state, status = self.host.node, self.state, self.host.status
+        if state is State.FAULT:
+            fault = 0 if status is None else status.fault
+            name = Fault(fault).name.lower() if fault and fault in set(Fault) else "of its hardware"
+            return f"node {node} reports a fault: {name}"
+        if state is State.ESTOP:
+            return f"node {node} was e-stopped by another"
+        if state is State.SAFE:
+            return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
+        return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"
 
     def assume(self, state: State) -> None:
         """Take it to be in a state, since it did what leads there."""

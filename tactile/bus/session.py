@@ -16,11 +16,11 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.host import refusal
-from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Fault, Message, Mode, NakCode, State
+from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
 from tactile.bus.aside import RETRY
 from tactile.bus.base import Counters, Floats, Wiring
-from tactile.bus.budget import Plan
+from tactile.bus.budget import Plan, check_limits
 from tactile.bus.peer import Peer
 from tactile.bus.stream import Stream
 from tactile.bus.wire import FragmentWatch, Wire
@@ -32,6 +32,8 @@ AHEAD = 30e-3
 """s from START to the first sample."""
 SILENCE = 0.25
 """s without a word from an amplifier, which sends PULSE every 10 ms, after which it is lost."""
+GIVEN_UP = 0.1
+"""s since the last word of amplifiers whose link broke, after which they are taken to be at 0 V."""
 QUEUED = 50e-3
 """s of packets on their way to the wire, beyond which no HEARTBEAT is sent (SPEC.md, 14)."""
 HELD = 2e-3
@@ -127,7 +129,8 @@ class Session:
         self._found: dict[int, m.Caps] = {}
         self._until = self._wire_free = -math.inf
         self._first: int | None = None
-        self._quick = self._owes_heartbeat = False
+        self._known_to_run = -math.inf
+        self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
         self._seq = 0
 
@@ -146,17 +149,24 @@ class Session:
         self.trouble = why
         if self.stream is not None:
             self.stream.freeze(now)
+        if self.phase is Phase.RUN:
+            self._known_to_run = min(peer.heard for peer in self.peers)
         self.phase = Phase.DOWN
         if self.want is Want.RUN and self._first is not None:
             self.want, self.refusal = Want.READY, why
 
     def run(self, position: int) -> None:
-        """Play from a position on."""
+        """Play from a position on; nothing to do in an e-stop."""
+        if self.want is Want.ESTOP:
+            return
         self._first, self.want, self.refusal, self.trouble = position, Want.RUN, "", ""
+        self._gave_up = False
         self.fragments.warning = ""
 
     def end(self, now: float, *, quick: bool) -> None:
-        """Ramp to 0 V."""
+        """Ramp to 0 V; nothing to do in an e-stop."""
+        if self.want is Want.ESTOP:
+            return
         self.want, self._quick = Want.READY, quick
         if self.stream is not None:
             self.stream.clear(wanted=True)
@@ -165,7 +175,7 @@ class Session:
 
     def estop(self, now: float) -> Packet:
         """Stop for good; return the packet that is to overtake all others."""
-        self.want, self.refusal = Want.ESTOP, ""
+        self.want, self.refusal, self._gave_up = Want.ESTOP, "", False
         if self.stream is not None:
             self.stream.clear(wanted=True)
         if self.phase not in (Phase.DOWN, Phase.SEARCH):
@@ -175,8 +185,22 @@ class Session:
     def clear(self, now: float) -> None:
         """End an e-stop or a fault."""
         self.want, self.refusal, self.tripped = Want.READY, "", False
+        self._gave_up = False
         if self.phase is not Phase.DOWN:
             self._enter(Phase.TRIPS, now)
+
+    def gives_up(self, now: float) -> bool:
+        """Decide whether what was played is over; tell whether it takes a `run` to play again."""
+        goes_on = self.phase is Phase.RUN or self.rearm or self._first is not None
+        if self.want is Want.RUN and not goes_on and now > self._known_to_run + GIVEN_UP:
+            self._give_up(self.trouble)
+        return self.want is not Want.RUN
+
+    def known_to_run(self, now: float) -> bool:
+        """Tell whether all amplifiers play, as they said not long ago."""
+        return self.phase is Phase.RUN and all(
+            peer.state is State.RUNNING and now <= peer.heard + GIVEN_UP for peer in self.peers
+        )
 
     def leave(self) -> None:
         """Disarm, once ready."""
@@ -351,7 +375,7 @@ class Session:
             self._wait(Phase.TRIPS, now)
         else:
             self.refusal = refusal(nak)
-            if self.want is not Want.GONE:
+            if self.want is Want.RUN:
                 self.want = Want.READY
             self._enter(Phase.DISARM if self.want is Want.GONE else Phase.READY, now)
 
@@ -376,27 +400,17 @@ class Session:
 
     def _fit(self, caps: Sequence[m.Caps]) -> None:
         """See that the display's demands are within what the amplifiers can; make the plan."""
-        w, have = self.wiring, sum(c.channels for c in caps)
-        if have < w.channels:
-            raise InputError(f"the display has {w.channels} channels, the amplifiers {have}")
-        for name, wanted, limit, scale, unit in (
-            ("voltage_v", w.voltage, min(c.voltage_limit_uv for c in caps), 1e-6, "V"),
-            ("slew_v_per_us", w.slew, min(c.slew_limit_v_per_s for c in caps), 1.0, "V/s"),
-        ):
-            if int(wanted / scale) > limit:  # whole units are what LIMITS tells
-                raise InputError(
-                    f"limits.{name}: the display's {wanted:g} {unit} is more than the amplifier's "
-                    f"{limit * scale:g} {unit}; lower it in the display file"
-                )
+        check_limits(self.wiring, caps)
         self.plan = self._choose(caps)
-        self.wiring = replace(w, sample_rate=float(self.plan.sample_rate))
+        self.wiring = replace(self.wiring, sample_rate=float(self.plan.sample_rate))
+        w = self.wiring
         self.stream = Stream(self.peers, self.plan, w.channels, self._counters, self._lead)
 
     def _after_clock(self, now: float) -> None:
         if not all(peer.locked for peer in self.peers):
             return
         states = [peer.state for peer in self.peers]
-        resumed = self.want is Want.RUN and self._first is None
+        resumed = not self.gives_up(now) and self._first is None
         if resumed and self.stream is not None and set(states) == {State.RUNNING}:
             self.stream.resume()
             self.trouble = ""
@@ -412,7 +426,7 @@ class Session:
 
     def _after_limit(self, now: float) -> None:
         self.trouble = ""
-        if self.want is Want.RUN and self._first is None and not self.rearm:
+        if self._gave_up or (self.want is Want.RUN and self._first is None and not self.rearm):
             self._give_up("the link was lost and is back")
         self._enter(Phase.READY, now)
 
@@ -426,7 +440,7 @@ class Session:
             if not self.tripped:
                 self.tripped = True
                 latched[0].ask(m.Poll())
-            self.trouble = _why(latched[0])
+            self.trouble = latched[0].complaint
             if self.want is Want.RUN:
                 self.want, self.refusal = Want.READY, self.trouble
         elif self.want is Want.RUN:
@@ -447,14 +461,16 @@ class Session:
             return
         if self.stream is not None:
             self.stream.freeze(now)
-        self.trouble = _why(fallen[0])
-        if not self.rearm:
+        self.trouble = fallen[0].complaint
+        if any(peer.state in LATCHED for peer in fallen):
+            self.tripped = True
+        elif not self.rearm:
             self._give_up(self.trouble)
         self._quick = False
         self._enter(Phase.END, now)
 
     def _give_up(self, why: str) -> None:
-        self.want = Want.READY
+        self.want, self._gave_up = Want.READY, True
         self.trouble = f"{why}; not armed again, since nobody said so: start again, or rearm=true"
 
     def _after_end(self, now: float) -> None:
@@ -482,17 +498,3 @@ class Session:
     @property
     def _moving(self) -> bool:
         return any(peer.state in MOVING for peer in self.peers)
-
-
-def _why(peer: Peer) -> str:
-    """Return why an amplifier does not run, as one line."""
-    node, state, status = peer.host.node, peer.state, peer.host.status
-    if state is State.FAULT:
-        fault = 0 if status is None else status.fault
-        name = Fault(fault).name.lower() if fault and fault in set(Fault) else "of its hardware"
-        return f"node {node} reports a fault: {name}"
-    if state is State.ESTOP:
-        return f"node {node} was e-stopped by another"
-    if state is State.SAFE:
-        return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
-    return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"

@@ -5,6 +5,7 @@ overtake with `urge`. A wire that breaks raises WireError; whoever holds it conn
 """
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections import deque
 from typing import Protocol
@@ -59,6 +60,18 @@ class FragmentWatch:
                 f"{dropped - counts[0][1]} fragments of packets came out of order, or not at all, "
                 f"within {REORDERED_IN:g} s: the adapter reorders or loses frames"
             )
+
+
+class Monotonic:
+    """The host's clock."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
 
 
 class Wire(ABC):

@@ -12,6 +12,7 @@ import numpy as np
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
 from tactile.display import Display
+from tactile.errors import BusError
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
@@ -76,6 +77,7 @@ def play(
             bus.start()
             begun = time.monotonic()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
+        _check_estop(bus)
         sent += len(drive)
         played = delayed(position, normal_force, drive, shear)
         if played is not None:
@@ -118,9 +120,16 @@ def play_frames(
         if k == 1:
             bus.start()
         bus.write_frame(DriveFrame(k * spacing, lines.copy()))
+        _check_estop(bus)
     bus.write_frame(DriveFrame((count + 1) * spacing, np.zeros_like(lines)))
     bus.stop()
     return count
+
+
+def _check_estop(bus: Bus) -> None:
+    """Raise BusError where the rest of what is to be played would be dropped by an e-stop."""
+    if bus.state == "estopped":
+        raise BusError(f"e-stopped while playing: {bus.status.detail or 'clear it to play again'}")
 
 
 def _blocks(

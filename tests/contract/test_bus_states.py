@@ -150,13 +150,17 @@ class TestStates:
         for end in (bus.stop, bus.abort, bus.estop):
             end()
             assert bus.state == "estopped"
-        with pytest.raises(BusStateError, match="write: the bus is estopped"):
-            bus.write(DriveBlock(0, line))
+        dropped = bus.counters.dropped_samples
+        bus.write(DriveBlock(len(line), level(1, 2, 3)))
+        assert bus.counters.dropped_samples == dropped + 10
         with pytest.raises(BusStateError, match=r"start: the bus is estopped.*; clear it"):
             bus.start()
         bus.clear()
         bus.clear()
         assert bus.status == base.Status("idle")
+        bus.stop()
+        with pytest.raises(BusStateError, match="write: the bus is idle"):
+            bus.write(DriveBlock(0, line))
         assert_played(played(bench, bus, level(1, 2, 3)), level(1, 2, 3), bench.wire)
 
     def test_positions_are_due_one_after_another_at_the_sample_rate(

@@ -58,7 +58,8 @@ class ChipBus(Bus):
     def status(self) -> Status:
         """How it stands now."""
         link: Literal["up", "down"] = "down" if self.pump.phase == "down" else "up"
-        return Status(self.state, link, self.pump.detail)
+        state = self.state
+        return Status(state, link, self.pump.detail, state == "running" and link == "up")
 
     @property
     def ahead(self) -> float:
@@ -68,7 +69,10 @@ class ChipBus(Bus):
     def _start(self, position: int) -> None:
         with self._runner.lock:
             self.pump.start(position, round(self.wiring.sample_rate))
-            self._runner.wait(lambda: self.pump.phase in ("ready", "down"), START_WAIT)
+            self._runner.wait(self._started, START_WAIT)
+
+    def _started(self) -> bool:
+        return self.pump.phase in ("ready", "down") or self.state == "estopped"
 
     def _write(self, block: DriveBlock) -> None:
         pump = self.pump
@@ -91,12 +95,14 @@ class ChipBus(Bus):
         while not room():
             pump.hurry()
             self._runner.wait(room, END_WAIT)
-        if self.state != "running":
-            return
-        if pump.phase == "down":
+        if pump.phase == "down" or self.state != "running":
             self.counters.dropped_samples += len(volts)
         else:
             pump.send(position, volts)
+
+    def _drop(self, position: int, count: int) -> None:
+        self.counters.dropped_samples += count
+        self._runner.sleep(count / self.wiring.sample_rate)
 
     def _stop(self) -> None:
         self._end("stop")

@@ -203,12 +203,24 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
     assert air / touched == pytest.approx(IN_AIR, rel=0.05)
     bus = MockBus(Wiring.of(display, RATE), keep="all")
     worn = Player(display, bus, Shared(stage.memory.handle, 24), worn=True, wait=stage.wait)
-    worn.voice(ME).queue.append(tone, RATE, ())
     worn.arm()
+    worn.voice(ME).queue.append(tone, RATE, ())
     for _ in range(150):
         worn.step()
     assert rms(bus.output[800:]) == pytest.approx(touched, rel=0.05)
     bus.close()
+
+
+def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) -> None:
+    """Neither after a disarm nor after an e-stop: whoever arms decides what sounds."""
+    stage.player.voice(ME).layers = ()
+    stage.player.refresh(ME)
+    tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
+    stage.player.voice(ME).queue.append(tone, RATE, ())
+    assert stage.rest(0.1).any()
+    stage.player.disarm()
+    stage.player.arm()
+    assert not stage.rest(0.3).any()
 
 
 def costliest(amplitude: float) -> Curve:

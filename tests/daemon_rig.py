@@ -17,7 +17,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.config import Config, OscConfig, ServerConfig, TokenConfig
 from tactile.daemon.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
@@ -88,6 +88,7 @@ class Hand:
             raise ZeroDivisionError
         if isinstance(command, Select):
             await self.hands.gate.wait()
+        await self.hands.pause()
         self.commands.append(command)
         self.hands.log.append((self.name, command))
         return self._answer(command)
@@ -138,8 +139,15 @@ class Hand:
         self.hands.log.append((self.name, None))
 
 
+async def no_pause() -> None:
+    """Carry out a request at once."""
+
+
 class Hands:
-    """The host: notes what its clients do, in `log` in the order in which it came."""
+    """The host: notes what its clients do, in `log` in the order in which it came.
+
+    `pause` is awaited before each request but a contact, and makes the host as slow as it is.
+    """
 
     def __init__(self) -> None:
         self.names = ["right", "left"]
@@ -148,6 +156,7 @@ class Hands:
         self.codes: dict[type, Any] = {}
         self.gate = asyncio.Event()
         self.gate.set()
+        self.pause: Callable[[], Awaitable[object]] = no_pause
         self.armed = self.broken = False
         self.alive = True
         self.started = self.closings = self.reloads = self.beats = 0
@@ -194,7 +203,7 @@ class Talker:
             await self.link.send(msgspec.msgpack.encode(message))
 
     async def receive(self) -> dict[str, Any]:
-        data = await asyncio.wait_for(self.link.recv(), 20)
+        data = await asyncio.wait_for(self.link.recv(), 60)
         assert isinstance(data, str) is (self.protocol == JSON_PROTOCOL)
         found = json.loads(data) if isinstance(data, str) else msgspec.msgpack.decode(data)
         assert isinstance(found, dict)
@@ -212,7 +221,7 @@ class Talker:
         return found
 
     async def closed(self) -> tuple[int | None, str | None]:
-        await asyncio.wait_for(self.link.wait_closed(), 5)
+        await asyncio.wait_for(self.link.wait_closed(), 60)
         return self.link.close_code, self.link.close_reason
 
 
@@ -231,15 +240,18 @@ async def talking(
 
 
 @asynccontextmanager
-async def daemon(osc: int = 0, **options: Any) -> AsyncIterator[tuple[Server, Hands]]:
+async def daemon(
+    osc: int = 0, token: tuple[TokenConfig, ...] = (), **options: Any
+) -> AsyncIterator[tuple[Server, Hands]]:
     """Run a server on a port of its own, its host in memory."""
     hands = Hands()
-    config = Config(server=ServerConfig(port=0, **options), osc=OscConfig(port=osc))
+    options = {"port": 0, "socket": "", **options}
+    config = Config(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
     async with running(config, host=hands) as server:
         yield server, hands
 
 
-def run(test: Callable[[], Awaitable[T]], within: float = 30.0) -> T:
+def run(test: Callable[[], Awaitable[T]], within: float = 120.0) -> T:
     """Run a test's coroutine; one that hangs fails."""
 
     async def bounded() -> T:
@@ -249,7 +261,7 @@ def run(test: Callable[[], Awaitable[T]], within: float = 30.0) -> T:
     return asyncio.run(bounded())
 
 
-async def until(condition: Callable[[], bool], within: float = 5.0) -> None:
+async def until(condition: Callable[[], bool], within: float = 60.0) -> None:
     """Wait until something is so."""
     async with asyncio.timeout(within):
         while not condition():

@@ -19,7 +19,7 @@ from tactile import client
 from tactile.client import base
 from tactile.client.wire import from_telemetry
 from tactile.daemon import messages as m
-from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.config import Config, ServerConfig
 from tactile.daemon.server import running
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
 
@@ -33,7 +33,7 @@ class RealServer:
 
     def __init__(self, **options: Any) -> None:
         self.hands = Hands()
-        self.config = Config(server=ServerConfig(port=0, **options), osc=OscConfig(port=0))
+        self.config = Config(server=ServerConfig(port=0, socket="", **options))
         self._loop = asyncio.new_event_loop()
         self._ready: Future[str] = Future()
         self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._run(),))

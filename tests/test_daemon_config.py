@@ -24,8 +24,10 @@ from tactile.daemon.config import (
     ServerConfig,
     is_loopback,
     load_config,
+    read_tokens,
 )
 from tactile.daemon.logs import Logs
+from tactile.daemon.messages import ALL_ROLES
 from tactile.errors import InputError
 
 PACKAGING = Path(__file__).parents[1] / "packaging"
@@ -41,7 +43,7 @@ def test_without_a_file_there_is_one_simulated_display_on_loopback() -> None:
     config = load_config(None)
     (display,) = config.display
     assert (display.name, display.display, display.device) == ("default", "reference-24", "sim:")
-    assert (config.server.host, config.server.port, config.osc.port) == ("127.0.0.1", 7411, 7412)
+    assert (config.server.host, config.server.port, config.osc.port) == ("127.0.0.1", 7411, 0)
     assert not display.arm_on_start
 
 
@@ -51,7 +53,7 @@ def test_the_shipped_example_says_what_is_so_without_it() -> None:
 
 
 def test_paths_are_relative_to_the_file_and_shipped_names_stay(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text("0123456789abcdef\n")
+    write_secret(tmp_path / "secret", "0123456789abcdef\n")
     config = load_config(
         write(
             tmp_path,
@@ -79,6 +81,12 @@ BAD = {
     '[server]\norigins = ["null"]': "server.origins[0] = 'null': expected str matching",
     '[server]\norigins = ["https://a.example/x"]': "server.origins[0] = ",
     '[server]\ntoken_file = "none"': "token_file = ",
+    '[[token]]\nfile = "none"': "token[0].file = ",
+    '[[token]]\nroles = ["play"]': "exactly one of them must be given",
+    '[[token]]\nfile = "a"\ncredential = "b"': "exactly one of them must be given",
+    '[[token]]\nfile = "a"\nroles = ["pley"]': "token[0].roles[0] = 'pley': unknown; did you mean",
+    '[[token]]\ncredential = "../a"': "token[0].credential = '../a': expected str matching",
+    '[[token]]\ncredential = "token"': "LoadCredential=token:FILE",
     "[osc]\nport = -1": "osc.port = -1: expected int >= 0",
     '[log]\nlevel = "inof"': "log.level = 'inof': unknown; did you mean 'info'?",
     "display = []": "display: at least one must be given",
@@ -102,14 +110,50 @@ def test_what_does_not_fit_is_one_line_with_its_place(tmp_path: Path, text: str)
 
 @pytest.mark.parametrize(("content", "length"), [("", 0), ("short\n", 5), ("x" * 300, 300)])
 def test_a_token_that_cannot_be_used_is_refused(tmp_path: Path, content: str, length: int) -> None:
-    (tmp_path / "token").write_text(content)
+    write_secret(tmp_path / "token", content)
     with pytest.raises(InputError, match=f"holds {length} characters, must be 16 … 256"):
         load_config(write(tmp_path, '[server]\nhost = "0.0.0.0"\ntoken_file = "token"'))
 
 
+def write_secret(path: Path, content: str, mode: int = 0o600) -> None:
+    path.write_text(content, "utf-8")
+    path.chmod(mode)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o602, 0o644, 0o777])
+@pytest.mark.parametrize("table", ["[server]\ntoken_file", "[[token]]\nfile"])
+def test_a_token_that_others_can_use_is_refused(tmp_path: Path, table: str, mode: int) -> None:
+    write_secret(tmp_path / "token", "0123456789abcdef", mode)
+    with pytest.raises(InputError, match=rf"has mode {mode:04o}, .*: chmod 600"):
+        load_config(write(tmp_path, f'{table} = "token"'))
+
+
+def test_tokens_have_their_roles_and_one_may_be_a_credential(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A credential's mode is systemd's matter: an access list looks like a group's right."""
+    (tmp_path / "given").mkdir()
+    write_secret(tmp_path / "given" / "tactile", "credential-of-16", 0o440)
+    write_secret(tmp_path / "all", "file-with-all-of-it")
+    write_secret(tmp_path / "few", "file-with-a-few-roles")
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "given"))
+    config = load_config(
+        write(
+            tmp_path,
+            '[server]\nhost = "0.0.0.0"\n[[token]]\nfile = "all"\n[[token]]\nfile = "few"\n'
+            'roles = ["watch", "stop"]\n[[token]]\ncredential = "tactile"\nroles = ["play"]\n',
+        )
+    )
+    assert read_tokens(config) == [
+        (b"file-with-all-of-it", ALL_ROLES),
+        (b"file-with-a-few-roles", {"watch", "stop"}),
+        (b"credential-of-16", {"play"}),
+    ]
+
+
 def test_a_server_for_others_cannot_be_made_without_a_token_either() -> None:
     with pytest.raises(ValueError, match="must be given"):
-        ServerConfig(host="10.0.0.1")
+        Config(server=ServerConfig(host="10.0.0.1"))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from pythonosc.osc_packet import OscPacket
 
 from tactile.daemon import osc
 from tactile.daemon.messages import Arm, Clear, Contact, EStop, Failure, Gain, Select, Stop
-from tactile.daemon.osc import read_packet, to_command
+from tactile.daemon.osc import read_estops, read_packet, to_command
 from tactile.daemon.server import Server
 from tactile.errors import InputError
 
@@ -184,10 +184,12 @@ def test_what_is_sent_reaches_the_display_by_a_client_that_may_not_arm() -> None
             link.send(packet("/tactile/left/contact", 3.0, 4.0, 0.5))
             link.send(bundle(packet("/tactile/gain", 0.5), packet("/tactile/estop")))
             await until(lambda: len(hands.log) == 4)
-            (hand,) = hands.clients
+            stopping, hand = hands.clients
+            assert stopping.roles == {"stop"}
             assert "arm" not in hand.roles
             assert [c.display for c in hand.contacts] == ["right", "left"]
-            assert {type(c) for c in hand.commands} == {Gain, EStop}
+            assert [type(c) for c in hand.commands] == [Gain]
+            assert stopping.commands == [EStop(display="right")]
             assert figure(there, "tactile_clients", transport="osc") == 1
 
     run(story)
@@ -245,7 +247,7 @@ def test_a_sender_that_sends_too_fast_loses_messages() -> None:
                 link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
             reason = {"transport": "osc", "reason": "too_fast"}
             await until(lambda: figure(there, "tactile_dropped_messages_total", **reason) > 80)
-            assert len(hands.clients[0].contacts) < 15
+            assert len(hands.clients[1].contacts) < 15
 
     run(story)
 
@@ -265,12 +267,12 @@ def test_senders_are_bounded_and_those_that_are_silent_make_room(
                 links.append(other)
             code = "too_many_clients"
             await until(lambda: figure(there, "tactile_failures_total", code=code) == 1)
-            assert len(hands.clients) == osc.MOST_SENDERS
+            assert len(hands.clients) == 1 + osc.MOST_SENDERS
             await asyncio.sleep(0.06)
             for other in (*links[1:-1], links[-1]):
                 other.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
-            await until(lambda: len(hands.clients) == osc.MOST_SENDERS + 1)
-            closed = [hand.closed for hand in hands.clients]
+            await until(lambda: len(hands.clients) == 1 + osc.MOST_SENDERS + 1)
+            closed = [hand.closed for hand in hands.clients[1:]]
             assert closed == [1] + [0] * osc.MOST_SENDERS, "the one that was silent longest"
             for other in links:
                 other.close()
@@ -284,7 +286,7 @@ def test_a_silent_sender_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story() -> None:
         async with sending() as (there, hands, link):
             link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
-            await until(lambda: [hand.closed for hand in hands.clients] == [1])
+            await until(lambda: [hand.closed for hand in hands.clients] == [0, 1])
             assert figure(there, "tactile_clients", transport="osc") == 0
 
     run(story)
@@ -300,6 +302,95 @@ def test_it_listens_on_loopback_only_and_a_port_that_is_taken_is_one_line() -> N
                     pass
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as elsewhere:
                 elsewhere.bind(("127.0.0.2", port))  # free: not all addresses were taken
+
+    run(story)
+
+
+# E-stops
+
+STOP = packet("/tactile/estop")
+CONTACT = packet("/tactile/contact", 1.0, 2.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (STOP, ["right"]),
+        (packet("/tactile/left/estop"), ["left"]),
+        (packet("/tactile/estop", 1.0, "x"), ["right"]),
+        (bundle(CONTACT, bundle(STOP, packet("/tactile/left/estop"))), ["right", "left"]),
+        (bundle(packet("/tactile/gain", 7.0), packet("/nope"), STOP), ["right"]),
+        (bundle(b"/a\0\0,b\0\0\0\0\0\1x\0\0\0", STOP), ["right"]),
+        (bundle(STOP)[:-4] + b"", []),
+        (bundle(STOP) + b"\xff\xff\xff\xfc", []),
+        (bundle(bundle(STOP), b"nope"), ["right"]),
+        (packet("/tactile/texture", "estop"), []),
+        (packet("/tactile/estops"), []),
+        (packet("/other/estop"), []),
+        (packet("/tactile/estop") + bytes(5000), []),
+    ],
+)
+def test_estops_are_found_in_whatever_a_packet_holds_besides(
+    data: bytes, expected: list[str]
+) -> None:
+    assert [stop.display for stop in read_estops(data, "right")] == expected
+
+
+def test_an_estop_is_carried_out_for_a_sender_too_many_and_behind_a_senders_own_flood() -> None:
+    async def story() -> None:
+        async with sending(messages_per_second=10) as (there, hands, link):
+            links = []
+            for _ in range(osc.MOST_SENDERS):
+                other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                other.connect(link.getpeername())
+                other.send(CONTACT)
+                links.append(other)
+            await until(lambda: len(hands.clients) == 1 + osc.MOST_SENDERS)
+            link.send(STOP)
+            await until(lambda: len(hands.clients[0].commands) == 1)
+            for _ in range(50):
+                links[0].send(CONTACT)
+            links[0].send(bundle(CONTACT, STOP))
+            await until(lambda: len(hands.clients[0].commands) == 2)
+            assert len(hands.clients) == 1 + osc.MOST_SENDERS
+            assert figure(there, "tactile_failures_total", transport="osc") == 0
+            for other in links:
+                other.close()
+
+    run(story)
+
+
+def test_an_estop_comes_before_the_packets_that_wait_before_it() -> None:
+    """All of them lie in the socket's buffer before the event loop gets its turn."""
+
+    async def story() -> None:
+        async with sending() as (there, hands, link):
+            for _ in range(100):
+                link.send(CONTACT)
+            link.send(STOP)
+            await until(lambda: len(hands.log) > osc.MOST_USED)
+            assert isinstance(hands.clients[0].commands[0], EStop)
+            await asyncio.sleep(0)
+            contacts = [command for _, command in hands.log if isinstance(command, Contact)]
+            assert len(contacts) == osc.MOST_USED, "the rest of what was read is dropped"
+            reason = {"transport": "osc", "reason": "too_fast"}
+            dropped = figure(there, "tactile_dropped_messages_total", **reason)
+            assert dropped == 100 + 1 - osc.MOST_USED
+
+    run(story)
+
+
+def test_many_estops_at_once_are_one_for_each_display() -> None:
+    async def story() -> None:
+        async with sending() as (_, hands, link):
+            for _ in range(50):
+                link.send(STOP)
+                link.send(packet("/tactile/left/estop"))
+            await until(lambda: len(hands.clients[0].commands) > 0)
+            link.send(packet("/tactile/gain", 0.5))
+            await until(lambda: len(hands.clients) == 2 and len(hands.clients[1].commands) == 1)
+            displays = [command.display for command in hands.clients[0].commands]  # type: ignore[union-attr]
+            assert displays == ["right", "left"]
 
     run(story)
 

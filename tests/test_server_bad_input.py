@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, run, talking
 
-from tactile.daemon import connection, server
+from tactile.daemon import connection, listening
 from tactile.daemon.messages import JSON_PROTOCOL, LARGEST_MESSAGE, MSGPACK_PROTOCOL, Select
 
 
@@ -114,7 +114,7 @@ def test_the_largest_message_is_taken_and_one_byte_more_is_too_large(letter: str
 def test_what_is_far_too_large_is_not_even_read() -> None:
     async def story() -> None:
         async with daemon() as (there, _), talking(there, MSGPACK_PROTOCOL) as talker:
-            await talker.link.send(b"x" * (server.LARGEST_READ + 1))
+            await talker.link.send(b"x" * (listening.LARGEST_READ + 1))
             assert (await talker.closed())[0] == 1009
 
     run(story)

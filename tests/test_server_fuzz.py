@@ -130,7 +130,8 @@ def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
     monkeypatch.setattr(osc.log, "disabled", True)
     port = free_port()
     config = Config(
-        server=ServerConfig(port=0, messages_per_second=100_000), osc=OscConfig(port=port)
+        server=ServerConfig(port=0, socket="", messages_per_second=100_000),
+        osc=OscConfig(port=port),
     )
 
     async def story() -> None:

@@ -18,8 +18,9 @@ from websockets.typing import Subprotocol
 
 from tactile.daemon import sockets
 from tactile.daemon.config import Config, OscConfig, ServerConfig
+from tactile.daemon.listening import listen
 from tactile.daemon.messages import JSON_PROTOCOL
-from tactile.daemon.server import listen, running
+from tactile.daemon.server import running
 from tactile.errors import InputError
 
 # HTTP
@@ -116,7 +117,7 @@ def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
     async def story() -> None:
         async with daemon() as (there, _):
             hands = Hands()
-            config = Config(server=ServerConfig(port=there.port), osc=OscConfig(port=0))
+            config = Config(server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0))
             with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
                 async with running(config, host=hands):
                     pass
@@ -152,7 +153,7 @@ def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None
     async def story() -> None:
         hands = Broken()
         port = free_port(socket.SOCK_STREAM)
-        config = Config(server=ServerConfig(port=port), osc=OscConfig(port=0))
+        config = Config(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
         with pytest.raises(InputError, match="no such device"):
             async with running(config, host=hands):
                 pass
@@ -180,7 +181,7 @@ PROCESS = """
 
     server._host = lambda config: Hands()
     log = LogConfig(format="json")
-    config = Config(server=ServerConfig(port=0), osc=OscConfig(port=0), log=log)
+    config = Config(server=ServerConfig(port=0, socket=""), log=log)
     server.serve(config, ready=lambda there: print(there.port, flush=True))
     print("ended", flush=True)
 """

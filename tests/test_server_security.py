@@ -6,22 +6,22 @@ Figures are counts and orders, not times: what one client does must not show in 
 import asyncio
 import json
 import logging
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from daemon_rig import CONTACT, LARGE, daemon, figure, frame, get, run, talking, unread, until
+from daemon_rig import CONTACT, GOOD, LARGE, daemon, figure, frame, get, run, talking, unread, until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
-from tactile.daemon import connection, server, sockets
+from tactile.daemon import connection, listening, places, sockets
 from tactile.daemon.config import ServerConfig
-from tactile.daemon.messages import JSON_PROTOCOL
-from tactile.daemon.security import Door, host_name, is_token, refusal
-from tactile.daemon.server import listen
+from tactile.daemon.listening import listen
+from tactile.daemon.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
+from tactile.daemon.security import Tokens, host_name, refusal
 from tactile.errors import InputError
 
 TOKEN = "correct horse battery staple"
@@ -170,6 +170,7 @@ def test_nothing_is_done_by_http(method: str) -> None:
 def token_file(tmp_path: Path) -> str:
     path = tmp_path / "token"
     path.write_text(TOKEN + "\n")
+    path.chmod(0o600)
     return str(path)
 
 
@@ -192,7 +193,7 @@ def test_a_wrong_token_is_all_that_is_told(said: str, version: int, token_file: 
             hello = {"type": "hello", "client": "a", "version": version, "token": said}
             found = await talker.ask(**hello)
             assert found == {
-                "type": "failure", "code": "unauthorized", "message": "wrong token",
+                "type": "failure", "code": "unauthorized", "message": connection.WRONG_TOKEN,
                 "field": "token",
             }  # fmt: skip
             assert await talker.closed() == (4401, "unauthorized")
@@ -231,11 +232,16 @@ def test_the_token_lets_in_and_is_never_logged(
     assert all(TOKEN not in f"{record.getMessage()} {record.__dict__}" for record in said)
 
 
-def test_where_no_token_is_set_none_is_asked_for() -> None:
-    assert is_token("anything", None)
-    assert not is_token("", b"secret")
-    assert is_token("secret", b"secret")
-    assert "secret" not in repr(Door(lambda *_: None, ServerConfig(), b"secret"))  # type: ignore[arg-type]
+def test_each_token_has_its_roles_and_none_can_be_read_back() -> None:
+    watch, every = frozenset[Role]({"watch"}), ALL_ROLES
+    tokens = Tokens([(b"secret", every), (b"another", watch)])
+    assert tokens.roles("secret") == every
+    assert tokens.roles("another") == watch
+    assert tokens.roles("") is None
+    assert tokens.roles("secre") is None
+    assert "secret" not in repr(vars(tokens))
+    assert tokens
+    assert not Tokens()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
@@ -251,37 +257,109 @@ def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
 # One client and the others
 
 
-def test_one_client_more_than_may_be_is_told_and_a_place_becomes_free_again() -> None:
+def test_one_client_more_than_may_be_can_only_estop_and_a_place_becomes_free_again() -> None:
     async def story() -> None:
         async with daemon(most_clients=2) as (there, hands):
             async with talking(there) as first, talking(there):
                 async with talking(there, hello=False) as third:
-                    found = await third.ask(type="hello", client="third", id=7)
-                    assert (found["code"], found["id"]) == ("too_many_clients", 7)
-                    assert (await third.closed())[0] == 4429
+                    welcome = await third.ask(type="hello", client="panel", id=7)
+                    assert (welcome["id"], welcome.get("roles")) == (7, None)
+                    assert welcome["may_arm"] is False
+                    for message in (CONTACT, dict(GOOD["gain"][0], id=3)):
+                        found = await third.ask(**message)
+                        assert found["code"] == "too_many_clients"
+                        assert "server.most_clients" in found["message"]
+                    assert (await third.ask(type="estop", id=8))["type"] == "done"
+                    assert [type(c) for c in hands.clients[2].commands] == [EStop]
+                    assert hands.clients[2].contacts == []
                 assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
             await until(lambda: there.site.clients == 0)
             async with talking(there):
-                pass
-            await until(lambda: [hand.closed for hand in hands.clients] == [1, 1, 1])
+                assert "arm" in hands.clients[3].roles
+            await until(lambda: [hand.closed for hand in hands.clients] == [1] * 4)
 
     run(story)
 
 
-def test_those_that_say_nothing_do_not_take_the_clients_places() -> None:
+def test_the_oldest_that_may_only_estop_makes_room_once_it_had_its_chance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def story() -> None:
-        async with (
-            daemon(most_clients=2) as (there, _),
-            talking(there) as first,
-            talking(there, hello=False),
-            talking(there, hello=False),
-            talking(there, hello=False) as fourth,
-        ):
-            assert (await fourth.receive())["code"] == "too_many_clients"
-            assert (await fourth.closed())[0] == 4429
-            assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
+        async with AsyncExitStack() as stack:
+            there, _ = await stack.enter_async_context(daemon(most_clients=1))
+            talkers = [
+                await stack.enter_async_context(talking(there)) for _ in range(1 + places.RESERVED)
+            ]
+            monkeypatch.setattr(places, "CHANCE", 1e9)
+            async with talking(there, hello=False) as late:
+                found = await late.ask(type="hello", client="late", id=7)
+                assert (found["code"], found["id"]) == ("too_many_clients", 7)
+                assert (await late.closed())[0] == 4429
+            monkeypatch.setattr(places, "CHANCE", 0.0)
+            async with talking(there) as newer:
+                assert (await talkers[1].closed())[0] == 4429
+                for talker in (newer, talkers[2], talkers[-1]):
+                    assert (await talker.ask(type="estop"))["type"] == "done"
+                assert (await talkers[0].ask(type="ping", time_us=1))["type"] == "pong"
 
     run(story)
+
+
+def test_strangers_make_room_for_newer_ones_and_never_for_longer_than_it_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """TCP connections and WebSockets that say nothing; clients stay, and new ones get in."""
+    monkeypatch.setattr(listening, "MOST_STRANGERS", 4)
+
+    async def story() -> None:
+        async with daemon() as (there, _), talking(there) as first:
+            silent = [
+                await asyncio.open_connection("127.0.0.1", there.port) for _ in range(3)
+            ]  # fmt: skip
+            async with talking(there, hello=False) as stranger:
+                silent += [
+                    await asyncio.open_connection("127.0.0.1", there.port) for _ in range(5)
+                ]  # fmt: skip
+                await stranger.closed()
+            for reader, _ in silent[:4]:
+                with suppress(ConnectionError):
+                    assert await reader.read() == b""
+            for _ in range(3):
+                async with talking(there):
+                    pass
+            assert figure(there, "tactile_dropped_connections_total") >= 5
+            assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
+            assert (await get(there, "/healthz")).status_code == 200
+            for _, writer in silent:
+                writer.close()
+
+    run(story)
+
+
+class Line:
+    """A transport that notes its end."""
+
+    def __init__(self) -> None:
+        self.aborted = 0
+
+    def abort(self) -> None:
+        self.aborted += 1
+
+
+def test_the_stranger_that_was_silent_longest_goes_first() -> None:
+    dropped: list[None] = []
+    lines = [Line() for _ in range(4)]
+    strangers = sockets.Strangers(2, lambda: dropped.append(None))
+    admit: Any = strangers.admit
+    admit(lines[0])
+    admit(lines[1])
+    admit(lines[0])  # said something
+    admit(lines[2])
+    assert [line.aborted for line in lines] == [0, 1, 0, 0]
+    strangers.release(lines[0])  # type: ignore[arg-type]
+    admit(lines[3])
+    assert [line.aborted for line in lines] == [0, 1, 0, 0]
+    assert (len(strangers), len(dropped)) == (2, 1)
 
 
 def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stays() -> None:
@@ -382,7 +460,7 @@ def test_frames_that_carry_nothing_do_not_pile_up(
             # before the pong that is missing ends it
             await until(
                 lambda: hands.clients[0].closed == 1,
-                within=0.9 * (server.PING_EVERY + server.PONG_WITHIN),
+                within=0.9 * (listening.PING_EVERY + listening.PONG_WITHIN),
             )
             pouring.cancel()
             await asyncio.wait({pouring})

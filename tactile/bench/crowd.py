@@ -22,7 +22,7 @@ from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
+from tactile.daemon.config import Config, DisplayConfig, ServerConfig
 from tactile.daemon.host import Host
 from tactile.daemon.server import running
 from tactile.display import load_display
@@ -104,8 +104,7 @@ class Steps:
 
 async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure]:
     config = Config(
-        server=ServerConfig(port=0, most_clients=crowd.clients + 10),
-        osc=OscConfig(port=0),
+        server=ServerConfig(port=0, socket="", most_clients=crowd.clients + 10),
         display=(DisplayConfig(name=NAME, device=f"serial://{amplifier.path}"),),
     )
     host, steps = Host(config), Steps(amplifier)

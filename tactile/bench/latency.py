@@ -22,7 +22,7 @@ from firmware_protocol.messages import State
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
 from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
+from tactile.daemon.config import Config, DisplayConfig, ServerConfig
 from tactile.daemon.host import Host
 from tactile.daemon.playing import Playing
 from tactile.daemon.server import running
@@ -92,8 +92,7 @@ class Traced:
 
 async def _session(folder: Path, device: str, seconds: float) -> tuple[Traced, Floats, m.Stats]:
     config = Config(
-        server=ServerConfig(port=0),
-        osc=OscConfig(port=0),
+        server=ServerConfig(port=0, socket=""),
         display=(DisplayConfig(name=NAME, device=device),),
     )
     host = Host(config)

@@ -4,19 +4,25 @@ Paths are relative to the file. Without one there is a simulated display on the 
 """
 
 import ipaddress
+import os
+import stat
 from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, structs
 
 from tactile import files
-from tactile.daemon.messages import Fraction, Name
+from tactile.daemon.messages import ALL_ROLES, Fraction, Name, Role
 from tactile.errors import InputError
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
-Origin = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9+.-]*://[^\s/*,]+$", max_length=256)]
+ORIGIN = r"^[a-z][a-z0-9+.-]*://[^\s/*,]+$"
+Origin = Annotated[str, Meta(pattern=ORIGIN, max_length=256)]
 SHORTEST_TOKEN, LONGEST_TOKEN = 16, 256
 """Characters; what `Hello` can hold, and what nobody guesses at a few hundred attempts a second."""
+MOST_TOKENS = 32
+LARGEST_TOKEN_FILE = 4096
+"""Bytes that are read of one."""
 
 
 def is_loopback(host: str) -> bool:
@@ -32,29 +38,41 @@ def is_loopback(host: str) -> bool:
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where clients connect, and who may.
 
-    ``token_file`` holds what `Hello` must say; it is needed where others than this machine can
-    connect. ``origins`` are the pages, as "https://app.example", whose scripts may connect.
+    ``token_file`` holds a token that allows everything; it, or a `TokenConfig`, is needed where
+    others than this machine can connect. ``origins`` are the pages, as "https://app.example", whose
+    scripts may connect. ``socket`` is a Unix socket beside TCP, on Linux: None is the usual place,
+    "" is none; who may open it may do everything. That is this user, and those of ``socket_group``.
     """
 
     host: Annotated[str, Meta(min_length=1, max_length=253)] = "127.0.0.1"
     port: Port = 7411
+    socket: str | None = None
+    socket_group: str | None = None
     token_file: str | None = None
     origins: tuple[Origin, ...] = ()
     most_clients: Annotated[int, Meta(ge=1, le=1000)] = 64
     messages_per_second: Annotated[int, Meta(ge=10, le=100_000)] = 2000
 
+
+class TokenConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A token that clients may say, and what it allows.
+
+    It stands in a ``file``, or is a ``credential`` that systemd hands over under that name.
+    """
+
+    file: str | None = None
+    credential: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]+$", max_length=255)] | None = None
+    roles: tuple[Role, ...] = tuple(sorted(ALL_ROLES))
+
     def __post_init__(self) -> None:
-        if not self.token_file and not is_loopback(self.host):
-            raise ValueError(
-                f"token_file = {self.token_file or ''!r}: must be given, as others than this "
-                f"machine can connect to host {self.host!r}"
-            )
+        if bool(self.file) == bool(self.credential):
+            raise ValueError("file, credential: exactly one of them must be given")
 
 
 class OscConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """OSC over UDP, on the loopback interface only; 0 is off."""
+    """OSC over UDP, on the loopback interface only, where any program may send; 0 is off."""
 
-    port: Port = 7412
+    port: Port = 0
 
 
 class LogConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -90,6 +108,7 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The tables of a configuration file."""
 
     server: ServerConfig = ServerConfig()
+    token: Annotated[tuple[TokenConfig, ...], Meta(max_length=MOST_TOKENS)] = ()
     osc: OscConfig = OscConfig()
     log: LogConfig = LogConfig()
     display: tuple[DisplayConfig, ...] = (DisplayConfig(),)
@@ -101,6 +120,12 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"display[{i}].name = {name!r}: is taken by another display")
+        server = self.server
+        if not server.token_file and not self.token and not is_loopback(server.host):
+            raise ValueError(
+                f"server.token_file = {server.token_file or ''!r}: must be given, or a [[token]], "
+                f"as others than this machine can connect to host {server.host!r}"
+            )
 
 
 class Config(File, frozen=True, kw_only=True):
@@ -122,7 +147,16 @@ def load_config(path: Path | None) -> Config:
     read = files.read(path, File)
     folder = path.absolute().parent
     config = Config(
-        server=structs.replace(read.server, token_file=_beside(folder, read.server.token_file)),
+        server=structs.replace(
+            read.server,
+            token_file=_beside(folder, read.server.token_file),
+            socket=_beside(folder, read.server.socket)
+            if read.server.socket
+            else read.server.socket,
+        ),
+        token=tuple(
+            structs.replace(token, file=_beside(folder, token.file)) for token in read.token
+        ),
         osc=read.osc,
         log=structs.replace(read.log, file=_beside(folder, read.log.file)),
         display=tuple(
@@ -131,12 +165,12 @@ def load_config(path: Path | None) -> Config:
         ),
         path=path.absolute(),
     )
-    read_token(config.server)
+    read_tokens(config)
     return config
 
 
 def _beside(folder: Path, name: str | None) -> str | None:
-    return None if not name else str(folder / name)
+    return str(folder / name) if name else name
 
 
 def _display(folder: Path, name: str) -> str:
@@ -145,19 +179,53 @@ def _display(folder: Path, name: str) -> str:
     return name if named else str(folder / name)
 
 
-def read_token(config: ServerConfig) -> bytes | None:
-    """Return the token that clients must say, if any.
+def read_tokens(config: Config) -> list[tuple[bytes, frozenset[Role]]]:
+    """Return the tokens that clients may say, and what each allows.
 
     Raises
     ------
     InputError
-        Where its file cannot be read, or holds none that could be said or that could be guessed.
+        Where one cannot be read, others can read it, it could not be said or could be guessed.
     """
-    if config.token_file is None:
-        return None
-    field = f"server.token_file = {config.token_file!r}"
+    found = []
+    if config.server.token_file:
+        name = config.server.token_file
+        found.append((_secret(f"server.token_file = {name!r}", Path(name)), ALL_ROLES))
+    for i, token in enumerate(config.token):
+        if token.file:
+            content = _secret(f"token[{i}].file = {token.file!r}", Path(token.file))
+        else:
+            content = _credential(f"token[{i}].credential", str(token.credential))
+        found.append((content, frozenset(token.roles)))
+    return found
+
+
+def _secret(field: str, path: Path) -> bytes:
+    """Return the token of a file that nobody but its owner may use."""
     try:
-        token = Path(config.token_file).read_text(encoding="utf-8").strip()
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise InputError(f"{field}: cannot be read: {error.strerror}") from error
+    if os.name == "posix" and mode & 0o077:
+        raise InputError(f"{field}: has mode {mode:04o}, so that others can use it: chmod 600")
+    return _token(field, path)
+
+
+def _credential(field: str, name: str) -> bytes:
+    """Return a token that systemd hands over; it sees to it that nobody else can read it."""
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+    if not folder:
+        raise InputError(
+            f"{field} = {name!r}: there are no credentials; systemd gives them to a unit with "
+            f"LoadCredential={name}:FILE"
+        )
+    return _token(f"{field} = {name!r}", Path(folder) / name)
+
+
+def _token(field: str, path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            token = file.read(LARGEST_TOKEN_FILE).decode().strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{field}: cannot be read: {error}") from error
     if not SHORTEST_TOKEN <= len(token) <= LONGEST_TOKEN:

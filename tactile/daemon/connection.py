@@ -9,29 +9,36 @@ import asyncio
 import logging
 import secrets
 import time
+from collections.abc import Coroutine
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tactile.daemon.config import ServerConfig
-from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read
+from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read, read_estop
+from tactile.daemon.liveness import SignsOfLife
 from tactile.daemon.messages import (
-    ALL_ROLES,
     API_VERSION,
     Answer,
     Command,
     Contact,
+    EStop,
     Failure,
     Hello,
     Ping,
     Pong,
+    Role,
     Welcome,
 )
 from tactile.daemon.metrics import Metrics
-from tactile.daemon.requests import Client, Host, Requests, TokenBucket, id_of
-from tactile.daemon.security import is_token
+from tactile.daemon.peers import Peer, is_local, judge, local_peer
+from tactile.daemon.places import Places
+from tactile.daemon.rates import TokenBucket
+from tactile.daemon.requests import Client, Host, Requests, id_of
+from tactile.daemon.security import Tokens
+from tactile.daemon.sockets import BoundedWebSocket
+from tactile.daemon.tasks import watched
 
 log = logging.getLogger("tactile.server")
 
@@ -40,6 +47,7 @@ READ_WITHIN = 2.0
 """s after which a client that does not read is dropped."""
 PENALTY = 0.2
 """s between a wrong token and the answer."""
+WRONG_TOKEN = "wrong token: must be one of server.token_file or [[token]] of the configuration"
 MOST_FAILURES = 100
 """In a row."""
 MOST_ANSWERS = 256
@@ -59,20 +67,44 @@ FLOOD = Close(4008, "nothing but failures")
 TOO_LARGE = Close(1009, "too large")
 FULL = Close(4429, "too many clients")
 ENDING = Close(1001, "the daemon ends")
+BROKEN = Close(1011, "the daemon failed")
 
 
-@dataclass
+class Welcomed(NamedTuple):
+    """A client that may come in: what it said, what it may do, and who it is."""
+
+    hello: Hello
+    roles: frozenset[Role]
+    peer: Peer | None
+
+
 class Site:
-    """What all connections share."""
+    """What all connections share.
 
-    host: Host
-    config: ServerConfig
-    metrics: Metrics
-    token: bytes | None = field(repr=False)
-    version: str
-    ending: asyncio.Event = field(default_factory=asyncio.Event)
-    strangers: int = 0
-    clients: int = 0
+    Parameters
+    ----------
+    host, config, metrics, tokens : of the daemon
+    version : of this package
+    """
+
+    def __init__(
+        self, host: Host, config: ServerConfig, metrics: Metrics, tokens: Tokens, version: str
+    ) -> None:
+        self.host, self.config, self.metrics = host, config, metrics
+        self.tokens, self.version = tokens, version
+        self.places: Places[Connection] = Places(config.most_clients)
+        self.ending = False
+
+    @property
+    def clients(self) -> int:
+        """How many clients there are."""
+        return len(self.places)
+
+    def end(self) -> None:
+        """Tell all clients that the daemon ends, and let in no more."""
+        self.ending = True
+        for connection in self.places:
+            connection.end(ENDING)
 
 
 async def talk(socket: WebSocket, site: Site) -> None:
@@ -83,10 +115,11 @@ async def talk(socket: WebSocket, site: Site) -> None:
         await socket.close(1002, f"no subprotocol of {', '.join(ENCODINGS)}")
         return
     connection = Connection(socket, site, ENCODINGS[protocol])
-    with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):  # nobody would read it
-        ended = await connection.run()
-        if ended is not GONE:
+    ended = await connection.run()
+    if ended is not GONE:
+        with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):  # nobody would read it
             async with asyncio.timeout(READ_WITHIN):
+                await connection.flush()
                 await socket.close(*ended)
 
 
@@ -95,141 +128,172 @@ class Connection:
 
     def __init__(self, socket: WebSocket, site: Site, encoding: Encoding) -> None:
         self._socket, self._site, self._encoding = socket, site, encoding
+        self._link: BoundedWebSocket = socket.scope["state"]["link"]
         self._traffic = site.metrics.of("websocket")
         self._answers: asyncio.Queue[Answer] = asyncio.Queue(MOST_ANSWERS)
         self._bucket = TokenBucket(site.config.messages_per_second)
+        self._signs = SignsOfLife()
         self._failures = 0
         self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
+        self._works: list[asyncio.Task[None]] = []
         self._client: Client
         self._requests: Requests
 
     async def run(self) -> Close:
-        """Return why it ended; its client is closed then."""
-        site = self._site
-        if site.ending.is_set():
+        """Return why it ended; its client is closed then, and its place free."""
+        if self._site.ending:
             return ENDING
-        hello = await self._greeted()
-        if isinstance(hello, Close):
-            return hello
-        self._client = site.host.connect(hello.client, roles=ALL_ROLES)
+        welcomed = await self._greet()
+        if isinstance(welcomed, Close):
+            return welcomed
+        self._link.settle()
+        self._traffic.clients.inc()
+        try:
+            return await self._live(welcomed)
+        finally:
+            self._site.places.leave(self)
+            self._traffic.clients.dec()
+            self._link.unsettle()
+
+    async def _live(self, welcomed: Welcomed) -> Close:
+        """Serve a client, until it has no more to do with the host."""
+        hello = welcomed.hello
         session = secrets.token_hex(4)
         about = {"session": session, "client": hello.client}
-        log.info("a client came", extra={"fields": about})
-        site.clients += 1
-        self._traffic.clients.inc()
-        ended = GONE
+        who = {} if welcomed.peer is None else dict(welcomed.peer._asdict())
+        log.info("a client came", extra={"fields": about | who})
+        self._client = self._site.host.connect(hello.client, roles=welcomed.roles)
+        self._requests = Requests(self._client, self._traffic, self._answer, self._break)
         try:
-            await self._send(self._welcome(hello, session))
-            ended = await self._serve()
-        except TimeoutError:
-            ended = SLOW
-        except (WebSocketDisconnect, RuntimeError):
-            ended = GONE
+            self._begin(self._receive())
+            self._begin(self._say(self._welcome(welcomed, session)))
+            ended = await self._ended
         finally:
-            site.clients -= 1
-            self._traffic.clients.dec()
-            self._client.close()
-            reason = {"code": ended.code, "reason": ended.reason}
-            log.info("a client went", extra={"fields": about | reason})
+            try:
+                self._client.close()  # before all else, which could fail
+            finally:
+                await self._finish()
+        reason = {"code": ended.code, "reason": ended.reason}
+        log.info("a client went", extra={"fields": about | reason})
         return ended
+
+    async def _finish(self) -> None:
+        """End all that goes on for a client that was closed, within a bounded time."""
+        for task in self._works:
+            task.cancel()
+        await self._requests.finish()
 
     # Hello
 
-    async def _greeted(self) -> Hello | Close:
-        """Return the `Hello`, where it is one and welcome."""
-        site = self._site
-        if site.strangers >= site.config.most_clients:
-            return await self._refuse(FULL, failed("too_many_clients", "many wait already"))
-        site.strangers += 1
+    async def _greet(self) -> Welcomed | Close:
+        """Return the client, where it says `Hello` and is welcome; it has a place then."""
         try:
             async with asyncio.timeout(HELLO_WITHIN):
                 message = await self._socket.receive()
-            if message["type"] != "websocket.receive":
-                return GONE
-            return await self._hello(self._data(message))
         except TimeoutError:
             late = failed("hello_first", f"no hello within {HELLO_WITHIN:g} s")
             return await self._refuse(Close(4408, "no hello"), late)
-        finally:
-            site.strangers -= 1
-
-    async def _hello(self, data: str | bytes) -> Hello | Close:
-        config = self._site.config
-        hello = read(data, self._encoding)
+        if message["type"] != "websocket.receive":
+            return GONE
+        hello = read(self._data(message), self._encoding)
         if isinstance(hello, Failure):
             return await self._refuse(Close(4400, "no hello"), hello)
-        to = id_of(hello)
         if not isinstance(hello, Hello):
-            first = failed("hello_first", "the first message must be a hello", field="type", to=to)
-            return await self._refuse(Close(4400, "no hello"), first)
-        if not is_token(hello.token, self._site.token):
+            first = "the first message must be a hello"
+            failure = failed("hello_first", first, field="type", to=id_of(hello))
+            return await self._refuse(Close(4400, "no hello"), failure)
+        return await self._judge(hello)
+
+    async def _judge(self, hello: Hello) -> Welcomed | Close:
+        roles, peer = await self._roles(hello.token)
+        if roles is None:
             await asyncio.sleep(PENALTY)
-            wrong = failed("unauthorized", "wrong token", field="token", to=to)
-            return await self._refuse(Close(4401, "unauthorized"), wrong)
+            failure = failed("unauthorized", WRONG_TOKEN, field="token", to=hello.id)
+            return await self._refuse(Close(4401, "unauthorized"), failure)
         if hello.version != API_VERSION:
             text = f"version = {hello.version}: must be {API_VERSION}"
-            wrong = failed("wrong_version", text, field="version", to=to)
-            return await self._refuse(Close(4406, "wrong version"), wrong)
-        if self._site.clients >= config.most_clients:
-            text = f"there are {config.most_clients} clients, as many as may be"
-            return await self._refuse(FULL, failed("too_many_clients", text, to=to))
-        return hello
+            failure = failed("wrong_version", text, field="version", to=hello.id)
+            return await self._refuse(Close(4406, "wrong version"), failure)
+        if self._site.ending:
+            return ENDING
+        if not self._site.places.take(self, time.monotonic()):
+            text = self._crowded()
+            return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
+        if self._site.places.is_reserved(self):
+            roles = frozenset()
+        return Welcomed(hello, roles, peer)
+
+    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, Peer | None]:
+        """Return what a client may do by its token or as a user, None where it may not come in."""
+        tokens, socket = self._site.tokens, self._link.socket
+        local = is_local(socket)
+        if tokens and (said or not local):
+            return tokens.roles(said), local_peer(socket) if local else None
+        return await judge(socket)
+
+    def _crowded(self) -> str:
+        most = self._site.config.most_clients
+        return f"there are {most} clients, as many as server.most_clients allows"
 
     async def _refuse(self, close: Close, failure: Failure) -> Close:
         self._traffic.failure(failure.code)
-        await self._send(failure)
+        self._queue(failure)
         return close
 
-    def _welcome(self, hello: Hello, session: str) -> Welcome:
+    def _welcome(self, welcomed: Welcomed, session: str) -> Welcome:
         return Welcome(
-            id=hello.id,
+            id=welcomed.hello.id,
             server=f"tactile {self._site.version}",
             version=API_VERSION,
             session=session,
             displays=self._site.host.displays,
-            may_arm=True,
-            roles=tuple(sorted(ALL_ROLES)),
+            may_arm="arm" in welcomed.roles,
+            roles=tuple(sorted(welcomed.roles)),
             time_us=time.monotonic_ns() // 1000,
             messages_per_second=self._site.config.messages_per_second,
         )
 
     # In
 
-    async def _serve(self) -> Close:
-        """Return why the first of what goes on here came to an end."""
-        self._requests = Requests(self._client, self._traffic, self._answer)
-        going_on = [
-            self._ended,
-            *(
-                asyncio.create_task(work)
-                for work in (
-                    self._receive(),
-                    self._pump(self._answers),
-                    self._pump(self._client.outbox),
-                    self._end_with_site(),
-                )
-            ),
-        ]
+    def _begin(self, work: Coroutine[Any, Any, Close]) -> None:
+        """Begin a part of the connection; whatever part ends first ends all of it."""
+        self._works.append(watched(asyncio.create_task(self._work(work)), self._break))
+
+    async def _work(self, work: Coroutine[Any, Any, Close]) -> None:
         try:
-            done, _ = await asyncio.wait(going_on, return_when=asyncio.FIRST_COMPLETED)
-            ended = next(iter(done)).result()
-        finally:
-            for task in going_on:
-                task.cancel()
-            await asyncio.gather(*going_on, return_exceptions=True)
-            await self._requests.finish()
-        if ended is not GONE:
-            while not self._answers.empty():
-                await self._send(self._answers.get_nowait())
-        return ended
+            self.end(await work)
+        except TimeoutError:
+            self.end(SLOW)
+        except (WebSocketDisconnect, RuntimeError):
+            self.end(GONE)
 
-    async def _end_with_site(self) -> Close:
-        await self._site.ending.wait()
-        return ENDING
-
-    def _end(self, close: Close) -> None:
+    def end(self, close: Close) -> None:
+        """End the connection; the first reason counts."""
         if not self._ended.done():
             self._ended.set_result(close)
+
+    def make_room(self) -> None:
+        """End, since a newer client takes its place."""
+        self.end(FULL)
+
+    def _break(self, error: BaseException) -> None:
+        self.end(BROKEN)
+
+    def look(self, passed: float) -> None:
+        """Ask for a sign of life after some time [s], and do what its absence demands."""
+        try:
+            client = self._client
+            at_stake = client.sounds or client.holds_voltage
+            due = self._signs.step(passed, self._link.received, at_stake=at_stake)
+            if due.ping:
+                self._link.ping()
+            if due.quiet:
+                client.quiet()
+            if due.give_up:
+                client.give_up()
+        except Exception as error:
+            log.exception("a client could not be watched")
+            self._break(error)
 
     async def _receive(self) -> Close:
         while True:
@@ -248,7 +312,8 @@ class Connection:
 
     def _take(self, data: str | bytes, arrival: float) -> None:
         """Handle a message without waiting for anything."""
-        if not self._bucket.take(arrival) and not _may_be_estop(data):
+        within = self._bucket.take(arrival)
+        if not within and read_estop(data, self._encoding) is None:
             self._refuse_to_hurry(arrival)
             return
         try:
@@ -260,6 +325,9 @@ class Connection:
             self._answer(failure)
 
     def _handle(self, command: Command | Failure, arrival: float) -> Failure | None:
+        if not isinstance(command, EStop | Failure) and self._site.places.is_reserved(self):
+            text = f"{self._crowded()}; this connection may only e-stop"
+            return failed("too_many_clients", text, to=id_of(command))
         if type(command) is Contact:
             failure = self._client.contact(command, arrival)
             self._failures = self._failures if failure else 0
@@ -267,7 +335,7 @@ class Connection:
             return failure
         if isinstance(command, Failure):
             if command.code == "too_large":
-                self._end(TOO_LARGE)
+                self.end(TOO_LARGE)
             return command
         if isinstance(command, Ping):
             came = int(arrival * 1e6)
@@ -294,7 +362,7 @@ class Connection:
             self._traffic.failure(answer.code)
             self._failures += 1
             if self._failures > MOST_FAILURES:
-                self._end(FLOOD)
+                self.end(FLOOD)
         else:
             self._failures = 0
         self._queue(answer)
@@ -304,7 +372,17 @@ class Connection:
             self._answers.put_nowait(answer)
         except asyncio.QueueFull:
             self._traffic.drop("unread")
-            self._end(SLOW)
+            self.end(SLOW)
+
+    async def _say(self, welcome: Welcome) -> Close:
+        await self._send(welcome)
+        self._begin(self._pump(self._client.outbox))
+        return await self._pump(self._answers)
+
+    async def flush(self) -> None:
+        """Send the answers that wait."""
+        while not self._answers.empty():
+            await self._send(self._answers.get_nowait())
 
     async def _pump(self, queue: "asyncio.Queue[Any]") -> Close:
         while True:
@@ -324,8 +402,3 @@ class Connection:
                 await self._socket.send({"type": "websocket.send", "text": data.decode()})
             else:
                 await self._socket.send({"type": "websocket.send", "bytes": data})
-
-
-def _may_be_estop(data: str | bytes) -> bool:
-    """Return whether a message is to be looked at even if there are too many."""
-    return "estop" in data if isinstance(data, str) else b"estop" in data

@@ -4,6 +4,7 @@ Nothing raises here, whatever the bytes are.
 """
 
 import re
+import time
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -16,8 +17,10 @@ from tactile.daemon.messages import (
     Answer,
     Code,
     Command,
+    EStop,
     Failure,
 )
+from tactile.daemon.rates import TokenBucket
 from tactile.files import nearest
 
 LONGEST_TEXT = 200
@@ -29,12 +32,17 @@ WRONG = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 """What msgspec raises for bytes that hold no message."""
 
 
+HINTS = TokenBucket(20)
+"""Of the whole daemon: a search for a similar name takes a millisecond."""
+
+
 class Encoding(NamedTuple):
     """How messages are bytes, as the subprotocol says."""
 
     name: str
     kind: Literal["text", "bytes"]
     decode: Callable[[str | bytes], Command]
+    decode_estop: Callable[[str | bytes], EStop]
     decode_any: Callable[[str | bytes], Any]
     encode: Callable[[Answer], bytes]
 
@@ -44,6 +52,7 @@ ENCODINGS = {
         "JSON",
         "text",
         msgspec.json.Decoder(Command).decode,
+        msgspec.json.Decoder(EStop).decode,
         msgspec.json.Decoder().decode,
         msgspec.json.Encoder().encode,
     ),
@@ -51,6 +60,7 @@ ENCODINGS = {
         "MessagePack",
         "bytes",
         msgspec.msgpack.Decoder(Command).decode,  # type: ignore[arg-type]
+        msgspec.msgpack.Decoder(EStop).decode,  # type: ignore[arg-type]
         msgspec.msgpack.Decoder().decode,  # type: ignore[arg-type]
         msgspec.msgpack.Encoder().encode,
     ),
@@ -73,6 +83,23 @@ def read(data: str | bytes, encoding: Encoding) -> Command | Failure:
         return _invalid(data, encoding, str(error))
     except WRONG as error:
         return failed("malformed", f"no {encoding.name}: {error}")
+
+
+def read_estop(data: str | bytes, encoding: Encoding) -> EStop | None:
+    """Return the e-stop that a message holds, if it does, without reading more than it must."""
+    if isinstance(data, str) is not (encoding.kind == "text") or is_too_large(data):
+        return None
+    try:
+        return encoding.decode_estop(data)
+    except WRONG:
+        return None
+
+
+def hint(name: str, known: list[str]) -> str:
+    """Return which known name was meant, or which there are; no more often than `HINTS` allows."""
+    if HINTS.take(time.monotonic()):
+        return nearest(name, known)
+    return "similar names are looked for 20 times a second at most"
 
 
 def is_too_large(data: str | bytes) -> bool:
@@ -107,7 +134,7 @@ def _invalid(data: str | bytes, encoding: Encoding, error: str) -> Failure:
     code: Code = "unknown_type" if field == "type" and not missing else "invalid_field"
     if code == "unknown_type":
         said = str(content.get("type"))[:60] if isinstance(content, dict) else ""
-        problem = f"no command; {nearest(said, KINDS)}"
+        problem = f"no command; {hint(said, KINDS)}"
     text = f"{_shown(content, field)}{problem.replace('Expected', 'expected').replace('`', '')}"
     return failed(code, text, field=field, to=asked if good else None)
 

@@ -172,7 +172,7 @@ class Logs:
 
 def _descriptor(file: str | None) -> int:
     """Return where to write: the end of a file, or standard error if there is one."""
-    if file is None:
+    if not file:
         if sys.stderr is None:
             return os.open(os.devnull, os.O_WRONLY)
         try:

@@ -119,6 +119,10 @@ class Metrics:
             "tactile_dropped_messages", "Messages not handled or sent.",
             ["transport", "reason"], registry=registry,
         )  # fmt: skip
+        self.strangers = Counter(
+            "tactile_dropped_connections", "Connections that said nothing and made room.",
+            registry=registry,
+        )  # fmt: skip
         self.seconds = Histogram(
             "tactile_message_seconds", "From a message to its answer.",
             ["transport", "type"], buckets=BUCKETS, registry=registry,

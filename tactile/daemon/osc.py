@@ -4,7 +4,8 @@
 ``/tactile/gain g``, ``/tactile/stop`` and ``/tactile/estop`` act on the first display,
 ``/tactile/<display>/…`` on another. Bundles are carried out at once, whatever their time. Each
 sender is a client, until it is silent for 5 s. Nothing is answered, and nothing here can arm:
-there is no address for it, and these clients may not.
+there is no address for it, and these clients may not. An e-stop is carried out before all else,
+whoever sends it and however many or much others send.
 
 Packets are read here, of OSC 1.0 what these messages need: python-osc 1.10 never returns from a
 bundle whose element claims a negative size.
@@ -12,9 +13,10 @@ bundle whose element claims a negative size.
 
 import asyncio
 import logging
+import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -34,7 +36,9 @@ from tactile.daemon.messages import (
     Stop,
 )
 from tactile.daemon.metrics import Metrics
-from tactile.daemon.requests import Client, Host, Requests, TokenBucket
+from tactile.daemon.rates import TokenBucket
+from tactile.daemon.requests import Client, Host, Requests
+from tactile.daemon.tasks import watched
 from tactile.errors import InputError
 
 log = logging.getLogger("tactile.osc")
@@ -42,9 +46,17 @@ log = logging.getLogger("tactile.osc")
 LARGEST_PACKET = 4096
 MOST_VALUES = 8
 NUMBERS = {tag: struct.Struct(">" + code) for tag, code in zip("fdih", "fdiq", strict=True)}
+WRONG = (ValueError, struct.error)
+"""What reading raises where a packet is no OSC."""
 BUNDLE, BUNDLE_HEAD = b"#bundle\0", 16
 ROLES: frozenset[Role] = frozenset({"play", "stop"})
 """Of every sender."""
+STOPS: frozenset[Role] = frozenset({"stop"})
+"""Of the client that carries out e-stops, whoever sends them."""
+ROOM = 2**20
+"""Bytes that may wait to be read."""
+MOST_READ, MOST_USED = 512, 64
+"""Packets that are read, and used, before anything else gets its turn."""
 MOST_SENDERS = 16
 SILENCE = 5.0
 """s after which a sender is forgotten."""
@@ -99,17 +111,30 @@ def read_packet(data: bytes) -> list[tuple[str, list[Any]]]:
         raise InputError(f"{len(data)} bytes: at most {LARGEST_PACKET}")
     try:
         return [_message(part) for part in _parts(data)]
-    except (ValueError, struct.error) as error:
+    except WRONG as error:
         raise InputError(f"no OSC: {error}") from error
 
 
-def _parts(data: bytes) -> list[bytes]:
-    """Return the messages of a packet, which is one or a bundle of packets."""
-    found, waiting = [], [data]
+def read_estops(data: bytes, first: str) -> list[EStop]:
+    """Return each e-stop of a packet, whatever else is in it; ``first`` names the first display."""
+    found: list[EStop] = []
+    if len(data) > LARGEST_PACKET or b"estop" not in data:
+        return found
+    with suppress(*WRONG):  # what follows a fault cannot be read
+        for part in _parts(data):
+            with suppress(*WRONG):
+                command = to_command(*_message(part), first)
+                found += [command] if isinstance(command, EStop) else []
+    return found
+
+
+def _parts(data: bytes) -> Iterator[bytes]:
+    """Yield the messages of a packet, which is one or a bundle of packets."""
+    waiting = [data]
     while waiting:
         packet = waiting.pop()
         if packet.startswith(b"/"):
-            found.append(packet)
+            yield packet
             continue
         if not packet.startswith(BUNDLE) or len(packet) < BUNDLE_HEAD:
             raise ValueError("neither a message nor a bundle")
@@ -121,7 +146,6 @@ def _parts(data: bytes) -> list[bytes]:
             parts.append(packet[at + 4 : at + 4 + size])
             at += 4 + size
         waiting += reversed(parts)
-    return found
 
 
 def _message(data: bytes) -> tuple[str, list[Any]]:
@@ -175,39 +199,78 @@ class Sender:
 class OscProtocol(asyncio.DatagramProtocol):
     """Takes packets, and never raises."""
 
-    def __init__(self, host: Host, metrics: Metrics, messages_per_second: float) -> None:
-        self._host, self._rate = host, messages_per_second
+    def __init__(
+        self, link: socket.socket, host: Host, metrics: Metrics, messages_per_second: float
+    ) -> None:
+        self._link, self._host, self._rate = link, host, messages_per_second
         self._traffic = metrics.of("osc")
         self._senders: dict[Address, Sender] = {}
         self._ended: set[asyncio.Task[None]] = set()
         self._first, self._ask_again = "", 0.0
+        self._stopping = host.connect("osc e-stop", roles=STOPS)
+        self._stops = Requests(self._stopping, self._traffic, self._complain_of_estop)
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
-        """Carry out what a packet says."""
+        """Carry out what a packet says, and those that wait behind it; e-stops first."""
         now = time.monotonic()
         try:
-            sender = self._sender(addr, now)
-            if sender is None:
-                self._complain(failed("too_many_clients", f"{MOST_SENDERS} send already"), addr)
-                return
-            for address, values in read_packet(data):
-                if sender.bucket.take(now):
-                    self._carry_out(sender, address, values, now, addr)
-                else:
-                    self._traffic.drop("too_fast")
-        except InputError as error:
-            self._complain(failed("malformed", str(error)), addr)
+            packets = [(data, addr), *self._waiting()]
+            stops: dict[str | None, EStop] = {}
+            for one, _ in packets:
+                if b"estop" in one:
+                    found = read_estops(one, self._first_display(now))
+                    stops |= {stop.display: stop for stop in found}
+            for stop in stops.values():
+                self._stops.offer(stop)
+            for one, sender in packets[:MOST_USED]:
+                self._use(one, sender, now)
+            for _ in packets[MOST_USED:]:
+                self._traffic.drop("too_fast")
         except Exception:
             self._traffic.failure("internal")
             log.exception("a packet failed")
+        self._empty(self._stopping)
+
+    def _waiting(self) -> Iterator[tuple[bytes, Address]]:
+        """Read the packets that wait already."""
+        for _ in range(MOST_READ - 1):
+            try:
+                yield self._link.recvfrom(LARGEST_PACKET + 1)
+            except OSError:  # no more
+                return
+
+    def _use(self, data: bytes, addr: Address, now: float) -> None:
+        """Carry out what a packet says besides e-stops."""
+        sender = self._senders.get(addr)
+        if sender is not None and not sender.bucket.take(now):
+            self._traffic.drop("too_fast")
+            return
+        try:
+            messages = read_packet(data)
+        except InputError as error:
+            self._complain(failed("malformed", str(error)), addr)
+            return
+        commands = [to_command(*message, self._first_display(now)) for message in messages]
+        commands = [command for command in commands if not isinstance(command, EStop)]
+        if not commands:
+            return
+        sender = self._sender(addr, now)
+        if sender is None:
+            self._complain(failed("too_many_clients", f"{MOST_SENDERS} send already"), addr)
+            return
+        self._carry_out(sender, commands[0], now, addr)
+        for command in commands[1:]:
+            if sender.bucket.take(now):
+                self._carry_out(sender, command, now, addr)
+            else:
+                self._traffic.drop("too_fast")
 
     def error_received(self, exc: Exception) -> None:
         """Do nothing: nothing is sent that could come back."""
 
     def _carry_out(
-        self, sender: Sender, address: str, values: list[Any], now: float, addr: Address
+        self, sender: Sender, command: Command | Failure, now: float, addr: Address
     ) -> None:
-        command = to_command(address, values, self._first_display(now))
         if isinstance(command, Contact):
             failure = sender.client.contact(command, now)
             self._traffic.message("contact", time.monotonic() - now)
@@ -217,9 +280,13 @@ class OscProtocol(asyncio.DatagramProtocol):
             failure = sender.requests.offer(command)
         if failure is not None:
             self._complain(failure, addr)
-        with suppress(asyncio.QueueEmpty):
-            while True:
-                sender.client.outbox.get_nowait()
+        self._empty(sender.client)
+
+    @staticmethod
+    def _empty(client: Client) -> None:
+        """Throw away what is said to a client: nothing is sent back."""
+        while not client.outbox.empty():
+            client.outbox.get_nowait()
 
     def _first_display(self, now: float) -> str:
         """Return the first display's name, asked for once a second."""
@@ -249,6 +316,10 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._senders[addr] = sender  # the last heard comes last
         return sender
 
+    def _complain_of_estop(self, answer: Answer) -> None:
+        if isinstance(answer, Failure):
+            self._complain(answer, ("e-stop", 0))
+
     def _complain(self, failure: Failure, addr: Address) -> None:
         self._traffic.failure(failure.code)
         fields = {"code": failure.code, "why": failure.message, "sender": f"{addr[0]}:{addr[1]}"}
@@ -256,9 +327,9 @@ class OscProtocol(asyncio.DatagramProtocol):
 
     def _forget(self, addr: Address) -> None:
         sender = self._senders.pop(addr)
-        sender.client.close()
         self._traffic.clients.dec()
-        task = asyncio.create_task(sender.requests.finish())
+        sender.client.close()
+        task = watched(asyncio.create_task(sender.requests.finish()))
         self._ended.add(task)
         task.add_done_callback(self._ended.discard)
 
@@ -274,4 +345,5 @@ class OscProtocol(asyncio.DatagramProtocol):
         """Close all clients."""
         for addr in list(self._senders):
             self._forget(addr)
-        await asyncio.gather(*self._ended)
+        self._stopping.close()
+        await asyncio.gather(self._stops.finish(), *self._ended, return_exceptions=True)

@@ -1,9 +1,9 @@
-"""What every transport does with messages: so many a second, requests in order, e-stop first."""
+"""What every transport does with messages: requests in order, e-stop first."""
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from msgspec import structs
@@ -24,10 +24,11 @@ from tactile.daemon.messages import (
     Telemetry,
 )
 from tactile.daemon.metrics import Source, Traffic
+from tactile.daemon.tasks import watched
 
 log = logging.getLogger("tactile.server")
 
-FINISH_WITHIN = 2.0
+FINISH_WITHIN = 1.0
 """s that what makes safe may take after its client is gone."""
 MOST_REQUESTS = 32
 """Of a client, that wait."""
@@ -109,47 +110,32 @@ def id_of(message: Message) -> int | None:
     return found
 
 
-class TokenBucket:
-    """Lets so many messages through in a second, and as many at once."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate, self._left, self._time = rate, rate, 0.0
-        self._told = -1.0
-        self.refused = 0
-
-    def take(self, now: float) -> bool:
-        """Return whether one more may pass."""
-        self._left = min(self._rate, self._left + (now - self._time) * self._rate)
-        self._time = now
-        if self._left < 1:
-            self.refused += 1
-            return False
-        self._left -= 1
-        return True
-
-    def is_to_be_told(self, now: float) -> bool:
-        """Return whether it is time to say that messages are refused: once a second."""
-        if now - self._told < 1:
-            return False
-        self._told = now
-        return True
-
-
 class Requests:
-    """The requests of one client, carried out one after the other, beside its contacts."""
+    """The requests of one client, carried out one after the other, beside its contacts.
+
+    Parameters
+    ----------
+    client : who asks
+    traffic : counts them
+    answered : is given each answer
+    broke : called where carrying out ends by an exception, so that no more can be done
+    """
 
     def __init__(
         self,
         client: Client,
         traffic: Traffic,
         answered: Callable[[Answer], None],
+        broke: Callable[[BaseException], object] | None = None,
     ) -> None:
         self._client, self._traffic, self._answered = client, traffic, answered
         self._waiting: list[Command] = []
         """Those that wait and, first, the one that is carried out."""
         self._new = asyncio.Event()
+        self._ended = False
+        self._broke = broke
         self._urgent: set[asyncio.Task[None]] = set()
-        self._worker = asyncio.create_task(self._work())
+        self._worker = watched(asyncio.create_task(self._work()), broke)
 
     def offer(self, command: Command) -> Failure | None:
         """Take a request; an e-stop is carried out at once."""
@@ -157,7 +143,7 @@ class Requests:
         if len(queue) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
         if isinstance(command, EStop):
-            task = asyncio.create_task(self._carry_out(command))
+            task = watched(asyncio.create_task(self._carry_out(command)), self._broke)
             self._urgent.add(task)
             task.add_done_callback(self._urgent.discard)
         else:
@@ -166,12 +152,13 @@ class Requests:
         return None
 
     async def _work(self) -> None:
-        while True:
-            while self._waiting:
+        while not self._ended:  # also where a cancellation was swallowed
+            if self._waiting:
                 await self._carry_out(self._waiting[0])
                 del self._waiting[0]
-            self._new.clear()
-            await self._new.wait()
+            else:
+                self._new.clear()
+                await self._new.wait()
 
     async def _carry_out(self, command: Command) -> None:
         started = time.monotonic()
@@ -186,19 +173,23 @@ class Requests:
         self._answered(answer)
 
     async def finish(self) -> None:
-        """End, but first carry out what makes safe: each e-stop, and all up to the last disarm."""
-        last = [i for i, command in enumerate(self._waiting) if isinstance(command, Disarm)]
-        del self._waiting[last[-1] + 1 if last else 1 :]
-        tasks = set(self._urgent)
-        if last:
-            tasks.add(asyncio.create_task(self._empty()))
-        if tasks:
-            await asyncio.wait(tasks, timeout=FINISH_WITHIN)
-        rest = [self._worker, *tasks]
-        for task in rest:
-            task.cancel()
-        await asyncio.gather(*rest, return_exceptions=True)
+        """End within `FINISH_WITHIN`; each e-stop and each disarm is still carried out.
 
-    async def _empty(self) -> None:
-        while self._waiting:
-            await asyncio.sleep(0.01)
+        All else is dropped, also what is being carried out: it must neither arm for a client that
+        is gone nor keep a disarm waiting. What does not end by then is left to itself.
+        """
+        self._ended = True
+        self._worker.cancel()
+        self._new.set()
+        disarms = [command for command in self._waiting if isinstance(command, Disarm)]
+        tasks = {*self._urgent, watched(asyncio.create_task(self._carry_out_each(disarms)))}
+        try:
+            await asyncio.wait(tasks, timeout=FINISH_WITHIN)
+        finally:
+            late = sum(task.cancel() for task in tasks)
+            if late:
+                log.error("requests of a client that is gone did not end")
+
+    async def _carry_out_each(self, commands: Sequence[Command]) -> None:
+        for command in commands:
+            await self._carry_out(command)

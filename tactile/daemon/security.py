@@ -7,26 +7,52 @@ WebSocket, nor `Sec-Fetch-Site` in a current browser, nor choose `Host`: a name 
 
 import hashlib
 import hmac
+import json
+import logging
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from tactile.daemon.config import ServerConfig
+from tactile.daemon.config import ORIGIN, ServerConfig
+from tactile.daemon.messages import Role
+
+log = logging.getLogger("tactile.server")
 
 OWN_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 ANY = frozenset({"0.0.0.0", "[::]"})
 """All addresses of this machine, to listen at; a name of none."""
+UNINVITED = "Origin is not invited; the daemon's log says how to invite it"
+NO_FIGURES = 'Authorization: Bearer must hold a token whose roles include "watch"'
+MOST_ORIGINS = 100
+"""That are remembered, each of which is logged once."""
 Headers = Iterable[tuple[bytes, bytes]]
 
 
-def is_token(said: str, token: bytes | None) -> bool:
-    """Return whether what was said is the token, in a time that does not tell how much of it is."""
-    if token is None:
-        return True
-    digests = (hashlib.sha256(t).digest() for t in (said.encode("utf-8", "replace"), token))
-    return hmac.compare_digest(*digests)
+class Tokens:
+    """All tokens that let in, and what each allows; none of them can be read back.
+
+    Parameters
+    ----------
+    tokens : with their roles; where there are none, none is asked for
+    """
+
+    def __init__(self, tokens: Iterable[tuple[bytes, frozenset[Role]]] = ()) -> None:
+        self._digests = [(hashlib.sha256(token).digest(), roles) for token, roles in tokens]
+
+    def __bool__(self) -> bool:
+        """Return whether there is any."""
+        return bool(self._digests)
+
+    def roles(self, said: str) -> frozenset[Role] | None:
+        """Return what a token allows, None for a wrong one.
+
+        The time does not tell how much of it is right, nor which of the tokens it is like.
+        """
+        digest = hashlib.sha256(said.encode("utf-8", "replace")).digest()
+        same = [hmac.compare_digest(digest, one) for one, _ in self._digests]
+        return self._digests[same.index(True)][1] if any(same) else None
 
 
 def host_name(header: str) -> str:
@@ -53,7 +79,7 @@ def refusal(headers: Headers, config: ServerConfig, address: str | None) -> str:
         return "Host is not one of this server"
     origins = found["origin"]
     if len(origins) > 1 or not set(origins) <= set(config.origins):
-        return "Origin is not invited"
+        return UNINVITED
     if not origins and not set(found["sec-fetch-site"]) <= {"none", "same-origin"}:
         return "Sec-Fetch-Site is another site"
     return ""
@@ -65,30 +91,52 @@ def _written(host: str) -> str:
     return f"[{host.lower()}]" if ":" in host else host.lower()
 
 
-@dataclass
 class Door:
-    """Lets a request in to the application, or answers 403; WebSockets are refused unopened."""
+    """Lets a request in to the application, or answers 403; WebSockets are refused unopened.
 
-    app: ASGIApp
-    config: ServerConfig
-    token: bytes | None = field(repr=False)
+    Parameters
+    ----------
+    app : what is behind it
+    config : who is invited
+    tokens : one of which must be said for figures
+    """
+
+    def __init__(self, app: ASGIApp, config: ServerConfig, tokens: Tokens) -> None:
+        self._app, self._config, self._tokens = app, config, tokens
+        self._logged: set[str] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request."""
         reason, status = "", 403
         if scope["type"] in ("http", "websocket"):
-            address = scope["server"][0] if scope.get("server") else None
-            reason = refusal(scope["headers"], self.config, address)
+            address = scope["server"][0] if scope.get("client") else None  # a Unix socket has none
+            reason = refusal(scope["headers"], self._config, address)
+            if reason is UNINVITED:
+                self._log_origin(scope["headers"])
             if not reason and not self._knows(scope):
-                reason, status = "Authorization: Bearer must hold the token", 401
+                reason, status = NO_FIGURES, 401
         if not reason:
-            await self.app(scope, receive, send)
+            await self._app(scope, receive, send)
         else:
             await PlainTextResponse(reason + "\n", status)(scope, receive, send)
 
     def _knows(self, scope: Scope) -> bool:
-        """Return whether who asks for figures knows the token; a WebSocket's `Hello` has it."""
+        """Return whether who asks for figures may watch; a WebSocket's `Hello` has its token."""
         if scope["type"] != "http" or scope["path"] != "/metrics":
             return True
+        if not self._tokens or not scope.get("client"):
+            return True
         said = dict(scope["headers"]).get(b"authorization", b"").decode("latin-1")
-        return is_token(said.removeprefix("Bearer ").strip(), self.token)
+        return "watch" in (self._tokens.roles(said.removeprefix("Bearer ").strip()) or ())
+
+    def _log_origin(self, headers: Headers) -> None:
+        """Log an origin that is not invited, once, with the line that would invite it."""
+        for name, value in headers:
+            origin = value.decode("latin-1")[:256]
+            if name != b"origin" or origin in self._logged or len(self._logged) >= MOST_ORIGINS:
+                continue
+            self._logged.add(origin)
+            line = "origins = " + json.dumps([*self._config.origins, origin])
+            possible = re.fullmatch(ORIGIN, origin) is not None
+            fields = {"origin": origin} | ({"invite": f"[server] {line}"} if possible else {})
+            log.warning("a page was refused", extra={"fields": fields})

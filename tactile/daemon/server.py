@@ -9,12 +9,11 @@ import json
 import logging
 import signal
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
@@ -23,26 +22,21 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from tactile.daemon import messages, watchdog
-from tactile.daemon.config import Config, ServerConfig, is_loopback, read_token
+from tactile.daemon.config import Config, read_tokens
 from tactile.daemon.connection import Site, talk
+from tactile.daemon.listening import Listener, listening
+from tactile.daemon.liveness import look_after
 from tactile.daemon.logs import Logs
 from tactile.daemon.metrics import Metrics
-from tactile.daemon.osc import OscProtocol
+from tactile.daemon.osc import ROOM, OscProtocol
 from tactile.daemon.requests import Host
-from tactile.daemon.security import Door
-from tactile.daemon.sockets import BoundedHttp, BoundedWebSocket
+from tactile.daemon.security import Door, Tokens
+from tactile.daemon.tasks import watched
 from tactile.errors import InputError, TactileError
 
 log = logging.getLogger("tactile.server")
 
 LOOPBACK = "127.0.0.1"
-PING_EVERY, PONG_WITHIN = 5.0, 5.0
-LARGEST_READ = 2 * messages.LARGEST_MESSAGE
-"""Bytes of a message that is still answered with what is wrong; a larger one is not read."""
-MOST_ASIDE = 64
-"""HTTP connections besides the clients."""
-CLOSE_WITHIN = 2
-"""s for connections to end."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +67,6 @@ class Server:
         return self.site.metrics
 
 
-class Listener(uvicorn.Server):
-    """uvicorn without its signal handlers: whoever runs us has theirs."""
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
-        yield
-
-
 def application(site: Site) -> ASGIApp:
     """Return all that is served, behind the door."""
     described = json.dumps(messages.schema()).encode()
@@ -93,7 +78,7 @@ def application(site: Site) -> ASGIApp:
         return PlainTextResponse(f"tactile {site.version}: WebSocket at {messages.PATH}\n")
 
     async def health(request: Request) -> Response:
-        good = site.host.healthy() and not site.ending.is_set()
+        good = site.host.healthy() and not site.ending
         names = [display.name for display in site.host.displays]
         content = {"status": "ok" if good else "failing", "displays": names}
         return JSONResponse(content, 200 if good else 503)
@@ -114,63 +99,7 @@ def application(site: Site) -> ASGIApp:
         ]
     )
     app.router.redirect_slashes = False
-    return Door(app, site.config, site.token)
-
-
-def listen(config: ServerConfig, *, guarded: bool) -> list[socket.socket]:
-    """Return a bound socket for each address of the host; all have one port.
-
-    Raises
-    ------
-    InputError
-        Where the host is none, the port is taken, or others could connect and need no token.
-    """
-    port, sockets = config.port, list[socket.socket]()
-    try:
-        found = socket.getaddrinfo(config.host, port, type=socket.SOCK_STREAM)
-        for family, kind, protocol, _, address in dict.fromkeys(found):
-            if not guarded and not is_loopback(str(address[0])):
-                raise InputError(
-                    f"server.host = {config.host!r}: is {address[0]}, which others can reach: "
-                    "server.token_file must be given"
-                )
-            one = socket.socket(family, kind, protocol)  # with its protocol, for TCP_NODELAY
-            sockets.append(one)
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            if family == socket.AF_INET6:
-                one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-            one.bind((address[0], port, *address[2:]))
-            port = one.getsockname()[1]
-    except (OSError, InputError) as error:
-        for one in sockets:
-            one.close()
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"server: {config.host!r} port {port}: {error.strerror}") from error
-    return sockets
-
-
-def _listener(site: Site) -> Listener:
-    return Listener(
-        uvicorn.Config(
-            application(site),
-            http=BoundedHttp,
-            ws=BoundedWebSocket,
-            ws_max_size=LARGEST_READ,
-            ws_ping_interval=PING_EVERY,
-            ws_ping_timeout=PONG_WITHIN,
-            ws_per_message_deflate=False,
-            lifespan="off",
-            log_config=None,
-            log_level="warning",
-            access_log=False,
-            proxy_headers=False,
-            server_header=False,
-            limit_concurrency=site.config.most_clients + MOST_ASIDE,
-            h11_max_incomplete_event_size=16 * 1024,
-            timeout_graceful_shutdown=CLOSE_WITHIN,
-        )
-    )
+    return Door(app, site.config, site.tokens)
 
 
 @asynccontextmanager
@@ -185,22 +114,24 @@ async def _osc(config: Config, site: Site) -> AsyncIterator[None]:
     if not config.osc.port:
         yield
         return
-    protocol = OscProtocol(site.host, site.metrics, config.server.messages_per_second)
     loop = asyncio.get_running_loop()
-    try:
-        transport, _ = await loop.create_datagram_endpoint(
-            lambda: protocol, local_addr=(LOOPBACK, config.osc.port)
-        )
-    except OSError as error:
-        text = f"osc.port = {config.osc.port}: {error.strerror}; 0 is off"
-        raise InputError(text) from error
-    watching = asyncio.create_task(protocol.forget_silent())
-    try:
-        yield
-    finally:
-        transport.close()
-        watching.cancel()
-        await protocol.finish()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
+        link.setblocking(False)
+        try:
+            link.bind((LOOPBACK, config.osc.port))
+        except OSError as error:
+            text = f"osc.port = {config.osc.port}: {error.strerror}; 0 is off"
+            raise InputError(text) from error
+        protocol = OscProtocol(link, site.host, site.metrics, config.server.messages_per_second)
+        transport, _ = await loop.create_datagram_endpoint(lambda: protocol, sock=link)
+        watching = watched(asyncio.create_task(protocol.forget_silent()))
+        try:
+            yield
+        finally:
+            transport.close()
+            watching.cancel()
+            await protocol.finish()
 
 
 def _host(config: Config) -> Host:
@@ -236,28 +167,36 @@ async def running(
     InputError
         Where it cannot listen.
     """
-    token = read_token(config.server)
-    sockets = listen(config.server, guarded=token is not None)
+    tokens = Tokens(read_tokens(config))
     host = _host(config) if host is None else host
-    site = Site(host, config.server, Metrics(host, dropped_logs), token, _version())
-    listener = _listener(site)
+    with listening(config.server, guarded=bool(tokens)) as sockets:
+        site = Site(host, config.server, Metrics(host, dropped_logs), tokens, _version())
+        listener = Listener(application(site), site)
+        try:
+            await host.start()
+            async with _osc(config, site), _looking_after(site):
+                serving = asyncio.create_task(listener.serve(sockets))
+                try:
+                    while not listener.started and not serving.done():
+                        await asyncio.sleep(0.002)
+                    yield Server(_url(sockets[0]), sockets[0].getsockname()[1], site, serving)
+                finally:
+                    site.end()
+                    await host.close()
+                    listener.should_exit = True
+                    await serving
+        finally:
+            await host.close()
+
+
+@asynccontextmanager
+async def _looking_after(site: Site) -> AsyncIterator[None]:
+    """See whether the clients live."""
+    task = watched(asyncio.create_task(look_after(lambda: site.places)))
     try:
-        await host.start()
-        async with _osc(config, site):
-            serving = asyncio.create_task(listener.serve(sockets))
-            try:
-                while not listener.started and not serving.done():
-                    await asyncio.sleep(0.002)
-                yield Server(_url(sockets[0]), sockets[0].getsockname()[1], site, serving)
-            finally:
-                site.ending.set()
-                await host.close()
-                listener.should_exit = True
-                await serving
+        yield
     finally:
-        await host.close()
-        for one in sockets:
-            one.close()
+        task.cancel()
 
 
 def _url(listening: socket.socket) -> str:

@@ -5,11 +5,17 @@ read must not keep memory or a socket.
 """
 
 import asyncio
+import socket
+from collections.abc import Callable
 from typing import Any
 
+from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from uvicorn.server import ServerState
 from websockets.frames import Frame
+from websockets.http11 import Request
+from websockets.protocol import State
 
 CHUNK = 4096
 """Bytes that are read at once: at most 680 frames."""
@@ -23,13 +29,68 @@ REQUEST_WITHIN = 5.0
 """s from a connection to its first request."""
 
 
+class Strangers:
+    """Connections that did not say who they are; the one silent longest makes room for a new one.
+
+    Parameters
+    ----------
+    most : of them
+    dropped : called for each that is dropped
+    """
+
+    def __init__(self, most: int, dropped: Callable[[], object]) -> None:
+        self._most, self._dropped = most, dropped
+        self._transports: dict[asyncio.Transport, None] = {}
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._transports)
+
+    def admit(self, transport: asyncio.Transport) -> None:
+        """Take one that is new, or that just said something."""
+        self._transports.pop(transport, None)
+        if len(self._transports) >= self._most:
+            oldest = next(iter(self._transports))
+            del self._transports[oldest]
+            oldest.abort()
+            self._dropped()
+        self._transports[transport] = None
+
+    def release(self, transport: asyncio.Transport) -> None:
+        """Forget one that said who it is, or is gone."""
+        self._transports.pop(transport, None)
+
+
+class BoundedState(ServerState):
+    """What uvicorn's connections share, and the strangers among them."""
+
+    def __init__(self, strangers: Strangers) -> None:
+        super().__init__()
+        self.strangers = strangers
+
+
 class BoundedHttp(H11Protocol):
     """HTTP, where a connection that does not ask is closed."""
+
+    server_state: BoundedState
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
-        self.loop.call_later(REQUEST_WITHIN, self._close_unless_asked)
+        self.server_state.strangers.admit(transport)
+        self._patience = self.loop.call_later(REQUEST_WITHIN, self._close_unless_asked)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget it."""
+        self._patience.cancel()
+        super().connection_lost(exc)
+        self.server_state.strangers.release(self.transport)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what was read; who asks for something is no longer the one silent longest."""
+        super().data_received(data)
+        if self.cycle is not None and not self.transport.is_closing():
+            self.server_state.strangers.admit(self.transport)
 
     def _close_unless_asked(self) -> None:
         if self.cycle is None and self.transport.get_protocol() is self:
@@ -37,13 +98,67 @@ class BoundedHttp(H11Protocol):
 
 
 class BoundedWebSocket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
-    """A WebSocket that reads little at once and does not wait for ever."""
+    """A WebSocket that reads little at once and does not wait for ever.
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
+    The application finds it in its scope, as ``scope["state"]["link"]``.
+
+    Attributes
+    ----------
+    received : how often anything was received
+    """
+
+    def __init__(
+        self, config: Config, server_state: BoundedState, app_state: dict[str, Any]
+    ) -> None:
+        super().__init__(config, server_state, app_state)
         self.close_timeout = LINGER
         self.conn.debug = False  # it would log each frame, a token among them
+        self.received = 0
         self._chunk = bytearray(CHUNK)
+        self._strangers = server_state.strangers
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin with the handshake."""
+        super().connection_made(transport)
+        self._strangers.admit(self.transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget it."""
+        super().connection_lost(exc)
+        self._strangers.release(self.transport)
+
+    def handle_connect(self, event: Request) -> None:
+        """Begin to serve it."""
+        super().handle_connect(event)
+        if hasattr(self, "scope"):  # else the handshake was refused
+            self.scope["state"]["link"] = self
+
+    @property
+    def socket(self) -> socket.socket:
+        """The socket, to see who is at the other end."""
+        found: socket.socket = self.transport.get_extra_info("socket")
+        return found
+
+    def settle(self) -> None:
+        """Take the peer for no stranger any more."""
+        self._strangers.release(self.transport)
+
+    def unsettle(self) -> None:
+        """Take the peer for a stranger again, until the connection is closed."""
+        if not self.disconnected:
+            self._strangers.admit(self.transport)
+
+    def ping(self) -> None:
+        """Ask for a sign of life; never raises.
+
+        The pong counts for uvicorn's own ping as well: a peer may answer the last one only.
+        """
+        full = self.transport.get_write_buffer_size() > MOST_UNREAD
+        if full or self.disconnected or self.transport.is_closing():
+            return
+        if self.conn.state is State.OPEN:
+            self.conn.send_ping(self.pending_ping_payload or b"")
+            self.transport.write(b"".join(self.conn.data_to_send()))
 
     def get_buffer(self, sizehint: int) -> bytearray:
         """Return where to read to."""
@@ -51,6 +166,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take what was read."""
+        self.received += 1
         self.data_received(bytes(self._chunk[:nbytes]))
 
     def handle_ping(self) -> None:

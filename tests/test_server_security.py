@@ -346,20 +346,21 @@ class Line:
         self.aborted += 1
 
 
-def test_the_stranger_that_was_silent_longest_goes_first() -> None:
+def test_the_oldest_stranger_goes_first_of_those_that_asked_for_nothing() -> None:
     dropped: list[None] = []
-    lines = [Line() for _ in range(4)]
+    lines: list[Any] = [Line() for _ in range(6)]
     strangers = sockets.Strangers(2, lambda: dropped.append(None))
-    admit: Any = strangers.admit
-    admit(lines[0])
-    admit(lines[1])
-    admit(lines[0])  # said something
-    admit(lines[2])
-    assert [line.aborted for line in lines] == [0, 1, 0, 0]
-    strangers.release(lines[0])  # type: ignore[arg-type]
-    admit(lines[3])
-    assert [line.aborted for line in lines] == [0, 1, 0, 0]
-    assert (len(strangers), len(dropped)) == (2, 1)
+    strangers.admit(lines[0], asking=False)
+    strangers.admit(lines[1], asking=False)
+    strangers.admit(lines[0], asking=True)
+    strangers.admit(lines[2], asking=False)
+    strangers.admit(lines[3], asking=True)
+    assert [line.aborted for line in lines] == [0, 1, 1, 0, 0, 0]
+    strangers.admit(lines[4], asking=False)
+    assert [line.aborted for line in lines] == [1, 1, 1, 0, 0, 0], "where all of them ask"
+    strangers.release(lines[4])
+    strangers.admit(lines[5], asking=False)
+    assert (len(strangers), len(dropped)) == (2, 3)
 
 
 def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stays() -> None:

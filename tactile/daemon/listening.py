@@ -28,8 +28,8 @@ LARGEST_READ = 2 * LARGEST_MESSAGE
 """Bytes of a message that is still answered with what is wrong; a larger one is not read."""
 MOST_STRANGERS = 256
 """Connections that did not say who they are."""
-AT_ONCE = 16
-"""Connections that wait, and that are accepted before anything else gets its turn."""
+AT_ONCE, WAITING = 4, 128
+"""Connections that are accepted before anything else gets its turn, and that wait for that."""
 CLOSE_WITHIN = 0.2
 """s for connections to end, once all displays are at 0 V."""
 
@@ -64,6 +64,12 @@ class Listener(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Capture none."""
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to accept `AT_ONCE` connections in a turn; more than those may wait."""
+        await super().startup(sockets)
+        for one in sockets or ():
+            one.listen(WAITING)  # asyncio has one number for both
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End all connections within a bounded time, whether or not the other side closes them."""

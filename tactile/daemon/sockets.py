@@ -30,7 +30,10 @@ REQUEST_WITHIN = 5.0
 
 
 class Strangers:
-    """Connections that did not say who they are; the one silent longest makes room for a new one.
+    """Connections that did not say who they are; the oldest makes room for a new one.
+
+    Those that asked for nothing go first, so that a flood of them keeps nobody out who has just
+    asked to speak.
 
     Parameters
     ----------
@@ -40,25 +43,27 @@ class Strangers:
 
     def __init__(self, most: int, dropped: Callable[[], object]) -> None:
         self._most, self._dropped = most, dropped
-        self._transports: dict[asyncio.Transport, None] = {}
+        self._silent: dict[asyncio.Transport, None] = {}
+        self._asking: dict[asyncio.Transport, None] = {}
 
     def __len__(self) -> int:
         """Return how many there are."""
-        return len(self._transports)
+        return len(self._silent) + len(self._asking)
 
-    def admit(self, transport: asyncio.Transport) -> None:
-        """Take one that is new, or that just said something."""
-        self._transports.pop(transport, None)
-        if len(self._transports) >= self._most:
-            oldest = next(iter(self._transports))
-            del self._transports[oldest]
+    def admit(self, transport: asyncio.Transport, *, asking: bool) -> None:
+        """Take one that is new, or that just asked for something."""
+        self.release(transport)
+        if len(self) >= self._most:
+            oldest = next(iter(self._silent or self._asking))
+            self.release(oldest)
             oldest.abort()
             self._dropped()
-        self._transports[transport] = None
+        (self._asking if asking else self._silent)[transport] = None
 
     def release(self, transport: asyncio.Transport) -> None:
         """Forget one that said who it is, or is gone."""
-        self._transports.pop(transport, None)
+        self._silent.pop(transport, None)
+        self._asking.pop(transport, None)
 
 
 class BoundedState(ServerState):
@@ -77,7 +82,7 @@ class BoundedHttp(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
-        self.server_state.strangers.admit(transport)
+        self.server_state.strangers.admit(transport, asking=False)
         self._patience = self.loop.call_later(REQUEST_WITHIN, self._close_unless_asked)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -87,10 +92,10 @@ class BoundedHttp(H11Protocol):
         self.server_state.strangers.release(self.transport)
 
     def data_received(self, data: bytes) -> None:
-        """Take what was read; who asks for something is no longer the one silent longest."""
+        """Take what was read; who asks for something is no longer silent."""
         super().data_received(data)
         if self.cycle is not None and not self.transport.is_closing():
-            self.server_state.strangers.admit(self.transport)
+            self.server_state.strangers.admit(self.transport, asking=True)
 
     def _close_unless_asked(self) -> None:
         if self.cycle is None and self.transport.get_protocol() is self:
@@ -120,7 +125,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin with the handshake."""
         super().connection_made(transport)
-        self._strangers.admit(self.transport)
+        self._strangers.admit(self.transport, asking=True)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it."""
@@ -146,7 +151,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
     def unsettle(self) -> None:
         """Take the peer for a stranger again, until the connection is closed."""
         if not self.disconnected:
-            self._strangers.admit(self.transport)
+            self._strangers.admit(self.transport, asking=False)
 
     def ping(self) -> None:
         """Ask for a sign of life; never raises.

@@ -11,9 +11,12 @@ import pytest
 from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel, VirtualTime
 from parts_rig import ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
 
+from firmware_protocol.messages import State
 from tactile.bus.base import DriveBlock
 from tactile.bus.parts.adapter import Place
+from tactile.bus.parts.chip_bus import START_WAIT
 from tactile.bus.parts.drv2667 import Drv2667
+from tactile.errors import BusStateError
 
 one = parts_rig.one
 
@@ -245,6 +248,52 @@ def test_while_the_link_is_down_status_says_so_and_write_neither_raises_nor_bloc
     one.write(level(40, 8000), 4800)
     assert one.bus.status == replace(status, link="up", detail="", playing=True)
     assert one.bus.counters.reconnects == 1
+
+
+def test_an_estop_while_one_waits_to_write_drops_the_rest(
+    one: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one.bus.start()
+    one.write(level(40, 800))
+    wait = one.runner.wait
+
+    def press(done: Callable[[], bool], seconds: float) -> bool:
+        monkeypatch.setattr(one.runner, "wait", wait)
+        one.bus.estop()
+        return wait(done, seconds)
+
+    monkeypatch.setattr(one.runner, "wait", press)
+    one.write(np.full((800, 1), 40.0), begin=800, size=400)
+    assert one.bus.state == "estopped"
+    assert one.bus.counters.dropped_samples > 600
+    assert one.chip.volts == 0.0
+    one.bus.clear()
+    one.bus.start()
+    assert (one.bus.status.state, one.bus.status.playing) == ("running", True)
+    one.bus.stop()
+
+
+def test_an_estop_while_chips_are_set_up_holds_and_start_says_so_at_once(
+    one: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, wait = one.runner.now(), one.runner.wait
+
+    def press(done: Callable[[], bool], seconds: float) -> bool:
+        monkeypatch.setattr(one.runner, "wait", wait)
+        one.bus.estop()
+        return wait(done, seconds)
+
+    monkeypatch.setattr(one.runner, "wait", press)
+    with pytest.raises(BusStateError, match="start: the bus was e-stopped meanwhile"):
+        one.bus.start()
+    assert one.runner.now() - begun < START_WAIT
+    assert one.bus.state == "estopped"
+    assert one.bus.pump.board.amplifier.state == State.ESTOP
+    one.bus.clear()
+    one.bus.start()
+    one.write(level(40, 800))
+    one.bus.stop()
+    assert np.abs(one.chip.waveform()).max() > 30
 
 
 def test_a_bos1921_that_was_held_is_led_to_0_volts_first() -> None:

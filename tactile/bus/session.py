@@ -33,7 +33,7 @@ AHEAD = 30e-3
 SILENCE = 0.25
 """s without a word from an amplifier, which sends PULSE every 10 ms, after which it is lost."""
 GIVEN_UP = 0.1
-"""s since the last word of amplifiers whose link broke, after which they are taken to be at 0 V."""
+"""s since the last word from amplifiers, after which they are not taken to play any more."""
 QUEUED = 50e-3
 """s of packets on their way to the wire, beyond which no HEARTBEAT is sent (SPEC.md, 14)."""
 HELD = 2e-3
@@ -127,9 +127,8 @@ class Session:
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
         self._found: dict[int, m.Caps] = {}
-        self._until = self._wire_free = -math.inf
+        self._until = self._wire_free = self._known_to_run = -math.inf
         self._first: int | None = None
-        self._known_to_run = -math.inf
         self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
         self._seq = 0
@@ -149,7 +148,9 @@ class Session:
         self.trouble = why
         if self.stream is not None:
             self.stream.freeze(now)
-        if self.phase is Phase.RUN:
+        if any(peer.forgot for peer in self.peers):
+            self._known_to_run = -math.inf
+        elif self.phase is Phase.RUN:
             self._known_to_run = min(peer.heard for peer in self.peers)
         self.phase = Phase.DOWN
         if self.want is Want.RUN and self._first is not None:
@@ -184,8 +185,7 @@ class Session:
 
     def clear(self, now: float) -> None:
         """End an e-stop or a fault."""
-        self.want, self.refusal, self.tripped = Want.READY, "", False
-        self._gave_up = False
+        self.want, self.refusal, self.tripped, self._gave_up = Want.READY, "", False, False
         if self.phase is not Phase.DOWN:
             self._enter(Phase.TRIPS, now)
 

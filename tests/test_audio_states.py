@@ -27,7 +27,7 @@ class Card:
     Attributes
     ----------
     heard : the kinds of messages that it got
-    hook : called with each of them
+    hook : called after each of them
     """
 
     def __init__(self, order: Order | None) -> None:
@@ -40,17 +40,18 @@ class Card:
 
     @property
     def told(self) -> Told:
-        """How it stands, a second on from the start at each look."""
+        """How it stands: it takes whatever comes."""
         return Told(0, self.phase, 0, 10**9, 0, 0, 0, 0, 0, 0.0, 0.0, "", "")  # type: ignore[arg-type]
 
     def tell(self, kind: str, *rest: object, seconds: float = 1.0) -> int:
         self.heard.append(kind)
-        self.hook(kind)
         if kind == "start":
             self.phase = "waiting"
         elif kind in ("stop", "abort", "estop"):
             self.phase = "rest"
-        return len(self.heard)
+        number = len(self.heard)
+        self.hook(kind)
+        return number
 
     def ask(self, kind: str = "ask", *, seconds: float = 1.0) -> Told | None:
         return None if self.ended else self.told

@@ -255,11 +255,13 @@ def test_an_estop_in_the_middle_of_a_call_holds_on_the_amplifier(
         return wait(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rig.bus, "_wait", wait_late)
+    begun = rig.clock.time
     if call == "stop":
         rig.bus.stop()
     else:
         with pytest.raises(BusStateError, match=f"{call}: the bus was e-stopped meanwhile"):
             getattr(rig.bus, call)()
+    assert rig.clock.time < begun + TOLD, "it waits for what cannot come"
     rig.idle(0.3)
     assert rig.bus.state == "estopped"
     assert rig.model.amplifiers[0].state == State.ESTOP

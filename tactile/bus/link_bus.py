@@ -148,7 +148,7 @@ class LinkBus(Bus):
         if session.phase is Phase.RUN and session.want is Want.RUN:
             return False
         with self._changed:
-            return session.gives_up(self._clock.now()) and not session.tripped
+            return session.gives_up(self._clock.now())
 
     @property
     def lead(self) -> float:

@@ -90,7 +90,7 @@ WHEN = pytest.mark.parametrize("when", ["before", "after"])
 
 def assert_latched(bus: Hooked) -> None:
     """See that it is e-stopped, as its amplifier is, until it is cleared, and plays again then."""
-    assert bus.state == bus.status.state == "estopped"
+    assert {bus.state, bus.status.state} == {"estopped"}
     assert (bus.plays, bus.latched) == (False, True)
     with pytest.raises(BusStateError, match="clear it first"):
         bus.start()
@@ -293,7 +293,7 @@ def test_the_mock_ends_in_an_estop_as_well_and_is_not_stuck() -> None:
     bus.write(DriveBlock(0, BLOCK))
     bus.stop()
     assert bus.state == "estopped"
-    assert bus.boards[0].amplifier.state == State.ESTOP
+    assert {board.amplifier.state for board in bus.boards} == {State.ESTOP}
     assert not bus.output[-1].any()
     bus.clear()
     bus.start()
@@ -341,7 +341,7 @@ def test_whatever_runs_beside_it_an_estop_holds(url: str, display: Display) -> N
         for thread in threads:
             thread.join(PATIENCE)
         assert failed == []
-        assert bus.state == "estopped"
+        assert {bus.state} == {"estopped"}
         assert all(board.amplifier.state == State.ESTOP for board in bus.boards)
         assert not bus.output[-1:].any()
         bus.clear()

@@ -39,7 +39,7 @@ def until(happened: Callable[[], Any]) -> Any:
     return result
 
 
-def info(name: str) -> m.DisplayInfo:
+def info(name: str, estop: int = 0) -> m.DisplayInfo:
     return m.DisplayInfo(
         name=name,
         contactors_mm=((-1.0, 2.0), (1.0, 2.0)),
@@ -48,6 +48,7 @@ def info(name: str) -> m.DisplayInfo:
         voltage_limit_v=100.0,
         waveforms=True,
         latency_ms=4.0,
+        estop=estop,
     )
 
 
@@ -62,6 +63,7 @@ class Script:
     def __init__(self, *displays: str) -> None:
         self.displays = displays or ("left",)
         self.messages_per_second = 0
+        self.estop = 0
         self.answers: dict[type, Callable[[Any], m.Answer | None]] = {}
 
     def answer(self, said: Any) -> m.Answer | None:
@@ -74,8 +76,9 @@ class Script:
                     server="test",
                     version=1,
                     session="s",
-                    displays=tuple(info(name) for name in self.displays),
+                    displays=tuple(info(name, self.estop) for name in self.displays),
                     may_arm=True,
+                    roles=("watch", "arm"),
                     time_us=server_time_us(),
                     messages_per_second=self.messages_per_second,
                 )
@@ -89,7 +92,9 @@ class Script:
             case m.Append():
                 return m.Appended(id=said.id, samples_consumed=count(said), buffered_ms=10.0)
             case m.GetStats():
-                return stats(said)
+                return msgspec.structs.replace(stats(said), estop=self.estop)
+            case m.EStop() if said.display:
+                return m.Done(id=said.id, estops={said.display: 7})
             case m.Ping():
                 return m.Pong(id=said.id, time_us=said.time_us, server_time_us=server_time_us())
             case _:

@@ -1,0 +1,227 @@
+"""The SDK's e-stop in both twins: never lost, named by `clear`, and nothing is armed again."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+import client_rig
+import pytest
+from client_rig import PATIENCE, Daemon, Script, Twin, until
+
+from tactile.client import aio, base, websocket
+from tactile.client.session import Session
+from tactile.daemon import messages as m
+from tactile.errors import ClientError, DisconnectedError, InputError
+
+daemon = client_rig.daemon
+display = client_rig.display
+script = client_rig.script
+twin = client_rig.twin
+
+
+def said_since_hello(daemon: Daemon) -> list[m.Command]:
+    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.Hello))
+    return [said for said in daemon.heard[last + 1 :] if not isinstance(said, m.Ping)]
+
+
+@pytest.mark.parametrize(
+    ("call", "first"),
+    [
+        (lambda d: d.estop(), [m.EStop]),
+        (lambda d: d.connection.estop(), [m.EStop]),
+        (lambda d: d.disarm(), []),
+    ],
+)
+def test_what_is_called_without_a_daemon_holds_when_it_is_back(
+    twin: Twin, script: Script, daemon: Daemon, call: Callable[[Any], Any], first: list[type]
+) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
+        display.gain(0.5)
+        display.arm()
+        script.answers[m.Hello] = lambda said: m.Failure(id=said.id, code="busy", message="no")
+        daemon.drop()
+        until(lambda: not display.connected)
+        with pytest.raises(DisconnectedError, match="will be sent first" if first else "connected"):
+            call(display)
+        del script.answers[m.Hello]
+        until(lambda: display.connected)
+        display.stats()
+        assert [type(said) for said in said_since_hello(daemon)] == [*first, m.Gain, m.GetStats]
+
+
+def test_an_estop_that_was_not_confirmed_is_sent_again(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        display.gain(0.5)
+        script.answers[m.EStop] = lambda said: daemon.drop()
+        with pytest.raises(DisconnectedError, match="will be sent first"):
+            display.estop()
+        del script.answers[m.EStop]
+        until(lambda: display.connected)
+        until(lambda: display.estopped == 7)
+        display.stats()
+        assert [type(said) for said in said_since_hello(daemon)] == [m.EStop, m.Gain, m.GetStats]
+
+
+def test_a_display_that_was_estopped_meanwhile_is_not_armed_again(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
+        display.arm()
+        script.estop = 4
+        daemon.drop()
+        until(lambda: display.estopped == 4)
+        display.stats()
+        assert [type(said) for said in said_since_hello(daemon)] == [m.GetStats]
+
+
+def opened_session() -> tuple[Session, list[Any]]:
+    """Return a session that is connected to nothing, and what it hands over."""
+    kept: list[Any] = []
+
+    class Nowhere:
+        open: Any = None
+        close: Any = None
+        send = staticmethod(kept.append)
+
+    session = Session(Nowhere(), m.Hello(client="test"), monotonic=time.monotonic)
+    session.opened()
+    session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
+    return session, kept
+
+
+def test_what_makes_quieter_is_never_too_much() -> None:
+    session, kept = opened_session()
+    for _ in range(256):
+        session.ask(m.Gain(display="left", gain=0.5))
+    with pytest.raises(ClientError, match="256 requests wait"):
+        session.ask(m.Arm(display="left"))
+    session.ask(m.EStop())
+    session.ask(m.Disarm(display="left"))
+    assert [type(said) for said in kept[256:]] == [m.EStop, m.Disarm]
+
+
+@pytest.mark.parametrize("timeout", ["soon", float("nan"), -1])
+def test_an_estop_is_sent_whatever_is_wrong_with_its_timeout(
+    display: Any, daemon: Daemon, timeout: Any
+) -> None:
+    with pytest.raises(InputError, match="timeout"):
+        display.estop(timeout=timeout)
+    with pytest.raises(InputError, match="timeout"):
+        display.arm(timeout=timeout)
+    display.stats()
+    assert [type(said) for said in said_since_hello(daemon)] == [m.EStop, m.GetStats]
+
+
+# Numbers
+
+
+@pytest.mark.parametrize("how", ["stats", "event", "estop", "welcome"])
+def test_clear_names_the_estop_that_was_reported(
+    twin: Twin, script: Script, daemon: Daemon, how: str
+) -> None:
+    script.estop = 7 if how == "welcome" else 0
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        assert display.estopped == script.estop
+        if how == "event":
+            daemon.say(m.Event(display="left", kind="estopped", estop=7))
+        elif how == "estop":
+            assert display.estop() == 7
+        elif how == "stats":
+            script.estop = 7
+            assert display.stats().estop == 7
+        until(lambda: display.estopped == 7)
+        display.clear()
+        assert [said.estop for said in daemon.of(m.Clear)] == [7]
+        daemon.say(m.Event(display="left", kind="cleared"))
+        until(lambda: display.estopped == 0)
+
+
+@pytest.mark.parametrize(("estop", "cleared"), [(0, []), (3, [3])])
+def test_clear_asks_where_no_estop_is_known(
+    display: Any, script: Script, daemon: Daemon, estop: int, cleared: list[int]
+) -> None:
+    script.estop = estop
+    display.clear()
+    assert [said.estop for said in daemon.of(m.Clear)] == cleared
+    assert len(daemon.of(m.GetStats)) == 1
+
+
+def test_a_program_reads_its_roles(display: Any) -> None:
+    assert display.connection.roles == frozenset({"watch", "arm"})
+
+
+# Signs of life
+
+
+def test_a_cancellation_that_comes_with_the_result_is_not_lost() -> None:
+    async def wait(waiting: Callable[[Future[int]], Any]) -> None:
+        future: Future[int] = Future()
+        task = asyncio.create_task(waiting(future))
+        await asyncio.sleep(0)
+        future.set_result(1)
+        asyncio.get_running_loop().call_soon(task.cancel)  # before the task hears of the result
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    async def main() -> None:
+        transport = websocket.TaskTransport(base.EXAMPLE_URL, timeout=PATIENCE)
+        await wait(lambda future: aio._wait(future, PATIENCE, "it"))
+        await wait(lambda future: transport._answer(future, PATIENCE, "it"))
+
+    asyncio.run(main())
+
+
+def test_sending_without_end_leaves_others_their_turn() -> None:
+    """Such as the reader, which answers the daemon's pings."""
+    contact = m.Contact(display="left", position_mm=(0.0, 0.0), normal_force_n=0.5)
+
+    async def main() -> None:
+        transport = websocket.TaskTransport(base.EXAMPLE_URL, timeout=PATIENCE)
+        transport._receiver = opened_session()[0]
+        sent: list[Any] = []
+
+        class Endless:
+            contacts = 1
+
+            def take(self, contacts: bool) -> list[Any]:
+                assert len(sent) < 100, "nobody else had a turn"
+                return [contact]
+
+        class Quick:
+            async def send(self, data: bytes, text: bool) -> None:
+                sent.append(data)
+
+        transport._outbox = Endless()  # type: ignore[assignment]
+        transport._more.set()
+        writing = asyncio.create_task(transport._write(Quick()))  # type: ignore[arg-type]
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert sent
+        writing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await writing
+
+    asyncio.run(main())
+
+
+def test_a_callback_that_waits_keeps_no_ping_unanswered(daemon: Daemon) -> None:
+    """Of the thread's twin: a callback of asyncio must not block its loop, as any there."""
+    twin = Twin("thread")
+    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+        entered: Future[None] = Future()
+        leave: Future[None] = Future()
+
+        def wait(event: Any) -> None:
+            entered.set_result(None)
+            leave.result(PATIENCE)
+
+        display.on_event(wait)
+        daemon.say(m.Event(display="left", kind="fault"))
+        entered.result(PATIENCE)
+        assert daemon.last.ping().wait(PATIENCE)
+        display.gain(0.5)
+        leave.set_result(None)

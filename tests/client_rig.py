@@ -136,19 +136,19 @@ def telemetry(number: int, display: str = "left") -> m.Telemetry:
 class Daemon:
     """A WebSocket server on a port of its own that reads by the contract and follows a script."""
 
-    def __init__(self, script: Script) -> None:
+    def __init__(self, script: Script, listener: socket.socket | None = None) -> None:
         self.script = script
         self.heard: list[Any] = []
         self.connections: list[ServerConnection] = []
         self.reading = threading.Event()
         self.reading.set()
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = listener or socket.create_server(("127.0.0.1", 0))
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         protocols = [Subprotocol(m.MSGPACK_PROTOCOL), Subprotocol(m.JSON_PROTOCOL)]
         self.server: Server = serve(
             self._handle, sock=self._listener, subprotocols=protocols, close_timeout=1
         )
-        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}/v1"
+        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}/v1" if not listener else ""
         self._thread = threading.Thread(target=self.server.serve_forever)
         self._thread.start()
 

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import client_rig
 import pytest
@@ -16,6 +17,7 @@ from websockets.sync.server import ServerConnection, serve
 from tactile import client, local
 from tactile.client import base, websocket
 from tactile.daemon import messages as m
+from tactile.daemon import paths
 from tactile.daemon.config import Config
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
 
@@ -38,7 +40,29 @@ def test_what_an_address_leaves_open(
     url: str | None, made: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("TACTILE_URL", raising=False)
+    monkeypatch.setattr(paths, "find_sockets", list)
     assert base.endpoint(url) == made
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Unix sockets of Linux")
+def test_the_daemons_unix_socket_comes_first(
+    twin: Twin, script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "tactile.sock"
+    monkeypatch.delenv("TACTILE_URL", raising=False)
+    monkeypatch.setattr(paths, "find_sockets", lambda: [path])
+    assert base.default_url() == f"ws+unix://{path}"
+    with pytest.raises(DisconnectedError, match=f"{path}: nobody listens there"):
+        twin.connect(timeout=PATIENCE)
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+    daemon = Daemon(script, listener)
+    try:
+        with twin.connect(timeout=PATIENCE) as display:
+            assert display.stats().display == "left"
+    finally:
+        daemon.close()
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:7411", "http://127.0.0.1", "ws://", "ws://a:b"])

@@ -5,6 +5,9 @@
 ...     async with aio.connect() as display:
 ...         await display.select("wood-oak")
 ...         await display.touch((0.012, 0.003), velocity=(0.08, 0.0), normal_force=0.5)
+
+The event loop also answers the daemon's pings: where a program blocks it for 150 ms, the daemon
+takes it as gone, and fades its waveforms.
 """
 
 import asyncio

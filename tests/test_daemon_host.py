@@ -133,6 +133,17 @@ def test_a_name_chooses_among_what_there_is_and_nothing_else(program: Program, n
     assert (told.code, told.field) == ("unknown_texture", "layers[1].texture")
 
 
+def test_more_drawings_than_a_client_may_select_are_refused(program: Program) -> None:
+    """All at once, of seeds that nobody has selected yet: the fifth finds four that are made."""
+    asked = [
+        m.Select(display=NAME, layers=(m.Layer(texture="wood-oak", seed=seed),))
+        for seed in range(1000, 1005)
+    ]
+    *answers, last = program.ask(*asked)
+    assert answers == [m.Done()] * 4
+    assert failure([last]).code == "busy"
+
+
 def test_an_unknown_display_is_named_with_the_nearest(program: Program) -> None:
     told = failure(program.ask(m.Arm(display="rihgt")))
     assert (told.code, told.field) == ("unknown_display", "display")
@@ -303,7 +314,7 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     runner.run(host.reload())
     assert host.playing[NAME] is playing
     assert part.layers != before, "made anew"
-    assert list(playing._textures) == [("wood-oak", 0)], "what nobody selects is let go"
+    assert list(playing._shelf.ready) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.Event)}
     program.ask(m.Arm(display=NAME))

@@ -86,7 +86,7 @@ def measure_waves() -> Iterator[Figure]:
         "effect": (plain(), 0),
         "effect_with_transients": (costliest(), 0),
         "waveform": (None, 1),
-        "waveform_of_short_segments": (None, m.MOST_SAMPLES // 24),
+        "waveform_of_short_segments": (None, m.MOST_SAMPLES // 48),
     }
     for name, (curve, cuts) in kinds.items():
         one, _, work = _microseconds(1, curve, cuts=cuts)

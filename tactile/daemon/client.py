@@ -20,6 +20,7 @@ from tactile.daemon.messages import Answer, Command, Contact, Event, Failure, Te
 from tactile.daemon.playing import Part, Playing
 from tactile.daemon.requests import kind_of
 from tactile.daemon.shared import Touch
+from tactile.daemon.shelf import TooManyDrawingsError
 from tactile.daemon.waves import ENDING, Curve
 from tactile.errors import BusError
 from tactile.files import nearest
@@ -186,11 +187,10 @@ class Client:
                     code="unknown_texture", field=f"layers[{k}].texture",
                     message=f"no texture {layer.texture!r}; {near}",
                 )  # fmt: skip
-        part = self._part(playing)
-        part.layers = tuple(
-            [(await playing.texture(one.texture, one.seed), one.gain) for one in command.layers]
-        )
-        await playing.ask(orders.Select(self.number, part.layers))
+        try:
+            await playing.select(self.number, command.layers)
+        except TooManyDrawingsError as error:
+            return Failure(code="busy", message=str(error), field="layers")
         return m.Done()
 
     async def _scaled(self, playing: Playing) -> Answer:

@@ -16,8 +16,9 @@ from tactile.daemon.client import Client
 from tactile.daemon.config import Config, load_config
 from tactile.daemon.estop_desk import EstopDesk
 from tactile.daemon.messages import Event
-from tactile.daemon.playing import Playing, Workbench, configured
+from tactile.daemon.playing import Playing, configured
 from tactile.daemon.tasks import watched
+from tactile.daemon.workbench import Workbench
 from tactile.errors import BusError, InputError
 from tactile.texture import descriptor
 

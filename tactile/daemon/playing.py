@@ -11,21 +11,23 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from msgspec import structs
 
-from tactile.daemon import drawing, orders
+from tactile.daemon import orders
 from tactile.daemon.children import Child
 from tactile.daemon.config import DisplayConfig
 from tactile.daemon.latch import Latch
-from tactile.daemon.messages import SILENCE, DisplayInfo, Event
+from tactile.daemon.messages import SILENCE, DisplayInfo, Event, Layer
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
 from tactile.daemon.paths import state_folder
 from tactile.daemon.shared import Report, Shared, Touch
+from tactile.daemon.shelf import Shelf
 from tactile.daemon.tasks import watched
+from tactile.daemon.workbench import Workbench
 from tactile.display import Display, load_display
 from tactile.errors import BusError, InputError
 
@@ -46,8 +48,8 @@ OWNERLESS = 0.5
 """s after which high voltage that belongs to nobody is switched off."""
 REARMED = ("serial:", "can:", "i2c:")
 """Devices whose link may arm again by itself."""
-MOST_TEXTURES = 16
-"""That are kept ready for one display."""
+SERVER = 0
+"""The client for whom the server itself has textures made anew."""
 
 
 def hangs(now: float, reported: float, opened: float) -> bool:
@@ -107,7 +109,7 @@ class Playing:
     """
 
     def __init__(
-        self, config: DisplayConfig, workbench: "Workbench", tell: Callable[[Event], None]
+        self, config: DisplayConfig, workbench: Workbench, tell: Callable[[Event], None]
     ) -> None:
         self.config, self.display = config, configured(config)
         self.latch = Latch.open(config.device, state_folder())
@@ -117,15 +119,17 @@ class Playing:
         self.finger = Finger()
         self.lost = True
         self.failure = ""
-        self._workbench, self._tell = workbench, tell
+        self._tell = tell
         self._child: Child | None = None
         self._asked: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
         self._opened: asyncio.Future[Opened] | None = None
         self._since = 0.0
-        self._textures: dict[tuple[str, int], int] = {}
+        self._shelf = Shelf(
+            self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
+            selected=self._selected,
+        )  # fmt: skip
         self._about = self._described()
-        self._making: dict[tuple[str, int], asyncio.Task[int]] = {}
         self.arming: set[int] = set()
         self._estops = 0
         self._owned = 0.0
@@ -409,61 +413,71 @@ class Playing:
         except (OSError, ValueError) as error:
             log.error("%s: the e-stop latch was not saved: %s", self.config.name, error)
 
-    async def texture(self, name: str, seed: int) -> int:
+    async def select(self, client: int, layers: Sequence[Layer]) -> None:
+        """Have a client's textures made ready, and play them.
+
+        Raises
+        ------
+        TooManyDrawingsError
+            Where the client waits for as many textures as it may.
+        BusError
+            Where one cannot be made ready, or there is no room for it.
+        """
+        part = self.parts.setdefault(client, Part())
+        with self._shelf.held() as held:
+            chosen = []
+            for layer in layers:
+                number = await self.texture(client, layer.texture, layer.seed)
+                held.add(number)
+                chosen.append((number, layer.gain))
+            part.layers = tuple(chosen)
+        await self.ask(orders.Select(client, part.layers))
+
+    async def texture(self, client: int, name: str, seed: int) -> int:
         """Return the number of a texture that is ready.
 
         Raises
         ------
+        TooManyDrawingsError
+            Where the client waits for as many as it may.
         BusError
-            Where it cannot be made ready.
+            Where it cannot be made ready, or there is no room for it.
         """
-        key = name, seed
-        if key in self._textures:
-            self._textures[key] = self._textures.pop(key)  # the latest is the last to go
-            return self._textures[key]
-        if key not in self._making:
-            self._making[key] = asyncio.create_task(self._made(key))
-        return await asyncio.shield(self._making[key])
+        return await self._shelf.texture(client, (name, seed), self.how)
 
-    async def _made(self, key: tuple[str, int]) -> int:
-        """Have a texture made ready, once for all who wait for it."""
-        try:
-            number, order = await self._workbench.make(self.display, *key, self.how)
-            if self._child is None or self.lost:
-                raise BusError("playback was lost")
-            self._child.tell(order)
-            self._textures[key] = number
-            await self._tidy()
-        finally:
-            del self._making[key]
-        return number
+    def cancel_drawings(self, client: int) -> None:
+        """Make no more ready for a client that has left, but for what others wait for too."""
+        self._shelf.leave(client)
 
-    async def _tidy(self) -> None:
-        """Let go of textures that nobody has selected, those first that were for longest."""
-        used = self._used
-        spare = [key for key, n in self._textures.items() if n not in used]
-        for key in spare[: max(len(self._textures) - MOST_TEXTURES, 0)]:
-            await self.ask(orders.Drop(self._textures.pop(key)))
+    def _keep_texture(self, order: bytes) -> None:
+        if self._child is None or self.lost:
+            raise BusError("playback was lost")
+        self._child.tell(order)
 
-    @property
-    def _used(self) -> set[int]:
+    async def _drop_texture(self, number: int) -> None:
+        await self.ask(orders.Drop(number))
+
+    def _selected(self) -> set[int]:
         return {n for part in self.parts.values() for n, _ in part.layers}
 
     async def renew(self) -> None:
         """Have what is selected made anew, from files that may have changed, and play that."""
-        old, self._textures = self._textures, {}
-        numbers, used = dict[int, int](), self._used
-        for key, n in old.items():
-            if n in used:
-                try:
-                    numbers[n] = await self.texture(*key)
-                except BusError as error:
-                    log.error("%s: %s", self.config.name, error)
+        old, self._shelf.ready = self._shelf.ready, {}
+        numbers, selected = dict[int, int](), self._selected()
+        with self._shelf.held() as held:
+            for key, (n, _) in old.items():
+                if n in selected:
+                    try:
+                        numbers[n] = await self.texture(SERVER, *key)
+                        held.add(numbers[n])
+                    except BusError as error:
+                        log.error("%s: %s", self.config.name, error)
+            for part in self.parts.values():
+                part.layers = tuple((numbers.get(n, n), gain) for n, gain in part.layers)
         for client, part in list(self.parts.items()):
-            part.layers = tuple((numbers.get(n, n), gain) for n, gain in part.layers)
             await self.ask(orders.Select(client, part.layers))
-        for n in old.values():
-            await self.ask(orders.Drop(n))
+        for n, _ in old.values():
+            await self._drop_texture(n)
 
     def touch(self, client: int, touch: Touch) -> None:
         """Take a contact, where the finger is the client's, or nobody's."""
@@ -482,6 +496,7 @@ class Playing:
 
     async def leave(self, client: int) -> None:
         """Lift a client's finger, and let what it plays fade."""
+        self.cancel_drawings(client)
         if self.finger.client == client and self.finger.touch is not None:
             now = time.monotonic()
             lifted = self.finger.touch._replace(time=now, arrival=now, normal_force=0.0)
@@ -538,64 +553,3 @@ class Playing:
             waveforms=not self.how.carriers,
             latency_ms=0.0,
         )
-
-
-@dataclass
-class Workbench:
-    """Makes textures ready, in a process of its own."""
-
-    _child: Child | None = None
-    _asked: dict[int, "asyncio.Future[bytes]"] = field(default_factory=dict)
-    _number: int = 0
-
-    async def make(
-        self, display: Display, texture: str, seed: int, how: Opened
-    ) -> tuple[int, bytes]:
-        """Return a texture's number, and the order for playback to keep it.
-
-        Raises
-        ------
-        BusError
-            Where it cannot be made.
-        """
-        self.begin()
-        assert self._child is not None
-        self._number += 1
-        number = self._number
-        future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._asked[number] = future
-        self._child.tell(
-            drawing.Request(
-                number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
-            )
-        )
-        try:
-            return number, await asyncio.wait_for(future, OPENING)
-        except TimeoutError:
-            raise BusError(f"texture {texture} was not ready after {OPENING:g} s") from None
-        finally:
-            self._asked.pop(number, None)
-
-    def _heard(self, what: Any) -> None:
-        if isinstance(what, drawing.Made):
-            future = self._asked.pop(what.number, None)
-            if future is not None and not future.done():
-                if what.failure:
-                    future.set_exception(BusError(what.failure))
-                else:
-                    future.set_result(what.order)
-            return
-        for future in self._asked.values():
-            if not future.done():
-                future.set_exception(BusError("the process that makes textures ready has ended"))
-        self._asked.clear()
-
-    def begin(self) -> None:
-        """Start the process, so that it is there when the first texture is wanted."""
-        if self._child is None or not self._child.alive:
-            self._child = Child("tactile.daemon.drawing", self._heard)
-
-    async def close(self) -> None:
-        """End it."""
-        if self._child is not None:
-            await self._child.end(ENDING)

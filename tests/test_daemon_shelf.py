@@ -1,0 +1,210 @@
+"""Textures that are made ready: whose turn it is, how many there may be, and what is given up."""
+
+import asyncio
+import gc
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from tactile.daemon import shelf, workbench
+from tactile.daemon.orders import Opened
+from tactile.daemon.shelf import MOST_DRAWINGS, MOST_TEXTURES, Shelf, TooManyDrawingsError
+from tactile.daemon.workbench import Workbench
+from tactile.display import load_display
+from tactile.errors import BusError
+
+HOW = Opened(sample_rate=8000.0)
+OAK = "wood-oak"
+
+
+class Bench:
+    """A shelf with a workbench of its own, and what playback would have been told."""
+
+    def __init__(self) -> None:
+        self.workbench = Workbench()
+        self.kept: list[bytes] = []
+        self.dropped: list[int] = []
+        self.selected: set[int] = set()
+        self.ends: list[tuple[int, int]] = []
+        self.shelf = Shelf(
+            load_display("reference-24"), self.workbench, keep=self.kept.append,
+            drop=self._drop, selected=lambda: self.selected,
+        )  # fmt: skip
+
+    async def _drop(self, number: int) -> None:
+        self.dropped.append(number)
+
+    async def texture(self, client: int, seed: int, name: str = OAK) -> int:
+        """Have a texture made ready, and note when it was."""
+        number = await self.shelf.texture(client, (name, seed), HOW)
+        self.ends.append((client, seed))
+        return number
+
+
+def run(story: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
+    """Run a story in which nothing fails unseen."""
+    unseen: list[dict[str, Any]] = []
+
+    async def whole() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, what: unseen.append(what))
+        bench = Bench()
+        try:
+            await story(bench)
+        finally:
+            await bench.workbench.close()
+        await asyncio.sleep(0)
+        gc.collect()
+
+    asyncio.run(whole())
+    assert unseen == []
+
+
+def test_clients_take_turns() -> None:
+    """Each has its first texture before any has its second, in the order in which they came."""
+
+    async def story(bench: Bench) -> None:
+        wishes = [(1, 0), (1, 1), (1, 2), (2, 10), (3, 20), (3, 21)]
+        await asyncio.gather(*(bench.texture(client, seed) for client, seed in wishes))
+        assert bench.ends == [(1, 0), (1, 1), (2, 10), (3, 20), (1, 2), (3, 21)], (
+            "the first was begun when nobody else had come"
+        )
+
+    run(story)
+
+
+def test_what_a_client_that_left_waits_for_is_not_made() -> None:
+    """Of those who hang up a hundred drawings wait; one that comes then has to wait for one."""
+
+    async def story(bench: Bench) -> None:
+        waiting = [asyncio.create_task(bench.texture(client, client)) for client in range(1, 101)]
+        await asyncio.sleep(0)
+        for client in range(1, 101):
+            bench.shelf.leave(client)
+        assert await bench.texture(200, 7) > 100
+        failures = await asyncio.gather(*waiting, return_exceptions=True)
+        assert all(isinstance(failure, BusError) for failure in failures)
+        assert bench.ends == [(200, 7)]
+        assert len(bench.kept) == 1
+
+    run(story)
+
+
+def test_what_another_one_waits_for_too_is_made() -> None:
+    async def story(bench: Bench) -> None:
+        blocker = asyncio.create_task(bench.texture(9, 1))
+        await asyncio.sleep(0)
+        tasks = [asyncio.create_task(bench.texture(client, 0)) for client in (1, 2)]
+        await asyncio.sleep(0)
+        bench.shelf.leave(1)
+        left, stays = await asyncio.gather(*tasks, return_exceptions=True)
+        assert isinstance(left, BusError)
+        assert stays == 2
+        await blocker
+
+    run(story)
+
+
+def test_who_comes_for_what_was_given_up_has_it_made() -> None:
+    async def story(bench: Bench) -> None:
+        blocker = asyncio.create_task(bench.texture(9, 1))
+        first = asyncio.create_task(bench.texture(1, 0))
+        await asyncio.sleep(0)
+        bench.shelf.leave(1)
+        assert await bench.texture(2, 0) == 3
+        assert isinstance((await asyncio.gather(first, return_exceptions=True))[0], BusError)
+        await blocker
+        assert set(bench.shelf.ready) == {(OAK, 0), (OAK, 1)}
+
+    run(story)
+
+
+def test_a_client_waits_for_so_many_at_a_time_and_for_more_when_they_are_ready() -> None:
+    async def story(bench: Bench) -> None:
+        tasks = [asyncio.create_task(bench.texture(1, k)) for k in range(MOST_DRAWINGS)]
+        await asyncio.sleep(0)
+        with pytest.raises(TooManyDrawingsError, match=f"{MOST_DRAWINGS} may be"):
+            await bench.texture(1, MOST_DRAWINGS)
+        other = asyncio.create_task(bench.texture(2, MOST_DRAWINGS))
+        await asyncio.gather(*tasks, other)
+        await bench.texture(1, MOST_DRAWINGS + 1)
+
+    run(story)
+
+
+def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 16 MiB each three fit in 50."""
+    monkeypatch.setattr(shelf, "LARGEST_TEXTURES", 50)
+
+    async def story(bench: Bench) -> None:
+        bench.selected |= {await bench.texture(1, seed) for seed in range(2)}
+        spare = await bench.texture(1, 2)
+        bench.selected.add(await bench.texture(1, 3))
+        assert bench.dropped == [spare]
+        with pytest.raises(BusError, match=r"more than 50 MiB .* take others away first") as told:
+            await bench.texture(1, 4)
+        assert "\n" not in str(told.value)
+        assert bench.dropped == [spare]
+        assert [key[1] for key in bench.shelf.ready] == [0, 1, 3]
+        bench.selected.clear()
+        with bench.shelf.held() as held:
+            held.add(1)
+            await bench.texture(1, 4)
+        assert bench.dropped == [spare, 2], "what is about to be selected stays too"
+
+    run(story)
+
+
+def test_so_many_stay_ready_that_nobody_has_selected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shelf, "MOST_TEXTURES", 3)
+    assert MOST_TEXTURES > 3
+
+    async def story(bench: Bench) -> None:
+        for seed in (0, 1, 2, 0, 3):
+            await bench.texture(1, seed)
+        assert bench.dropped == [2], "the one that nobody had come for since"
+        assert [key[1] for key in bench.shelf.ready] == [2, 0, 3]
+
+    run(story)
+
+
+def test_a_failure_is_told_and_nobody_need_hear_it() -> None:
+    async def story(bench: Bench) -> None:
+        with pytest.raises(BusError, match="nothing-such"):
+            await bench.texture(1, 0, "nothing-such")
+        task = asyncio.create_task(bench.texture(1, 0, "nothing-such"))
+        await asyncio.sleep(0)
+        task.cancel()
+        await bench.texture(2, 0)
+
+    run(story)
+
+
+def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(workbench, "LONGEST", 0.0)
+
+    async def story(bench: Bench) -> None:
+        with pytest.raises(BusError, match="was not ready after 0 s"):
+            await bench.texture(1, 0)
+        monkeypatch.setattr(workbench, "LONGEST", 600.0)
+        assert await bench.texture(1, 0) == 2
+
+    run(story)
+
+
+def test_a_process_that_dies_fails_what_it_makes_and_no_more() -> None:
+    async def story(bench: Bench) -> None:
+        tasks = [asyncio.create_task(bench.texture(client, client)) for client in (1, 2)]
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert bench.workbench._child is not None
+        bench.workbench._child._process.kill()
+        first, second = await asyncio.gather(*tasks, return_exceptions=True)
+        assert isinstance(first, BusError)
+        assert second == 2
+
+    run(story)

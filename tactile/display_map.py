@@ -124,7 +124,7 @@ def write_tables(
         the file says ``bimorph`` or ``finger`` in another form than as tables; nothing is written.
     """
     path, _ = _checked_place(source, target, force=force)
-    old = path.read_text("utf-8")
+    old = files.read_text(path)
     wanted, text = tomllib.loads(old), old
     if bimorph:
         wanted["bimorph"] = wanted.get("bimorph", {}) | _plain(bimorph)
@@ -223,7 +223,7 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
 
 def _replaced(path: Path, contactors: Sequence[Contactor]) -> str:
     """Return a file's text with its contactors replaced; all other tables stay."""
-    text = path.read_text("utf-8")
+    text = files.read_text(path)
     left, out = list(contactors), []
     for kind, lines in _sections(text.splitlines(keepends=True)):
         if kind not in MAPPED:

@@ -22,6 +22,20 @@ from tactile.errors import InputError, NotFoundError
 
 Shape = TypeVar("Shape", bound=msgspec.Struct)
 
+LARGEST_TEXT = 1024 * 1024
+"""Characters of a file: twice what a display of 4096 contactors takes, each spelled out."""
+LARGEST_TABLE = 256 * 1024 * 1024
+"""Bytes of a CSV file, which take some GB as Python's rows: an hour at 2 kHz."""
+LONGEST_LINE = 1000
+"""Characters of what is said of a file, which may hold what it says of a value."""
+DEEPEST = 32
+"""Parts of a dotted key."""
+_NO_KEY = re.compile(
+    r'''"""[\s\S]*?(?:"""|\Z)|\'{3}[\s\S]*?(?:\'{3}|\Z)'''
+    r"""|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|\#[^\n]*"""
+)
+"""Strings and comments, also those that do not end."""
+
 
 def shipped(kind: str) -> Path:
     """Return the folder of shipped files ("textures", "displays"), in a wheel or a checkout."""
@@ -69,6 +83,35 @@ def find(kind: str, name_or_path: str | Path) -> Path:
     raise NotFoundError(f"no {kind[:-1]} {str(path)!r}; {nearest(str(path), list(names))}")
 
 
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, or is larger than `LARGEST_TEXT`.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LARGEST_TEXT + 1)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if len(text) > LARGEST_TEXT:
+        raise InputError(
+            f"{path}: has more than {LARGEST_TEXT // 1024} KiB of text, the most that may be; is "
+            "it the right file?"
+        )
+    return text
+
+
+def _shallow(path: Path, text: str) -> str:
+    """Return TOML, whose keys have few parts: the parser takes their square in time."""
+    bare = re.sub(r"[ \t]", "", _NO_KEY.sub("s", text))
+    if any(word.count(".") >= DEEPEST for word in re.split(r"[^\w.-]+", bare)):
+        raise InputError(f"{path}: has a key of more than {DEEPEST} parts, the most that may be")
+    return text
+
+
 def read(path: Path, shape: type[Shape]) -> Shape:
     """Read a TOML file into a Struct.
 
@@ -77,10 +120,9 @@ def read(path: Path, shape: type[Shape]) -> Shape:
     InputError
         Where it cannot be read, is no TOML, or does not fit: file, field, value and limit.
     """
+    text = _shallow(path, read_text(path))
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no valid TOML: {_one_line(str(error))}") from error
     for field, value in _leaves(data):
@@ -95,7 +137,8 @@ def read(path: Path, shape: type[Shape]) -> Shape:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    line = " ".join(text.split())
+    return line if len(line) <= LONGEST_LINE else line[: LONGEST_LINE - 1] + "…"
 
 
 def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
@@ -168,6 +211,11 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
     if not is_file(path):
         raise NotFoundError(f"{path}: no such file")
     try:
+        if path.stat().st_size > LARGEST_TABLE:
+            raise InputError(
+                f"{path}: is larger than {LARGEST_TABLE // 1024**2} MiB, the most that may be; "
+                "cut it into parts"
+            )
         with path.open(newline="", encoding="utf-8-sig") as lines:
             reader = csv.DictReader(lines)
             header = list(reader.fieldnames or [])

@@ -151,6 +151,12 @@ def test_tokens_have_their_roles_and_one_may_be_a_credential(
     ]
 
 
+def test_a_token_file_that_never_ends_is_refused(tmp_path: Path) -> None:
+    write_secret(tmp_path / "token", "x" * 2**21)
+    with pytest.raises(InputError, match="token: has more than 1024 KiB of text"):
+        load_config(write(tmp_path, '[server]\nhost = "0.0.0.0"\ntoken_file = "token"'))
+
+
 def test_a_server_for_others_cannot_be_made_without_a_token_either() -> None:
     with pytest.raises(ValueError, match="must be given"):
         Config(server=ServerConfig(host="10.0.0.1"))

@@ -111,6 +111,45 @@ def with_fault(folder: Path, kind: str, old: str, new: str) -> str:
     return refused(folder / kind / "sample.toml", text.replace(old, new, 1))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join("a" * 20_000) + " = 1", ". ".join(["a"] * 20_000) + " = 1",
+        ".".join(['"a"'] * 20_000) + " = 1", "[" + ".".join("a" * 20_000) + "]",
+        "x = {" + ".".join("a" * 20_000) + " = 1}", ".".join("a" * 33) + " = 1",
+    ],
+    ids=["bare", "spaced", "quoted", "table", "inline", "one too many"],
+)  # fmt: skip
+def test_a_key_of_too_many_parts_is_refused_before_it_is_parsed(tmp_path: Path, text: str) -> None:
+    assert refused(tmp_path / "a.toml", text).startswith("has a key of more than 32 parts")
+
+
+def test_dots_that_part_no_key_are_none(tmp_path: Path) -> None:
+    """In comments, in strings of each kind, in numbers; and 32 parts are not too many."""
+    words = ".".join("a" * 100)
+    strings = "".join(f"{q}{words}{q}, " for q in ('"', "'", '"""', "'''"))
+    numbers = "0.5, " * 100
+    text = f"# {words}\nx = [{strings} {numbers}] # {words}\n"
+    assert "x: unknown key" in refused(tmp_path / "a.toml", text)
+    deep = ".".join(f"k{i}" for i in range(32))
+    assert "k0: unknown key" in refused(tmp_path / "a.toml", f"{deep} = 1")
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    """Of a device that never ends no more is read either."""
+    large = "#" * (files.LARGEST_TEXT + 1)
+    assert "more than 1024 KiB" in refused(tmp_path / "a.toml", large)
+    (tmp_path / "a.toml").write_text(large[:-1])
+    assert files.read_text(tmp_path / "a.toml") == large[:-1]
+    if Path("/dev/zero").exists():
+        with pytest.raises(InputError, match=r"^/dev/zero: has more than 1024 KiB"):
+            files.read(Path("/dev/zero"), DisplayFile)
+
+
+def test_what_is_said_of_a_long_value_is_short(tmp_path: Path) -> None:
+    assert len(refused(tmp_path / "a.toml", "a" * 100_000 + " = 1")) <= files.LONGEST_LINE
+
+
 def test_the_files_that_the_faults_are_put_into_are_good(tmp_path: Path) -> None:
     (tmp_path / "sample.toml").write_text(TEXTURE)
     assert descriptor.load(tmp_path / "sample.toml").periodic[1].phases_deg == (0.0, 90.0)

@@ -79,3 +79,12 @@ def test_whatever_a_table_holds_its_numbers_are_finite_or_it_is_refused(
     path, text = tmp_path_factory.getbasetemp() / "anything.csv", b"a,b_mm\n" + content
     message = refusal(lambda: np.testing.assert_array_less(np.abs(table(path, text)), np.inf))
     assert message is None or "\n" not in message
+
+
+def test_a_table_that_is_too_large_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "LARGEST_TABLE", 16)
+    assert table(tmp_path / "t.csv", "a,b_mm\n1,2\n3,4\n"[:15]) == [[1, 2], [3, 4]]
+    with pytest.raises(InputError, match="is larger than 0 MiB"):
+        table(tmp_path / "t.csv", "a,b_mm\n1,2\n3,42\n5,6\n")

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from tactile.errors import InputError, NotFoundError
+from tactile.texture import recorded_slide
 from tactile.texture.recorded_slide import load_recorded
 
 Floats = NDArray[np.float64]
@@ -182,6 +184,29 @@ def test_what_cannot_be_fitted_is_one_clear_line(tmp_path: Path, case: str) -> N
         load_recorded(path, speed=0.04)
     assert str(path) in str(found.value)
     assert "\n" not in str(found.value)
+
+
+def test_a_header_that_claims_4_gb_takes_no_memory(tmp_path: Path) -> None:
+    path = wav(tmp_path / "a.wav")
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"data") + 4
+    raw[4:8] = raw[at : at + 4] = b"\xf0\xff\xff\xff"
+    path.write_bytes(raw)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="is cut off"):
+            load_recorded(path, speed=0.04)
+        assert tracemalloc.get_traced_memory()[1] < 2**26
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_wav_that_is_too_large_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorded_slide, "LARGEST_WAV", 1000)
+    with pytest.raises(InputError, match="is larger than"):
+        load_recorded(wav(tmp_path / "a.wav"), speed=0.04)
 
 
 def test_a_missing_speed_and_a_missing_file_say_what_would_do(tmp_path: Path) -> None:

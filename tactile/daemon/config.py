@@ -21,8 +21,6 @@ Origin = Annotated[str, Meta(pattern=ORIGIN, max_length=256)]
 SHORTEST_TOKEN, LONGEST_TOKEN = 16, 256
 """Characters; what `Hello` can hold, and what nobody guesses at a few hundred attempts a second."""
 MOST_TOKENS = 32
-LARGEST_TOKEN_FILE = 4096
-"""Bytes that are read of one."""
 
 
 def is_loopback(host: str) -> bool:
@@ -224,10 +222,9 @@ def _credential(field: str, name: str) -> bytes:
 
 def _token(field: str, path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            token = file.read(LARGEST_TOKEN_FILE).decode().strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{field}: cannot be read: {error}") from error
+        token = files.read_text(path).strip()
+    except InputError as error:
+        raise InputError(f"{field}: {error}") from error
     if not SHORTEST_TOKEN <= len(token) <= LONGEST_TOKEN:
         raise InputError(
             f"{field}: holds {len(token)} characters, must be {SHORTEST_TOKEN} … {LONGEST_TOKEN}"

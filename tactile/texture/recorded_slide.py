@@ -11,6 +11,7 @@ in an NPZ with ``sample_rate_hz`` in place of the time. What cannot be fitted is
 silence, clipping, a sample rate that is too low, numbers that are none, a file that was cut off.
 """
 
+import io
 import math
 import warnings
 import zipfile
@@ -24,6 +25,7 @@ from scipy.io import wavfile
 
 from tactile import files
 from tactile.errors import InputError, NotFoundError
+from tactile.texture.formats import reading
 
 Floats = NDArray[np.float64]
 Quantity = Literal["acceleration", "velocity", "displacement", "force"]
@@ -44,6 +46,8 @@ LOWEST_RATE = 2000.0
 """Hz."""
 LONGEST = 1 << 26
 """Samples of one file: 1.8 hours at 10 kHz."""
+LARGEST_WAV = 8 * LONGEST
+"""Bytes of a file: of so many in double precision."""
 MOST_CLIPPED = 1e-3
 """Of all samples."""
 QUIETEST = 3.0
@@ -154,10 +158,11 @@ def _side(
 
 
 def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    raw = reading.contents(path, LARGEST_WAV)  # whatever its header claims
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", wavfile.WavFileWarning)
         try:
-            rate, data = wavfile.read(path)
+            rate, data = wavfile.read(io.BytesIO(raw))
         except Exception as error:  # of many kinds, struct.error among them
             raise InputError(f"{path}: no WAV that can be read: {_line(error)}") from error
     if any("EOF" in str(warning.message) for warning in told):

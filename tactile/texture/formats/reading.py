@@ -6,6 +6,7 @@ file is read, and depth, numbers, text and twice-named fields before it is taken
 
 import json
 import math
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -41,10 +42,11 @@ def contents(path: Path, largest: int = LARGEST_FILE) -> bytes:
         raise NotFoundError(f"{path}: no such file")
     try:
         with path.open("rb") as file:
-            data = file.read(largest + 1)
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(size) if size <= largest else b""
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if len(data) > largest:
+    if size > largest:
         raise InputError(f"{path}: is larger than {largest // 1024**2} MiB")
     return data
 

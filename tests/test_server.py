@@ -260,6 +260,6 @@ def test_a_client_that_is_gone_is_closed_once_and_its_slow_request_with_it() -> 
                 talker.link.transport.abort()
             await until(lambda: hands.clients[0].closed == 1)
             assert hands.clients[0].commands == []
-            assert there.site.clients == 0
+            await until(lambda: there.site.clients == 0)
 
     run(story)

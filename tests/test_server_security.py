@@ -428,7 +428,7 @@ def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notice(
                         hand.outbox.put_nowait(LARGE)
                     assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
                 await until(lambda: hand.closed == 1)
-                assert there.site.clients == 1
+                await until(lambda: there.site.clients == 1)
                 assert not hands.clients[1].closed
             deaf.close()
 

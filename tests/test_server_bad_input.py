@@ -5,10 +5,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, run, talking
+from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, run, talking
 
-from tactile.daemon import connection, listening
+from tactile.daemon import connection, decoding, listening
+from tactile.daemon.decoding import ENCODINGS, hint, read_estop
 from tactile.daemon.messages import JSON_PROTOCOL, LARGEST_MESSAGE, MSGPACK_PROTOCOL, Select
+from tactile.daemon.rates import TokenBucket
 
 
 @each_encoding
@@ -137,6 +139,61 @@ def test_the_hosts_failures_and_its_breaking_are_answers() -> None:
             assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
 
     run(story)
+
+
+ESTOP = {"type": "estop", "id": 7}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (ESTOP, True),
+        ({"display": "left", "x": [1, {"y": 2}], "type": "estop"}, True),
+        (dict(CONTACT, x="estop"), False),
+        (dict(CONTACT, estop=ESTOP), False),
+        ({"type": "estop", "display": "../x"}, False),
+        ([ESTOP], False),
+        ("estop", False),
+        ({"type": "estop", "x": "y" * LARGEST_MESSAGE}, False),
+    ],
+)
+@each_encoding
+def test_an_estop_is_known_by_its_type_and_by_nothing_else(
+    protocol: str, content: Any, expected: bool
+) -> None:
+    data = msgspec.msgpack.encode(content) if protocol == MSGPACK_PROTOCOL else json.dumps(content)
+    assert (read_estop(data, ENCODINGS[protocol]) is not None) is expected
+    assert read_estop(b"" if isinstance(data, str) else "", ENCODINGS[protocol]) is None
+
+
+def test_of_messages_that_are_too_many_only_an_estop_is_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story() -> None:
+        async with daemon() as (there, hands), talking(there) as talker:
+            monkeypatch.setattr(TokenBucket, "take", lambda *_: False)
+            for _ in range(20):
+                await talker.send(**CONTACT, x="estop")
+                await talker.send(type="bogus", x="estop")
+            await talker.send(**ESTOP)
+            while (found := await talker.receive())["type"] != "done":
+                assert found["code"] == "too_fast"
+            assert found["id"] == 7
+            assert hands.clients[0].contacts == []
+            reason = {"transport": "websocket", "reason": "too_fast"}
+            assert figure(there, "tactile_dropped_messages_total", **reason) == 40
+
+    run(story)
+
+
+def test_similar_names_are_looked_for_so_often_and_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(decoding, "HINTS", TokenBucket(20))
+    monkeypatch.setattr(decoding.time, "monotonic", lambda: 1.0)
+    found = [hint("estp", ["estop", "ping"]) for _ in range(25)]
+    assert found[:20] == ["did you mean 'estop'?"] * 20
+    assert set(found[20:]) == {"similar names are looked for 20 times a second at most"}
 
 
 def test_nothing_but_failures_ends_the_connection_and_one_good_message_does_not() -> None:

@@ -43,6 +43,7 @@ TABLE = HEAD + b" inode\n" + b"".join(
         (5, b"0100007F:C353 0100007F:1CF3 01", 0, 0),
         (6, b"0100007F:C354 0100007F:1CF3 01", 0, 14),
         (7, b"0100007F:C355 0100007F:1CF4 01", 0, 15),
+        (8, b"0100007F:C356 0100007F:1CF3 05", 0, 16),
     ]
 )  # fmt: skip
 """As proc(5) describes it; on a little-endian machine."""
@@ -58,7 +59,8 @@ TABLE = HEAD + b" inode\n" + b"".join(
         (50003, None),  # no socket any more
         (50004, 0),
         (50005, None),  # connected to another port
-        (50006, None),
+        (50006, None),  # says no more, as its end is half closed
+        (50007, None),
     ],
 )
 def test_the_user_is_that_of_the_peers_end_as_long_as_it_is_open(
@@ -126,11 +128,8 @@ def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connection, "PENALTY", 0.0)
-    tokens = (
-        token(tmp_path, "all"),
-        token(tmp_path, "game", "play"),
-        token(tmp_path, "w", "watch"),
-    )
+    kinds: list[tuple[str, ...]] = [("all",), ("game", "play"), ("w", "watch")]
+    tokens = tuple(token(tmp_path, *kind) for kind in kinds)
 
     async def story() -> None:
         async with daemon(token=tokens) as (there, _):
@@ -144,7 +143,6 @@ def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(
                     assert welcome["may_arm"] is ("arm" in roles)
                 found = await get(there, "/metrics", authorization=f"Bearer {said}")
                 assert found.status_code == (200 if "watch" in roles else 401)
-            assert 'roles include "watch"' in found.text or found.status_code == 200
             async with talking(there, hello=False) as talker:
                 refused = await talker.ask(type="hello", client="a")
                 assert "server.token_file or [[token]]" in refused["message"]

@@ -11,7 +11,7 @@ import typer
 
 import tactile
 from tactile.cli.app import AcceptHold, AsJson, DisplayOption, app, print_table, within
-from tactile.errors import InputError
+from tactile.errors import BusError, InputError
 
 STROKE = {
     "--speed-mm-s": (0.0, 2000.0, 80.0),
@@ -202,4 +202,8 @@ def serve_displays(
 
     told = load_config(config)
     names = ", ".join(f"{one.name} ({one.device})" for one in told.display)
-    serve(told, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
+    try:
+        serve(told, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
+    except BusError as error:  # not 2: a device may be there when systemd tries again
+        typer.echo(f"tactile: {error}", err=True)
+        raise typer.Exit(1) from error

@@ -30,7 +30,7 @@ MOST_STRANGERS = 256
 """Connections that did not say who they are."""
 AT_ONCE, WAITING = 4, 128
 """Connections that are accepted before anything else gets its turn, and that wait for that."""
-CLOSE_WITHIN = 0.2
+CLOSE_WITHIN = 0.1
 """s for connections to end, once all displays are at 0 V."""
 
 
@@ -92,8 +92,8 @@ class Listener(uvicorn.Server):
 
 
 @contextmanager
-def listening(config: ServerConfig, *, guarded: bool) -> Iterator[list[socket.socket]]:
-    """Listen at each address of the host, all with one port, and at the Unix socket.
+def bound_sockets(config: ServerConfig, *, guarded: bool) -> Iterator[list[socket.socket]]:
+    """Bind each address of the host, all with one port, and the Unix socket; close them at last.
 
     Raises
     ------

@@ -83,9 +83,9 @@ class Traffic:
         """Count what was answered by, or on OSC would be, a failure."""
         self._metrics.failures.labels(self._transport, code).inc()
 
-    def drop(self, reason: str) -> None:
+    def drop(self, reason: str, count: int = 1) -> None:
         """Count what was not looked at, or not sent."""
-        self._metrics.dropped.labels(self._transport, reason).inc()
+        self._metrics.dropped.labels(self._transport, reason).inc(count)
 
 
 class Metrics:

@@ -53,9 +53,9 @@ ROLES: frozenset[Role] = frozenset({"play", "stop"})
 """Of every sender."""
 STOPS: frozenset[Role] = frozenset({"stop"})
 """Of the client that carries out e-stops, whoever sends them."""
-ROOM = 2**20
+ROOM = 2**22
 """Bytes that may wait to be read."""
-MOST_READ, MOST_USED = 512, 64
+MOST_READ, MOST_USED = 512, 32
 """Packets that are read, and used, before anything else gets its turn."""
 MOST_SENDERS = 16
 SILENCE = 5.0
@@ -224,8 +224,8 @@ class OscProtocol(asyncio.DatagramProtocol):
                 self._stops.offer(stop)
             for one, sender in packets[:MOST_USED]:
                 self._use(one, sender, now)
-            for _ in packets[MOST_USED:]:
-                self._traffic.drop("too_fast")
+            if len(packets) > MOST_USED:
+                self._traffic.drop("too_fast", len(packets) - MOST_USED)
         except Exception:
             self._traffic.failure("internal")
             log.exception("a packet failed")

@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket
 from tactile.daemon import messages, watchdog
 from tactile.daemon.config import Config, read_tokens
 from tactile.daemon.connection import Site, talk
-from tactile.daemon.listening import Listener, listening
+from tactile.daemon.listening import Listener, bound_sockets
 from tactile.daemon.liveness import look_after
 from tactile.daemon.logs import Logs
 from tactile.daemon.metrics import Metrics
@@ -169,7 +169,7 @@ async def running(
     """
     tokens = Tokens(read_tokens(config))
     host = _host(config) if host is None else host
-    with listening(config.server, guarded=bool(tokens)) as sockets:
+    with bound_sockets(config.server, guarded=bool(tokens)) as sockets:
         site = Site(host, config.server, Metrics(host, dropped_logs), tokens, _version())
         listener = Listener(application(site), site)
         try:

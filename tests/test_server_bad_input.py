@@ -190,7 +190,7 @@ def test_similar_names_are_looked_for_so_often_and_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(decoding, "HINTS", TokenBucket(20))
-    monkeypatch.setattr(decoding.time, "monotonic", lambda: 1.0)
+    monkeypatch.setattr("tactile.daemon.decoding.time.monotonic", lambda: 1.0)
     found = [hint("estp", ["estop", "ping"]) for _ in range(25)]
     assert found[:20] == ["did you mean 'estop'?"] * 20
     assert set(found[20:]) == {"similar names are looked for 20 times a second at most"}

@@ -134,7 +134,11 @@ def test_a_cancellation_that_is_lost_carries_out_no_more(in_the_same_turn: bool)
     async def story() -> None:
         slow = Slow()
         waiting = Requests(slow, Metrics(Hands()).of("test"), lambda answer: None)  # type: ignore[arg-type]
-        commands = [Select(display="a", layers=()), Arm(display="a"), Disarm(display="a")]
+        commands: list[Command] = [
+            Select(display="a", layers=()),
+            Arm(display="a"),
+            Disarm(display="a"),
+        ]
         for command in commands:
             waiting.offer(command)
         await slow.begun.wait()

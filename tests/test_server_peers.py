@@ -121,7 +121,7 @@ def token(folder: Path, name: str, *roles: Any) -> TokenConfig:
     path = folder / name
     path.write_text(f"{name}-nobody-guesses")
     path.chmod(0o600)
-    return TokenConfig(file=str(path), **({"roles": roles} if roles else {}))
+    return TokenConfig(file=str(path), roles=roles or tuple(sorted(ALL_ROLES)))
 
 
 def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(

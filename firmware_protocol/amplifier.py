@@ -18,8 +18,11 @@ from firmware_protocol.messages import (
     MAJOR,
     REFUSED,
     TABLE,
+    EstopReason,
     Fault,
+    Feature,
     Flag,
+    Input,
     Message,
     Mode,
     NakCode,
@@ -133,9 +136,10 @@ class Amplifier(Machine):
             self._pulsed = self._alive = None
         c = self.config
         return m.Caps(
-            self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats, 0,
-            c.packet_limit, c.fifo, c.tick_hz, c.rate_min_hz, c.rate_max_hz, c.full_scale_uv,
-            c.voltage_limit_uv, c.slew_limit_v_per_s, c.fade_limit_us, c.firmware, c.name.encode(),
+            self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats,
+            Feature.ESTOP_INPUT if c.estop_input else 0, c.packet_limit, c.fifo, c.tick_hz,
+            c.rate_min_hz, c.rate_max_hz, c.full_scale_uv, c.voltage_limit_uv,
+            c.slew_limit_v_per_s, c.fade_limit_us, c.firmware, c.name.encode(),
         )  # fmt: skip
 
     def _time(self, time: m.Time) -> Reply:
@@ -186,7 +190,7 @@ class Amplifier(Machine):
 
     def _estop(self, estop: m.Estop) -> Reply:
         self.counters.trips += 1
-        self._estop_reason = estop.reason
+        self._estop_reason = 0 if estop.reason == EstopReason.INPUT else estop.reason
         self._to(TABLE["estop"][self.state])
         return None
 
@@ -196,6 +200,8 @@ class Amplifier(Machine):
                 return Refusal(NakCode.STATE, self.counters.trips % TURN)
             if not self._player.silent:
                 return Refusal(NakCode.STATE, 0)
+            if self.input_open:
+                return Refusal(NakCode.INPUT_OPEN, 0)
             if self._fault_now:
                 return Refusal(NakCode.FAULT, self._fault_now)
             self._fault = int(Fault.NONE)
@@ -250,7 +256,8 @@ class Amplifier(Machine):
             time=self.due() if self._start_tick is None else self._start_tick,
             sync_index=self._sync[0], sync_time=self._sync[1],
             voltage_limit_uv=self._limits.voltage_uv,
-            slew_limit_v_per_s=self._limits.slew_v_per_s, fade_us=self._limits.fade_us, **counters,
+            slew_limit_v_per_s=self._limits.slew_v_per_s, fade_us=self._limits.fade_us,
+            inputs=Input.ESTOP_OPEN if self.input_open else 0, **counters,
         )  # fmt: skip
 
     # Streams

@@ -11,7 +11,10 @@ FORMATS = sum(1 << f for f in SampleFormat)
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """What an amplifier is; names and units as in CAPS, ``fifo`` being fifo_samples."""
+    """What an amplifier is; names and units as in CAPS, ``fifo`` being fifo_samples.
+
+    ``estop_input`` is whether it has an e-stop input, which is mandatory above 60 V (6.3).
+    """
 
     channels: int = 24
     carriers: int = 16
@@ -28,6 +31,7 @@ class Config:
     firmware: int = 0x00010000
     name: str = "virtual"
     node: int = 1
+    estop_input: bool = True
 
 
 @dataclass(frozen=True)

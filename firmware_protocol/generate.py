@@ -128,6 +128,7 @@ def _section(name: str) -> str:
     return {
         "flag": "2", "state": "6", "phase": "8.2", "nak": "5", "mode": "4", "sample_format": "9",
         "fault": "6", "parameter": "4", "log_level": "4", "feature": "4", "can_class": "3.2",
+        "estop_reason": "6.3", "input": "6.3",
     }[name]  # fmt: skip
 
 

@@ -15,9 +15,12 @@ from firmware_protocol import messages as m
 from firmware_protocol.config import Config, LimitsInForce
 from firmware_protocol.messages import (
     FADE_MS,
+    INPUT_CLOSED_MS,
     REFUSED,
     STAYS,
     TABLE,
+    UNGUARDED_MOST_UV,
+    EstopReason,
     Fault,
     LogLevel,
     Message,
@@ -86,7 +89,8 @@ class Machine:
     Raises
     ------
     ValueError
-        Where the limits of its hardware break the promise to be at 0 V in 20 ms.
+        Where the limits of its hardware break the promise to be at 0 V in 20 ms, or where it can
+        put out more than 60 V and has no e-stop input.
 
     Attributes
     ----------
@@ -109,6 +113,8 @@ class Machine:
         self._increments = NO_CARRIERS
         self._sync = (0, 0)
         self._fault = self._fault_now = self._estop_reason = int(Fault.NONE)
+        self._contact_open = False
+        self._contact_moved: int | None = None
         self._after_ramp = State.IDLE
         self._settings = {Parameter.NODE: config.node, Parameter.PULSE_MS: 10,
                           Parameter.LOG_LEVEL: int(LogLevel.WARNING)}  # fmt: skip
@@ -122,6 +128,11 @@ class Machine:
             raise ValueError(
                 f"slew_limit_v_per_s {config.slew_limit_v_per_s}: does not reach 0 V from "
                 f"{config.voltage_limit_uv} µV in {FADE_MS} ms"
+            )
+        if config.full_scale_uv > UNGUARDED_MOST_UV and not config.estop_input:
+            raise ValueError(
+                f"estop_input False: full_scale_uv {config.full_scale_uv} is above "
+                f"{UNGUARDED_MOST_UV}, where an e-stop input is mandatory (SPEC.md, 6.3)"
             )
         self._limit(own)
 
@@ -289,6 +300,30 @@ class Machine:
             if self._to(TABLE["fault"][self.state]):
                 self._send_pulse()
                 self._log(LogLevel.ERROR, f"fault {code}")
+
+    def estop_input(self, is_open: bool, now: int) -> None:
+        """Read the contact of the e-stop input at a tick (section 6.3).
+
+        At tick 0, before anything else, this is the reading at power-up. Without an input nothing
+        happens.
+        """
+        self.run(now)
+        if is_open == self._contact_open or not self.config.estop_input:
+            return
+        self._contact_open, self._contact_moved = is_open, self._now
+        if is_open:
+            self.counters.trips += 1
+            self._estop_reason = int(EstopReason.INPUT)
+            if self._to(TABLE["estop_input"][self.state]):
+                self._send_pulse()
+                self._log(LogLevel.ERROR, "e-stop input open")
+
+    @property
+    def input_open(self) -> bool:
+        """Whether the e-stop input counts as open: until it has been closed for 50 ms."""
+        since = self._contact_moved
+        settling = since is not None and self._now < self._later(since, INPUT_CLOSED_MS)
+        return self._contact_open or settling
 
     # What is played
 

@@ -10,14 +10,16 @@ from enum import IntEnum
 from struct import Struct
 from typing import ClassVar, Self, cast
 
-MAJOR, MINOR = 1, 0
-SCHEMA_CRC = 0x25A0798E
+MAJOR, MINOR = 1, 1
+SCHEMA_CRC = 0x1DCE5A8D
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
 HEARTBEAT_MS = 50
 FADE_MS = 20
 VALID_MS = 50
 FRAGMENT_TIMEOUT_MS = 20
+INPUT_CLOSED_MS = 50
+UNGUARDED_MOST_UV = 0x3938700
 START_AHEAD_MS = 10000
 PACKET_MAX = 4096
 FULL_SCALE_CODE = 32767
@@ -74,6 +76,7 @@ class NakCode(IntEnum):
     READ_ONLY = 15
     TIME = 16
     CARRIERS = 17
+    INPUT_OPEN = 18
 
 
 class Mode(IntEnum):
@@ -129,6 +132,19 @@ class Feature(IntEnum):
 
     SENSES = 1
     ZERO_ORDER_HOLD = 2
+    ESTOP_INPUT = 4
+
+
+class EstopReason(IntEnum):
+    """Of section 6.3."""
+
+    INPUT = 255
+
+
+class Input(IntEnum):
+    """Of section 6.3."""
+
+    ESTOP_OPEN = 1
 
 
 class CanClass(IntEnum):
@@ -155,6 +171,7 @@ TABLE: dict[str, tuple[int, ...]] = {
     "carriers": (0x40, 0x40, 0x87, 0x87, 0x40, 0x40, 0x40),
     "watchdog": (0x40, 0x04, 0x23, 0x23, 0x40, 0x40, 0x40),
     "fault": (0x05, 0x05, 0x05, 0x05, 0x05, 0x40, 0x40),
+    "estop_input": (0x06, 0x06, 0x06, 0x06, 0x06, 0x06, 0x40),
 }
 """Of section 6, per state: `STAYS`, `REFUSED` | NAK code, or state | next << 3."""
 
@@ -522,7 +539,7 @@ class Status(Message):
 
     TYPE = 0x46
     CAN = CanClass.RESPONSE
-    HEAD = Struct("<BBBBHIQBQIIIIIIIIIIIIIIIIIIIIIIII")
+    HEAD = Struct("<BBBBHIQBQIIIIIIIIIIIIIIIIIIIIIIIIB")
 
     state: int = 0
     phase: int = 0
@@ -557,6 +574,7 @@ class Status(Message):
     watchdogs: int = 0
     dropped_replies: int = 0
     trips: int = 0
+    inputs: int = 0
 
 
 @dataclass(frozen=True, slots=True)

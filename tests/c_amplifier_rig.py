@@ -21,6 +21,7 @@ LIMITS, GET, SET, IDENTIFY, POLL, PCM, CARRIERS, SPECTRUM = range(11, 19)
 ACK, NAK, CAPS, TIME_REPLY, VALUE, PULSE, STATUS, SENSE, LOG = range(0x40, 0x49)
 IDLE, ARMED, RUNNING, RAMPDOWN, SAFE, FAULT, ESTOPPED = range(7)
 SERIAL, CAN, I2C_WRITE, PACKET, NOTHING, FAULTY, I2C_READ, SMBUS_WRITE, SMBUS_READ = range(9)
+INPUT = 9
 COUNTERS = (
     "packets", "crc_errors", "malformed", "oversized", "fragments_dropped", "wrong_version",
     "unsupported", "unknown_type", "foreign_session", "refused", "ignored", "wrong_channel",
@@ -188,7 +189,7 @@ class Run:
     def status(self) -> dict[str, int]:
         """Counters of the last STATUS."""
         payload = self.packets(STATUS)[-1][2]
-        return dict(zip(COUNTERS, struct.unpack("<21I", payload[39:]), strict=True))
+        return dict(zip(COUNTERS, struct.unpack_from("<21I", payload, 39), strict=True))
 
 
 def playing(codes: list[int], position: int = 0) -> Run:

@@ -288,6 +288,8 @@ class Session:
             self.wire.rubbish(source.take(source.number()), self.now)
         elif what < 190:
             self.amplifier.fault(source.number() % 5, self.now)
+        elif what < 195:
+            self.amplifier.estop_input(source.number() % 2 == 1, self.now)
         else:
             self.now += source.number(2)
             self.amplifier.run(self.now)
@@ -334,6 +336,7 @@ class Session:
             if played.state in (State.IDLE, State.ARMED, State.SAFE):
                 assert not codes[-1].any()
             self.last = codes[-1]
+        assert self.amplifier.state == State.ESTOP or not self.amplifier.input_open
         counters = self.amplifier.counters
         assert all(getattr(counters, f.name) >= 0 for f in fields(counters))
 

@@ -16,14 +16,16 @@ from firmware_protocol.config import Config
 
 SPEC = Path(__file__).parents[1] / "firmware_protocol" / "SPEC.md"
 TURN = 1 << 32
-WATCHDOG_MS, FADE_MS = 150, 20
+WATCHDOG_MS, FADE_MS, SETTLED_MS = 150, 20, 50
 POWERED = ("ARMED", "RUNNING", "RAMPDOWN")
 LATCHED = ("FAULT", "ESTOP")
 SETTLED = ("IDLE", "SAFE")
 """In which the node may change (section 5)."""
-BUSY, STATE, FAULT = 6, 7, 9
+BUSY, STATE, FAULT, INPUT_OPEN = 6, 7, 9, 18
 """Codes of NAK."""
 HELLO, ESTOP, CLEAR_FAULT = 0x01, 0x08, 0x09
+OF_INPUT = 255
+"""Reason of an ESTOP."""
 SESSION_FREE = ("HELLO", "TIME", "SYNC", "ESTOP", "GET", "IDENTIFY", "POLL")
 LAYOUTS = {
     0x01: ("HELLO", Struct("<HBBI"), False),
@@ -67,7 +69,7 @@ def table_of_states() -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
         if line.startswith("|") and line.count("|") == 9
     ]
     at = next(k for k, row in enumerate(rows) if row[0] == "event")
-    table = {row[0].partition(" (")[0]: tuple(row[1:]) for row in rows[at + 2 : at + 13]}
+    table = {row[0].partition(" (")[0]: tuple(row[1:]) for row in rows[at + 2 : at + 14]}
     return tuple(rows[at][1:]), table
 
 
@@ -113,7 +115,9 @@ class Judge:
     position, due : of the instant that comes next
     heard : tick of the last HEARTBEAT or ARM
     alive : the same of the owner, which a new session forgets
-    trips : ESTOPs and faults of the hardware so far
+    trips : ESTOPs, faults of the hardware and openings of the e-stop input so far
+    contact_open, closed : the contact of the e-stop input, and the tick from which it was closed
+    reason : of the latest ESTOP
     instants : how many were judged
     gain : of `fade` instants, the most that may have been reached since START
     """
@@ -135,6 +139,8 @@ class Judge:
         self.newest = [0] * c.channels
         self.joined, self.gain = False, 0
         self.fault_now = self.ramped = self.bound = self.trips = 0
+        self.contact_open, self.reason = False, 0
+        self.closed: int | None = None
         self.answer: tuple[int, int] | None = None
         self.seq: int | None = None
         self.codes = [0] * c.channels
@@ -148,6 +154,20 @@ class Judge:
         if code:
             self.trips += 1
             self._follow("fault of the hardware")
+
+    def estop_input(self, tick: int, contact_open: bool) -> None:
+        if contact_open and not self.contact_open:
+            self.trips, self.reason = self.trips + 1, OF_INPUT
+            self._follow("e-stop input opens")
+        elif self.contact_open and not contact_open:
+            self.closed = tick
+        self.contact_open = contact_open
+
+    def _input_open(self, tick: int) -> bool:
+        """Whether the input counts as open (6.3)."""
+        enough = SETTLED_MS * self.config.tick_hz
+        recent = self.closed is not None and (tick - self.closed) * 1000 < enough
+        return self.contact_open or recent
 
     def packet(self, tick: int, data: bytes) -> bool:
         """Foresee what a packet does; return whether it may have been too early for the buffer."""
@@ -247,7 +267,7 @@ class Judge:
         self._follow("DISARM")
 
     def _estop(self, tick: int, fields: tuple[int, ...], body: int) -> None:
-        self.trips += 1
+        self.trips, self.reason = self.trips + 1, fields[0] % OF_INPUT
         self._follow("ESTOP")
 
     def _clear_fault(self, tick: int, fields: tuple[int, ...], body: int) -> None:
@@ -257,6 +277,8 @@ class Judge:
             self.answer = STATE, self.trips % TURN
         elif any(self.codes):
             self.answer = STATE, 0
+        elif self._input_open(tick):
+            self.answer = INPUT_OPEN, 0
         elif self.fault_now:
             self.answer = FAULT, self.fault_now
         else:
@@ -347,6 +369,7 @@ class Judge:
         self._move_gain(waiting)
         self._judge_codes(codes, waiting)
         self._judge_state(STATES[state], codes)
+        assert self.state == "ESTOP" or not self._input_open(tick)
         self.codes = codes
         powered = self.state in POWERED
         self.high_voltage = powered or (self.high_voltage and any(codes))
@@ -409,8 +432,8 @@ class Judge:
 
     # What it says
 
-    def sent(self, data: bytes, instants: int) -> None:
-        """Judge a packet of the amplifier, sent in the last so many instants."""
+    def sent(self, data: bytes, instants: int, now: int) -> None:
+        """Judge a packet of the amplifier, sent in the last so many instants before a tick."""
         assert crc32(data[:-4]) == int.from_bytes(data[-4:], "little")
         kind, payload = data[0], data[4:-4]
         assert self.seq in (None, data[3])
@@ -428,9 +451,10 @@ class Judge:
         if kind in (0x40, 0x41) and payload[0] in (HELLO, CLEAR_FAULT):
             self._judge_answer(kind, payload)
         if kind == 0x46:
-            state, _, _, _, session, position, due, _, _, *limits = STATUS.unpack_from(payload)
-            counters = [n for (n,) in COUNTER.iter_unpack(payload[STATUS.size :])]
+            state, _, _, reason, session, position, due, _, _, *limits = STATUS.unpack_from(payload)
+            counters = [n for (n,) in COUNTER.iter_unpack(payload[STATUS.size : -1])]
             assert (STATES[state], session) == (self.state, self.session)
+            assert (reason, payload[-1]) == (self.reason, self._input_open(now))
             assert (position, due) == (self.position % TURN, self.start_tick or self.due)
             assert tuple(limits) == self.limits
             assert len(counters) == COUNTERS
@@ -441,7 +465,7 @@ class Judge:
     def _judge_answer(self, kind: int, payload: bytes) -> None:
         """Judge ACK or NAK of the packet that came last."""
         code, detail = (0, 0) if kind == 0x40 else NAK.unpack(payload)[2::2]
-        if code in (0, BUSY, STATE, FAULT):
+        if code in (0, BUSY, STATE, FAULT, INPUT_OPEN):
             assert (code, detail) == (self.answer or (0, 0))
         if kind == 0x41:
             assert STATES[payload[3]] == self.state

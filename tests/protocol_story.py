@@ -273,6 +273,16 @@ class Story:
     def fault(self) -> None:
         self.rig.fault(self.some(0, 0, 1, 4, 200))
 
+    def button(self) -> None:
+        """Let somebody pull the e-stop button, or release it, with a contact that may bounce."""
+        for _ in range(self.some(1, 1, 1, 3)):
+            self.rig.estop_input(self.some(0, 1) == 1)
+            self.wait(self.some(0, 1, self.ms(1), self.ms(30)))
+        if self.rng.random() < 0.7:
+            self.rig.estop_input(False)
+            self.wait(self.ms(self.some(0, 49, 50, 60)) + self.some(-1, 0, 1) * self.some(0, 1))
+            self.clear()
+
     def silence(self) -> None:
         """Let the owner be dead about as long as the watchdog waits; a stranger is not."""
         self._late.clear()
@@ -290,6 +300,7 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
     (Story.foreign, 5), (Story.raw, 5), (Story.ask, 3), (Story.poll, 3), (Story.stop, 3),
     (Story.start, 2), (Story.arm, 2), (Story.limits, 2), (Story.disarm, 1), (Story.estop, 1),
     (Story.clear, 2), (Story.hello, 1), (Story.tune, 1), (Story.fault, 1), (Story.silence, 1),
+    (Story.button, 1),
 )  # fmt: skip
 """What happens, and how often."""
 

@@ -23,7 +23,7 @@ from firmware_protocol.machine import Played
 from firmware_protocol.messages import State
 from firmware_protocol.ports import PacketPort
 
-PACKET, RUN, FAULT = 3, 4, 5
+PACKET, RUN, FAULT, INPUT = 3, 4, 5, 9
 RECORD = Struct("<QBI")
 KINDS = {name: (kind, layout) for kind, (name, layout, _) in LAYOUTS.items()}
 RAMPING = (State.RUNNING, State.RAMPDOWN)
@@ -51,7 +51,7 @@ CONFIGS = {
 
 
 class Record(NamedTuple):
-    """What happened: a packet came, a fault, or time passed."""
+    """What happened: a packet came, a fault, the e-stop input moved, or time passed."""
 
     tick: int
     kind: int
@@ -139,6 +139,14 @@ class Rig:
         self.amplifier.fault(code, self.now)
         self._take()
 
+    def estop_input(self, contact_open: bool) -> None:
+        self._settle()
+        self.records.append(Record(self.now, INPUT, bytes([contact_open])))
+        if self.judge:
+            self.judge.estop_input(self.now, contact_open)
+        self.amplifier.estop_input(contact_open, self.now)
+        self._take()
+
     def _take(self) -> None:
         """Take what was put out and sent, and judge it."""
         played = self.amplifier.take_played()
@@ -155,7 +163,7 @@ class Rig:
             for row in zip(*(run[name].tolist() for name in FIELDS), strict=True):
                 self.judge.instant(*row)
         for data in sent:
-            self.judge.sent(data, sum(map(len, rows)))
+            self.judge.sent(data, sum(map(len, rows)), self.now)
         self._compare(self.judge)
 
     def _compare(self, judge: Judge) -> None:
@@ -204,6 +212,8 @@ def play(
             rig.packet(record.data)
         elif record.kind == FAULT:
             rig.fault(record.data[0])
+        elif record.kind == INPUT:
+            rig.estop_input(record.data != b"\0")
     rig.end()
     return rig
 

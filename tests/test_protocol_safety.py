@@ -119,6 +119,10 @@ class Trial(RuleBasedStateMachine):
         self.chance(rng).fault()
 
     @rule(rng=CHANCE)
+    def somebody_moves_the_button(self, rng: Random) -> None:
+        self.chance(rng).button()
+
+    @rule(rng=CHANCE)
     def time_passes(self, rng: Random) -> None:
         self.chance(rng).pause()
 
@@ -161,9 +165,9 @@ def test_no_long_story_breaks_a_rule_of_safety(name: str) -> None:
 
 
 def test_the_table_of_states_is_read_whole() -> None:
-    """What the judge knows of states comes from the document: 11 events in 7 states."""
+    """What the judge knows of states comes from the document: 12 events in 7 states."""
     assert STATES == ("IDLE", "ARMED", "RUNNING", "RAMPDOWN", "SAFE", "FAULT", "ESTOP")
-    assert len(TABLE) == 11
+    assert len(TABLE) == 12
     assert all(len(cells) == len(STATES) for cells in TABLE.values())
     assert TABLE["watchdog"][2] == "RAMPDOWN:SAFE"
 

@@ -41,6 +41,11 @@ def counters_of_spec() -> list[str]:
     return [name.strip() for name in re.sub(r" \([^)]*\)", "", listed).split(",")]
 
 
+def fields_of(text: str) -> list[list[str]]:
+    """Return the names and types of the fields that a cell lists."""
+    return [list(pair) for pair in re.findall(r"(\w+) ([ui]\d+|char16)\b", text)]
+
+
 def messages_of_spec() -> dict[int, tuple[str, str, list[list[str]], str | None]]:
     """Return name, sender, fields and body by id, as the tables of section 4 give them."""
     found: dict[int, tuple[str, str, list[list[str]], str | None]] = {}
@@ -51,8 +56,9 @@ def messages_of_spec() -> dict[int, tuple[str, str, list[list[str]], str | None]
                 continue
             body = re.search(r"\*(\w+)\*", cells[2])
             listed, *rest = cells[2].split("then a u32 for each counter of section 12")
-            fields = [list(pair) for pair in re.findall(r"(\w+) ([ui]\d+|char16)\b", listed)]
-            fields += [[name, "u32"] for name in counters_of_spec() if rest]
+            fields = fields_of(listed)
+            for tail in rest:
+                fields += [[name, "u32"] for name in counters_of_spec()] + fields_of(tail)
             found[int(cells[0], 16)] = (cells[1], sender, fields, body[1] if body else None)
     return found
 
@@ -65,16 +71,19 @@ def test_the_message_tables_of_the_spec_are_the_schema() -> None:
     assert messages_of_spec() == schema
 
 
-def test_the_counters_of_the_spec_are_the_tail_of_status() -> None:
+def test_the_counters_of_the_spec_are_those_of_status() -> None:
+    """All of STATUS but its head and what version 1.1 added at the end."""
     (status,) = (d for d in SCHEMA["message"] if d["name"] == "Status")
     names = [name for name, _ in status["fields"]]
-    assert names[names.index("packets") :] == counters_of_spec()
+    assert names[names.index("packets") : -1] == counters_of_spec()
+    assert names[-1] == "inputs"
 
 
 def test_the_state_table_of_the_spec_is_the_schema() -> None:
     events = {
         "HELLO of another session": "hello_other",
         "fault of the hardware": "fault",
+        "e-stop input opens": "estop_input",
         **{e.upper(): e for e in SCHEMA["table"]},
         "watchdog": "watchdog",
     }
@@ -128,6 +137,9 @@ def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
         (limits["WATCHDOG_MS"], r"first sample instant \(7\.1\) (\d+) ms or more"),
         (limits["WATCHDOG_MS"], r"SAFE, and free, (\d+) ms after"),
         (limits["HEARTBEAT_MS"], r"HEARTBEAT every (\d+) ms"),
+        (limits["INPUT_CLOSED_MS"], r"contact has been closed for (\d+) ms"),
+        (limits["UNGUARDED_MOST_UV"] // 10**6, r"`full_scale_uv` is above (\d+) 000 000 MUST"),
+        (SCHEMA["enum"]["estop_reason"]["INPUT"], r"0 for (\d+), which is the e-stop input's"),
         (limits["START_AHEAD_MS"] // 1000, r"or more than (\d+) s after: TIME"),
         (limits["FULL_SCALE_CODE"], r"integer −32767 … (\d+)"),
         (limits["CARRIERS_MAX"], r"most that it synthesizes, up to (\d+)"),
@@ -138,6 +150,9 @@ def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
         assert found, text
         assert number == int(found[1]), text
     assert f"0x{limits['CAN_PREFIX']:X} + the 11-bit" in SPEC
+    bit = re.search(r"bit (\d) `ESTOP_INPUT`", SPEC)
+    assert bit
+    assert 1 << int(bit[1]) == SCHEMA["enum"]["feature"]["ESTOP_INPUT"]
     assert SPEC.startswith(f"# The tactile amplifier protocol, version {MAJOR}.{MINOR}")
 
 

@@ -70,7 +70,7 @@ def test_every_section_named_exists() -> None:
 
 
 def test_every_cell_of_the_state_table_has_a_scenario() -> None:
-    assert sum(v["id"].startswith("state-") for v in VECTORS["behavior"]) == 7 * 11
+    assert sum(v["id"].startswith("state-") for v in VECTORS["behavior"]) == 7 * 12
 
 
 @vectors("spectrum", "angle")
@@ -290,6 +290,8 @@ def test_behavior(vector: Vector) -> None:
                 amplifier.receive(packet, step["tick"])
         elif "fault" in step:
             amplifier.fault(step["fault"], step["tick"])
+        elif "input" in step:
+            amplifier.estop_input(step["input"] == 1, step["tick"])
         sent = amplifier.take_sent()
         everything += sent
         check_answers(step, sent)

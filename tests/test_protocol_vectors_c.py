@@ -15,6 +15,7 @@ from vectors_rig import (
     PROTOCOL,
     PULSE,
     RECORD_FAULT,
+    RECORD_INPUT,
     RECORD_PACKET,
     RECORD_RUN,
     VECTORS,
@@ -296,6 +297,8 @@ def records(vector: Vector) -> bytes:
             kind, data = RECORD_PACKET, bytes.fromhex(step["packet"])
         elif "fault" in step:
             kind, data = RECORD_FAULT, bytes([step["fault"]])
+        elif "input" in step:
+            kind, data = RECORD_INPUT, bytes([step["input"]])
         out += struct.pack("<QBI", step["tick"], kind, len(data)) + data
     return bytes(out)
 

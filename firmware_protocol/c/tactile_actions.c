@@ -161,7 +161,7 @@ ta_verdict ta_act_estop(ta_amplifier *amp, const ta_request *r)
 {
     tp_estop m;
     (void)tp_estop_decode(&m, r->packet.payload, r->packet.size);
-    amp->estop_reason = m.reason;
+    amp->estop_reason = m.reason != TP_ESTOP_REASON_INPUT ? m.reason : 0;
     amp->counters.trips++;
     ta_apply(amp, ta_on_estop[amp->state]);
     return ta_done();
@@ -185,6 +185,9 @@ ta_verdict ta_act_clear_fault(ta_amplifier *amp, const ta_request *r)
         }
         if (!ta_player_silent(&amp->player)) {
             return ta_refuse(amp, TP_NAK_STATE, 0);
+        }
+        if (ta_input_open(amp, r->now)) {
+            return ta_refuse(amp, TP_NAK_INPUT_OPEN, 0);
         }
         if (fault != TP_FAULT_NONE) {
             return ta_refuse(amp, TP_NAK_FAULT, fault);

@@ -8,6 +8,7 @@
 
 static const uint8_t on_watchdog[] = TP_TABLE_WATCHDOG;
 static const uint8_t on_fault[] = TP_TABLE_FAULT;
+static const uint8_t on_estop_input[] = TP_TABLE_ESTOP_INPUT;
 
 /* Power-up */
 
@@ -20,10 +21,11 @@ static bool limits_allowed(const ta_config *c)
            ta_reach_zero(c, c->voltage_limit_uv, c->slew_limit_v_per_s, c->rate_max_hz);
 }
 
-/* Section 11.1, and the sizes that the arrays have. */
-static bool allowed(const ta_config *c)
+/* Sections 6.3 and 11.1, and the sizes that the arrays have. */
+static bool allowed(const ta_config *c, const ta_hal *hal)
 {
-    return c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
+    bool guarded = hal->estop_open != NULL || c->full_scale_uv <= TP_UNGUARDED_MOST_UV;
+    return guarded && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
            c->carriers <= TA_CARRIERS && c->fifo_samples >= 2 && c->fifo_samples <= TA_FIFO &&
            c->packet_limit >= TA_PACKET_LEAST && c->packet_limit <= TA_PACKET_MAX &&
            c->tick_hz > 0 && c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz &&
@@ -38,9 +40,11 @@ static uint32_t power_up_rate(const ta_config *c)
     return c->rate_max_hz < POWER_UP_RATE ? c->rate_max_hz : POWER_UP_RATE;
 }
 
+static void read_input(ta_amplifier *amp, uint64_t now);
+
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
 {
-    if (!allowed(config)) {
+    if (!allowed(config, hal)) {
         return false;
     }
     memset(amp, 0, sizeof *amp);
@@ -53,6 +57,7 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
     ta_player_init(&amp->player, &amp->counters, config->channels, config->fifo_samples);
     ta_set_rate(amp, power_up_rate(config), 0);
     ta_limit(amp, config->voltage_limit_uv, config->slew_limit_v_per_s, config->fade_limit_us);
+    read_input(amp, 0);
     return true;
 }
 
@@ -259,6 +264,41 @@ void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now)
     send_log(amp, TP_LOG_LEVEL_ERROR, text);
 }
 
+/* E-stop input, section 6.3: an opening acts at once, a closing when it has lasted. */
+static void read_input(ta_amplifier *amp, uint64_t now)
+{
+    bool open = amp->hal.estop_open != NULL && amp->hal.estop_open(amp->hal.context);
+    if (open == amp->contact_open) {
+        return;
+    }
+    amp->contact_open = open;
+    if (!open) {
+        amp->contact_closed = now;
+        return;
+    }
+    amp->contact_was_open = true;
+    amp->estop_reason = TP_ESTOP_REASON_INPUT;
+    amp->counters.trips++;
+    ta_apply(amp, on_estop_input[amp->state]);
+    if (amp->announce) {
+        ta_announce(amp);
+        send_log(amp, TP_LOG_LEVEL_ERROR, "e-stop input open");
+    }
+}
+
+void ta_estop_input(ta_amplifier *amp, uint64_t now)
+{
+    ta_run(amp, now);
+    read_input(amp, now);
+}
+
+bool ta_input_open(const ta_amplifier *amp, uint64_t now)
+{
+    bool settling = amp->contact_was_open && !ta_elapsed(now, amp->contact_closed, TP_INPUT_CLOSED_MS,
+                                                         amp->config.tick_hz);
+    return amp->contact_open || settling;
+}
+
 /* Section 6.2. It fires once: a HEARTBEAT or ARM sets it going again. */
 static void watch(ta_amplifier *amp, uint64_t tick)
 {
@@ -378,6 +418,7 @@ static void instant(ta_amplifier *amp)
 {
     uint64_t tick = ta_next_instant(amp);
     advance_clock(amp);
+    read_input(amp, tick);
     watch(amp, tick);
     pulse_if_due(amp, tick);
     sense_if_due(amp, tick);

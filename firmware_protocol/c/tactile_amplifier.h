@@ -47,6 +47,11 @@ typedef struct {
     uint8_t hardware_fault; /* that persists */
     uint16_t session;
 
+    /* E-stop input, section 6.3. */
+    bool contact_open; /* as it was read last */
+    bool contact_was_open; /* since power-up */
+    uint64_t contact_closed; /* tick of the last closing */
+
     /* Limits in force, section 11.1. */
     uint32_t voltage_uv;
     uint32_t slew_v_per_s;
@@ -82,7 +87,8 @@ typedef struct {
     uint64_t sync_tick;
 } ta_amplifier;
 
-/* Powers up at tick 0. False: the configuration is not one that SPEC.md allows. */
+/* Powers up at tick 0. False: the configuration is not one that SPEC.md allows, as one of more than 60 V
+ * without an e-stop input. */
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
 
 /* Does all sample instants up to and at `now`. */
@@ -97,6 +103,10 @@ void ta_receive_prompt(ta_amplifier *amp, uint8_t type, const uint8_t *payload, 
 
 /* The hardware reports a fault, or with code 0 that it is over. */
 void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now);
+
+/* Reads the e-stop input now: for the interrupt of its pin, where a sample period is long. Without it
+ * ta_run reads it at each instant. */
+void ta_estop_input(ta_amplifier *amp, uint64_t now);
 
 /* The tick of the next sample instant, for whoever sets a timer. */
 uint64_t ta_next_instant(const ta_amplifier *amp);

@@ -38,7 +38,7 @@
 #define TA_HEADER 4u
 #define TA_OVERHEAD 8u
 #define TA_LOG_MAX 200u
-#define TA_PACKET_LEAST 136 /* that packet_limit may be: STATUS is 131 bytes */
+#define TA_PACKET_LEAST 136 /* that packet_limit may be: STATUS is 132 bytes */
 #define TA_REPLY_BODY (4u * TA_CHANNELS > TA_LOG_MAX ? 4u * TA_CHANNELS : TA_LOG_MAX)
 #define TA_REPLY_MAX (TA_OVERHEAD + TP_SENSE_SIZE + TA_REPLY_BODY)
 

@@ -23,6 +23,11 @@ typedef struct {
     /* Switches the high voltage. Off is never asked for while a code is not 0. */
     void (*high_voltage)(void *context, bool on);
 
+    /* Whether the contact of the e-stop input is open (6.3), in most firmware one line: the level of a
+     * pin with a pull-up, at which the contact pulls down. It is read at power-up and at each instant;
+     * ta_estop_input reads it between. NULL: there is no input, which above 60 V is not allowed. */
+    bool (*estop_open)(void *context);
+
     /* The rest may be NULL. */
 
     /* The instant is over: for a display on the board, a logger or a test. */

@@ -23,6 +23,9 @@ void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_si
 /* Sends PULSE if the state has changed since the last call. */
 void ta_announce(ta_amplifier *amp);
 
+/* Whether the e-stop input counts as open (6.3). */
+bool ta_input_open(const ta_amplifier *amp, uint64_t now);
+
 /* The phase that is told: STILL but in RUNNING. */
 uint8_t ta_phase(const ta_amplifier *amp);
 

@@ -14,8 +14,8 @@
 #include <string.h>
 
 #define TP_MAJOR 1u
-#define TP_MINOR 0u
-#define TP_SCHEMA_CRC 0x25A0798Eu
+#define TP_MINOR 1u
+#define TP_SCHEMA_CRC 0x1DCE5A8Du
 #define TP_TABLE_STAYS 0x40u
 #define TP_TABLE_REFUSED 0x80u
 #define TP_WATCHDOG_MS 150u
@@ -23,6 +23,8 @@
 #define TP_FADE_MS 20u
 #define TP_VALID_MS 50u
 #define TP_FRAGMENT_TIMEOUT_MS 20u
+#define TP_INPUT_CLOSED_MS 50u
+#define TP_UNGUARDED_MOST_UV 0x3938700u
 #define TP_START_AHEAD_MS 10000u
 #define TP_PACKET_MAX 4096u
 #define TP_FULL_SCALE_CODE 32767u
@@ -69,7 +71,8 @@ enum {
     TP_NAK_PARAMETER = 14,
     TP_NAK_READ_ONLY = 15,
     TP_NAK_TIME = 16,
-    TP_NAK_CARRIERS = 17
+    TP_NAK_CARRIERS = 17,
+    TP_NAK_INPUT_OPEN = 18
 };
 
 enum {
@@ -112,7 +115,16 @@ enum {
 
 enum {
     TP_FEATURE_SENSES = 1,
-    TP_FEATURE_ZERO_ORDER_HOLD = 2
+    TP_FEATURE_ZERO_ORDER_HOLD = 2,
+    TP_FEATURE_ESTOP_INPUT = 4
+};
+
+enum {
+    TP_ESTOP_REASON_INPUT = 255
+};
+
+enum {
+    TP_INPUT_ESTOP_OPEN = 1
 };
 
 enum {
@@ -137,6 +149,7 @@ enum {
 #define TP_TABLE_CARRIERS {0x40u, 0x40u, 0x87u, 0x87u, 0x40u, 0x40u, 0x40u}
 #define TP_TABLE_WATCHDOG {0x40u, 0x04u, 0x23u, 0x23u, 0x40u, 0x40u, 0x40u}
 #define TP_TABLE_FAULT {0x05u, 0x05u, 0x05u, 0x05u, 0x05u, 0x40u, 0x40u}
+#define TP_TABLE_ESTOP_INPUT {0x06u, 0x06u, 0x06u, 0x06u, 0x06u, 0x06u, 0x40u}
 
 static inline void tp_put_le(uint8_t *out, uint64_t value, size_t size)
 {
@@ -865,7 +878,7 @@ static inline bool tp_pulse_decode(tp_pulse *m, const uint8_t *in, size_t length
 }
 
 #define TP_STATUS 0x46u
-#define TP_STATUS_SIZE 123u
+#define TP_STATUS_SIZE 124u
 typedef struct {
     uint8_t state;
     uint8_t phase;
@@ -900,6 +913,7 @@ typedef struct {
     uint32_t watchdogs;
     uint32_t dropped_replies;
     uint32_t trips;
+    uint8_t inputs;
 } tp_status;
 
 static inline size_t tp_status_encode(const tp_status *m, uint8_t *out, size_t room)
@@ -940,7 +954,8 @@ static inline size_t tp_status_encode(const tp_status *m, uint8_t *out, size_t r
     tp_put_le(out + 111, (uint64_t)m->watchdogs, 4);
     tp_put_le(out + 115, (uint64_t)m->dropped_replies, 4);
     tp_put_le(out + 119, (uint64_t)m->trips, 4);
-    return 123;
+    tp_put_le(out + 123, (uint64_t)m->inputs, 1);
+    return 124;
 }
 
 static inline bool tp_status_decode(tp_status *m, const uint8_t *in, size_t length)
@@ -978,6 +993,7 @@ static inline bool tp_status_decode(tp_status *m, const uint8_t *in, size_t leng
     m->watchdogs = (uint32_t)tp_get_le(in, length, 111, 4);
     m->dropped_replies = (uint32_t)tp_get_le(in, length, 115, 4);
     m->trips = (uint32_t)tp_get_le(in, length, 119, 4);
+    m->inputs = (uint8_t)tp_get_le(in, length, 123, 1);
     return true;
 }
 

@@ -14,6 +14,7 @@ void ta_send_caps(ta_amplifier *amp)
     m.carriers = c->carriers;
     m.formats = c->formats;
     m.features = (uint16_t)((amp->hal.sense != NULL ? TP_FEATURE_SENSES : 0) |
+                            (amp->hal.estop_open != NULL ? TP_FEATURE_ESTOP_INPUT : 0) |
                             (c->holds ? TP_FEATURE_ZERO_ORDER_HOLD : 0));
     m.packet_limit = c->packet_limit;
     m.fifo_samples = c->fifo_samples;
@@ -221,6 +222,7 @@ ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r)
     m.slew_limit_v_per_s = amp->slew_v_per_s;
     m.fade_us = amp->fade_us;
     copy_counters(&m, &amp->counters);
+    m.inputs = ta_input_open(amp, r->now) ? TP_INPUT_ESTOP_OPEN : 0;
     ta_send(amp, TP_STATUS, packet, tp_status_encode(&m, packet + TA_HEADER, TP_STATUS_SIZE));
     return ta_done();
 }

@@ -16,6 +16,7 @@ typedef struct {
     ta_replies replies;
     bool arming; /* a valid ARM is being fed */
     bool plays;  /* the last codes are not all 0 */
+    bool estop_open;
     int16_t codes[TA_CHANNELS];
 } fuzz_board;
 
@@ -59,6 +60,7 @@ static inline void fuzz_after(void *context, uint64_t tick, uint8_t state, bool 
     HOLDS(!b->plays || tick < fuzz_deadline(&b->amp));
     HOLDS(!b->plays || (state != TP_STATE_IDLE && state != TP_STATE_SAFE && state != TP_STATE_ARMED));
     HOLDS(high_voltage || !b->plays);
+    HOLDS(!b->estop_open || state == TP_STATE_ESTOP); /* 6.3 */
     HOLDS(!high_voltage || (state != TP_STATE_IDLE && state != TP_STATE_SAFE));
 }
 
@@ -66,6 +68,12 @@ static inline void fuzz_high_voltage(void *context, bool on)
 {
     const fuzz_board *b = context;
     HOLDS(on ? b->arming : !b->plays);
+}
+
+static inline bool fuzz_estop_open(void *context)
+{
+    const fuzz_board *b = context;
+    return b->estop_open;
 }
 
 static inline void fuzz_sense(void *context, uint8_t channel, int16_t *voltage, int16_t *current)
@@ -99,6 +107,7 @@ static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
     hal.after = fuzz_after;
     hal.high_voltage = fuzz_high_voltage;
     hal.sense = fuzz_sense;
+    hal.estop_open = fuzz_estop_open;
     HOLDS(ta_init(&b->amp, &config, &hal));
 }
 

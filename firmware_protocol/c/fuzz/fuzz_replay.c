@@ -1,10 +1,10 @@
-/* The whole amplifier under arbitrary messages, frames and faults at arbitrary times. Its HAL aborts
+/* The whole amplifier under arbitrary messages, frames, faults and e-stop inputs at arbitrary times. Its HAL aborts
  * where the last stage breaks a promise (fuzz.h).
  *
  * A record is a byte of kind, one of time and one of length, then a payload. The high bits of kind say
  * what the payload is: a message's, which gets a valid header and CRC-32 here, and the session, so that
  * the fuzzer gets past the door; a few numbers, of which `made` makes a message that fits, so that it
- * gets to play; bytes, a frame or a fault.
+ * gets to play; bytes, a frame, a fault or a move of the e-stop button.
  */
 #include "fuzz.h"
 
@@ -175,6 +175,17 @@ static void frame(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
     ta_can_feed(&b->can, &f, b->now);
 }
 
+/* Opens or closes the e-stop input; with 2 in `how` the next instant is what reads it. */
+static void move_button(bench *b, uint8_t how)
+{
+    ta_run(&b->board.amp, b->now);
+    b->board.estop_open = (how & 1u) != 0;
+    if ((how & 2u) == 0) {
+        ta_estop_input(&b->board.amp, b->now);
+        HOLDS(!b->board.estop_open || b->board.amp.state == TP_STATE_ESTOP);
+    }
+}
+
 static void feed(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
 {
     uint8_t type = kind & 0x1Fu;
@@ -186,7 +197,11 @@ static void feed(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
         frame(b, kind, payload, size);
         break;
     case 6:
-        ta_fault(&b->board.amp, kind & 3u, b->now);
+        if ((kind & 4u) != 0) {
+            move_button(b, kind);
+        } else {
+            ta_fault(&b->board.amp, kind & 3u, b->now);
+        }
         break;
     case 7:
         ta_run(&b->board.amp, b->now);
@@ -201,17 +216,21 @@ static void feed(bench *b, uint8_t kind, const uint8_t *payload, size_t size)
     }
 }
 
-/* Duties 3 and 4: it is at 0 V and without high voltage 170 ms and a sample after the last heartbeat,
- * and 20 ms and a sample after ESTOP. */
-static void abandon(bench *b, bool estop)
+/* Duties 3, 4 and 10: it is at 0 V and without high voltage 170 ms and a sample after the last heartbeat,
+ * and 20 ms and a sample after ESTOP or the opening of the e-stop input. */
+static void abandon(bench *b, size_t how)
 {
     ta_amplifier *amp = &b->board.amp;
     const uint8_t reason = 1;
     ta_run(amp, b->now);
     uint64_t end = fuzz_deadline(amp);
-    if (estop) {
+    if (how != 0) {
         end = b->now + 20000u + amp->config.tick_hz / amp->player.rate + 1u;
+    }
+    if (how == 1) {
         message(b, TP_ESTOP, 0, &reason, 1);
+    } else if (how == 2) {
+        move_button(b, 1);
     }
     ta_run(amp, end > b->now ? end : b->now);
     HOLDS(ta_player_silent(&amp->player) && !amp->high_voltage);
@@ -238,6 +257,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         feed(&b, kind, data + at, length);
         at += length;
     }
-    abandon(&b, size % 2 != 0);
+    abandon(&b, size % 3u);
     return 0;
 }

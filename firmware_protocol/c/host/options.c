@@ -21,7 +21,8 @@ static const char usage[] =
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
     "                     u8 high voltage, i16 per channel\n"
-    "  --sent FILE        a record per frame sent: u64 tick, u8 kind, u32 length, bytes\n";
+    "  --sent FILE        a record per frame sent: u64 tick, u8 kind, u32 length, bytes\n"
+    "while it serves, SIGUSR1 pulls the e-stop button and SIGUSR2 releases it\n";
 
 static void defaults(virtual_options *o)
 {

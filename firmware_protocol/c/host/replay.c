@@ -10,7 +10,8 @@
 /* Answers go over the link of the last record fed that has one. */
 static void choose_link(virtual_amplifier *v, uint8_t kind)
 {
-    if (v->fixed_link || kind == KIND_NOTHING || kind == KIND_FAULT) {
+    if (v->fixed_link || kind == KIND_NOTHING || kind == KIND_FAULT ||
+        kind == KIND_ESTOP_INPUT) {
         return;
     }
     v->link = kind;
@@ -65,6 +66,10 @@ static void feed(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_
     case KIND_SMBUS_READ:
         feed_block_read(v);
         break;
+    case KIND_ESTOP_INPUT:
+        v->estop_open = size > 0 && bytes[0] != 0;
+        ta_estop_input(&v->amp, v->tick);
+        break;
     default:
         break;
     }
@@ -78,7 +83,7 @@ bool virtual_replay(virtual_amplifier *v, FILE *records)
     while ((got = fread(head, 1, sizeof head, records)) == sizeof head) {
         uint64_t tick = tp_get_le(head, sizeof head, 0, 8);
         size_t size = (size_t)tp_get_le(head, sizeof head, 9, 4);
-        if (size > LONGEST || head[8] > KIND_SMBUS_READ || tick < v->tick ||
+        if (size > LONGEST || head[8] > KIND_ESTOP_INPUT || tick < v->tick ||
             fread(bytes, 1, size, records) != size) {
             got = 1;
             break;

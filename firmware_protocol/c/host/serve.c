@@ -22,11 +22,17 @@
 #define FRAME_FD 0x04  /* of flags */
 
 static volatile sig_atomic_t stopped;
+static volatile sig_atomic_t pulled; /* the e-stop button */
 
 static void on_signal(int number)
 {
     (void)number;
     stopped = 1;
+}
+
+static void on_button(int number)
+{
+    pulled = number == SIGUSR1;
 }
 
 static void catch_signals(void)
@@ -35,6 +41,9 @@ static void catch_signals(void)
     action.sa_handler = on_signal;
     sigaction(SIGTERM, &action, NULL);
     sigaction(SIGINT, &action, NULL);
+    action.sa_handler = on_button;
+    sigaction(SIGUSR1, &action, NULL);
+    sigaction(SIGUSR2, &action, NULL);
 }
 
 /* Time */
@@ -98,6 +107,8 @@ static void serve(virtual_amplifier *v, void (*receive)(virtual_amplifier *v))
             ready = 0;
         }
         virtual_run(v, ticks(v));
+        v->estop_open = pulled != 0;
+        ta_estop_input(&v->amp, v->tick);
         if (ready > 0 || *fd < 0) {
             receive(v);
         }

@@ -93,6 +93,12 @@ static void hal_high_voltage(void *context, bool on)
     (void)on;
 }
 
+static bool hal_estop_open(void *context)
+{
+    const virtual_amplifier *v = context;
+    return v->estop_open;
+}
+
 static void hal_identify(void *context, uint8_t seconds)
 {
     (void)context;
@@ -172,6 +178,7 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     hal.put_out = hal_put_out;
     hal.high_voltage = hal_high_voltage;
     hal.after = hal_after;
+    hal.estop_open = hal_estop_open;
     hal.identify = hal_identify;
     hal.sense = options->senses ? hal_sense : NULL;
     if (!ta_init(&v->amp, &options->config, &hal)) {

@@ -22,7 +22,8 @@ enum {
     KIND_FAULT = 5,
     KIND_I2C_READ = 6,
     KIND_SMBUS_WRITE = 7,
-    KIND_SMBUS_READ = 8
+    KIND_SMBUS_READ = 8,
+    KIND_ESTOP_INPUT = 9
 };
 
 typedef struct {
@@ -54,6 +55,7 @@ typedef struct {
     bool loaded;
     uint32_t load_pf[TA_CHANNELS];
     int16_t codes[2][TA_CHANNELS]; /* put out last, and before */
+    bool estop_open;               /* the contact of the e-stop input */
     FILE *out;
     FILE *sent;
     size_t unflushed; /* bytes that wait for `out`, and the tick of the last that did not */

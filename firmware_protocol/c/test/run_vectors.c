@@ -117,6 +117,12 @@ static void switch_nothing(void *context, bool on)
     (void)on;
 }
 
+static bool contact_open(void *context)
+{
+    (void)context;
+    return false;
+}
+
 static void power_up(uint8_t node, size_t limit)
 {
     ta_config config = {0};
@@ -136,6 +142,7 @@ static void power_up(uint8_t node, size_t limit)
     hal.send = ignore;
     hal.put_out = put_nothing;
     hal.high_voltage = switch_nothing;
+    hal.estop_open = contact_open;
     if (!ta_init(&amp, &config, &hal)) {
         printf("no amplifier ");
     }

@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "../tactile_internal.h"
 #include "../tactile_link.h"
 
 static int failures;
@@ -354,12 +355,70 @@ static void test_player(void)
     }
 }
 
-/* What ta_init allows: 20 ms to 0 V in whole codes at the lowest and the highest rate (11.1). */
+/* A contact for a HAL whose context it is. */
+static bool contact_open(void *context)
+{
+    const bool *open = context;
+    return *open;
+}
+
+static void put_nothing(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
+{
+    (void)context;
+    (void)tick;
+    (void)position;
+    (void)codes;
+}
+
+/* Who never calls ta_estop_input has the contact read at each instant (6.3), and a contact that bounces
+ * counts as open until it has been closed for 50 ms. */
+static void test_input_is_read_at_instants(void)
+{
+    static ta_amplifier amp;
+    bool open = false;
+    ta_hal hal = {0};
+    ta_config config = {0};
+    config.node = 1;
+    config.channels = 1;
+    config.packet_limit = 136;
+    config.fifo_samples = 512;
+    config.tick_hz = 1000000;
+    config.rate_min_hz = 8000;
+    config.rate_max_hz = 8000;
+    config.full_scale_uv = 100000000;
+    config.voltage_limit_uv = 100000000;
+    config.slew_limit_v_per_s = 700000;
+    hal.context = &open;
+    hal.put_out = put_nothing;
+    hal.estop_open = contact_open;
+    CHECK(ta_init(&amp, &config, &hal));
+    ta_run(&amp, 1000);
+    open = true;
+    ta_run(&amp, 1124); /* between two instants */
+    CHECK(amp.state == TP_STATE_IDLE);
+    ta_run(&amp, 1125);
+    CHECK(amp.state == TP_STATE_ESTOP && amp.counters.trips == 1);
+    open = false;
+    ta_run(&amp, 2000);
+    open = true;
+    ta_run(&amp, 3000);
+    open = false;
+    ta_run(&amp, 4000); /* the first instant after the closing is at 3125 */
+    CHECK(amp.counters.trips == 2);
+    CHECK(ta_input_open(&amp, 53124) && !ta_input_open(&amp, 53125));
+    CHECK(amp.state == TP_STATE_ESTOP);
+}
+
+/* What ta_init allows: 20 ms to 0 V in whole codes at the lowest and the highest rate (11.1), and above
+ * 60 V an e-stop input, which is read at power-up (6.3). */
 static void test_configuration(void)
 {
     static ta_amplifier amp;
+    bool open = false;
     ta_hal hal = {0};
     ta_config good = {0};
+    hal.context = &open;
+    hal.estop_open = contact_open;
     good.node = 1;
     good.channels = 1;
     good.packet_limit = 136;
@@ -384,6 +443,17 @@ static void test_configuration(void)
     bad = good;
     bad.rate_max_hz = 16000; /* 102 codes, 320 samples */
     CHECK(!ta_init(&amp, &bad, &hal));
+    CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_IDLE && amp.counters.trips == 0);
+    open = true;
+    CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_ESTOP && amp.counters.trips == 1);
+    CHECK(amp.estop_reason == TP_ESTOP_REASON_INPUT && !amp.high_voltage);
+    hal.estop_open = NULL;
+    CHECK(!ta_init(&amp, &good, &hal));
+    good.full_scale_uv = 60000001;
+    good.voltage_limit_uv = 1000000; /* it is the full scale that counts */
+    CHECK(!ta_init(&amp, &good, &hal));
+    good.full_scale_uv = 60000000;
+    CHECK(ta_init(&amp, &good, &hal));
 }
 
 int main(void)
@@ -409,5 +479,6 @@ int main(void)
     test_bfp8();
     test_player();
     test_configuration();
+    test_input_is_read_at_instants();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }

@@ -290,6 +290,8 @@ class Session:
             self.amplifier.fault(source.number() % 5, self.now)
         elif what < 195:
             self.amplifier.estop_input(source.number() % 2 == 1, self.now)
+        elif what < 200:
+            self._own(m.ClearFault(self.amplifier.session, self.amplifier.counters.trips))
         else:
             self.now += source.number(2)
             self.amplifier.run(self.now)

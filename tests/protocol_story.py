@@ -104,6 +104,7 @@ class Story:
     def estop(self) -> None:
         """Of anyone."""
         self.tell("ESTOP", self.some(0, 1, 255), node=self.some(0, self.rig.amplifier.node))
+        self.poll()
 
     def clear(self) -> None:
         """End what is latched, as of now or as of some trips ago."""
@@ -277,6 +278,7 @@ class Story:
         """Let somebody pull the e-stop button, or release it, with a contact that may bounce."""
         for _ in range(self.some(1, 1, 1, 3)):
             self.rig.estop_input(self.some(0, 1) == 1)
+            self.poll()
             self.wait(self.some(0, 1, self.ms(1), self.ms(30)))
         if self.rng.random() < 0.7:
             self.rig.estop_input(False)

@@ -24,6 +24,7 @@ from c_amplifier_rig import (
     HEARTBEAT,
     HELLO,
     IDLE,
+    INPUT,
     LIMITS,
     LOG,
     MS,
@@ -279,18 +280,41 @@ def test_clear_fault_names_the_trips_that_it_clears(build: Path, tmp_path: Path)
     acks = [p for _, _, p in run.packets(ACK) if p[0] == CLEAR_FAULT]
     assert len(acks) == 3
     before, after = (p for _, _, p in run.packets(STATUS))
-    assert (before[0], before[-4:]) == (ESTOPPED, struct.pack("<I", 3))
-    assert (after[0], after[-4:]) == (IDLE, struct.pack("<I", 5))
+    assert (before[0], before[119:123]) == (ESTOPPED, struct.pack("<I", 3))
+    assert (after[0], after[119:123]) == (IDLE, struct.pack("<I", 5))
+
+
+def test_an_open_input_ends_at_0_volt_and_is_not_ended_by_its_closing(
+    build: Path, tmp_path: Path
+) -> None:
+    """5100 V/s: 20000 codes at 208 a sample."""
+    run = playing([20000] * 200)
+    opened = T0 + 110 * PERIOD + 60  # between two instants
+    run.feed(opened, b"\1", INPUT)
+    run.feed(opened + 1 * MS, b"\0", INPUT)
+    run.feed(opened + 30 * MS, clear(1))
+    run.feed(opened + 60 * MS, packet(POLL))
+    run.feed(opened + 60 * MS, clear(1))
+    run.feed(opened + 61 * MS, kind=NOTHING)
+    run.run(build, tmp_path, "--slew-v-per-s", "5100")
+    after = [x for x in run.instants if x.tick > opened]
+    fall = [max(20000 - 208 * k, 0) for k in range(1, 98)]
+    assert [x.codes[0] for x in after[:97]] == fall
+    assert [x.high_voltage for x in after[:97]] == [1] * 96 + [0]
+    assert not any(x.codes[0] or x.high_voltage for x in after[97:])
+    assert [n[2] for n in run.naks(CLEAR_FAULT)] == [18]
+    assert run.packets(STATUS)[0][2][:4] == bytes([ESTOPPED, 0, 0, 255])
+    assert run.instants[-1].state == IDLE
 
 
 def test_estop_is_taken_whatever_its_flags(build: Path, tmp_path: Path) -> None:
     run = Run()
     for flags in (0x00, 0x80, 0xC0, 0x58, 0xFF):  # versions 0, 2, 3; INCOMPATIBLE; all
-        run.feed(0, packet(ESTOP, bytes([flags]), flags=flags))
+        run.feed(0, packet(ESTOP, bytes([flags & 0x7F]), flags=flags))
     run.feed(0, packet(POLL))
     run.run(build, tmp_path)
     assert [kind for _, kind, _ in run.packets()] == [ACK, STATUS]  # 0xFF asks for an answer
-    assert run.packets(STATUS)[0][2][:4] == bytes([ESTOPPED, 0, 0, 0xFF])
+    assert run.packets(STATUS)[0][2][:4] == bytes([ESTOPPED, 0, 0, 0x7F])
     assert {k: v for k, v in run.status().items() if v} == {"packets": 6, "trips": 5}
 
 

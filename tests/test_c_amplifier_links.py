@@ -124,7 +124,7 @@ def test_serial_finds_its_way_back(build: Path, tmp_path: Path) -> None:
     run.run(build, tmp_path)
     answers = [parse(uncobs(data[:-1])) for _, link, data in run.sent if link == SERIAL]
     assert [kind for kind, _ in answers] == [CAPS, STATUS]
-    counters = struct.unpack("<21I", answers[1][1][39:])
+    counters = struct.unpack_from("<21I", answers[1][1], 39)
     assert counters[:4] == (2, 0, 2, 1)
 
 

@@ -2,6 +2,7 @@
 
 import os
 import select
+import signal
 import socket
 import struct
 import subprocess
@@ -16,8 +17,11 @@ import pytest
 from c_amplifier_rig import (
     ACK,
     CAPS,
+    CLEAR_FAULT,
+    ESTOPPED,
     HEARTBEAT,
     LOG,
+    NAK,
     PERIOD,
     POLL,
     PULSE,
@@ -25,6 +29,7 @@ from c_amplifier_rig import (
     TIME,
     TIME_REPLY,
     arm,
+    clear,
     cobs,
     fragments,
     hello,
@@ -88,6 +93,28 @@ def test_pty(terminal: tuple[int, "subprocess.Popen[bytes]"], tmp_path: Path) ->
     rows = list(struct.iter_unpack("<QIBB2h", (tmp_path / "out").read_bytes()))
     assert [b[0] > a[0] for a, b in pairwise(rows)] == [True] * (len(rows) - 1)
     assert rows[-1][3:] == (0, 0, 0)  # high voltage off, 0 V
+
+
+def test_signals_pull_and_release_the_estop_button(
+    terminal: tuple[int, "subprocess.Popen[bytes]"],
+) -> None:
+    stream, process = terminal
+    os.write(stream, b"\0" + cobs(hello()) + cobs(arm()))
+    collect(stream, ACK)
+    process.send_signal(signal.SIGUSR1)
+    collect(stream, LOG)
+    os.write(stream, cobs(packet(POLL)))
+    status = next(p for kind, p in collect(stream, STATUS) if kind == STATUS)
+    assert (status[0], status[3], status[-1]) == (ESTOPPED, 255, 1)
+    os.write(stream, cobs(clear(1)))
+    assert collect(stream, NAK)[-1][1] == bytes([CLEAR_FAULT, 7, 18, ESTOPPED, 0, 0, 0, 0])
+    process.send_signal(signal.SIGUSR2)
+    while status[-1]:  # until it has been closed for 50 ms
+        os.write(stream, cobs(packet(POLL)))
+        status = next(p for kind, p in collect(stream, STATUS) if kind == STATUS)
+    assert status[0] == ESTOPPED
+    os.write(stream, cobs(clear(1)))
+    collect(stream, ACK)
 
 
 def test_out_has_whole_records_while_it_runs(

@@ -21,7 +21,7 @@ from firmware_protocol.packet import Packet
 from tactile.bus.base import DriveBlock
 from tactile.bus.line_model import Faults
 from tactile.bus.modeled_bus import ModeledBus
-from tactile.bus.session import Phase
+from tactile.bus.phases import Phase
 from tactile.devices import open_bus
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,7 @@
 """E-stops over links: in time, remembered, told, and ended by a person alone."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from link_rig import LEVEL, MOST, SAMPLE, Bench, Panel, benches, overheard
@@ -142,6 +143,73 @@ def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
     rig.idle(0.05)
     assert (rig.bus.status.state, rig.bus.status.link) == ("estopped", "up")
     assert "overcurrent" in rig.bus.status.detail
+
+
+@EVERY
+@pytest.mark.parametrize("playing", [True, False])
+def test_an_open_estop_input_asks_for_its_release_and_then_for_a_clear(
+    bench: Callable[..., Bench], link: str, playing: bool
+) -> None:
+    """Its release alone ends nothing, nor does a clear that was refused act once it is released."""
+    rig = bench(link)
+    if playing:
+        rig.start()
+        rig.play(0.2)
+    model, amplifier = rig.model, rig.model.amplifiers[0]
+    amplifier.estop_input(True, model.tick(0))
+    pressed = rig.clock.time
+    rig.idle(0.4)
+    assert rig.silence_after(pressed) < TO_ESTOP
+    status = rig.bus.status
+    assert (status.state, status.link) == ("estopped", "up")
+    assert "e-stop input open: release the button, then clear" in status.detail
+    for _ in range(2):
+        with pytest.raises(BusError, match="release the button, then clear"):
+            rig.bus.clear()
+        assert rig.bus.status.state == "estopped"
+    amplifier.estop_input(False, model.tick(0))
+    rig.idle(0.6)
+    assert amplifier.state == State.ESTOP
+    assert rig.bus.status.detail == "node 1 was e-stopped by its e-stop input"
+    rig.bus.clear()
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+    rig.start()
+    rig.play(0.2)
+    assert rig.misplaced(since=rig.zero)[1] > 100
+
+
+@EVERY
+def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
+    bench: Callable[..., Bench], link: str
+) -> None:
+    rig = bench(link)
+    rig.start()
+    rig.play(0.1)
+    rig.model.amplifiers[0].estop_input(True, rig.model.tick(0))
+    rig.bus.estop()
+    rig.idle(0.4)
+    assert rig.bus.status.detail == "node 1: e-stop input open: release the button, then clear"
+    rig.model.amplifiers[0].estop_input(False, rig.model.tick(0))
+    rig.idle(0.6)
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("estopped", "")
+
+
+def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As one of version 1.0 is, on which this host plays all the same."""
+    with caplog.at_level("WARNING", "tactile.bus"):
+        bench("serial")
+        assert caplog.messages == []
+        pack = m.Caps.pack
+        monkeypatch.setattr(
+            m.Caps, "pack", lambda c: pack(replace(c, minor=0, schema=1, features=0))
+        )
+        rig = bench("serial")
+    assert caplog.messages == ["node 1 can put out 100 V and has no e-stop input (SPEC.md, 6.3)"]
+    rig.start()
+    rig.play(0.2)
+    assert rig.bus.status.state == "running"
 
 
 @EVERY

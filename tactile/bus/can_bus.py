@@ -24,7 +24,8 @@ from typing import Any
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.packet import Packet, encode_packet
 from tactile.bus.base import Rig
-from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, open_link
+from tactile.bus.link_bus import LinkBus
+from tactile.bus.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Clock, Monotonic, Wire, WireError

@@ -15,22 +15,16 @@ from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Message
-from tactile.bus.base import RATE, Bus, DriveBlock, DriveFrame, Floats, Frames, Rig, Status, Wiring
-from tactile.bus.board import config_of
-from tactile.bus.budget import Ability, Plan, plan
-from tactile.bus.options import flag, number, sample_format
+from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Frames, Status, Wiring
+from tactile.bus.budget import Plan
 from tactile.bus.peer import Peer
-from tactile.bus.registry import Address
-from tactile.bus.session import Phase, Session, Want
-from tactile.bus.stream import LEAST_LEAD, LONGEST_LEAD
+from tactile.bus.phases import Phase, Want
+from tactile.bus.session import Session
 from tactile.bus.wire import Clock, Monotonic, Wire, WireError
-from tactile.bus.wire_time import Link
 from tactile.errors import BusError, BusStateError, InputError
 
 logger = logging.getLogger("tactile.bus")
 
-LINK_OPTIONS = ("format", "rearm", "lead_ms")
-"""Of every device whose amplifiers speak the protocol."""
 OPENING = 2.0
 """s in which an amplifier must have answered, and its clock be known."""
 STARTING, ENDING = 2.0, 0.5
@@ -115,6 +109,12 @@ class LinkBus(Bus):
                 raise session.error
             reason = session.refusal or session.trouble or self._silence()
             raise BusError(reason)
+        for peer in session.peers:
+            if peer.unguarded:
+                logger.warning(
+                    "node %d can put out %g V and has no e-stop input (SPEC.md, 6.3)",
+                    peer.host.node, peer.caps.full_scale_uv * 1e-6,
+                )  # fmt: skip
         self.plan = session.plan
         self.wiring = session.wiring
         if self.plan.carriers:
@@ -461,40 +461,3 @@ class LinkBus(Bus):
 
 
 RESTING = (Phase.READY, Phase.DOWN, Phase.GONE, Phase.ESTOP)
-
-
-def open_link(
-    address: Address,
-    rig: Rig,
-    sample_rate: float | None,
-    link: Link,
-    connect: Callable[[], Wire],
-    *,
-    nodes: Sequence[int] = (),
-) -> LinkBus:
-    """Open a bus for an address, which sends what fits its link, or what it asks for."""
-    wiring = Wiring.of(rig, sample_rate or RATE)
-    config_of(wiring, 1, 1)
-    choose = planner(address, rig, sample_rate, link)
-    return LinkBus(
-        wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"), lead=lead_of(address)
-    )
-
-
-def lead_of(address: Address) -> float | None:
-    """Return the lead that is asked for [s], None where it is to be the least that will do."""
-    lead = number(address, "lead_ms", 1e3 * LEAST_LEAD, 1e3 * LONGEST_LEAD)
-    return None if lead is None else lead * 1e-3
-
-
-def planner(
-    address: Address, rig: Rig, sample_rate: float | None, link: Link
-) -> Callable[[Sequence[m.Caps]], Plan]:
-    """Return what makes the plan of what amplifiers say that they can."""
-    wanted = sample_format(address, spectrum=True)
-
-    def choose(caps: Sequence[m.Caps]) -> Plan:
-        ability = Ability.of(caps)
-        return plan(link, rig.channels, ability, sample_rate=sample_rate, sample_format=wanted)
-
-    return choose

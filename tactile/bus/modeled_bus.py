@@ -19,7 +19,8 @@ from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
 from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, ModelClock, Party, SerialModel
-from tactile.bus.link_bus import LINK_OPTIONS, LinkBus, lead_of, planner
+from tactile.bus.link_bus import LinkBus
+from tactile.bus.link_url import LINK_OPTIONS, lead_of, planner
 from tactile.bus.options import flag, number, whole
 from tactile.bus.registry import Address
 from tactile.bus.serial_bus import SerialWire

@@ -11,7 +11,7 @@ from dataclasses import replace
 from firmware_protocol import messages as m
 from firmware_protocol.clock import ClockEstimator
 from firmware_protocol.host import Host
-from firmware_protocol.messages import Fault, Message, State
+from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
 from tactile.bus.aside import RETRY, TRIES, Aside
@@ -21,7 +21,7 @@ ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status
 TIME_LENGTH = m.TimeReply.HEAD.size
 """To which TIME is padded, so that both ways take as long (SPEC.md, 7.2)."""
 POLL_INTERVAL = 0.25
-"""s between STATUSes while it plays."""
+"""s between STATUSes while it plays, or its e-stop input is open."""
 SKIPPED = 1 << 20
 """Positions between all that was sent before a START and what comes after it (SPEC.md, 8.1)."""
 
@@ -89,18 +89,16 @@ class Peer:
         return None if self._told is None else State(self._told)
 
     @property
-    def complaint(self) -> str:
-        """Why it does not run, as one line."""
-        node, state, status = self.host.node, self.state, self.host.status
-        if state is State.FAULT:
-            fault = 0 if status is None else status.fault
-            name = Fault(fault).name.lower() if fault and fault in set(Fault) else "of its hardware"
-            return f"node {node} reports a fault: {name}"
-        if state is State.ESTOP:
-            return f"node {node} was e-stopped by another"
-        if state is State.SAFE:
-            return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
-        return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"
+    def input_open(self) -> bool:
+        """Whether its e-stop input was open by the latest STATUS."""
+        status = self.host.status
+        return status is not None and bool(status.inputs & Input.ESTOP_OPEN)
+
+    @property
+    def unguarded(self) -> bool:
+        """Whether it can put out more than 60 V and has no e-stop input (SPEC.md, 13)."""
+        guarded = self.caps.features & Feature.ESTOP_INPUT
+        return self.caps.full_scale_uv > UNGUARDED_MOST_UV and not guarded
 
     def assume(self, state: State) -> None:
         """Take it to be in a state, since it did what leads there."""
@@ -260,6 +258,10 @@ class Peer:
         """Tell whether the amplifier takes what ends before a wire position."""
         pulse = self.host.pulse
         return pulse is None or distance(end, pulse.credit_position) <= 0
+
+    def watch(self, now: float) -> None:
+        """Ask for STATUS from now on, as while it plays."""
+        self._status_due = min(self._status_due, now + POLL_INTERVAL)
 
     def rest(self) -> None:
         """Ask for no more STATUS."""

@@ -9,7 +9,6 @@ wanted, by `refusal`; nothing raises.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from enum import Enum, auto
 
 import numpy as np
 
@@ -22,6 +21,8 @@ from tactile.bus.aside import RETRY
 from tactile.bus.base import Counters, Floats, Wiring
 from tactile.bus.budget import Plan, check_limits
 from tactile.bus.peer import Peer
+from tactile.bus.phases import Phase, Want
+from tactile.bus.stopped import INPUT_OPEN, open_input, why_stopped
 from tactile.bus.stream import Stream
 from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
@@ -44,40 +45,10 @@ LATCHED = (State.ESTOP, State.FAULT)
 MOVING = (State.RUNNING, State.RAMPDOWN)
 
 
-class Phase(Enum):
-    """How far a session is."""
-
-    DOWN = auto()
-    SEARCH = auto()
-    GREET = auto()
-    CLOCK = auto()
-    HALT = auto()
-    LIMIT = auto()
-    READY = auto()
-    ARM = auto()
-    START = auto()
-    RUN = auto()
-    END = auto()
-    ESTOP = auto()
-    TRIPS = auto()
-    CLEAR = auto()
-    DISARM = auto()
-    GONE = auto()
-
-
 AFTER = {phase: f"_after_{phase.name.lower()}" for phase in Phase}
 """What ends each but the first two and the last."""
 AGAIN: dict[int, Phase] = {NakCode.TIME: Phase.START, NakCode.NOT_ARMED: Phase.ARM}
 """Where a START that came too late, or after the watchdog, goes on."""
-
-
-class Want(Enum):
-    """What a session is to come to."""
-
-    READY = auto()
-    RUN = auto()
-    ESTOP = auto()
-    GONE = auto()
 
 
 class Session:
@@ -374,7 +345,7 @@ class Session:
         elif self.phase is Phase.CLEAR and nak.code == NakCode.STATE:
             self._wait(Phase.TRIPS, now)
         else:
-            self.refusal = refusal(nak)
+            self.refusal = INPUT_OPEN if nak.code == NakCode.INPUT_OPEN else refusal(nak)
             if self.want is Want.RUN:
                 self.want = Want.READY
             self._enter(Phase.DISARM if self.want is Want.GONE else Phase.READY, now)
@@ -439,8 +410,9 @@ class Session:
         elif latched:
             if not self.tripped:
                 self.tripped = True
-                latched[0].ask(m.Poll())
-            self.trouble = latched[0].complaint
+                for peer in latched:
+                    peer.ask(m.Poll())
+            self.trouble = open_input(self.peers, now) or why_stopped(latched[0])
             if self.want is Want.RUN:
                 self.want, self.refusal = Want.READY, self.trouble
         elif self.want is Want.RUN:
@@ -461,7 +433,7 @@ class Session:
             return
         if self.stream is not None:
             self.stream.freeze(now)
-        self.trouble = fallen[0].complaint
+        self.trouble = why_stopped(fallen[0])
         if any(peer.state in LATCHED for peer in fallen):
             self.tripped = True
         elif not self.rearm:
@@ -484,6 +456,8 @@ class Session:
             self._enter(Phase.DISARM, now)
         elif any(peer.state is not State.ESTOP for peer in self.peers):
             self._enter(Phase.ESTOP, now)
+        else:
+            self.trouble = open_input(self.peers, now)
 
     def _after_trips(self, now: float) -> None:
         self._enter(Phase.CLEAR, now)

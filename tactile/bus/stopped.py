@@ -1,0 +1,31 @@
+"""Why an amplifier does not run, as one line for a person."""
+
+from collections.abc import Sequence
+
+from firmware_protocol.messages import EstopReason, Fault, State
+from tactile.bus.peer import Peer
+
+INPUT_OPEN = "e-stop input open: release the button, then clear"
+
+
+def why_stopped(peer: Peer) -> str:
+    """Return why an amplifier does not run."""
+    node, state, status = peer.host.node, peer.state, peer.host.status
+    if state is State.FAULT:
+        fault = 0 if status is None else status.fault
+        name = Fault(fault).name.lower() if fault and fault in set(Fault) else "of its hardware"
+        return f"node {node} reports a fault: {name}"
+    if state is State.ESTOP:
+        by_input = status is not None and status.estop_reason == EstopReason.INPUT
+        return f"node {node} was e-stopped by {'its e-stop input' if by_input else 'another'}"
+    if state is State.SAFE:
+        return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
+    return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"
+
+
+def open_input(peers: Sequence[Peer], now: float) -> str:
+    """Return which e-stop input is open, empty where none is; STATUS is asked for meanwhile."""
+    pulled = [peer for peer in peers if peer.input_open]
+    for peer in pulled:
+        peer.watch(now)
+    return f"node {pulled[0].host.node}: {INPUT_OPEN}" if pulled else ""

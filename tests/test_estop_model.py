@@ -1,0 +1,589 @@
+"""Whatever happens in whatever order, an e-stop holds until the clear that names it.
+
+Programs connect, arm, play, e-stop, clear, fall silent and leave, several commands at once; the
+e-stop process and the amplifier trip the latch, also in the middle of a block; playback hangs or is
+killed, the server stands still, is killed or ended, and started again. The daemon is the real one,
+on a virtual clock (`virtual_daemon`); what is right is told by plain counting of what was answered.
+
+``TACTILE_LONG=1 pytest tests/test_estop_model.py -m ci`` takes 10⁵ steps.
+"""
+
+import asyncio
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, Verbosity, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+from virtual_daemon import Floats, PlaybackProcess, small_display, virtual_world
+
+from tactile.daemon import messages as m
+from tactile.daemon.client import Client
+from tactile.daemon.config import Config, DisplayConfig
+from tactile.errors import BusError
+
+RATE = 2500.0
+LIMIT, SLEW = 60.0, 20e3
+"""Of the display [V] and [V/s]."""
+CODE = LIMIT / 32767
+QUIET = 0.05
+"""s from an e-stop to 0 V."""
+DEAD_MAN = 0.25
+"""s from the server's last heartbeat to 0 V."""
+UNOWNED = 1.0
+"""s from the last leave of those who armed to high voltage off."""
+DEVICES = {"left": "mock:", "right": "mock:?format=pcm12"}
+NAMES = st.sampled_from(list(DEVICES))
+MOMENTS = st.sampled_from(
+    [0, 0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 25, 30, 40, 55, 60, 110, 160, 260, 700]
+).map(lambda ms: 1e-3 * ms + 1e-4)
+"""s; few are long, since what plays takes a tenth of its time."""
+ROLES = st.frozensets(st.sampled_from(sorted(m.ALL_ROLES))) | st.just(m.ALL_ROLES)
+PHASES = [Phase.generate] if os.environ.get("TACTILE_LONG") else [Phase.generate, Phase.shrink]
+KINDS = st.sampled_from(
+    "arm arm arm effect effect append select touch stop gain stats disarm estop estop_all "
+    "clear clear clear clear_older clear_newer".split()
+)
+
+
+@dataclass
+class Expected:
+    """What is known of a display from what was answered, and what follows from that.
+
+    Attributes
+    ----------
+    number, since : of the latest e-stop that was answered, and when [s]
+    cleared : highest number of a clear that was, or might have been, accepted
+    opened : whether somebody asked to arm since then, and that was allowed
+    owners : when each client that might own high voltage asked for it last [s]
+    unowned : since when nobody might [s]
+    hang : beginning and end of the last hang of playback [s]
+    """
+
+    number: int = 0
+    since: float = 0.0
+    cleared: int = 0
+    clearing: list[int] = field(default_factory=list)
+    opened: bool = False
+    owners: dict[int, float] = field(default_factory=dict)
+    unowned: float = 0.0
+    hang: tuple[float, float] = 0.0, 0.0
+
+    @property
+    def holds(self) -> bool:
+        return self.number > max([self.cleared, *self.clearing])
+
+    def stop(self, number: int, now: float) -> None:
+        """Take note of an e-stop that was answered."""
+        if number > self.number:
+            self.number, self.since, self.opened = number, now, False
+
+    def is_quiet(self, now: float) -> bool:
+        """Return whether the output must be at 0 V."""
+        begin, end = self.hang
+        since = max(self.since, end) if begin < self.since + QUIET else self.since
+        return not self.opened and now > since + QUIET
+
+    def is_unowned(self, now: float) -> bool:
+        return not self.owners and now > max(self.unowned, self.hang[1]) + UNOWNED
+
+
+@dataclass
+class App:
+    """A program: a client, and its requests in flight."""
+
+    client: Client
+    tasks: set["asyncio.Task[m.Answer]"] = field(default_factory=set)
+    gone: bool = False
+
+
+@dataclass
+class Tally:
+    """What the test came across, so that it is known to have tested something."""
+
+    steps: int = 0
+    seconds: float = 0.0
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def count(self, what: str) -> None:
+        self.counts[what] = self.counts.get(what, 0) + 1
+
+
+tally = Tally()
+
+
+class Model(RuleBasedStateMachine):
+    """A daemon and its surroundings."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack = ExitStack()
+        self.folder = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="t-")))
+        patched = self.stack.enter_context(pytest.MonkeyPatch.context())
+        patched.setenv("STATE_DIRECTORY", str(self.folder / "state"))
+        self.world = self.stack.enter_context(virtual_world(self.put_out))
+        self.expected = {name: Expected() for name in DEVICES}
+        self.of_device = {device: self.expected[name] for name, device in DEVICES.items()}
+        self.last: dict[int, Floats] = {}
+        self.wrong: list[str] = []
+        self.apps: list[App] = []
+        self.killed = -np.inf
+        self.tripping: set[str] = set()
+
+    @property
+    def now(self) -> float:
+        return self.world.clock.now
+
+    # What is put out
+
+    def put_out(self, playback: PlaybackProcess, volts: Floats) -> None:
+        """Check each sample that an amplifier puts out, as it does."""
+        if not len(volts):
+            return
+        before = self.last.get(playback.pid, np.zeros(volts.shape[1]))
+        steps = np.abs(np.diff(np.vstack([before, volts]), axis=0)).max()
+        self.last[playback.pid] = volts[-1]
+        peak = np.abs(volts).max()
+        if peak > LIMIT + CODE:
+            self.wrong.append(f"{peak} V is above the limit")
+        if steps > SLEW / RATE + 2 * CODE:
+            self.wrong.append(f"a step of {steps} V is above the slew limit")
+        if not volts.any():
+            return
+        tally.count("sounding blocks")
+        expected = self.of_device[playback.device]
+        if expected.is_quiet(self.now):
+            self.wrong.append(f"{peak} V with {expected} at {self.now}")
+        if self.is_forsaken(expected):
+            self.wrong.append(f"{peak} V without a server")
+
+    def is_forsaken(self, expected: Expected) -> bool:
+        """Return whether playback must have noticed that the server is silent."""
+        stalled = self.world.stalled
+        since = self.killed if self.world.host is None else stalled
+        return since is not None and self.now > max(since, expected.hang[1]) + DEAD_MAN
+
+    # Programs
+
+    def app(self, k: int) -> App:
+        return self.apps[k % len(self.apps)]
+
+    def command(self, kind: str, name: str) -> m.Command:
+        number = self.expected[name].number
+        point = m.Point(0.0, 1.0), m.Point(60_000.0, 1.0)
+        commands: dict[str, Callable[[], m.Command]] = {
+            "arm": lambda: m.Arm(display=name),
+            "disarm": lambda: m.Disarm(display=name),
+            "effect": lambda: m.Effect(display=name, amplitude_um=20.0, amplitude=point),
+            "append": lambda: m.Append(
+                display=name, sample_rate_hz=500.0, amplitude_um=20.0, samples=(0.9, -0.9) * 300
+            ),
+            "select": lambda: m.Select(display=name, layers=(m.Layer(texture="wood-oak"),)),
+            "touch": lambda: m.Contact(display=name, position_mm=(1.0, 0), normal_force_n=0.5),
+            "stop": lambda: m.Stop(display=name),
+            "gain": lambda: m.Gain(display=name, gain=0.7),
+            "stats": lambda: m.GetStats(display=name),
+            "estop": lambda: m.EStop(display=name),
+            "estop_all": lambda: m.EStop(),
+            "clear": lambda: m.Clear(display=name, estop=max(number, 1)),
+            "clear_older": lambda: m.Clear(display=name, estop=max(number - 1, 1)),
+            "clear_newer": lambda: m.Clear(display=name, estop=number + 1),
+        }
+        return commands[kind]()
+
+    async def request(self, app: App, command: m.Command) -> m.Answer:
+        """Have a command carried out, and take note of what follows from it."""
+        asked, numbers = self.now, {name: one.number for name, one in self.expected.items()}
+        tally.count(type(command).__name__)
+        if isinstance(command, m.EStop):
+            answer = await app.client.request(command)
+            assert isinstance(answer, m.Done)
+            assert set(answer.estops) == ({command.display} if command.display else set(DEVICES))
+            for name, number in answer.estops.items():
+                assert number > numbers[name], "an e-stop has a number of its own"
+                self.expected[name].stop(number, self.now)
+            return answer
+        name = getattr(command, "display", "")
+        expected = self.expected[name]
+        if isinstance(command, m.Arm):
+            return await self.request_arm(app, command, expected)
+        if isinstance(command, m.Clear):
+            return await self.request_clear(app, command, expected)
+        answer = await app.client.request(command)
+        if isinstance(command, m.Disarm) and isinstance(answer, m.Done):
+            for owner in [k for k, when in expected.owners.items() if when < asked]:
+                self.disown(expected, owner)
+        if isinstance(command, m.GetStats) and expected.holds:
+            assert isinstance(answer, m.Stats)
+            assert answer.state in ("estopped", "lost")
+        return answer
+
+    async def request_arm(self, app: App, command: m.Arm, expected: Expected) -> m.Answer:
+        held = expected.number if expected.holds else 0
+        if not held and "arm" in app.client.roles:
+            expected.opened = True
+            expected.owners[app.client.number] = self.now
+        answer = await app.client.request(command)
+        if isinstance(answer, m.Done):
+            tally.count("armed")
+            assert "arm" in app.client.roles
+            assert not held, f"armed though e-stop {held} holds"
+        return answer
+
+    async def request_clear(self, app: App, command: m.Clear, expected: Expected) -> m.Answer:
+        expected.clearing.append(command.estop)
+        try:
+            answer = await app.client.request(command)
+        except asyncio.CancelledError:
+            expected.cleared = max(expected.cleared, command.estop)
+            raise
+        finally:
+            expected.clearing.remove(command.estop)
+        if isinstance(answer, m.Done):
+            assert "arm" in app.client.roles
+            expected.cleared = max(expected.cleared, command.estop)
+            assert not expected.holds, f"a clear of {command.estop} was accepted by {expected}"
+            tally.count("cleared")
+        return answer
+
+    def disown(self, expected: Expected, owner: int) -> None:
+        if expected.owners.pop(owner, None) is not None and not expected.owners:
+            expected.unowned = self.now
+
+    def ask(self, app: App, *commands: m.Command) -> list["asyncio.Task[m.Answer]"]:
+        """Send requests, all at once."""
+        assert self.world.loop is not None
+        tasks = [self.world.loop.create_task(self.request(app, one)) for one in commands]
+        for task in tasks:
+            app.tasks.add(task)
+            task.add_done_callback(lambda done: self.judge(app, done))
+        return tasks
+
+    def judge(self, app: App, task: "asyncio.Task[m.Answer]") -> None:
+        app.tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.wrong.append(f"a request: {error!r}")
+
+    def pass_time(self, seconds: float) -> None:
+        self.world.run(asyncio.sleep(seconds))
+
+    # The beginning
+
+    def config(self, *, arm_on_start: bool, rearm: bool) -> Config:
+        display = small_display(self.folder)
+        return Config(
+            display=tuple(
+                DisplayConfig(
+                    name=name, display=display, device=device, sample_rate_hz=RATE, worn=True,
+                    arm_on_start=arm_on_start, rearm=rearm,
+                )
+                for name, device in DEVICES.items()
+            )
+        )  # fmt: skip
+
+    def start(self, *, arm_on_start: bool, rearm: bool) -> None:
+        """Start a server."""
+        for expected in self.expected.values():
+            expected.owners, expected.unowned = {}, self.now
+            if arm_on_start and not expected.holds:
+                expected.opened = True
+            if arm_on_start:  # and for as long as this server lives
+                expected.owners[0] = np.inf
+        self.world.start(self.config(arm_on_start=arm_on_start, rearm=rearm))
+        self.connect(m.ALL_ROLES)
+
+    @initialize(arm_on_start=st.booleans(), rearm=st.booleans())
+    def begin(self, *, arm_on_start: bool, rearm: bool) -> None:
+        """Start the first server."""
+        self.start(arm_on_start=arm_on_start, rearm=rearm)
+
+    # What happens
+
+    @rule(roles=ROLES)
+    @precondition(lambda self: len(self.apps) < 4)
+    def connect(self, roles: frozenset[m.Role]) -> None:
+        """Let a program connect."""
+        assert self.world.host is not None
+        self.apps.append(App(self.world.host.connect("app", roles=roles)))
+
+    @rule(k=st.integers(0, 3))
+    @precondition(lambda self: len(self.apps) > 1)
+    def leave(self, k: int) -> None:
+        """Let a program end, as its connection does: what is in flight is canceled."""
+        self._leave(self.app(k))
+
+    def _leave(self, app: App) -> None:
+        self.apps.remove(app)
+
+        async def left() -> None:
+            tasks = list(app.tasks)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            app.client.close()
+
+        self.world.run(left())
+        for expected in self.expected.values():
+            self.disown(expected, app.client.number)
+
+    @rule(k=st.integers(0, 3), seconds=MOMENTS)
+    def fall_silent(self, k: int, seconds: float) -> None:
+        """Let a program give no sign of life, once its requests are answered."""
+        app = self.app(k)
+        if not app.tasks:
+            self.world.run(_call(app.client.quiet))
+            self.pass_time(seconds)
+        if not app.tasks:
+            self.world.run(_call(app.client.give_up))
+            for expected in self.expected.values():
+                self.disown(expected, app.client.number)
+
+    @rule(
+        k=st.integers(0, 3), name=NAMES,
+        kinds=st.lists(KINDS, min_size=1, max_size=4), seconds=MOMENTS,
+    )  # fmt: skip
+    def request_all(self, k: int, name: str, kinds: list[str], seconds: float) -> None:
+        """Let a program send commands, all at once, and let some time pass."""
+        self.ask(self.app(k), *(self.command(kind, name) for kind in kinds))
+        self.pass_time(seconds)
+
+    @rule(k=st.integers(0, 3), other=st.integers(0, 3), name=NAMES, kinds=st.tuples(KINDS, KINDS))
+    def request_together(self, k: int, other: int, name: str, kinds: tuple[str, str]) -> None:
+        """Let two programs each send a command at the same time, and wait for neither."""
+        for which, kind in zip((k, other), kinds, strict=True):
+            self.ask(self.app(which), self.command(kind, name))
+
+    @rule(name=NAMES, seconds=MOMENTS)
+    def sound(self, name: str, seconds: float) -> None:
+        """Let whoever may do so clear, arm and play."""
+        for kind in ("clear", "arm", "effect"):
+            tasks = self.ask(self.apps[0], self.command(kind, name))
+            self.world.run(_all(tasks))
+        self.pass_time(seconds)
+
+    @rule(seconds=MOMENTS)
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.pass_time(seconds)
+
+    def trip(self, name: str | None) -> None:
+        """E-stop as `tactile estop` does, which needs no server that runs."""
+        desk = self.world.desk
+        if desk is not None:
+            word = "null" if name is None else f'"{name}"'
+            answer = desk.answer(b'{"estop": %s}' % word.encode(), "by tactile estop")
+            for stopped, number in answer["estops"].items():
+                assert number > self.expected[stopped].number
+                self.expected[stopped].stop(number, self.now)
+            tally.count("tactile estop")
+
+    @rule(name=st.none() | NAMES, seconds=MOMENTS)
+    def estop_aside(self, name: str | None, seconds: float) -> None:
+        """E-stop by the command `tactile estop`."""
+        self.trip(name)
+        self.pass_time(seconds)
+
+    @rule(name=NAMES)
+    def estop_in_the_middle(self, name: str) -> None:
+        """E-stop while playback is between two lines of a block, or of a start."""
+        for playback in self.world.playbacks(DEVICES[name]):
+            playback.within = lambda: self.trip(name)
+
+    def fail(self, playback: PlaybackProcess) -> None:
+        playback.bus.abort()
+        tally.count("fault")
+
+    @rule(name=NAMES, middle=st.booleans())
+    def fault(self, name: str, *, middle: bool) -> None:
+        """Let an amplifier have a fault, after which it is at 0 V and idle."""
+        for playback in self.world.playbacks(DEVICES[name]):
+            if middle:
+                playback.within = lambda playback=playback: self.fail(playback)
+            else:
+                self.fail(playback)
+
+    @rule(name=NAMES)
+    def estop_by_amplifier(self, name: str) -> None:
+        """Let somebody press the amplifier's own e-stop: playback latches it."""
+        assert self.world.host is not None
+        playing, before = self.world.host.playing[name], self.expected[name].number
+        for playback in self.world.playbacks(DEVICES[name]):
+            if not playback.hung and playback.alive:
+                playback.bus.estop()
+                self.pass_time(0.015)
+                if playback.alive and not self.expected[name].clearing:
+                    assert playing.latch.holds >= max(before, 1)
+                    self.expected[name].stop(playing.latch.holds, self.now)
+                    tally.count("e-stop by the amplifier")
+
+    @rule(name=NAMES, seconds=MOMENTS | st.floats(3.0, 6.0))
+    def hang(self, name: str, seconds: float) -> None:
+        """Let playback stand still for a while."""
+        for playback in self.world.playbacks(DEVICES[name]):
+            if not playback.hung:
+                self.expected[name].hang = self.now, self.now + seconds
+                playback.hang(seconds)
+                tally.count("hang")
+
+    @rule(name=NAMES, seconds=MOMENTS)
+    def kill_playback(self, name: str, seconds: float) -> None:
+        """Kill playback."""
+        for playback in self.world.playbacks(DEVICES[name]):
+            playback.kill()
+            tally.count("playback killed")
+        self.pass_time(seconds)
+
+    @rule(seconds=MOMENTS, name=st.none() | NAMES, tripped=st.none() | st.floats(0, 0.7))
+    def stall(self, seconds: float, name: str | None, tripped: float | None) -> None:
+        """Let the server stand still, and perhaps somebody call `tactile estop` meanwhile."""
+        if tripped is not None:
+            self.world.clock.after(tripped, lambda: self.trip(name))
+        self.world.stall(seconds)
+        for expected in self.expected.values():
+            expected.unowned = self.now
+        tally.count("stall")
+
+    @rule(
+        kill=st.booleans(), seconds=MOMENTS, arm_on_start=st.booleans(), rearm=st.booleans(),
+    )  # fmt: skip
+    def restart(self, *, kill: bool, seconds: float, arm_on_start: bool, rearm: bool) -> None:
+        """End or kill the server, and start another."""
+        for expected in self.expected.values():
+            expected.cleared = max([expected.cleared, *expected.clearing])
+            expected.clearing.clear()
+        if kill:
+            self.world.kill()
+        else:
+            self.world.stop()
+        self.apps.clear()
+        self.killed = self.now
+        self.world.clock.advance(seconds)
+        tally.count("server killed" if kill else "server ended")
+        self.start(arm_on_start=arm_on_start, rearm=rearm)
+
+    @rule()
+    def reload(self) -> None:
+        """Let the server read its configuration again."""
+        assert self.world.host is not None
+        try:
+            self.world.run(self.world.host.reload())
+        except BusError:
+            tally.count("not reloaded")
+
+    # What holds
+
+    @invariant()
+    def all_is_well(self) -> None:
+        tally.steps += 1
+        assert not self.wrong
+        assert not self.world.errors.all
+        for name, expected in self.expected.items():
+            self.check(name, expected)
+
+    def check(self, name: str, expected: Expected) -> None:
+        host, now = self.world.host, self.now
+        if host is None:
+            return
+        playing = host.playing[name]
+        if expected.holds:
+            assert playing.state in ("estopped", "lost")
+            assert playing.latch.holds >= expected.number
+        for playback in self.world.playbacks(DEVICES[name]):
+            if playback.hung:
+                continue
+            if expected.is_quiet(now) or expected.is_unowned(now):
+                assert playback.bus.state != "running", (expected, now)
+                assert not any(board.amplifier.high_voltage for board in playback.bus.boards)
+        if not host.tasks and not any(app.tasks for app in self.apps):
+            numbers = {app.client.number for app in self.apps}
+            assert set(playing.parts) <= numbers
+            assert playing.arming <= numbers | {0}
+
+    def teardown(self) -> None:
+        """See that all comes back, and that one who may can clear, arm and play."""
+        try:
+            if self.world.host is not None:
+                self.all_comes_back()
+        finally:
+            tally.seconds += self.now - 1000.0
+            self.stack.close()
+
+    def all_comes_back(self) -> None:
+        host = self.world.host
+        assert host is not None
+        for playback in self.world.playbacks():
+            playback.within = None
+        while self.apps:
+            self._leave(self.apps[0])
+        self.connect(m.ALL_ROLES)
+        app = self.apps[-1]
+        for name in DEVICES:
+            self.ask(app, m.Disarm(display=name))
+        for _ in range(200):
+            self.pass_time(0.1)
+            if all(one.alive for one in host.playing.values()) and not app.tasks:
+                break
+        self.all_is_well()
+        for name, playing in host.playing.items():
+            assert playing.alive, "playback always comes back"
+            number = playing.latch.holds
+            self.expected[name].stop(number, self.now)
+            clear = m.Clear(display=name, estop=max(number, 1))
+            commands = [clear] if number else []
+            for command in [*commands, m.Arm(display=name), self.command("effect", name)]:
+                (answer,) = self.world.run(_all(self.ask(app, command)))
+                assert isinstance(answer, m.Done), answer
+            before = tally.counts.get("sounding blocks", 0)
+            self.pass_time(0.1)
+            state = name, playing.state, playing.report, playing.latch.holds
+            assert tally.counts.get("sounding blocks", 0) > before, f"silent: {state}"
+        self.all_is_well()
+
+
+async def _call(work: Callable[[], None]) -> None:
+    work()
+
+
+async def _all(tasks: list["asyncio.Task[m.Answer]"]) -> list[m.Answer]:
+    return await asyncio.gather(*tasks)
+
+
+def run(examples: int, steps: int) -> None:
+    """Take so many steps in so many lives of a daemon."""
+    begun = time.perf_counter()
+    before = Tally(tally.steps, tally.seconds)
+    run_state_machine_as_test(  # type: ignore[no-untyped-call]
+        Model,
+        settings=settings(
+            max_examples=examples, stateful_step_count=steps, deadline=None, database=None,
+            derandomize=True, phases=PHASES, suppress_health_check=list(HealthCheck),
+            verbosity=Verbosity.normal,
+        ),
+    )  # fmt: skip
+    wall = time.perf_counter() - begun
+    taken, seconds = tally.steps - before.steps, tally.seconds - before.seconds
+    print(f"{taken} steps, {seconds:.0f} s simulated, {wall:.0f} s: {tally.counts}")
+
+
+@pytest.fixture(autouse=True)
+def counted() -> Iterator[None]:
+    tally.counts.clear()
+    yield
+
+
+def test_an_estop_holds_until_the_clear_that_names_it() -> None:
+    run(40, 50)

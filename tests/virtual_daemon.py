@@ -1,0 +1,534 @@
+"""A daemon on a virtual clock: all of it is real but process boundaries and time.
+
+`Host`, `Playing`, `Client`, `Desk`, `Program`, `Player`, the latch's file, the shared memory and the
+amplifier are the real ones. Time passes only where the event loop has nothing to do, and then at
+once, as far as the next thing that any process does; a process is a set of calls on the clock, so
+that it can hang, or be killed, at any of them while the others go on.
+"""
+
+import asyncio
+import functools
+import heapq
+import itertools
+import logging
+import os
+import pickle
+import selectors
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.bus.mock_bus import MockBus
+from tactile.daemon import drawing, host, orders, playback_process
+from tactile.daemon.config import Config
+from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup
+from tactile.daemon.host import Host
+from tactile.daemon.latch import Latch, Writer
+from tactile.daemon.orders import Setup
+from tactile.daemon.playback_process import IDLE, WATCH, Program
+from tactile.daemon.player import MARGIN, Player, Samples
+from tactile.daemon.shared import Shared
+from tactile.display import Display, load_display
+
+T = TypeVar("T")
+Floats = NDArray[np.float64]
+PIPE = 0.3e-3
+"""s from a process to another."""
+OPENING, DRAWING = 20e-3, 30e-3
+"""s to open a device, and to make a texture ready."""
+RENDERING = 0.2e-3
+"""s for a block."""
+
+
+class Clock:
+    """Time of all processes [s], and what they will do when."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.interrupted = False
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+
+    def __call__(self) -> float:
+        return self.now
+
+    def after(self, seconds: float, work: Callable[[], None]) -> None:
+        """Have something done later."""
+        heapq.heappush(self._events, (self.now + seconds, next(self._numbers), work))
+
+    def advance(self, seconds: float, *, interruptible: bool = False) -> None:
+        """Let time pass, until the event loop is given something where it is interruptible."""
+        end = self.now + seconds
+        while self._events and self._events[0][0] <= end:
+            when, _, work = heapq.heappop(self._events)
+            self.now = max(self.now, when)
+            work()
+            if interruptible and self.interrupted:
+                return
+        self.now = max(self.now, end)
+
+
+class _Selector(selectors.SelectSelector):
+    """Waits on the virtual clock; there are no files to wait for."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def select(self, timeout: float | None = None) -> list[Any]:
+        if timeout is None or timeout > 0:
+            self._clock.advance(60.0 if timeout is None else timeout, interruptible=True)
+        self._clock.interrupted = False
+        return []
+
+
+class Errors(logging.Handler):
+    """Collects each exception that anything of a daemon logs, or leaves."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.all: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info:
+            self.all.append(f"{record.getMessage()}: {record.exc_info[1]!r}")
+
+    def of_loop(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        self.all.append(f"{context['message']}: {context.get('exception')!r}")
+
+
+class Process:
+    """In place of `tactile.daemon.children.Child`: the server's end of a process, and the process.
+
+    Parameters
+    ----------
+    world : that it is in
+    module, heard, inherited : as of `Child`
+    """
+
+    def __init__(
+        self, world: "World", module: str, heard: Callable[[Any], None],
+        inherited: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
+        self.world, self.clock, self._heard = world, world.clock, heard
+        self._loop = asyncio.get_running_loop()
+        self._files = {file: os.dup(file) for file in inherited}
+        self.pid = next(world.numbers)
+        self.alive, self.ending, self.hung = True, False, False
+        world.processes.append(self)
+
+    # The server's end
+
+    def tell(self, order: object) -> None:
+        """Send an order, or bytes that are the pickle of one."""
+        data = order if isinstance(order, bytes) else pickle.dumps(order, protocol=5)
+        self.clock.after(PIPE, lambda: self._deliver(data))
+
+    async def end(self, patience: float) -> None:
+        """Close its input and wait for its end; kill it after a while."""
+        self.hang_up()
+        deadline = self._loop.time() + patience
+        while self.alive and self._loop.time() < deadline:
+            await asyncio.sleep(0.01)
+        self.kill()
+
+    def hang_up(self) -> None:
+        """Close its input."""
+        self.clock.after(PIPE, self._deliver_end)
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self.alive:
+            self.alive = False
+            self.let_go()
+            for file in self._files.values():
+                os.close(file)
+            self.world.processes.remove(self)
+            self._post(None)
+
+    # The process
+
+    def handle(self, of_server: str) -> str:
+        """Return the handle of a file for a mapping of this process's own."""
+        return f"fd:{self._files[int(of_server.partition(':')[2])]}"
+
+    def answer(self, what: object) -> None:
+        """Send an answer."""
+        self._post(pickle.dumps(what, protocol=5))
+
+    def _post(self, data: bytes | None) -> None:
+        def arrive() -> None:
+            if self._loop is self.world.loop:
+                self._loop.call_soon(self._heard, None if data is None else pickle.loads(data))
+                self.clock.interrupted = True
+
+        self.clock.after(PIPE, arrive)
+
+    def _deliver(self, data: bytes) -> None:
+        if self.alive:
+            self.receive(pickle.loads(data))
+
+    def _deliver_end(self) -> None:
+        self.ending = True
+        if self.alive and not self.hung:
+            self.finish()
+
+    def receive(self, order: Any) -> None:
+        """Take an order."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """End in good order."""
+        self.kill()
+
+    def let_go(self) -> None:
+        """Unmap what it shares."""
+
+
+class EstopProcess(Process):
+    """The e-stop process: a real `Desk`."""
+
+    desk: Desk | None = None
+
+    def receive(self, order: Any) -> None:
+        assert isinstance(order, EstopSetup)
+        self._latches = {
+            name: Latch(f"fd:{os.dup(int(self.handle(one).partition(':')[2]))}",
+                        Writer.ESTOP_PROCESS)
+            for name, one in order.latches.items()
+        }  # fmt: skip
+        self.desk = Desk(self._latches)
+        self.answer(EstopReady("here"))
+
+    def let_go(self) -> None:
+        if self.desk is not None:
+            for latch in self._latches.values():
+                latch.close()
+            self.desk = None
+
+
+class DrawingProcess(Process):
+    """The workbench; each texture is drawn once for all daemons."""
+
+    def receive(self, order: Any) -> None:
+        assert isinstance(order, drawing.Request)
+        keep = orders.Keep(order.number, Stored(order))  # type: ignore[arg-type]
+        made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
+        self.clock.after(DRAWING, lambda: self.answer(made))
+
+
+class Stored:
+    """A texture that is unpickled as the one that was drawn before: it has 17 MB."""
+
+    drawn: dict[tuple[str, int], Any] = {}  # noqa: RUF012
+
+    def __init__(self, request: drawing.Request) -> None:
+        self._key = request.texture, request.seed
+        if self._key not in self.drawn:
+            self.drawn[self._key] = drawing.make(request)
+
+    def __reduce__(self) -> Any:
+        return self.drawn.__getitem__, (self._key,)
+
+
+class PlaybackProcess(Process):
+    """A playback process: real `Program`, `Player` and bus, its two threads calls on the clock."""
+
+    program: Program | None = None
+    bus: MockBus
+    device = ""
+    within: Callable[[], object] | None = None
+    """Done once in the middle of what the loop does next, as another thread would."""
+
+    def receive(self, order: Any) -> None:
+        if isinstance(order, Setup):
+            self.clock.after(OPENING, lambda: self._open(order))
+        else:
+            self._program._orders.append(order)
+            if not self._running:
+                self._begin_turns()
+
+    @property
+    def _program(self) -> Program:
+        assert self.program is not None
+        return self.program
+
+    @property
+    def _running(self) -> bool:
+        return self._program._player.running
+
+    def _open(self, setup: Setup) -> None:
+        if not self.alive:
+            return
+        bus, how = playback_process.opened(setup)
+        assert isinstance(bus, MockBus)
+        self.bus, self.device = bus, setup.device
+        file = int(self.handle(setup.memory).partition(":")[2])
+        self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
+        file = int(self.handle(setup.latch).partition(":")[2])
+        self._latch = Latch(f"fd:{os.dup(file)}", Writer.PLAYBACK)
+        player = Player(setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn)
+        player.wait = lambda moment: max(moment, self.clock.now)
+        self.program = Program(player, self._latch, None)  # type: ignore[arg-type]
+        self.world.by_bus[id(bus)] = self
+        self.answer(how)
+        self._turns = 0
+        self._begin_turns()
+        self._watch()
+
+    def _begin_turns(self) -> None:
+        """Take a turn now, in place of the one that was to come."""
+        self._turns += 1
+        self._turn_after(0.0)
+
+    def _turn_after(self, seconds: float) -> None:
+        turns = self._turns
+        self.clock.after(seconds, lambda: self._turn() if turns == self._turns else None)
+
+    def _turn(self) -> None:
+        if not self.alive or self.hung:
+            return
+        program = self._program
+        try:
+            running = program.turn()
+        except Exception as error:
+            self.world.errors.all.append(f"a turn of playback: {error!r}")
+            self.kill()
+            return
+        while not program._said.empty():
+            self.answer(program._said.get_nowait())
+        wait = IDLE
+        if running:
+            player = program._player
+            asked = player.rendering.asked(player._position) - MARGIN
+            wait = max(asked - self.clock.now, RENDERING)
+        self._turn_after(wait)
+
+    def _watch(self) -> None:
+        if not self.alive:
+            return
+        if not self.hung:
+            try:
+                self._program.look_at_latch()
+                self._program.look_at_server(self.clock.now)
+            except Exception as error:
+                self.world.errors.all.append(f"the watch of playback: {error!r}")
+                self.kill()
+                return
+        self.clock.after(WATCH, self._watch)
+
+    def interrupt(self) -> None:
+        """Let what is to come in the middle come, and the thread that watches look."""
+        if self.within is not None and not self._program._stopping.locked():
+            work, self.within = self.within, None
+            work()
+            self._program.look_at_latch()
+
+    def hang(self, seconds: float) -> None:
+        """Stand still for a while."""
+        self.hung = True
+        self.clock.after(seconds, self._resume)
+
+    def _resume(self) -> None:
+        self.hung = False
+        if self.ending and self.alive:
+            self.finish()
+        elif self.alive and self.program is not None:
+            self._begin_turns()
+
+    def finish(self) -> None:
+        if self.program is not None:
+            self.bus.close()
+        self.kill()
+
+    def let_go(self) -> None:
+        if self.program is not None:
+            self._latch.close()
+            self._memory.close()
+            self.world.by_bus.pop(id(self.bus), None)
+
+
+KINDS: dict[str, type[Process]] = {
+    "tactile.daemon.playback_process": PlaybackProcess,
+    "tactile.daemon.drawing": DrawingProcess,
+    "tactile.daemon.estop_process": EstopProcess,
+}
+
+
+class World:
+    """A clock, a server and its processes.
+
+    Parameters
+    ----------
+    folder : of the state that outlives a server
+    put_out : called with a playback process and what its amplifier puts out (S, C) [V]
+    """
+
+    def __init__(self, put_out: Callable[[PlaybackProcess, Floats], None]) -> None:
+        self.clock, self.errors = Clock(), Errors()
+        self.numbers = itertools.count(1)
+        self.processes: list[Process] = []
+        self.by_bus: dict[int, PlaybackProcess] = {}
+        self.put_out = put_out
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.host: Host | None = None
+        self.stalled: float | None = None
+
+    # The server
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Run the server's event loop until something is done."""
+        assert self.loop is not None
+        return self.loop.run_until_complete(work)
+
+    def start(self, config: Config) -> None:
+        """Start a server."""
+        self.loop = asyncio.SelectorEventLoop(_Selector(self.clock))
+        self.loop.set_exception_handler(self.errors.of_loop)
+
+        async def started() -> Host:
+            host = Host(config)
+            self.host = host  # what it has opened by then, should it be killed while it starts
+            await host.start()
+            return host
+
+        self.host = self.run(started())
+
+    def stop(self) -> None:
+        """End the server in good order."""
+        assert self.host is not None
+        self.run(self.host.close())
+        self._forget_server()
+
+    def kill(self) -> None:
+        """Kill the server: nothing of it runs any more, its pipes and files are closed."""
+        assert self.host is not None
+        for playing in self.host.playing.values():
+            playing.latch.close()
+            playing.memory.close()
+        for process in list(self.processes):
+            process.hang_up()
+        self._forget_server()
+
+    def _forget_server(self) -> None:
+        loop, self.loop, self.host = self.loop, None, None
+        assert loop is not None
+        for task in asyncio.all_tasks(loop):
+            task._log_destroy_pending = False  # type: ignore[attr-defined]
+        loop.close()
+
+    def stall(self, seconds: float) -> None:
+        """Let the server's event loop stand still, all other processes going on."""
+
+        async def stalled() -> None:
+            self.stalled = self.clock.now
+            self.clock.advance(seconds)
+            self.stalled = None
+
+        self.run(stalled())
+
+    # The processes
+
+    def child(
+        self, module: str, heard: Callable[[Any], None], inherited: tuple[int, ...] = ()
+    ) -> Process:
+        """Start a process."""
+        return KINDS[module](self, module, heard, inherited)
+
+    @property
+    def desk(self) -> Desk | None:
+        """What `tactile estop` reaches."""
+        desks = [p.desk for p in self.processes if isinstance(p, EstopProcess) and p.desk]
+        return desks[-1] if desks else None
+
+    def playbacks(self, device: str = "") -> list[PlaybackProcess]:
+        """Return the playback processes that have opened a device."""
+        return [p for p in self.by_bus.values() if device in ("", p.device)]
+
+    def close(self) -> None:
+        """End everything."""
+        if self.host is not None:
+            self.kill()
+        for process in list(self.processes):
+            process.kill()
+
+
+async def _inline(work: Callable[..., T], *words: Any) -> T:
+    """Do here what `asyncio.to_thread` does elsewhere."""
+    return work(*words)
+
+
+@functools.cache
+def _display(name: str) -> Display:
+    return load_display(name)
+
+
+_textures = functools.cache(host.shipped_textures)
+
+
+@contextmanager
+def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterator[World]:
+    """Put a world in place of time and of processes.
+
+    Parameters
+    ----------
+    put_out : called with a playback process and what its amplifier puts out (S, C) [V]
+    """
+    _textures()  # before time stands still
+    world = World(put_out)
+
+    def put(bus: MockBus, volts: Floats) -> None:
+        if id(bus) in world.by_bus:
+            put_out(world.by_bus[id(bus)], volts)
+
+    def write(samples: Samples, *words: Any) -> None:
+        interrupt(samples._bus)
+        real_write(samples, *words)
+
+    def started(bus: MockBus, position: int) -> None:
+        real_start(bus, position)
+        interrupt(bus)
+
+    def interrupt(bus: Any) -> None:
+        if id(bus) in world.by_bus:
+            world.by_bus[id(bus)].interrupt()
+
+    real_write, real_start = Samples.write, MockBus._start
+    logger = logging.getLogger("tactile")
+    with ExitStack() as stack:
+        for name, instead in {
+            "time.monotonic": world.clock,
+            "time.sleep": world.clock.advance,
+            "asyncio.to_thread": _inline,
+            "tactile.daemon.playing.Child": world.child,
+            "tactile.daemon.estop_desk.Child": world.child,
+            "tactile.daemon.playing.load_display": _display,
+            "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
+            "tactile.daemon.player.Samples.write": write,
+            "tactile.bus.mock_bus.MockBus._start": started,
+            "tactile.bus.mock_bus.MockBus._put": put,
+        }.items():
+            stack.enter_context(patch(name, instead))
+        logger.addHandler(world.errors)
+        stack.callback(logger.removeHandler, world.errors)
+        stack.enter_context(closing(world))
+        yield world
+
+
+def small_display(folder: Path) -> str:
+    """Write a display of two contactors that slews slowly enough for that to be seen."""
+    path = folder / "small.toml"
+    path.write_text(
+        '[display]\nid = "small"\ndescription = "two benders"\nopening_mm = [2.0, 3.0]\n'
+        "[grid]\ncolumns = 2\nrows = 1\npitch_mm = [2.5, 3.5]\n"
+        '[finger]\npreset = "low"\n[limits]\nvoltage_v = 60.0\nslew_v_per_us = 0.02\n'
+    )
+    return str(path)
+
+
+Work = Awaitable[Any]

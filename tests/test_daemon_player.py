@@ -368,3 +368,19 @@ def test_contacts_are_read_whole_and_once_and_lost_ones_are_counted() -> None:
     assert times == list(range(1000 - len(times), 1000))
     assert reader.lost_contacts == 1000 - len(times)
     memory.close()
+
+
+@pytest.mark.parametrize("how", ["estop", "abort"])
+def test_an_estop_or_a_fault_between_two_lines_of_a_block_is_no_error(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """The bus is watched by another thread, which may stop it after a step has looked at it."""
+    take = stage.player._take_contacts
+
+    def stopped() -> float | None:
+        getattr(stage.bus, how)()
+        return take()
+
+    monkeypatch.setattr(stage.player, "_take_contacts", stopped)
+    stage.player.step()
+    assert not stage.player.running

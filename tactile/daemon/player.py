@@ -20,6 +20,7 @@ from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
 from tactile.daemon.shared import COUNTERS, Report, Shared, State, Trace
 from tactile.daemon.waves import TURN, Singles, Voice, affordable
 from tactile.display import Display
+from tactile.errors import BusStateError
 from tactile.rendering.layer import Layer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
@@ -294,7 +295,12 @@ class Player:
         waves = self._waves(len(times))
         position = self._position
         self._position += self.rendering.spacing
-        self.rendering.write(position, place, force, waves)
+        try:
+            self.rendering.write(position, place, force, waves)
+        except BusStateError:
+            if self.running:
+                raise
+            return  # an e-stop or a fault came since the look at the bus: nothing to play
         due = self.bus.due(position + self.rendering.first)
         self.memory.write_trace(Trace(position, self.memory.contacts_read, now, due))
         if arrival is not None:

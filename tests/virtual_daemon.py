@@ -14,7 +14,7 @@ import logging
 import os
 import pickle
 import selectors
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +34,7 @@ from tactile.daemon.playback_process import IDLE, WATCH, Program
 from tactile.daemon.player import MARGIN, Player, Samples
 from tactile.daemon.shared import Shared
 from tactile.display import Display, load_display
+from tactile.errors import InputError
 
 T = TypeVar("T")
 Floats = NDArray[np.float64]
@@ -365,7 +366,6 @@ class World:
 
     Parameters
     ----------
-    folder : of the state that outlives a server
     put_out : called with a playback process and what its amplifier puts out (S, C) [V]
     """
 
@@ -386,18 +386,22 @@ class World:
         assert self.loop is not None
         return self.loop.run_until_complete(work)
 
-    def start(self, config: Config) -> None:
-        """Start a server."""
+    def start(self, config: Config) -> bool:
+        """Start a server; return whether it had what it needs."""
         self.loop = asyncio.SelectorEventLoop(_Selector(self.clock))
         self.loop.set_exception_handler(self.errors.of_loop)
 
         async def started() -> Host:
             host = Host(config)
-            self.host = host  # what it has opened by then, should it be killed while it starts
             await host.start()
             return host
 
-        self.host = self.run(started())
+        try:
+            self.host = self.run(started())
+        except InputError:
+            self._forget_server()
+            return False
+        return True
 
     def stop(self) -> None:
         """End the server in good order."""
@@ -490,15 +494,11 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         interrupt(samples._bus)
         real_write(samples, *words)
 
-    def started(bus: MockBus, position: int) -> None:
-        real_start(bus, position)
-        interrupt(bus)
-
     def interrupt(bus: Any) -> None:
         if id(bus) in world.by_bus:
             world.by_bus[id(bus)].interrupt()
 
-    real_write, real_start = Samples.write, MockBus._start
+    real_write = Samples.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         for name, instead in {
@@ -510,7 +510,6 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
             "tactile.daemon.playing.load_display": _display,
             "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
             "tactile.daemon.player.Samples.write": write,
-            "tactile.bus.mock_bus.MockBus._start": started,
             "tactile.bus.mock_bus.MockBus._put": put,
         }.items():
             stack.enter_context(patch(name, instead))
@@ -529,6 +528,3 @@ def small_display(folder: Path) -> str:
         '[finger]\npreset = "low"\n[limits]\nvoltage_v = 60.0\nslew_v_per_us = 0.02\n'
     )
     return str(path)
-
-
-Work = Awaitable[Any]

@@ -36,7 +36,6 @@ class Stage:
     bus: MockBus
     memory: Shared
     latch: Latch
-    now: float = 0.0
     _number: int = 0
     _answers: dict[int, Answer] = field(default_factory=dict)
 
@@ -58,10 +57,9 @@ class Stage:
         """Play, with or without heartbeats of the server; return what was put out (S, C) [V]."""
         before = len(self.bus.output)
         for _ in range(round(seconds / WATCH)):
-            self.now += WATCH
             if beats:
                 self.memory.beat()
-            self.program.look_at_server(self.now)
+            self.program.look_at_server(WATCH)
             self.program.look_at_latch()
             for _ in range(round(WATCH * RATE / BLOCK)):
                 self.program.turn()
@@ -135,7 +133,7 @@ def test_a_silent_server_arms_nothing(stage: Stage) -> None:
 
 def test_time_in_which_playback_stood_still_is_not_the_servers_silence(playing: Stage) -> None:
     """The whole machine may have stood still, and the server gave no heartbeat either."""
-    playing.now += 10.0
+    playing.program.look_at_server(10.0)
     assert playing.play(SILENCE - 3 * WATCH, beats=False)[-BLOCK:].any()
 
 

@@ -316,7 +316,7 @@ class PlaybackProcess(Process):
         if not self.hung:
             try:
                 self._program.look_at_latch()
-                self._program.look_at_server(self.clock.now)
+                self._program.look_at_server(WATCH)
             except Exception as error:
                 self.world.errors.all.append(f"the watch of playback: {error!r}")
                 self.kill()

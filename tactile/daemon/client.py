@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tactile.daemon import messages as m
 from tactile.daemon import orders
+from tactile.daemon.decoding import hint
 from tactile.daemon.messages import Answer, Command, Contact, Event, Failure, Telemetry
 from tactile.daemon.playing import Part, Playing
 from tactile.daemon.requests import kind_of
@@ -23,7 +24,6 @@ from tactile.daemon.shared import Touch
 from tactile.daemon.shelf import TooManyDrawingsError
 from tactile.daemon.waves import ENDING, Curve
 from tactile.errors import BusError
-from tactile.files import nearest
 from tactile.rendering.clock_map import ClockMap
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class Client:
     def __init__(self, host: "Host", number: int, name: str, *, roles: frozenset[m.Role]) -> None:
         self.number, self.name, self._host, self.roles = number, name, host, roles
         self._sounds_until = -math.inf
+        self._left = False
         self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
@@ -92,7 +93,8 @@ class Client:
             self._host.run(partial(playing.give_up, self.number))
 
     def close(self) -> None:
-        """Lift the finger, let all fade; idempotent."""
+        """Lift the finger, let all fade; idempotent. Only what makes safe is done from now on."""
+        self._left = True
         for task in self._telemetry.values():
             task.cancel()
         self._telemetry.clear()
@@ -141,13 +143,15 @@ class Client:
             return self._no_display(command.display)
         if isinstance(command, Contact):
             return self.contact(command, time.monotonic()) or m.Done()
+        if self._left and not isinstance(command, m.Disarm):
+            return Failure(code="unavailable", message="the connection has ended")
         needed = NEEDED.get(type(command), self.roles)
         if not needed & self.roles:
             return self._refusal(command, needed)
         return await self._ACTIONS[type(command)](self, playing, command)
 
     def _no_display(self, name: str) -> Failure:
-        known = nearest(name, list(self._host.playing))
+        known = hint(name, list(self._host.playing))
         return Failure(
             code="unknown_display", message=f"no display {name!r}; {known}", field="display"
         )
@@ -182,7 +186,7 @@ class Client:
         known = {texture.name for texture in self._host.textures()}
         for k, layer in enumerate(command.layers):
             if layer.texture not in known:
-                near = nearest(layer.texture, sorted(known))
+                near = hint(layer.texture, sorted(known))
                 return Failure(
                     code="unknown_texture", field=f"layers[{k}].texture",
                     message=f"no texture {layer.texture!r}; {near}",

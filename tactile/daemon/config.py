@@ -6,6 +6,7 @@ Paths are relative to the file. Without one there is a simulated display on the 
 import ipaddress
 import os
 import stat
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ from msgspec import Meta, Struct, structs
 
 from tactile import files
 from tactile.daemon.messages import ALL_ROLES, Fraction, Name, Role
+from tactile.display import Display, load_display
 from tactile.errors import InputError
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
@@ -175,6 +177,26 @@ def _display(folder: Path, name: str) -> str:
     """Return the name of a shipped display as it is, of a file as its path."""
     named = Path(name).suffix != ".toml" and Path(name).parent == Path()
     return name if named else str(folder / name)
+
+
+def load_configured(config: DisplayConfig) -> Display:
+    """Return a display as the configuration allows it.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be used, or a limit above the file's.
+    """
+    display = load_display(config.display)
+    if config.voltage_limit_v is None:
+        return display
+    if config.voltage_limit_v > display.limits.voltage:
+        raise InputError(
+            f"display {config.name}: voltage_limit_v = {config.voltage_limit_v:g} is above the "
+            f"display file's {display.limits.voltage:g}; it may only be lower"
+        )
+    limits = replace(display.limits, voltage=config.voltage_limit_v)
+    return replace(display, limits=limits)
 
 
 def read_tokens(config: Config) -> list[tuple[bytes, frozenset[Role]]]:

@@ -13,10 +13,10 @@ from functools import partial
 
 from tactile.daemon import messages as m
 from tactile.daemon.client import Client
-from tactile.daemon.config import Config, load_config
+from tactile.daemon.config import Config, load_config, load_configured
 from tactile.daemon.estop_desk import EstopDesk
 from tactile.daemon.messages import Event
-from tactile.daemon.playing import Playing, configured
+from tactile.daemon.playing import Playing
 from tactile.daemon.tasks import watched
 from tactile.daemon.workbench import Workbench
 from tactile.errors import BusError, InputError
@@ -130,7 +130,7 @@ class Host:
         before = {playing.config: playing for playing in self.playing.values()}
         new = [one for one in config.display if one not in before]
         for one in new:
-            configured(one)
+            load_configured(one)
         textures = await asyncio.to_thread(shipped_textures)  # which takes longer than a heartbeat
         self._config, self._textures = config, textures
         self.playing = {one.name: before.pop(one) for one in config.display if one in before}

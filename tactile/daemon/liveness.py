@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterable
 from typing import NamedTuple, Protocol
 
+from tactile.daemon.silence import Silence
+
 TICK = 0.025
 """s between two looks at all clients."""
 PING_EVERY = 0.05
@@ -31,7 +33,7 @@ class SignsOfLife:
     """Counts a client's silence, with the time passed in."""
 
     def __init__(self) -> None:
-        self._silence = 0.0
+        self._silence = Silence(longest_step=2 * TICK)
         self._until_ping = 0.0
         self._received = -1
 
@@ -44,13 +46,10 @@ class SignsOfLife:
         received : how often anything was received from the client, since it came
         at_stake : whether it sounds or holds high voltage
         """
-        counted = min(passed, 2 * TICK)
-        before = self._silence
-        self._silence += counted
-        if received != self._received or not at_stake:
-            before = self._silence = 0.0
+        before = self._silence.seconds
+        now = self._silence.look(passed, sign=received != self._received or not at_stake)
         self._received = received
-        self._until_ping -= counted
+        self._until_ping -= passed
         if not at_stake:
             self._until_ping = 0.0
             return Due()
@@ -59,8 +58,8 @@ class SignsOfLife:
             self._until_ping = PING_EVERY
         return Due(
             ping,
-            quiet=before < QUIET_AFTER <= self._silence,
-            give_up=before < GIVE_UP_AFTER <= self._silence,
+            quiet=before < QUIET_AFTER <= now,
+            give_up=before < GIVE_UP_AFTER <= now,
         )
 
 

@@ -25,7 +25,7 @@ from tactile.bus.base import Bus
 from tactile.daemon import orders, priority
 from tactile.daemon.latch import Latch, Writer
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
-from tactile.daemon.player import Player
+from tactile.daemon.player import Player, state_of
 from tactile.daemon.shared import Shared
 from tactile.daemon.silence import Silence
 from tactile.devices import open_bus
@@ -37,6 +37,8 @@ WATCH = 5e-3
 """s between looks at the latch and at the server's signs of life."""
 SILENCE = 0.15
 """s without a sign of life of the server after which all fades and is disarmed."""
+MOST_ORDERS = 8
+"""Orders that are obeyed between two blocks, so that many of them hold up none (100 µs each)."""
 WAITING = 256
 """Answers and news that wait to be written; more are dropped, since nobody reads them."""
 PATIENCE = 0.1
@@ -83,7 +85,7 @@ class Program:
         """Obey, and play a block; return whether there are more to play."""
         player = self._player
         self.look_at_latch()
-        while self._orders:
+        for _ in range(min(len(self._orders), MOST_ORDERS)):
             self._obey(*self._orders.popleft())
         if self._forsaken and player.running:
             player.disarm()
@@ -95,7 +97,7 @@ class Program:
         else:
             player.write_report()
             self._tell_changes()
-        return player.running
+        return player.running or bool(self._orders)
 
     # Orders
 
@@ -111,11 +113,13 @@ class Program:
             self._news.set()
 
     def _watch(self) -> None:
+        looked = time.monotonic()
         try:
             while not self._ended:
                 time.sleep(WATCH)
                 self.look_at_latch()
-                self.look_at_server(time.monotonic())
+                before, looked = looked, time.monotonic()
+                self.look_at_server(looked - before)
         finally:  # also where an amplifier cannot be e-stopped: its watchdog takes it to 0 V
             self._ended = True
             self._news.set()
@@ -131,11 +135,11 @@ class Program:
                 why = bus.status.detail or "no reason known"
                 self._estop = self._latch.trip(f"by the amplifier: {why}")
 
-    def look_at_server(self, now: float) -> None:
-        """See whether the server still gives signs of life; ``now`` is of a monotonic clock [s]."""
+    def look_at_server(self, passed: float) -> None:
+        """See whether the server still gives signs of life, a time after the last look [s]."""
         beats, before = self._player.memory.beats, self._beats
         self._beats = beats
-        self._forsaken = self._silence.look(now, sign=beats != before) > SILENCE
+        self._forsaken = self._silence.look(passed, sign=beats != before) > SILENCE
         if self._forsaken:
             self._news.set()
 
@@ -221,9 +225,10 @@ class Program:
     def _tell_changes(self) -> None:
         """Tell of another state but e-stops, another line of trouble, and underruns."""
         status, counters = self._player.bus.status, self._player.bus.counters
-        told, self._told = self._told, (status.detail, status.state, status.link)
-        if status.state != told[1] and status.state != "estopped":
-            self._say(News("armed" if status.state == "running" else "disarmed", status.detail))
+        state = state_of(status)
+        told, self._told = self._told, (status.detail, state, status.link)
+        if state != told[1] and state != "estopped":
+            self._say(News(state, status.detail))
         if status.link != told[2]:
             self._say(News("link", status.detail or f"the link is {status.link}"))
         elif status.detail and status.detail != told[0]:

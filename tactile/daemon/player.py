@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
+from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Status
 from tactile.daemon.shared import COUNTERS, Report, Shared, State, Trace
 from tactile.daemon.waves import TURN, Singles, Voice, affordable
 from tactile.display import Display
@@ -36,8 +36,6 @@ LATENESS = 0.9
 """Of the bus's ``ahead``; a block that is later than that is skipped, for it would be late."""
 HELD_UP = 20e-3
 """s after which one is skipped on a bus that is never late."""
-STATES: dict[str, State] = {"running": "armed", "estopped": "estopped"}
-"""How a bus's state is told; any other is "disarmed"."""
 IN_AIR = 10 ** (-34 / 20)
 """Of waves while nothing touches: an unloaded bimorph rings up by 34 dB (physics.md)."""
 REPORTED = 5
@@ -56,6 +54,13 @@ def wait_until(moment: float) -> float:
     if left > 0:
         time.sleep(left)
     return time.monotonic()
+
+
+def state_of(status: Status) -> State:
+    """Return the state of playback: armed only while the amplifier is known to play."""
+    if status.state == "estopped":
+        return "estopped"
+    return "armed" if status.playing else "disarmed"
 
 
 class Samples:
@@ -362,7 +367,7 @@ class Player:
         """Tell how it stands."""
         r, status = self.report, self.bus.status
         r.time = time.monotonic()
-        r.state = STATES.get(status.state, "disarmed")
+        r.state = state_of(status)
         r.link, r.detail = status.link, status.detail
         r.touching, r.client = self.tracker.touching, self._client
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])

@@ -9,27 +9,25 @@ to the latch, which playback watches, and waits for nothing.
 
 import asyncio
 import logging
-import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
-
-from msgspec import structs
 
 from tactile.daemon import orders
 from tactile.daemon.children import Child
-from tactile.daemon.config import DisplayConfig
+from tactile.daemon.config import DisplayConfig, load_configured
+from tactile.daemon.description import describe
+from tactile.daemon.finger import Finger
 from tactile.daemon.latch import Latch
-from tactile.daemon.messages import SILENCE, DisplayInfo, Event, Layer
+from tactile.daemon.messages import DisplayInfo, Event, Layer
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
 from tactile.daemon.paths import state_folder
 from tactile.daemon.shared import Report, Shared, Touch
 from tactile.daemon.shelf import Shelf
 from tactile.daemon.tasks import watched
 from tactile.daemon.workbench import Workbench
-from tactile.display import Display, load_display
-from tactile.errors import BusError, InputError
+from tactile.errors import BusError
 
 log = logging.getLogger("tactile.playback")
 
@@ -60,26 +58,6 @@ def hangs(now: float, reported: float, opened: float) -> bool:
     return now - max(reported, opened) > STILL
 
 
-def configured(config: DisplayConfig) -> Display:
-    """Return a display as the configuration allows it.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be used, or a limit above the file's.
-    """
-    display = load_display(config.display)
-    if config.voltage_limit_v is None:
-        return display
-    if config.voltage_limit_v > display.limits.voltage:
-        raise InputError(
-            f"display {config.name}: voltage_limit_v = {config.voltage_limit_v:g} is above the "
-            f"display file's {display.limits.voltage:g}; it may only be lower"
-        )
-    limits = replace(display.limits, voltage=config.voltage_limit_v)
-    return replace(display, limits=limits)
-
-
 @dataclass
 class Part:
     """What a client has on a display."""
@@ -87,15 +65,6 @@ class Part:
     layers: tuple[tuple[int, float], ...] = ()
     gain: float = 1.0
     sounds: bool = True
-
-
-@dataclass
-class Finger:
-    """Whose finger it is, and since when it was not heard of [s]."""
-
-    client: int | None = None
-    heard: float = -math.inf
-    touch: Touch | None = None
 
 
 class Playing:
@@ -111,7 +80,7 @@ class Playing:
     def __init__(
         self, config: DisplayConfig, workbench: Workbench, tell: Callable[[Event], None]
     ) -> None:
-        self.config, self.display = config, configured(config)
+        self.config, self.display = config, load_configured(config)
         self.latch = Latch.open(config.device, state_folder())
         self.memory = Shared.create(len(self.display.contactors))
         self.how = Opened()
@@ -129,7 +98,6 @@ class Playing:
             self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
             selected=self._selected,
         )  # fmt: skip
-        self._about = self._described()
         self.arming: set[int] = set()
         self._estops = 0
         self._owned = 0.0
@@ -189,7 +157,7 @@ class Playing:
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
-        self.lost, self._about, self._since = False, self._described(), time.monotonic()
+        self.lost, self._since = False, time.monotonic()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
@@ -481,25 +449,14 @@ class Playing:
 
     def touch(self, client: int, touch: Touch) -> None:
         """Take a contact, where the finger is the client's, or nobody's."""
-        finger = self.finger
-        silent = touch.arrival - finger.heard > SILENCE
-        if finger.client != client and (finger.client is None or silent):
-            if touch.normal_force <= 0:
-                return
-            finger.client = client
-        if finger.client != client:
-            return
-        finger.heard, finger.touch = touch.arrival, touch
-        self.memory.write_contact(touch)
-        if touch.normal_force <= 0:
-            finger.client = None
+        if self.finger.take(client, touch):
+            self.memory.write_contact(touch)
 
     async def leave(self, client: int) -> None:
         """Lift a client's finger, and let what it plays fade."""
         self.cancel_drawings(client)
-        if self.finger.client == client and self.finger.touch is not None:
-            now = time.monotonic()
-            lifted = self.finger.touch._replace(time=now, arrival=now, normal_force=0.0)
+        lifted = self.finger.lifted(client, time.monotonic())
+        if lifted is not None:
             self.touch(client, lifted)
         work = [self.give_up(client)]
         if self.parts.pop(client, None) is not None and not self.lost:
@@ -540,16 +497,6 @@ class Playing:
         """What clients are told."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
         latency = self.report.latency or self.how.latency + renders
-        return structs.replace(self._about, latency_ms=1e3 * latency, estop=self.latch.holds)
-
-    def _described(self) -> DisplayInfo:
-        d = self.display
-        return DisplayInfo(
-            name=self.config.name,
-            contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in d.contactors),
-            shear_direction_deg=tuple(math.degrees(a) for a in d.shear_direction.tolist()),
-            sample_rate_hz=self.how.sample_rate,
-            voltage_limit_v=d.limits.voltage,
-            waveforms=not self.how.carriers,
-            latency_ms=0.0,
+        return describe(
+            self.config.name, self.display, self.how, latency=latency, estop=self.latch.holds
         )

@@ -10,24 +10,23 @@ class Silence:
     Parameters
     ----------
     longest_step : most that one look counts [s]
+
+    Attributes
+    ----------
+    seconds : length of the silence [s]
     """
 
     def __init__(self, longest_step: float) -> None:
         self._longest_step = longest_step
-        self._looked: float | None = None
         self.seconds = 0.0
 
-    def look(self, now: float, *, sign: bool) -> float:
-        """Return for how long there has been no sign of life [s].
+    def look(self, passed: float, *, sign: bool) -> float:
+        """Return the length of the silence [s].
 
         Parameters
         ----------
-        now : time of a clock that never steps [s]
-        sign : whether there was a sign since the last look
+        passed : time since the last look [s]
+        sign : whether there was a sign of life since then
         """
-        if self._looked is not None:
-            self.seconds += min(max(now - self._looked, 0.0), self._longest_step)
-        self._looked = now
-        if sign:
-            self.seconds = 0.0
+        self.seconds = 0.0 if sign else self.seconds + min(passed, self._longest_step)
         return self.seconds

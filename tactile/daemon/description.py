@@ -1,0 +1,32 @@
+"""What clients are told of a display."""
+
+import math
+
+from tactile.daemon.messages import DisplayInfo
+from tactile.daemon.orders import Opened
+from tactile.display import Display
+
+
+def describe(
+    name: str, display: Display, how: Opened, *, latency: float, estop: int
+) -> DisplayInfo:
+    """Return what clients are told of a display that was opened.
+
+    Parameters
+    ----------
+    name : of the display, for clients
+    display : the display
+    how : how its device plays
+    latency : from a contact to the skin [s]
+    estop : number of the e-stop that holds, 0 where none does
+    """
+    return DisplayInfo(
+        name=name,
+        contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in display.contactors),
+        shear_direction_deg=tuple(math.degrees(a) for a in display.shear_direction.tolist()),
+        sample_rate_hz=how.sample_rate,
+        voltage_limit_v=display.limits.voltage,
+        waveforms=not how.carriers,
+        latency_ms=1e3 * latency,
+        estop=estop,
+    )

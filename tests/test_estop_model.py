@@ -12,10 +12,11 @@ import asyncio
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.errors import BusError
 
+T = TypeVar("T")
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
 """Of the display [V] and [V/s]."""
@@ -336,17 +338,16 @@ class Model(RuleBasedStateMachine):
 
     def _leave(self, app: App) -> None:
         self.apps.remove(app)
-
-        async def left() -> None:
-            tasks = list(app.tasks)
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            app.client.close()
-
-        self.world.run(left())
+        self.world.run(self._cancel(app))
         for expected in self.expected.values():
             self.disown(expected, app.client.number)
+
+    async def _cancel(self, app: App) -> None:
+        tasks = list(app.tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        app.client.close()
 
     @rule(k=st.integers(0, 3), seconds=MOMENTS)
     def fall_silent(self, k: int, seconds: float) -> None:
@@ -473,6 +474,7 @@ class Model(RuleBasedStateMachine):
         if kill:
             self.world.kill()
         else:
+            self.world.run(_all([self._cancel(app) for app in self.apps]))
             self.world.stop()
         for expected in self.expected.values():
             expected.cleared = max([expected.cleared, *expected.clearing])
@@ -566,7 +568,7 @@ async def _call(work: Callable[[], None]) -> None:
     work()
 
 
-async def _all(tasks: list["asyncio.Task[m.Answer]"]) -> list[m.Answer]:
+async def _all(tasks: Sequence[Awaitable[T]]) -> list[T]:
     return await asyncio.gather(*tasks)
 
 

@@ -1,9 +1,9 @@
 """A daemon on a virtual clock: all of it is real but process boundaries and time.
 
 `Host`, `Playing`, `Client`, `Desk`, `Program`, `Player`, the latch's file, the shared memory and
-the amplifier are the real ones. Time passes only where the event loop has nothing to do, and then at
-once, as far as the next thing that any process does; a process is a set of calls on the clock, so
-that it can hang, or be killed, at any of them while the others go on.
+the amplifier are the real ones. Time passes only where the event loop has nothing to do, and then
+at once, as far as the next thing that any process does; a process is a set of calls on the clock,
+so that it can hang, or be killed, at any of them while the others go on.
 """
 
 import asyncio

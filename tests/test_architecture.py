@@ -69,6 +69,7 @@ MAP: dict[str, set[str]] = {
         "client",
         "daemon",
         "display",
+        "errors",
         "rendering",
         "sim",
         "study",

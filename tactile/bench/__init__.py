@@ -16,6 +16,8 @@ from tactile.bench.budgets import measure_budgets
 from tactile.bench.clock import measure_clock
 from tactile.bench.cluster import measure_dask, measure_million
 from tactile.bench.crowd import measure_crowd, measure_crowd_long, measure_hour
+from tactile.bench.deaths import measure_deaths, measure_deaths_long
+from tactile.bench.estop import measure_estop, measure_estop_long
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fit import measure_fit
@@ -59,12 +61,16 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
     "waves": measure_waves,
     "crowd": measure_crowd,
     "optimize": measure_optimize,
+    "deaths": measure_deaths,
+    "estop": measure_estop,
 }
 LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "soak": measure_soak,
     "fuzz": measure_fuzz,
     "streams": measure_streams_long,
     "latency-long": measure_latency_long,
+    "deaths-long": measure_deaths_long,
+    "estop-long": measure_estop_long,
     "hour": measure_hour,
     "crowd-long": measure_crowd_long,
     "library": measure_library,

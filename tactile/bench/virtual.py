@@ -49,6 +49,7 @@ class Records(NamedTuple):
     position: NDArray[np.uint32]
     state: NDArray[np.uint8]
     codes: NDArray[np.int16]
+    high_voltage: NDArray[np.uint8]
 
 
 class VirtualAmplifier:
@@ -92,7 +93,7 @@ class VirtualAmplifier:
         whole = len(data) // self._kind.itemsize * self._kind.itemsize
         self._rest = data[whole:]
         rows = np.frombuffer(data[:whole], self._kind)
-        return Records(rows["tick"], rows["at"], rows["state"], rows["v"])
+        return Records(rows["tick"], rows["at"], rows["state"], rows["v"], rows["hv"])
 
     @property
     def pid(self) -> int:

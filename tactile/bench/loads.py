@@ -7,6 +7,7 @@ ends by itself.
 import asyncio
 import math
 import multiprocessing
+import select
 import socket
 import struct
 import time
@@ -172,10 +173,9 @@ def drain(link: socket.socket) -> None:
     ConnectionError
         Where the other side has closed.
     """
-    with suppress(BlockingIOError):
-        while link.recv(1 << 16, socket.MSG_DONTWAIT):
-            continue
-        raise ConnectionError
+    while select.select([link], [], [], 0)[0]:
+        if not link.recv(1 << 16):
+            raise ConnectionError
 
 
 def open_connections(load: Load, port: int, rate: float, seconds: float) -> None:

@@ -23,6 +23,7 @@ from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fit import measure_fit
 from tactile.bench.friction import measure_friction
 from tactile.bench.fuzz import measure_fuzz
+from tactile.bench.fuzz_daemon import measure_fuzz_daemon
 from tactile.bench.latency import measure_latency, measure_latency_long
 from tactile.bench.library import measure_library
 from tactile.bench.links import measure_links, measure_streams_long
@@ -67,6 +68,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Figure]]] = {
 LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "soak": measure_soak,
     "fuzz": measure_fuzz,
+    "fuzz-daemon": measure_fuzz_daemon,
     "streams": measure_streams_long,
     "latency-long": measure_latency_long,
     "deaths-long": measure_deaths_long,

@@ -16,7 +16,7 @@ from tactile.client import Display
 from tactile.errors import ClientError
 
 LASTS = 120.0
-"""s after which a program ends by itself."""
+"""s after which a program ends by itself, where it is not said otherwise."""
 RATE = 90.0
 """Hz at which a finger is told."""
 FREQUENCY, AMPLITUDE = 160.0, 20e-6
@@ -48,22 +48,22 @@ def get_ready(display: Display, sound: str) -> None:
             time.sleep(0.05)
 
 
-def play_stroke(display: Display) -> None:
+def play_stroke(display: Display, lasts: float) -> None:
     """Move a finger over oak, to and fro."""
     begun = time.monotonic()
-    while (now := time.monotonic() - begun) < LASTS:
+    while (now := time.monotonic() - begun) < lasts:
         speed = 0.08 * math.cos(2 * now)
         place = 0.04 * math.sin(2 * now)
         display.touch((place, 0.0), velocity=(speed, 0.0), normal_force=0.5)
         time.sleep(1 / RATE)
 
 
-def play_waveform(display: Display) -> None:
+def play_waveform(display: Display, lasts: float) -> None:
     """Append to a waveform so that it never ends."""
     period = round(SAMPLE_RATE / FREQUENCY)
     wave = [math.sin(2 * math.pi * k / period) for k in range(2 * period + 2000)]
     begun, offset = time.monotonic(), 0
-    while time.monotonic() - begun < LASTS:
+    while time.monotonic() - begun < lasts:
         appended = display.append(
             wave[offset : offset + 2000], sample_rate=SAMPLE_RATE, amplitude=AMPLITUDE
         )
@@ -71,10 +71,10 @@ def play_waveform(display: Display) -> None:
         time.sleep(max(0.05, appended.buffered - AHEAD))
 
 
-def play_effect(display: Display) -> None:
+def play_effect(display: Display, lasts: float) -> None:
     """Play an effect of a minute, and do nothing more."""
     begin_effect(display)
-    time.sleep(LASTS)
+    time.sleep(lasts)
 
 
 def begin_effect(display: Display) -> None:
@@ -86,23 +86,23 @@ def begin_effect(display: Display) -> None:
     )
 
 
-SOUNDS: dict[str, Callable[[Display], None]] = {
+SOUNDS: dict[str, Callable[[Display, float], None]] = {
     "stroke": play_stroke,
     "waveform": play_waveform,
     "effect": play_effect,
 }
 
 
-def _be_app(url: str, sound: str) -> None:
+def _be_app(url: str, sound: str, lasts: float) -> None:
     with tactile.client.connect(url, display=NAME, timeout=PATIENCE) as display:
         get_ready(display, sound)
-        SOUNDS[sound](display)
+        SOUNDS[sound](display, lasts)
 
 
-def start_app(url: str, sound: str) -> BaseProcess:
-    """Start a program that plays one of `SOUNDS`, and return its process."""
+def start_app(url: str, sound: str, lasts: float = LASTS) -> BaseProcess:
+    """Start a program that plays one of `SOUNDS` for so long [s], and return its process."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
-    process = context.Process(target=_be_app, args=(url, sound), daemon=True)
+    process = context.Process(target=_be_app, args=(url, sound, lasts), daemon=True)
     process.start()
     return process

@@ -264,7 +264,6 @@ def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
 def frame(message: object) -> bytes:
     """Return a message as a text frame of a client's WebSocket, masked with zeros."""
     payload = json.dumps(message).encode()
-    length = bytes([0x80 | len(payload)])
-    if len(payload) > 125:
-        length = bytes([0x80 | 126]) + len(payload).to_bytes(2)
+    size = len(payload)
+    length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + size.to_bytes(2)
     return b"\x81" + length + bytes(4) + payload

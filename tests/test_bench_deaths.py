@@ -33,7 +33,7 @@ def test_times_count_from_the_fault_to_the_last_instant() -> None:
     made = output(51.2, 51.75)
     assert last_after(made.times, made.is_loud, FAULT) == pytest.approx(0.2)
     assert last_after(made.times, made.high_voltage, FAULT) == pytest.approx(0.75)
-    assert last_after(made.times, made.is_loud, 51.2) == 0.0
+    assert last_after(made.times, made.is_loud, 51.5) == 0.0
 
 
 def test_a_sound_that_comes_back_counts() -> None:
@@ -100,7 +100,7 @@ def records(ticks: list[int], codes: list[list[int]]) -> Records:
     count = len(ticks)
     return Records(
         np.array(ticks, np.uint64), np.zeros(count, np.uint32), np.zeros(count, np.uint8),
-        np.array(codes, np.int16).reshape(count, 2), np.array(ticks, np.uint64) < 300,
+        np.array(codes, np.int16).reshape(count, 2), (np.array(ticks) < 300).astype(np.uint8),
     )  # fmt: skip
 
 

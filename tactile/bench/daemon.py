@@ -51,7 +51,7 @@ class Output(NamedTuple):
     def since(self, moment: float) -> "Output":
         """Return what was put out after a moment [s]."""
         first = int(np.searchsorted(self.times, moment, side="right"))
-        return Output(*(column[first:] for column in self))
+        return Output(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
 
 
 def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: float) -> float:
@@ -85,8 +85,8 @@ class Recorder:
             self._measure(records.codes.astype(np.int32))
             parts.append(
                 Output(
-                    self._amplifier.powered_up + records.tick * 1e-6,
-                    records.codes.any(axis=1),
+                    self._amplifier.powered_up + records.tick.astype(np.float64) * 1e-6,
+                    np.asarray(records.codes.any(axis=1)),
                     records.high_voltage != 0,
                 )
             )

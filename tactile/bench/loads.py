@@ -130,7 +130,7 @@ async def _touch_together(load: Load, url: str, clients: int, seconds: float) ->
             for k in range(int(seconds * RATE)):
                 await asyncio.sleep(max(0.0, begun + k / RATE - time.monotonic()))
                 await display.touch((0.04 * math.sin(2 * k / RATE), 0.0), normal_force=0.5)
-                load.count(1)
+                load.count(load.let.is_set())
 
     await asyncio.gather(*(one(number) for number in range(clients)))
 

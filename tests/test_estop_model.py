@@ -456,7 +456,11 @@ class Model(RuleBasedStateMachine):
             tally.count("playback killed")
         self.pass_time(seconds)
 
-    @rule(seconds=MOMENTS, name=st.none() | NAMES, tripped=st.none() | st.floats(0, 0.7))
+    @rule(
+        seconds=MOMENTS | st.floats(0.1, 0.7),
+        name=st.none() | NAMES,
+        tripped=st.none() | st.floats(0, 0.7),
+    )
     def stall(self, seconds: float, name: str | None, tripped: float | None) -> None:
         """Let the server stand still, and perhaps somebody call `tactile estop` meanwhile."""
         if tripped is not None:

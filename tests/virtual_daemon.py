@@ -9,6 +9,7 @@ so that it can hang, or be killed, at any of them while the others go on.
 import asyncio
 import functools
 import heapq
+import inspect
 import itertools
 import logging
 import os
@@ -424,6 +425,9 @@ class World:
         assert loop is not None
         for task in asyncio.all_tasks(loop):
             task._log_destroy_pending = False  # type: ignore[attr-defined]
+            work = task.get_coro()
+            if inspect.iscoroutine(work) and inspect.getcoroutinestate(work) == "CORO_CREATED":
+                work.close()
         loop.close()
 
     def stall(self, seconds: float) -> None:

@@ -12,17 +12,19 @@ def _in_folder(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:
         monkeypatch.setenv(variable, str(Path(folder) / name))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def session_folders() -> Iterator[None]:
-    """Keep daemons that several tests share away from the user's own."""
+def _folder() -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="t-") as folder, pytest.MonkeyPatch.context() as patch:
         _in_folder(patch, folder)
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def session_folders() -> Iterator[None]:
+    """Keep daemons that several tests share away from the user's own."""
+    yield from _folder()
+
+
 @pytest.fixture(autouse=True)
-def own_folders(session_folders: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def own_folders(session_folders: None) -> Iterator[None]:
     """Let no e-stop that a test leaves latched meet another test; short paths, as sockets want."""
-    with tempfile.TemporaryDirectory(prefix="t-") as folder:
-        _in_folder(monkeypatch, folder)
-        yield
+    yield from _folder()

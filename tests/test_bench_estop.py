@@ -8,7 +8,7 @@ import pytest
 from tactile.bench import loads
 from tactile.bench.daemon import NAME, Output
 from tactile.bench.estop import P99, WORST, Times, is_silent
-from tactile.bench.loads import BATCH, MOST_AT_ONCE, contact_packet, paced
+from tactile.bench.floods import BATCH, MOST_AT_ONCE, contact_packet, paced
 from tactile.daemon.messages import Contact
 from tactile.daemon.osc import read_packet, to_command
 

@@ -326,6 +326,44 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     assert host.figures()[NAME]["playback_alive"] == 1.0
 
 
+def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(tmp_path: Path) -> None:
+    path = tmp_path / "tactile.toml"
+    table = '[[display]]\nname = "right"\ndevice = "mock:"\ngain = {}\n'
+
+    async def story() -> None:
+        path.write_text(table.format(1.0))
+        host = Host(load_config(path))
+        await host.start()
+        number = host.playing["right"].estop("by a test")
+        path.write_text(table.format(0.5))
+        await host.reload()
+        assert host.playing["right"].config.gain == 0.5
+        assert host.playing["right"].latch.holds == number
+        await host.close()
+
+    asyncio.run(story())
+
+
+def test_an_e_stop_while_the_daemon_ends_is_latched(tmp_path: Path) -> None:
+    path = tmp_path / "tactile.toml"
+    path.write_text('[[display]]\nname = "right"\ndevice = "mock:"\n')
+
+    async def story() -> None:
+        host = Host(load_config(path))
+        await host.start()
+        client = host.connect("test", roles=m.ALL_ROLES)
+        ending = asyncio.create_task(host.close())
+        await asyncio.sleep(0)
+        assert await client.request(m.EStop()) == m.Done(estops={"right": 1})
+        await ending
+        host = Host(load_config(path))
+        await host.start()
+        assert host.playing["right"].latch.holds == 1
+        await host.close()
+
+    asyncio.run(story())
+
+
 @pytest.mark.ci
 def test_reloading_another_configuration_opens_what_changed_and_tries_what_cannot_be(
     tmp_path: Path,

@@ -223,6 +223,10 @@ def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) 
     assert not stage.rest(0.3).any()
 
 
+CODE = 100.0 / 32767
+"""V of one step of what goes over the wire."""
+
+
 def costliest(amplitude: float) -> Curve:
     """Return an effect of as many points and transients as there may be, which overlap."""
     time = np.linspace(0, 1, 500)
@@ -259,7 +263,8 @@ def test_a_stroke_is_the_same_while_60_others_play_all_they_may(
     for client in range(10, 70):
         stage.player.voice(client).effect.begin(costliest(0.0))
     monkeypatch.setattr(stage.player, "step", crowded)
-    np.testing.assert_array_equal(stage.slide(0.5)[2000:], alone)
+    # arrays elsewhere in memory are summed in another order: what rounds may go to the next code
+    np.testing.assert_allclose(stage.slide(0.5)[2000:], alone, rtol=0, atol=1.01 * CODE)
     assert BLOCK_WORK // 2 < max(spent) <= BLOCK_WORK
     stage.player.write_report()
     counters = stage.memory.report().counters

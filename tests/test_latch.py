@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tactile.daemon import latch as module
 from tactile.daemon.latch import CLEARED, SIZE, Latch, Writer, file_name
-from tactile.errors import InputError
+from tactile.errors import BusError, InputError
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
 WRITERS = list(Writer)
@@ -118,7 +118,7 @@ def test_a_second_daemon_does_not_get_it(
     latch: Latch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "LOCK_WITHIN", 0.0)
-    with pytest.raises(InputError, match="another daemon has it"):
+    with pytest.raises(BusError, match="another daemon has it"):
         Latch.open(DEVICE, tmp_path)
 
 

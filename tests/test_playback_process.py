@@ -190,11 +190,37 @@ def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> 
     assert not playing.order(orders.Arm()).failure
 
 
+def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
+    playing: Stage,
+) -> None:
+    """Else a clear of the first would end the second, which came a moment before."""
+    playing.latch.trip("by a program")
+    playing.play(0.05)
+    playing.bus.estop()
+    assert "e-stop 2 holds, not 1" in playing.order(orders.Clear(1)).failure
+    playing.play(0.05)
+    assert playing.latch.number == 2
+    assert not playing.order(orders.Clear(2)).failure
+
+
 def test_a_new_playback_finds_the_latch_of_the_one_before(stage: Stage, display: Display) -> None:
     stage.latch.trip("while there was no playback")
     stage.play(0.05)
     assert stage.bus.state == "estopped"
     assert "e-stop 1 holds" in stage.order(orders.Arm()).failure
+
+
+def test_an_amplifier_that_is_still_e_stopped_is_no_new_e_stop(
+    stage: Stage, display: Display
+) -> None:
+    """A playback that is started again finds both: the latch, and the amplifier's own."""
+    stage.latch.trip("before playback died")
+    stage.bus.estop()
+    stage.program = Program(
+        stage.program._player, Latch(stage.latch.handle, Writer.PLAYBACK), io.BytesIO()
+    )
+    stage.play(0.05)
+    assert stage.latch.number == 1
 
 
 def test_an_order_that_fails_is_answered_and_the_loop_goes_on(

@@ -33,7 +33,7 @@ from tactile.bench.daemon import (
 )
 from tactile.bench.deaths import HEARD, plays
 from tactile.bench.figures import Figure, at_most, beside_machine
-from tactile.bench.loads import (
+from tactile.bench.floods import (
     Load,
     burdened,
     flood_osc,

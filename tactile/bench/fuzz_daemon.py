@@ -29,7 +29,7 @@ from tactile.bench.daemon import (
     send_signal,
 )
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
-from tactile.bench.loads import Load, burdened, drain, open_websocket
+from tactile.bench.floods import Load, burdened, drain, open_websocket
 from tactile.bench.virtual import can_be_built
 from tactile.client import Display
 from tactile.daemon import messages as m

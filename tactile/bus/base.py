@@ -229,6 +229,11 @@ class Bus(ABC):
         return self._states.now
 
     @property
+    def estops(self) -> int:
+        """Number of e-stops since it was opened, those of the amplifier among them."""
+        return self._states.estops
+
+    @property
     def status(self) -> Status:
         """How it stands now."""
         state = self.state

@@ -84,7 +84,7 @@ class Client:
         self._sounds_until = -math.inf
         for playing in self._host.playing.values():
             if self.number in playing.parts:
-                self._host.run(partial(playing.silence, self.number))
+                self._host.run(partial(playing.ask, orders.Silence(self.number)))
                 self.post(Event(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
@@ -145,8 +145,8 @@ class Client:
             return self.contact(command, time.monotonic()) or m.Done()
         if self._left and not isinstance(command, m.Disarm):
             return Failure(code="unavailable", message="the connection has ended")
-        needed = NEEDED.get(type(command), self.roles)
-        if not needed & self.roles:
+        needed = NEEDED.get(type(command))
+        if needed is not None and not needed & self.roles:
             return self._refusal(command, needed)
         return await self._ACTIONS[type(command)](self, playing, command)
 

@@ -108,11 +108,13 @@ class Host:
         self._closed = True
         for task in self.tasks:
             task.cancel()
-        playing, self.playing = self.playing, {}
-        await asyncio.gather(*(one.close() for one in playing.values()))
+        await asyncio.gather(*(one.end() for one in self.playing.values()))
         await asyncio.gather(self._desk.close(), self._workbench.close())
         if self._beating is not None:
             self._beating.cancel()
+        for playing in self.playing.values():
+            playing.close()
+        self.playing = {}
 
     async def reload(self) -> None:
         """Read textures and configuration again.
@@ -133,8 +135,11 @@ class Host:
             load_configured(one)
         textures = await asyncio.to_thread(shipped_textures)  # which takes longer than a heartbeat
         self._config, self._textures = config, textures
-        self.playing = {one.name: before.pop(one) for one in config.display if one in before}
-        await asyncio.gather(*(playing.close() for playing in before.values()))
+        kept = {one.name: before.pop(one) for one in config.display if one in before}
+        await asyncio.gather(*(playing.end() for playing in before.values()))
+        for playing in before.values():
+            playing.close()
+        self.playing = kept
         after = self.playing | {one.name: Playing(one, self._workbench, self._tell) for one in new}
         self.playing = {one.name: after[one.name] for one in config.display}
         if new or before:
@@ -175,7 +180,7 @@ class Host:
             for playing in self.playing.values():
                 self.run(partial(playing.leave, client.number))
 
-    def run(self, work: Callable[[], Awaitable[None]]) -> None:
+    def run(self, work: Callable[[], Awaitable[object]]) -> None:
         """Have something done that nobody waits for; all displays are disarmed where it fails."""
 
         async def done() -> None:

@@ -22,7 +22,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import InputError
+from tactile.errors import BusError, InputError
 
 if sys.platform != "win32":
     import fcntl
@@ -78,7 +78,9 @@ class Latch:
         Raises
         ------
         InputError
-            Where the file cannot be had, or another daemon has it.
+            Where the file cannot be had.
+        BusError
+            Where another daemon has it, perhaps one that was killed and left a hung process.
         """
         if device.startswith(UNSAVED):
             file, name = tempfile.mkstemp(prefix="tactile-estop-")
@@ -167,7 +169,9 @@ class Latch:
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Let go of the file; the server also of its lock, which its children share."""
+        if self._writer is Writer.SERVER and sys.platform != "win32":
+            fcntl.flock(self._file, fcntl.LOCK_UN)
         del self._words
         self._map.close()
         os.close(self._file)
@@ -209,7 +213,7 @@ def _lock(file: int, device: str, path: Path) -> None:
 
     Raises
     ------
-    InputError
+    BusError
         Where another daemon has it.
     """
     if sys.platform == "win32":
@@ -222,7 +226,7 @@ def _lock(file: int, device: str, path: Path) -> None:
         except BlockingIOError:
             if time.monotonic() > end:
                 os.close(file)
-                raise InputError(
+                raise BusError(
                     f"e-stop latch of {device}: another daemon has it ({path}); end that first"
                 ) from None
             time.sleep(0.02)

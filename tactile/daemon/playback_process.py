@@ -62,6 +62,7 @@ class Program:
         self._news = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
+        self._bus_estops = player.bus.estops if latch.holds else 0  # it is e-stopped for that one
         self._beats, self._silence = 0, Silence(longest_step=2 * WATCH)
         self._forsaken = self._ended = False
         self._told = "", "disarmed", "up"
@@ -128,12 +129,14 @@ class Program:
         """Stop at once where there is a new e-stop, and latch one that the amplifier tells of."""
         with self._stopping:
             bus, holds = self._player.bus, self._latch.holds
-            if holds and holds != self._estop:
-                bus.estop()
-                self._estop = holds
-            elif bus.state == "estopped" and not holds:
+            if bus.estops != self._bus_estops:  # who pressed a button, or another host
+                self._bus_estops = bus.estops
                 why = bus.status.detail or "no reason known"
                 self._estop = self._latch.trip(f"by the amplifier: {why}")
+            elif holds and holds != self._estop:
+                self._bus_estops += 1
+                bus.estop()
+                self._estop = holds
 
     def look_at_server(self, passed: float) -> None:
         """See whether the server still gives signs of life, a time after the last look [s]."""
@@ -207,6 +210,7 @@ class Program:
         BusError
             Where the device refuses, or a newer e-stop holds.
         """
+        self.look_at_latch()
         if self._latch.holds == estop:
             self._player.bus.clear()
             self._player.write_report()

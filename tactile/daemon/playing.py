@@ -235,13 +235,16 @@ class Playing:
             self.arming.clear()
             self._say("disarmed", "playback is back, and disarmed")
 
-    async def close(self) -> None:
-        """Fade out, disarm, end the process."""
+    async def end(self) -> None:
+        """Fade out, disarm, end the process; an e-stop is latched until `close`."""
         self._ended.set()
         if self._keeper is not None:
             self._keeper.cancel()
         if self._child is not None:
             await self._child.end(ENDING)
+
+    def close(self) -> None:
+        """Let go of what was shared with the process, after its end."""
         self.memory.close()
         self.latch.close()
 
@@ -351,16 +354,6 @@ class Playing:
         await self.ask(orders.Clear(estop))
         self.latch.clear(estop)
         self._say("cleared", f"e-stop {estop} was cleared", estop=estop)
-
-    async def silence(self, client: int) -> None:
-        """Fade the waveforms and effects of a client.
-
-        Raises
-        ------
-        BusError
-            Where playback does not answer.
-        """
-        await self.ask(orders.Silence(client))
 
     def is_ownerless(self, now: float) -> bool:
         """Return whether high voltage has belonged to nobody for too long; ``now`` in s."""

@@ -1,11 +1,11 @@
-"""The benchmark of e-stops: its arithmetic and its loads, without a daemon and without a clock."""
+"""The benchmark of e-stops: its arithmetic and its floods, without a daemon and without a clock."""
 
 import math
 
 import numpy as np
 import pytest
 
-from tactile.bench import loads
+from tactile.bench import floods
 from tactile.bench.daemon import NAME, Output
 from tactile.bench.estop import P99, WORST, Times, is_silent
 from tactile.bench.floods import BATCH, MOST_AT_ONCE, contact_packet, paced
@@ -49,7 +49,7 @@ class MadeLoad:
 def parts_of(
     clock: Clock, gate: Gate, monkeypatch: pytest.MonkeyPatch, seconds: float
 ) -> list[int]:
-    monkeypatch.setattr(loads, "time", clock)
+    monkeypatch.setattr(floods, "time", clock)
     load = MadeLoad(gate)
     parts = list(paced(load, 1000.0, seconds))  # type: ignore[arg-type]
     assert load.sent == sum(parts)

@@ -35,6 +35,7 @@ from tactile.daemon.messages import (
 )
 from tactile.daemon.metrics import Metrics, Traffic
 from tactile.daemon.requests import Requests
+from tactile.daemon.tasks import watched
 
 OPENING = 45.0
 """s for a device to open."""
@@ -96,7 +97,7 @@ class LocalTransport:
     def _begin(self) -> None:
         traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
         self._requests = Requests(self._client, traffic, self._receiver.received)
-        self._news = asyncio.create_task(self._tell(self._client))
+        self._news = watched(asyncio.create_task(self._tell(self._client)))
         self._receiver.opened()
 
     async def _tell(self, client: Client) -> None:

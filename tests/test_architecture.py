@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -127,6 +128,9 @@ PROTOCOL_IMPORTERS = {"bench", "bus", "sim"}
 GENERATED = {"messages"}
 """Modules that a program writes, as long as they have to be."""
 
+AWAITED = {"daemon.server": 3, "daemon.shelf": 1}
+"""Tasks that somebody waits for, or that take their own exceptions, by module."""
+
 LONGEST_FILE = 500
 LONGEST_FUNCTION = 40
 
@@ -236,6 +240,38 @@ def test_a_library_is_imported_only_where_it_is_at_home(library: str) -> None:
     users = {module for module in SOURCES if library in foreign_imports(module)}
     homes = AT_HOME[library]
     assert {room_of(user) if room_of(user) in homes else user for user in users} == homes
+
+
+def calls(module: str, name: str) -> list[ast.Call]:
+    """Return the calls of a function or method of a name."""
+    found = [node for node in ast.walk(TREES[module]) if isinstance(node, ast.Call)]
+    return [
+        call
+        for call in found
+        if name in (getattr(call.func, "attr", ""), getattr(call.func, "id", ""))
+    ]
+
+
+def test_nothing_waits_by_what_swallows_a_cancellation() -> None:
+    """`asyncio.wait_for` of Python 3.11 does where a result comes in the same turn."""
+    users = {
+        module
+        for module in SOURCES
+        for call in calls(module, "wait_for")
+        if isinstance(call.func, ast.Attribute) and getattr(call.func.value, "id", "") == "asyncio"
+    }
+    assert users == set()
+
+
+def test_every_background_task_of_the_daemon_is_watched() -> None:
+    """Else an exception ends it in silence."""
+    unwatched: Counter[str] = Counter()
+    for module in SOURCES:
+        if room_of(module) in ("daemon", "local"):
+            watched = {id(arg) for call in calls(module, "watched") for arg in call.args}
+            tasks = [call for call in calls(module, "create_task") if id(call) not in watched]
+            unwatched.update([module] * len(tasks))
+    assert unwatched == AWAITED
 
 
 def test_only_lazy_names_and_a_users_plant_are_imported_by_name() -> None:

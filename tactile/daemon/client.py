@@ -22,6 +22,7 @@ from tactile.daemon.playing import Part, Playing
 from tactile.daemon.requests import kind_of
 from tactile.daemon.shared import Touch
 from tactile.daemon.shelf import TooManyDrawingsError
+from tactile.daemon.tasks import watched
 from tactile.daemon.waves import ENDING, Curve
 from tactile.errors import BusError
 from tactile.rendering.clock_map import ClockMap
@@ -322,8 +323,8 @@ class Client:
         if before is not None:
             before.cancel()
         if command.rate_hz > 0:
-            task = asyncio.create_task(self._send_telemetry(name, 1 / command.rate_hz))
-            self._telemetry[name] = task
+            sending = self._send_telemetry(name, 1 / command.rate_hz)
+            self._telemetry[name] = watched(asyncio.create_task(sending))
         return m.Done()
 
     async def _send_telemetry(self, name: str, interval: float) -> None:

@@ -235,7 +235,7 @@ async def _serve(config: Config, logs: Logs, ready: Callable[[Server], None] | N
         reloading = Reloading(server.host)
         with suppress(NotImplementedError, AttributeError):
             loop.add_signal_handler(signal.SIGHUP, reloading.begin)
-        beating = asyncio.create_task(watchdog.keep_alive(server.host.beat))
+        beating = watched(asyncio.create_task(watchdog.keep_alive(server.host.beat)))
         log.info("listening", extra={"fields": {"url": server.url, "osc": config.osc.port}})
         watchdog.notify("READY=1")
         if ready is not None:

@@ -270,8 +270,8 @@ def _connect(distributed: Any, address: str) -> Any:
 
 async def _kind_of(distributed: Any, address: str) -> str:
     """Return what says that it is at an address; a client that fails would be long about it."""
-    async with distributed.rpc(address) as peer:
-        return str((await asyncio.wait_for(peer.identity(), CONNECT_S))["type"])
+    async with distributed.rpc(address) as peer, asyncio.timeout(CONNECT_S):
+        return str((await peer.identity())["type"])
 
 
 def _check_versions(client: Any) -> None:

@@ -79,7 +79,7 @@ def clear_display(
             (name,) = chosen
             cleared = estop if estop is not None else holding[name]
             why = connection.display(name).stats().detail
-            question = f"{name}: e-stop {cleared} holds. {why} Is it safe to clear it?"
+            question = f"{name}: e-stop {cleared} holds, {why}. Is it safe to clear it?"
             if estop is None:
                 typer.confirm(question, abort=True)
             connection.display(name).clear(estop=cleared)

@@ -171,6 +171,9 @@ class Hands:
     async def reload(self) -> None:
         self.reloads += 1
 
+    def degrade(self, error: BaseException) -> None:
+        self.armed = False
+
     @property
     def displays(self) -> tuple[DisplayInfo, ...]:
         return tuple(display(name) for name in self.names)

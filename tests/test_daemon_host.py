@@ -248,7 +248,7 @@ def test_a_display_is_disarmed_when_the_last_client_that_armed_it_has_gone(
     first.ask(m.Arm(display=NAME))
     second.ask(m.Arm(display=NAME))
     first.close()
-    assert host.playing[NAME].arming == {second.client.number}
+    assert host.playing[NAME].owners.clients == {second.client.number}
     second.close()
     watching.until(lambda stats: stats.state == "disarmed")
     watching.close()

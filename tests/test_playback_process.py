@@ -106,6 +106,11 @@ def playing(stage: Stage) -> Stage:
     return stage
 
 
+def test_who_arms_what_is_armed_silences_nobody(playing: Stage) -> None:
+    assert not playing.order(orders.Arm()).failure
+    assert playing.play(0.05).any()
+
+
 def test_without_heartbeats_all_fades_and_is_disarmed(playing: Stage) -> None:
     before = playing.play(SILENCE - WATCH, beats=False)
     assert before[-BLOCK:].any(), "it plays on for as long as a server may be late"
@@ -229,8 +234,8 @@ def test_an_order_that_fails_is_answered_and_the_loop_goes_on(
     def broken() -> None:
         raise ZeroDivisionError("nobody expected that")
 
-    monkeypatch.setattr(playing.program._player, "arm", broken)
-    assert "nobody expected that" in playing.order(orders.Arm()).failure
+    monkeypatch.setattr(playing.program._player, "disarm", broken)
+    assert "nobody expected that" in playing.order(orders.Disarm()).failure
     assert "ZeroDivisionError" in capfd.readouterr().err
     assert playing.play(0.05).any()
 

@@ -78,7 +78,7 @@ class Client:
     @property
     def holds_voltage(self) -> bool:
         """Whether it armed a display whose high voltage is on."""
-        return any(self.number in playing.arming for playing in self._host.playing.values())
+        return any(self.number in playing.owners.clients for playing in self._host.playing.values())
 
     def quiet(self) -> None:
         """Fade its waveforms and effects, since it gives no sign of life."""

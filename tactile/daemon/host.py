@@ -8,14 +8,16 @@ reaches the file system. The rule of mixing is in `tactile.daemon.messages`.
 import asyncio
 import itertools
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 
 from tactile.daemon import messages as m
 from tactile.daemon.client import Client
-from tactile.daemon.config import Config, load_config, load_configured
+from tactile.daemon.config import Config, DisplayConfig, load_config, load_configured
 from tactile.daemon.estop_desk import EstopDesk
+from tactile.daemon.latch import Latch
 from tactile.daemon.messages import Event
+from tactile.daemon.paths import state_folder
 from tactile.daemon.playing import Playing
 from tactile.daemon.tasks import watched
 from tactile.daemon.workbench import Workbench
@@ -42,6 +44,28 @@ def shipped_textures() -> dict[str, m.TextureInfo]:
             provenance=about.provenance,
         )  # fmt: skip
     return found
+
+
+async def _latches(
+    configs: Sequence[DisplayConfig], left: dict[str, Latch]
+) -> dict[DisplayConfig, Latch]:
+    """Return the latch of each display; those that are ``left`` are taken by device, and removed.
+
+    Raises
+    ------
+    TactileError
+        Where one cannot be had; none is open then, and all is left as it was.
+    """
+    folder, opened = state_folder(), dict[DisplayConfig, Latch]()
+    try:
+        for one in configs:
+            if one.device not in left:
+                opened[one] = await asyncio.to_thread(Latch.open, one.device, folder)
+    except BaseException:
+        for latch in opened.values():
+            latch.close()
+        raise
+    return {one: opened[one] if one in opened else left.pop(one.device) for one in configs}
 
 
 class Host:
@@ -78,7 +102,9 @@ class Host:
         self._beating = watched(asyncio.create_task(self._beat()))
         try:
             for config in self._config.display:
-                self.playing[config.name] = Playing(config, self._workbench, self._tell)
+                load_configured(config)
+            for config, latch in (await _latches(self._config.display, {})).items():
+                self.playing[config.name] = Playing(config, latch, self._workbench, self._tell)
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
             for playing in self.playing.values():
                 await playing.start()
@@ -114,6 +140,7 @@ class Host:
             self._beating.cancel()
         for playing in self.playing.values():
             playing.close()
+            playing.latch.close()
         self.playing = {}
 
     async def reload(self) -> None:
@@ -134,14 +161,18 @@ class Host:
         for one in new:
             load_configured(one)
         textures = await asyncio.to_thread(shipped_textures)  # which takes longer than a heartbeat
+        after = {one.name: before.pop(one) for one in config.display if one in before}
+        left = {playing.config.device: playing.latch for playing in before.values()}
+        latches = await _latches(new, left)
         self._config, self._textures = config, textures
-        kept = {one.name: before.pop(one) for one in config.display if one in before}
         await asyncio.gather(*(playing.end() for playing in before.values()))
+        for one, latch in latches.items():
+            after[one.name] = Playing(one, latch, self._workbench, self._tell)
+        self.playing = {one.name: after[one.name] for one in config.display}
         for playing in before.values():
             playing.close()
-        self.playing = kept
-        after = self.playing | {one.name: Playing(one, self._workbench, self._tell) for one in new}
-        self.playing = {one.name: after[one.name] for one in config.display}
+            if playing.latch not in latches.values():
+                playing.latch.close()
         if new or before:
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
         failures = []
@@ -189,14 +220,14 @@ class Host:
             except BusError as error:  # playback is lost, and with it what was to be done
                 log.warning("%s", error)
 
-        task = watched(asyncio.create_task(done()), self._degrade)
+        task = watched(asyncio.create_task(done()), self.degrade)
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
 
-    def _degrade(self, error: BaseException) -> None:
+    def degrade(self, error: BaseException) -> None:
         """Disarm all displays after a failure that nobody expected."""
         for playing in self.playing.values():
-            if playing.arming:
+            if playing.owners.clients:
                 self.run(playing.disarm)
 
     def _tell(self, event: Event) -> None:
@@ -204,7 +235,10 @@ class Host:
             client.post(event)
 
     def healthy(self) -> bool:
-        """Return whether every playback lives and gets on."""
+        """Return whether every playback lives and gets on, and `tactile estop` reaches it."""
+        return self._lives() and bool(self._desk.address)
+
+    def _lives(self) -> bool:
         beats = self._beating is not None and not self._beating.done()
         return beats and not self._closed and all(one.alive for one in self.playing.values())
 
@@ -216,7 +250,7 @@ class Host:
             for name, playing in self.playing.items()
             for r in [playing.report]
         }
-        return self.healthy() and all(
+        return self._lives() and all(
             before.get(name) != now
             if self.playing[name].report.state != "armed"
             else before.get(name, (-1, 0.0))[0] != now[0]

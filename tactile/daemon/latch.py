@@ -89,11 +89,11 @@ class Latch:
             path = folder / file_name(device)
             try:
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-                file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+                file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o600)
             except OSError as error:
                 raise InputError(
-                    f"e-stop latch of {device}: {path}: {error.strerror}; it must be writable, or "
-                    "STATE_DIRECTORY name another folder"
+                    f"e-stop latch of {device}: {path}: {error.strerror}; make it writable, or "
+                    "set STATE_DIRECTORY to another folder"
                 ) from error
             _lock(file, device, path)
         intact = _is_intact(file)
@@ -165,7 +165,8 @@ class Latch:
         OSError
             Where the disk fails.
         """
-        self._map.flush()
+        if sys.platform != "linux":
+            self._map.flush()  # holds Python's lock; Linux's fsync writes mapped pages as well
         os.fsync(self._file)
 
     def close(self) -> None:
@@ -196,7 +197,13 @@ def file_name(device: str) -> str:
 
 
 def _is_intact(file: int) -> bool:
-    """Return whether a file holds a latch; make it a new one where it is empty or damaged."""
+    """Return whether a file holds a latch; make it a new one where it is empty or damaged.
+
+    Raises
+    ------
+    BusError
+        Where the disk is full.
+    """
     content = os.read(file, SIZE + 1)
     if len(content) == SIZE:
         words = np.frombuffer(content, np.uint64, WORDS).tolist()
@@ -204,7 +211,12 @@ def _is_intact(file: int) -> bool:
             return True
     os.ftruncate(file, 0)
     os.lseek(file, 0, os.SEEK_SET)
-    os.write(file, MAGIC.to_bytes(8, "little") + bytes(SIZE - 8))
+    try:
+        written = os.write(file, MAGIC.to_bytes(8, "little") + bytes(SIZE - 8))
+    except OSError as error:
+        raise BusError(f"an e-stop latch cannot be written: {error.strerror}") from error
+    if written != SIZE:
+        raise BusError("an e-stop latch cannot be written: the disk is full")
     return not content
 
 

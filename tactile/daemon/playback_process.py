@@ -134,8 +134,9 @@ class Program:
                 why = bus.status.detail or "no reason known"
                 self._estop = self._latch.trip(f"by the amplifier: {why}")
             elif holds and holds != self._estop:
-                self._bus_estops += 1
+                before = bus.estops
                 bus.estop()
+                self._bus_estops += min(bus.estops - before, 1)  # one more is the amplifier's own
                 self._estop = holds
 
     def look_at_server(self, passed: float) -> None:
@@ -182,7 +183,8 @@ class Program:
                 player.forget(order.client)
             case orders.Arm():
                 self._may_arm()
-                player.arm()
+                if not player.running:  # else it would silence what others play
+                    player.arm()
             case orders.Disarm():
                 player.disarm()
             case orders.Clear():
@@ -214,7 +216,7 @@ class Program:
         if self._latch.holds == estop:
             self._player.bus.clear()
             self._player.write_report()
-        if self._latch.holds != estop:
+        if self._latch.holds not in (0, estop):  # 0: another clear of the same came before
             raise BusStateError(f"e-stop {self._latch.holds} holds, not {estop}")
 
     def _append(self, order: orders.Wave) -> tuple[float, ...]:

@@ -368,7 +368,7 @@ class Player:
         r, status = self.report, self.bus.status
         r.time = time.monotonic()
         r.state = state_of(status)
-        r.link, r.detail = status.link, status.detail
+        r.link, r.detail, r.running = status.link, status.detail, self.running
         r.touching, r.client = self.tracker.touching, self._client
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])
         own = {

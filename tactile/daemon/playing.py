@@ -3,7 +3,7 @@
 Playback that dies is started again, with back-off, and told what its clients had; it is armed again
 only where the configuration says so. What an amplifier does meanwhile is its own watchdog's part.
 
-High voltage belongs to those who armed: `Playing.arming` holds their numbers. An e-stop is written
+High voltage belongs to those who armed: `Playing.owners` holds their numbers. An e-stop is written
 to the latch, which playback watches, and waits for nothing.
 """
 
@@ -22,7 +22,7 @@ from tactile.daemon.finger import Finger
 from tactile.daemon.latch import Latch
 from tactile.daemon.messages import DisplayInfo, Event, Layer
 from tactile.daemon.orders import Answer, News, Opened, Order, Setup
-from tactile.daemon.paths import state_folder
+from tactile.daemon.owners import CONFIGURATION, Owners
 from tactile.daemon.shared import Report, Shared, Touch
 from tactile.daemon.shelf import Shelf
 from tactile.daemon.tasks import watched
@@ -40,10 +40,6 @@ ENDING = 1.0
 FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
 STILL = 4.0
 """s without a report after which playback hangs."""
-CONFIGURATION = 0
-"""Stands for the configuration among the clients that armed; their numbers begin at 1."""
-OWNERLESS = 0.5
-"""s after which high voltage that belongs to nobody is switched off."""
 REARMED = ("serial:", "can:", "i2c:")
 """Devices whose link may arm again by itself."""
 SERVER = 0
@@ -73,15 +69,20 @@ class Playing:
     Parameters
     ----------
     config : of the display
+    latch : its e-stop latch, which outlives it
     workbench : makes textures ready
     tell : called with each `Event`
     """
 
     def __init__(
-        self, config: DisplayConfig, workbench: Workbench, tell: Callable[[Event], None]
+        self,
+        config: DisplayConfig,
+        latch: Latch,
+        workbench: Workbench,
+        tell: Callable[[Event], None],
     ) -> None:
         self.config, self.display = config, load_configured(config)
-        self.latch = Latch.open(config.device, state_folder())
+        self.latch = latch
         self.memory = Shared.create(len(self.display.contactors))
         self.how = Opened()
         self.parts: dict[int, Part] = {}
@@ -98,9 +99,8 @@ class Playing:
             self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
             selected=self._selected,
         )  # fmt: skip
-        self.arming: set[int] = set()
+        self.owners = Owners()
         self._estops = 0
-        self._owned = 0.0
         self._keeper: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
 
@@ -221,19 +221,21 @@ class Playing:
                 retry = min(2 * retry, LONGEST_RETRY)
 
     async def _again(self) -> None:
-        """Open once more, and tell what clients had."""
+        """Open once more, tell what clients had, and arm for those that had, if it may."""
         if self._child is not None:
             self._child.kill()
-        await self._open()
-        self.failure = ""
-        await self.renew()
-        for client, part in list(self.parts.items()):
-            await self.ask(orders.Scale(client, part.gain, part.sounds))
-        if self.arming and self.config.rearm and not self.latch.holds:
-            await self.ask(orders.Arm())
-        else:
-            self.arming.clear()
-            self._say("disarmed", "playback is back, and disarmed")
+        if not self.config.rearm:
+            self.owners.clients.clear()
+        with self.owners.arm():
+            await self._open()
+            self.failure = ""
+            await self.renew()
+            for client, part in list(self.parts.items()):
+                await self.ask(orders.Scale(client, part.gain, part.sounds))
+            if self.owners.clients and not self.latch.holds:
+                await self.ask(orders.Arm())
+            else:
+                self._say("disarmed", "playback is back, and disarmed")
 
     async def end(self) -> None:
         """Fade out, disarm, end the process; an e-stop is latched until `close`."""
@@ -246,7 +248,6 @@ class Playing:
     def close(self) -> None:
         """Let go of what was shared with the process, after its end."""
         self.memory.close()
-        self.latch.close()
 
     # What it is told
 
@@ -283,12 +284,13 @@ class Playing:
         BusError
             Where the amplifier does not start, or an e-stop holds.
         """
-        self.arming.add(client)
-        try:
-            await self.ask(orders.Arm())
-        except BusError:
-            self.arming.discard(client)
-            raise
+        self.owners.clients.add(client)
+        with self.owners.arm():
+            try:
+                await self.ask(orders.Arm())
+            except BusError:
+                self.owners.clients.discard(client)
+                raise
 
     async def disarm(self) -> None:
         """Fade out, and switch high voltage off, whoever it belongs to.
@@ -298,7 +300,7 @@ class Playing:
         BusError
             Where playback does not answer.
         """
-        self.arming.clear()
+        self.owners.clients.clear()
         if not self.lost:
             await self.ask(orders.Disarm())
 
@@ -310,9 +312,9 @@ class Playing:
         BusError
             Where playback does not answer.
         """
-        if client in self.arming:
-            self.arming.discard(client)
-            if not self.arming:
+        if client in self.owners.clients:
+            self.owners.clients.discard(client)
+            if not self.owners.clients:
                 await self.disarm()
 
     def estop(self, reason: str) -> int:
@@ -327,7 +329,7 @@ class Playing:
         int
             The number of the e-stop, which a clear must name.
         """
-        self.arming.clear()
+        self.owners.clients.clear()
         return self.latch.trip(reason)
 
     def notice_estop(self) -> bool:
@@ -337,7 +339,7 @@ class Playing:
             return False
         self._estops = number
         if self.latch.holds:
-            self.arming.clear()
+            self.owners.clients.clear()
             self._say("estopped", self.latch.reason, estop=number)
         return True
 
@@ -357,13 +359,11 @@ class Playing:
 
     def is_ownerless(self, now: float) -> bool:
         """Return whether high voltage has belonged to nobody for too long; ``now`` in s."""
-        if self.arming or self.state != "armed":
-            self._owned = now
-        return now - self._owned > OWNERLESS
+        running = self.lost or self.report.running
+        return self.owners.look(now, running=running, armed=self.state == "armed")
 
     async def take_voltage(self) -> None:
         """Switch off high voltage that belongs to nobody."""
-        self._owned = time.monotonic()
         log.error("%s: high voltage belonged to nobody; it is switched off", self.config.name)
         await self.disarm()
 
@@ -490,6 +490,4 @@ class Playing:
         """What clients are told."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
         latency = self.report.latency or self.how.latency + renders
-        return describe(
-            self.config.name, self.display, self.how, latency=latency, estop=self.latch.holds
-        )
+        return describe(self.config.name, self.display, self.how, latency=latency, latch=self.latch)

@@ -35,7 +35,7 @@ MOST_REQUESTS = 32
 
 
 class Client(Protocol):
-    """A connection as the host knows it; `tactile.daemon.host.Client` is one."""
+    """A connection as the host knows it; `tactile.daemon.client.Client` is one."""
 
     outbox: "asyncio.Queue[Event | Telemetry]"
 
@@ -96,6 +96,10 @@ class Host(Source, Protocol):
 
     def beat(self) -> bool:
         """Return whether playback got on since the last call."""
+        ...
+
+    def degrade(self, error: BaseException) -> None:
+        """Disarm all displays after a failure that nobody expected."""
         ...
 
 

@@ -191,8 +191,8 @@ async def running(
 
 @asynccontextmanager
 async def _looking_after(site: Site) -> AsyncIterator[None]:
-    """See whether the clients live."""
-    task = watched(asyncio.create_task(look_after(lambda: site.places)))
+    """See whether the clients live; without that nothing may stay armed."""
+    task = watched(asyncio.create_task(look_after(lambda: site.places)), site.host.degrade)
     try:
         yield
     finally:

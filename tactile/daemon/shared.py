@@ -39,7 +39,7 @@ DETAIL = 240
 NUMBER = struct.Struct("<Q")
 CONTACT = struct.Struct("<QQddddddd?")
 TRACE = struct.Struct("<QQQdd")
-REPORT = struct.Struct(f"<Qd3BQ7d{len(COUNTERS)}Q{DETAIL}s")
+REPORT = struct.Struct(f"<Qd4BQ7d{len(COUNTERS)}Q{DETAIL}s")
 HEADS = 64
 """Bytes before the rings: how many contacts and traces were written, the report's number, and how
 many heartbeats of the server."""
@@ -86,6 +86,7 @@ class Report:
     time: float = 0.0
     state: State = "disarmed"
     link: str = "down"
+    running: bool = False
     touching: bool = False
     client: int = 0
     position: tuple[float, float] = (0.0, 0.0)
@@ -222,8 +223,9 @@ class Shared:
         NUMBER.pack_into(self._map, 16, 2 * self._reported - 1)
         REPORT.pack_into(
             self._map, AT_REPORT, r.blocks, r.time, STATES.index(r.state), r.link == "up",
-            r.touching, r.client, *r.position, *r.velocity, r.normal_force, r.sample_rate,
-            r.latency, *(r.counters[name] for name in COUNTERS), r.detail.encode()[:DETAIL],
+            r.running, r.touching, r.client, *r.position, *r.velocity, r.normal_force,
+            r.sample_rate, r.latency, *(r.counters[name] for name in COUNTERS),
+            r.detail.encode()[:DETAIL],
         )  # fmt: skip
         NUMBER.pack_into(self._map, 16, 2 * self._reported)
 
@@ -234,9 +236,11 @@ class Shared:
             row = REPORT.unpack_from(self._map, AT_REPORT)
             if before % 2 == 0 and before == NUMBER.unpack_from(self._map, 16)[0]:
                 break
-        blocks, time, state, link, touching, client, x, y, vx, vy, force, rate, late = row[:13]
+        counters = dict(zip(COUNTERS, row[-len(COUNTERS) - 1 : -1], strict=True))
+        blocks, time, state, link, running, touching, client, *rest = row[: -len(COUNTERS) - 1]
+        x, y, vx, vy, force, rate, late = rest
         return Report(
-            blocks, time, STATES[state], "up" if link else "down", bool(touching), client,
-            (x, y), (vx, vy), force, rate, late, dict(zip(COUNTERS, row[13:-1], strict=True)),
+            blocks, time, STATES[state], "up" if link else "down", bool(running), bool(touching),
+            client, (x, y), (vx, vy), force, rate, late, counters,
             row[-1].rstrip(b"\0").decode(errors="replace"),
         )  # fmt: skip

@@ -77,9 +77,13 @@ class Workbench:
             if not job.clients:
                 job.order.set_exception(BusError("nobody waits for the texture any more"))
                 continue
-            self.begin()
-            assert self._child is not None
-            self._child.tell(job.request)
+            try:
+                self.begin()
+                assert self._child is not None
+                self._child.tell(job.request)
+            except (OSError, BusError) as error:  # no descriptor or memory left
+                job.order.set_exception(BusError(f"no texture can be made ready: {error}"))
+                continue
             self._job = job
             self._limit = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
 

@@ -39,7 +39,7 @@ def until(happened: Callable[[], Any]) -> Any:
     return result
 
 
-def info(name: str, estop: int = 0) -> m.DisplayInfo:
+def info(name: str, estop: int = 0, latest: int = 0) -> m.DisplayInfo:
     return m.DisplayInfo(
         name=name,
         contactors_mm=((-1.0, 2.0), (1.0, 2.0)),
@@ -49,6 +49,7 @@ def info(name: str, estop: int = 0) -> m.DisplayInfo:
         waveforms=True,
         latency_ms=4.0,
         estop=estop,
+        latest_estop=max(estop, latest),
     )
 
 
@@ -63,7 +64,7 @@ class Script:
     def __init__(self, *displays: str) -> None:
         self.displays = displays or ("left",)
         self.messages_per_second = 0
-        self.estop = 0
+        self.estop = self.latest = 0
         self.answers: dict[type, Callable[[Any], m.Answer | None]] = {}
 
     def answer(self, said: Any) -> m.Answer | None:
@@ -76,7 +77,7 @@ class Script:
                     server="test",
                     version=1,
                     session="s",
-                    displays=tuple(info(name, self.estop) for name in self.displays),
+                    displays=tuple(info(name, self.estop, self.latest) for name in self.displays),
                     may_arm=True,
                     roles=("watch", "arm"),
                     time_us=server_time_us(),

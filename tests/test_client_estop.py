@@ -78,6 +78,24 @@ def test_a_display_that_was_estopped_meanwhile_is_not_armed_again(
         assert [type(said) for said in said_since_hello(daemon)] == [m.GetStats]
 
 
+def test_a_display_whose_estop_was_cleared_meanwhile_is_not_armed_again(
+    twin: Twin, script: Script, daemon: Daemon
+) -> None:
+    """It is disarmed then, as a clear promises, though no e-stop holds any more."""
+    with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
+        display.arm()
+        script.latest = 4
+        daemon.drop()
+        until(lambda: len(said_since_hello(daemon)) == 0 and display.connected)
+        display.stats()
+        assert [type(said) for said in said_since_hello(daemon)] == [m.GetStats]
+        display.arm()
+        daemon.drop()
+        until(lambda: len(said_since_hello(daemon)) == 1)
+        display.stats()
+        assert [type(said) for said in said_since_hello(daemon)] == [m.Arm, m.GetStats]
+
+
 def opened_session() -> tuple[Session, list[Any]]:
     """Return a session that is connected to nothing, and what it hands over."""
     kept: list[Any] = []

@@ -363,7 +363,7 @@ class Session:
 
     def _restore(self, welcome: Welcome) -> None:
         for info in welcome.displays:
-            if info.estop:
+            if info.estop or info.name in self.estops.missed:
                 self._of(info.name).disarm()
         commands: list[Request] = [self._subscription(display) for display in self._queues]
         commands += [c for wish in self._wishes.values() for c in wish.restored(self._rearm)]

@@ -65,10 +65,13 @@ class EStops:
     Attributes
     ----------
     numbers : by display, as they were last reported; 0 for none
+    missed : displays that were e-stopped, and perhaps cleared, while there was no connection
     """
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
+        self.missed: set[str] = set()
+        self._latest: dict[str, int] = {}
         self._pending: dict[str | None, int] = {}  # id of the newest request, 0 for none
 
     def request(self, display: str | None, number: int = 0) -> None:
@@ -87,15 +90,26 @@ class EStops:
         """Take what an answer tells of e-stops; one that was refused is kept."""
         match answer:
             case Welcome():
+                latest = {info.name: info.latest_estop for info in answer.displays}
+                known = latest | self._latest
+                self.missed = {name for name, number in latest.items() if number != known[name]}
+                self._latest = latest
                 self.numbers = {info.name: info.estop for info in answer.displays}
             case Event(kind="estopped" | "cleared"):
                 self.numbers[answer.display] = answer.estop if answer.kind == "estopped" else 0
+                self._see(answer.display, answer.estop)
             case Stats():
                 self.numbers[answer.display] = answer.estop
+                self._see(answer.display, answer.estop)
             case Done():
                 self.numbers.update(answer.estops)
+                for display, number in answer.estops.items():
+                    self._see(display, number)
         if isinstance(answer, Done | Failure) and answer.id:
             self._settle(answer)
+
+    def _see(self, display: str, number: int) -> None:
+        self._latest[display] = max(number, self._latest.get(display, 0))
 
     def _settle(self, reply: Done | Failure) -> None:
         for display, number in list(self._pending.items()):

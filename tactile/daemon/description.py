@@ -2,13 +2,14 @@
 
 import math
 
+from tactile.daemon.latch import Latch
 from tactile.daemon.messages import DisplayInfo
 from tactile.daemon.orders import Opened
 from tactile.display import Display
 
 
 def describe(
-    name: str, display: Display, how: Opened, *, latency: float, estop: int
+    name: str, display: Display, how: Opened, *, latency: float, latch: Latch
 ) -> DisplayInfo:
     """Return what clients are told of a display that was opened.
 
@@ -18,7 +19,7 @@ def describe(
     display : the display
     how : how its device plays
     latency : from a contact to the skin [s]
-    estop : number of the e-stop that holds, 0 where none does
+    latch : its e-stop latch
     """
     return DisplayInfo(
         name=name,
@@ -28,5 +29,6 @@ def describe(
         voltage_limit_v=display.limits.voltage,
         waveforms=not how.carriers,
         latency_ms=1e3 * latency,
-        estop=estop,
+        estop=latch.holds,
+        latest_estop=latch.number,
     )

@@ -277,7 +277,7 @@ class DisplayInfo(Struct, frozen=True, kw_only=True):
 
     ``latency_ms`` is from a contact message to the skin, about; ``waveforms`` whether the link has
     room for samples, without which `Append` and `Effect` are unsupported; ``estop`` the number of
-    the e-stop that holds, 0 where none does.
+    the e-stop that holds, 0 where none does, ``latest_estop`` that of the latest, also if cleared.
     """
 
     name: str
@@ -288,6 +288,7 @@ class DisplayInfo(Struct, frozen=True, kw_only=True):
     waveforms: bool
     latency_ms: float
     estop: int = 0
+    latest_estop: int = 0
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):

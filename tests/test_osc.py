@@ -382,6 +382,17 @@ def test_an_estop_comes_before_the_packets_that_wait_before_it() -> None:
     run(story)
 
 
+def test_estops_of_displays_that_there_are_not_keep_no_real_one_waiting() -> None:
+    async def story() -> None:
+        async with sending() as (_, hands, link):
+            made_up = [packet(f"/tactile/x{k}/estop") for k in range(60)]
+            link.send(bundle(*made_up, STOP))
+            await until(lambda: len(hands.clients[0].commands) > 0)
+            assert hands.clients[0].commands == [EStop(display="right")]
+
+    run(story)
+
+
 def test_many_estops_at_once_are_one_for_each_display() -> None:
     async def story() -> None:
         async with sending() as (_, hands, link):

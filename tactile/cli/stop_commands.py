@@ -23,23 +23,25 @@ def stop_displays(
     """Stop every display of this machine at once: 0 V, high voltage off, until it is cleared.
 
     It has a way of its own, which works also while a daemon is flooded or hangs. Exit code 1 says
-    that nothing was stopped.
+    that nothing was stopped, or that a daemon did not answer.
 
     Example: tactile estop
     """
     answers = request_estop(display)
     latched = any(answer.estops for answer in answers)
+    failed = [one for one in answers if one.failure and not (latched and one.unknown)]
+    code = 0 if latched and not failed else 1
     if as_json:
         typer.echo(json.dumps([asdict(answer) for answer in answers]))
-        raise typer.Exit(0 if latched else 1)
+        raise typer.Exit(code)
     for answer in answers:
         for name, number in answer.estops.items():
             typer.echo(f"{name}: e-stop {number} is latched; tactile clear ends it")
-        if answer.failure and not latched:
-            typer.echo(f"{answer.socket}: {answer.failure}", err=True)
+    for answer in failed:
+        typer.echo(f"{answer.socket}: {answer.failure}", err=True)
     if not answers:
         typer.echo("no daemon of tactile runs on this machine that could be stopped", err=True)
-    raise typer.Exit(0 if latched else 1)
+    raise typer.Exit(code)
 
 
 @app.command("clear")

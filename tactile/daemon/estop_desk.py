@@ -47,12 +47,17 @@ class EstopDesk:
     async def _keep(self, latches: dict[str, Latch], ready: "asyncio.Future[None]") -> None:
         try:
             while True:
-                ended = await self._begin(latches)
-                if not ready.done():
-                    ready.set_result(None)
-                await ended.wait()
+                try:
+                    ended = await self._begin(latches)
+                    if not ready.done():
+                        ready.set_result(None)
+                    await ended.wait()
+                    log.error("the e-stop process ended; it is started again")
+                except OSError as error:  # no descriptor or memory left: there may be some later
+                    log.error("the e-stop process cannot be started: %s", error)
+                    if not ready.done():
+                        ready.set_result(None)
                 self.address = ""
-                log.error("the e-stop process ended; it is started again")
                 await asyncio.sleep(RETRY)
         finally:
             if not ready.done():

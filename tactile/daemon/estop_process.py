@@ -6,7 +6,7 @@ is no connection that anyone could keep open. Whoever may write to the socket ma
 
 A request is ``{"estop": null}`` for all displays or ``{"estop": "right"}`` for one, as JSON; the
 answer ``{"estops": {"right": 3}}`` names the number that was latched for each, or holds an
-``"error"``.
+``"error"``. Requests with the same ``"id"`` are one, so that it may be sent again.
 """
 
 import json
@@ -17,6 +17,7 @@ import socket
 import struct
 import sys
 import threading
+from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ from tactile.daemon.paths import runtime_folder
 
 log = logging.getLogger("tactile.estop")
 
+LONGEST_ID, MOST_ANSWERED = 64, 256
+"""Characters of a request's id; requests that are known again when they come once more."""
 CREDENTIALS = struct.Struct("3i")
 """Process, user and group of a sender, as Linux tells them (unix(7), SCM_CREDENTIALS)."""
 
@@ -82,6 +85,7 @@ class Desk:
 
     def __init__(self, latches: dict[str, Latch]) -> None:
         self._latches = latches
+        self._answered: OrderedDict[str, dict[str, Any]] = OrderedDict()
         self._new = threading.Event()
 
     def answer(self, request: bytes, sender: str) -> dict[str, Any]:
@@ -93,31 +97,47 @@ class Desk:
         sender : who asks, for the note in the latch
         """
         try:
-            wanted = json.loads(request)["estop"]
-        except (ValueError, KeyError, TypeError, RecursionError):
+            content = json.loads(request)
+            wanted, number = content["estop"], str(content.get("id", ""))[:LONGEST_ID]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return {"error": 'no request; {"estop": null} stops all displays'}
+        if number and number in self._answered:
+            return self._answered[number]
+        answer = self._carry_out(wanted, sender)
+        if number:
+            self._answered[number] = answer
+            if len(self._answered) > MOST_ANSWERED:
+                self._answered.popitem(last=False)
+        return answer
+
+    def _carry_out(self, wanted: object, sender: str) -> dict[str, Any]:
         if wanted is None:
             chosen = self._latches
         elif isinstance(wanted, str) and wanted in self._latches:
             chosen = {wanted: self._latches[wanted]}
         else:
             names = ", ".join(self._latches)
-            return {"error": f"no display {str(wanted)[:64]!r}; there are {names}"}
+            error = f"no display {str(wanted)[:64]!r}; there are {names}"
+            return {"error": error, "unknown": True}
         return {"estops": {name: latch.trip(sender) for name, latch in chosen.items()}}
 
     def serve(self, link: socket.socket) -> None:
         """Wait for a request, carry it out and answer it."""
         extra: list[tuple[int, int, bytes]] = []
-        if hasattr(link, "recvmsg"):
-            space = socket.CMSG_SPACE(CREDENTIALS.size)
-            request, extra, _, address = link.recvmsg(LARGEST_REQUEST, space)
-        else:
-            request, address = link.recvfrom(LARGEST_REQUEST)
-        answer = self.answer(request, f"by tactile estop{_user(extra)}")
-        self._new.set()
+        try:
+            if hasattr(link, "recvmsg"):
+                space = socket.CMSG_SPACE(CREDENTIALS.size)
+                request, extra, _, address = link.recvmsg(LARGEST_REQUEST, space)
+            else:
+                request, address = link.recvfrom(LARGEST_REQUEST)
+        except OSError as error:  # Windows tells of what an earlier answer met
+            log.warning("a request could not be read: %s", error)
+            return
+        answer = json.dumps(self.answer(request, f"by tactile estop{_user(extra)}")).encode()
         if address:
             with suppress(OSError):  # who does not read the answer needs none
-                link.sendto(json.dumps(answer).encode(), socket.MSG_DONTWAIT, address)
+                link.sendto(answer, getattr(socket, "MSG_DONTWAIT", 0), address)
+        self._new.set()
 
     def save(self) -> None:
         """Write e-stops to the disk as they come, for ever; latched they are before."""

@@ -2,18 +2,24 @@
 
 import json
 import os
+import secrets
+import select
 import socket
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tactile.daemon.paths import estop_sockets
 
 LARGEST_REQUEST = 1024
-"""Bytes of a request or an answer; `tactile.daemon.estop_process` says what they hold."""
+"""Bytes of a request."""
+LARGEST_ANSWER = 65_536
+"""Bytes of an answer; `tactile.daemon.estop_process` says what both hold."""
 WITHIN = 1.0
 """s in which a daemon must answer; it does so within milliseconds."""
 ATTEMPT = 0.25
@@ -29,17 +35,19 @@ class EstopAnswer:
     socket : path of the daemon's e-stop socket
     estops : number of the e-stop that was latched, by display
     failure : why nothing was latched; empty where it was
+    unknown : whether the daemon lives and has no display of that name
     seconds : from the request to the answer [s]
     """
 
     socket: str
     estops: dict[str, int] = field(default_factory=dict)
     failure: str = ""
+    unknown: bool = False
     seconds: float = 0.0
 
 
 def request_estop(display: str | None = None, *, within: float = WITHIN) -> list[EstopAnswer]:
-    """Ask all daemons of this machine that this user can reach for an e-stop.
+    """Ask all daemons of this machine that this user can reach for an e-stop, all at once.
 
     Parameters
     ----------
@@ -51,50 +59,80 @@ def request_estop(display: str | None = None, *, within: float = WITHIN) -> list
     list of EstopAnswer
         One for each daemon; none where no daemon runs.
     """
-    request = json.dumps({"estop": display}).encode()
-    return [_ask(path, request, within) for path in estop_sockets()]
+    request = json.dumps({"estop": display, "id": secrets.token_hex(8)}).encode()
+    begun, answers = time.monotonic(), dict[str, EstopAnswer]()
+    waiting = {str(path): path for path in estop_sockets()}
+    with _links(len(waiting)) as links:
+        by_link = dict(zip(links, list(waiting), strict=True))
+        while by_link and (left := begun + within - time.monotonic()) > 0:
+            for link, name in list(by_link.items()):
+                if (failure := _send(link, waiting[name], request)) is not None:
+                    answers[name] = EstopAnswer(name, failure=failure)
+                    del by_link[link]
+            attempt = time.monotonic() + min(ATTEMPT, left)
+            while by_link and (rest := attempt - time.monotonic()) > 0:
+                for link in select.select(list(by_link), [], [], rest)[0]:
+                    name = by_link.pop(link)
+                    answers[name] = _answer(name, link, time.monotonic() - begun)
+    silent = f"no answer within {within:g} s"
+    return [answers.get(name, EstopAnswer(name, failure=silent)) for name in waiting]
 
 
-def _ask(path: Path, request: bytes, within: float) -> EstopAnswer:
-    begun = time.monotonic()
-    with _link() as link:
-        link.settimeout(min(ATTEMPT, within))
-        while time.monotonic() - begun < within:
-            try:
-                link.sendto(request, _address(path))
-                answer = json.loads(link.recv(LARGEST_REQUEST))
-            except TimeoutError:
-                continue
-            except (ConnectionError, FileNotFoundError):
-                return EstopAnswer(str(path), failure="nobody listens there any more")
-            except (OSError, ValueError) as error:
-                return EstopAnswer(str(path), failure=str(error))
-            took = time.monotonic() - begun
-            return EstopAnswer(
-                str(path), answer.get("estops", {}), str(answer.get("error", "")), took
-            )
-    return EstopAnswer(str(path), failure=f"no answer within {within:g} s")
+def _send(link: socket.socket, path: Path, request: bytes) -> str | None:
+    """Send a request; return why that cannot be, None where it was sent or may be once more."""
+    try:
+        if hasattr(socket, "AF_UNIX"):
+            link.sendto(request, str(path))
+        else:
+            link.sendto(request, ("127.0.0.1", int(path.read_text())))
+    except BlockingIOError:
+        return None
+    except (ConnectionError, FileNotFoundError):
+        with suppress(OSError):
+            path.unlink()  # what a process that was killed has left
+        return "nobody listens there any more"
+    except (OSError, ValueError) as error:
+        return str(error)
+    return None
 
 
-def _address(path: Path) -> str | tuple[str, int]:
-    if hasattr(socket, "AF_UNIX"):
-        return str(path)
-    return "127.0.0.1", int(path.read_text())
+def _answer(name: str, link: socket.socket, seconds: float) -> EstopAnswer:
+    """Return the answer that has come, or what is wrong with it."""
+    try:
+        said: Any = json.loads(link.recv(LARGEST_ANSWER))
+        if "error" in said:
+            unknown = bool(said.get("unknown"))
+            return EstopAnswer(name, failure=str(said["error"]), unknown=unknown, seconds=seconds)
+        estops = {str(display): int(number) for display, number in said["estops"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        return EstopAnswer(name, failure=f"no answer of an e-stop process: {error}")
+    return EstopAnswer(name, estops, seconds=seconds)
 
 
 @contextmanager
-def _link() -> Iterator[socket.socket]:
-    """Provide a socket that answers can be sent to."""
-    if not hasattr(socket, "AF_UNIX"):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            yield link
-        return
-    name = Path(tempfile.gettempdir()) / f"tactile-estop-{os.getpid()}-{time.monotonic_ns()}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
-        link.bind(str(name))
-        with suppress(OSError):
-            name.chmod(0o666)  # the daemon's user is another one
-        try:
-            yield link
-        finally:
+def _links(count: int) -> Iterator[list[socket.socket]]:
+    """Provide sockets that answers can be sent to.
+
+    On Linux they have names outside the file system, as a service may not see this user's folders.
+    """
+    names = list[Path]()
+    links = [
+        socket.socket(getattr(socket, "AF_UNIX", socket.AF_INET), socket.SOCK_DGRAM)
+        for _ in range(count)
+    ]
+    try:
+        for k, link in enumerate(links):
+            link.setblocking(False)
+            if sys.platform == "linux":
+                link.bind("")
+            elif hasattr(socket, "AF_UNIX"):
+                names.append(Path(tempfile.gettempdir()) / f"tactile-{os.getpid()}-{k}.estop")
+                names[-1].unlink(missing_ok=True)
+                link.bind(str(names[-1]))
+                names[-1].chmod(0o666)  # the daemon's user is another one
+        yield links
+    finally:
+        for link in links:
+            link.close()
+        for name in names:
             name.unlink(missing_ok=True)

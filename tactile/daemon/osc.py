@@ -60,6 +60,8 @@ MOST_READ, MOST_USED = 512, 32
 MOST_SENDERS = 16
 SILENCE = 5.0
 """s after which a sender is forgotten."""
+FRESH = 0.05
+"""s for which the names of displays are not looked up again, whatever is asked for."""
 YIELDS_AFTER = 1.0
 """s of silence after which a sender makes room for a new one."""
 Address = tuple[Any, ...]
@@ -206,7 +208,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._traffic = metrics.of("osc")
         self._senders: dict[Address, Sender] = {}
         self._ended: set[asyncio.Task[None]] = set()
-        self._first, self._ask_again = "", 0.0
+        self._first, self._names, self._ask_again = "", set[str](), 0.0
         self._stopping = host.connect("osc e-stop", roles=STOPS)
         self._stops = Requests(self._stopping, self._traffic, self._complain_of_estop)
 
@@ -219,7 +221,7 @@ class OscProtocol(asyncio.DatagramProtocol):
             for one, _ in packets:
                 if b"estop" in one:
                     found = read_estops(one, self._first_display(now))
-                    stops |= {stop.display: stop for stop in found}
+                    stops |= {one.display: one for one in found if self._is_known(one, now)}
             for stop in stops.values():
                 self._stops.offer(stop)
             for one, sender in packets[:MOST_USED]:
@@ -289,11 +291,20 @@ class OscProtocol(asyncio.DatagramProtocol):
             client.outbox.get_nowait()
 
     def _first_display(self, now: float) -> str:
-        """Return the first display's name, asked for once a second."""
+        """Return the first display's name, looked up once a second."""
         if now >= self._ask_again:
-            self._first = next((display.name for display in self._host.displays), "")
-            self._ask_again = now + 1
+            self._look_up(now)
         return self._first
+
+    def _is_known(self, stop: EStop, now: float) -> bool:
+        """Return whether there is a display to stop; a flood of made-up names costs little."""
+        if stop.display not in self._names and now >= self._ask_again - 1 + FRESH:
+            self._look_up(now)
+        return stop.display in self._names
+
+    def _look_up(self, now: float) -> None:
+        names = [display.name for display in self._host.displays]
+        self._first, self._names, self._ask_again = names[0] if names else "", set(names), now + 1
 
     def _sender(self, addr: Address, now: float) -> Sender | None:
         sender = self._senders.pop(addr, None)

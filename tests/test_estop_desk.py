@@ -1,0 +1,39 @@
+"""The server's end of the e-stop process: it is started again, whatever kept it from that."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile.daemon import estop_desk
+from tactile.daemon.children import Child
+from tactile.daemon.estop_desk import EstopDesk
+from tactile.daemon.latch import Latch
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused: list[str] = []
+
+    def started(module: str, *words: Any) -> Child:
+        if len(refused) < 2:
+            refused.append(module)
+            raise OSError(24, "Too many open files")
+        return Child(module, *words)
+
+    monkeypatch.setattr(estop_desk, "Child", started)
+    monkeypatch.setattr(estop_desk, "RETRY", 0.0)
+    latch = Latch.open("sim:", Path())
+
+    async def story() -> None:
+        desk = EstopDesk()
+        await desk.start({"right": latch})
+        async with asyncio.timeout(60):
+            while not desk.address:
+                await asyncio.sleep(0.01)
+        assert len(refused) == 2
+        await desk.close()
+        assert not desk.address
+
+    asyncio.run(story())
+    latch.close()

@@ -344,6 +344,27 @@ def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(tmp_path: Path) 
     asyncio.run(story())
 
 
+def test_reloading_two_displays_of_one_device_keeps_both(tmp_path: Path) -> None:
+    """Two simulated displays have the same URL, and a latch each."""
+    path = tmp_path / "tactile.toml"
+    tables = "".join(
+        f'[[display]]\nname = "{name}"\ndevice = "sim:"\ngain = {{0}}\n' for name in "ab"
+    )
+
+    async def story() -> None:
+        path.write_text(tables.format(1.0))
+        host = Host(load_config(path))
+        await host.start()
+        path.write_text(tables.format(0.5))
+        await host.reload()
+        assert {name: one.config.gain for name, one in host.playing.items()} == {"a": 0.5, "b": 0.5}
+        host.playing["a"].estop("by a test")
+        assert host.playing["b"].latch.holds == 0
+        await host.close()
+
+    asyncio.run(story())
+
+
 def test_an_e_stop_while_the_daemon_ends_is_latched(tmp_path: Path) -> None:
     path = tmp_path / "tactile.toml"
     path.write_text('[[display]]\nname = "right"\ndevice = "mock:"\n')

@@ -56,16 +56,19 @@ async def _latches(
     TactileError
         Where one cannot be had; none is open then, and all is left as it was.
     """
-    folder, opened = state_folder(), dict[DisplayConfig, Latch]()
+    folder = state_folder()
+    opened, handed = dict[DisplayConfig, Latch](), dict[DisplayConfig, Latch]()
     try:
         for one in configs:
-            if one.device not in left:
+            if one.device in left:
+                handed[one] = left.pop(one.device)
+            else:
                 opened[one] = await asyncio.to_thread(Latch.open, one.device, folder)
     except BaseException:
         for latch in opened.values():
             latch.close()
         raise
-    return {one: opened[one] if one in opened else left.pop(one.device) for one in configs}
+    return opened | handed
 
 
 class Host:

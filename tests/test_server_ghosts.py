@@ -66,6 +66,8 @@ def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
             hands.pause = Hesitation(rng)
             before = asyncio.all_tasks()
             while len(hands.clients) < count:
+                # A place is free only once its client's requests have ended: four must be left.
+                await until(lambda: there.site.clients <= 4)
                 await asyncio.gather(*(hang_up(there, rng) for _ in range(4)))
             await until(lambda: nobody_is_left(there, hands))
             await until(lambda: asyncio.all_tasks() <= before)

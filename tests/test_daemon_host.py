@@ -344,6 +344,32 @@ def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(tmp_path: Path) 
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("how", ["reload", "restart"])
+def test_editing_an_option_of_a_device_ends_no_e_stop(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "tactile.toml"
+    table = '[[display]]\nname = "right"\ndevice = "{}"\n'
+
+    async def story() -> None:
+        path.write_text(table.format("mock:"))
+        host = Host(load_config(path))
+        await host.start()
+        host.playing["right"].estop("by a test")
+        path.write_text(table.format("mock:?format=pcm12"))
+        if how == "reload":
+            await host.reload()
+        else:
+            await host.close()
+            host = Host(load_config(path))
+            await host.start()
+        playing = host.playing["right"]
+        assert playing.config.device == "mock:?format=pcm12"
+        assert playing.latch.holds
+        assert playing.latch.reason.startswith("by a test")
+        await host.close()
+
+    asyncio.run(story())
+
+
 def test_reloading_two_displays_of_one_device_keeps_both(tmp_path: Path) -> None:
     """Two simulated displays have the same URL, and a latch each."""
     path = tmp_path / "tactile.toml"

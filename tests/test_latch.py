@@ -1,5 +1,6 @@
 """The e-stop latch: what holds, what ends it, and what survives whom."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile.daemon import latch as module
-from tactile.daemon.latch import CLEARED, SIZE, Latch, Writer, file_name
+from tactile.daemon.latch import CLEARED, SIZE, Latch, Writer, file_name, inherit_estops
 from tactile.errors import BusError, InputError
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
@@ -143,6 +144,92 @@ def test_file_names_differ_as_devices_do_and_are_short() -> None:
     names = [file_name(device) for device in devices]
     assert len(set(names)) == len(names)
     assert all(len(name) < 255 and "/" not in name for name in names)
+
+
+EDITED = DEVICE + "&baud=9600"
+LONG = f"serial:///dev/{'x' * 150}?format="
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(DEVICE, EDITED), (EDITED, "serial:///dev/ttyACM0"), (LONG + "a" * 60, LONG + "b" * 60)],
+)
+def test_an_e_stop_holds_though_the_options_of_the_url_were_edited(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    with opened(tmp_path, before) as latch:
+        latch.trip("by a person")
+    with opened(tmp_path, after) as latch:
+        inherit_estops({after: latch}, [after], tmp_path)
+        assert latch.holds == 1
+        assert latch.reason.startswith("by a person, 20")
+        assert "edited" in latch.reason
+        latch.clear(1)
+        inherit_estops({after: latch}, [after], tmp_path)
+        assert latch.holds == 0, "taken over once"
+    with opened(tmp_path, before) as latch:
+        assert latch.holds == 0
+
+
+@pytest.mark.parametrize("other", ["serial:///dev/ttyACM01", "serial:///dev/ttyACM", "mock:"])
+def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) -> None:
+    with opened(tmp_path, other) as latch:
+        latch.trip("by a person")
+    with opened(tmp_path) as latch:
+        inherit_estops({DEVICE: latch}, [DEVICE], tmp_path)
+        assert latch.holds == 0
+    with opened(tmp_path, other) as latch:
+        assert latch.holds == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
+@pytest.mark.parametrize("daemons", [1, 2])
+def test_displays_on_one_bus_keep_their_own_e_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemons: int
+) -> None:
+    """Those of one daemon, which does not even look, and those of two."""
+    monkeypatch.setattr(module, "LOCK_WITHIN", 0.0 if daemons == 2 else float("inf"))
+    with opened(tmp_path, EDITED) as other, opened(tmp_path) as latch:
+        other.trip("by a person")
+        inherit_estops({DEVICE: latch}, [DEVICE, EDITED][: 3 - daemons], tmp_path)
+        assert (other.holds, latch.holds) == (1, 0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
+def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left of one that was killed has the lock for a while."""
+    dying, waits = Latch.open(DEVICE, tmp_path), []
+
+    def wait(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 2:
+            dying.close()
+
+    dying.trip("by a person")
+    with opened(tmp_path, EDITED) as latch:
+        monkeypatch.setattr(module.time, "sleep", wait)
+        inherit_estops({EDITED: latch}, [EDITED], tmp_path)
+        assert latch.holds == 1
+
+
+def test_an_e_stop_that_is_not_saved_stays_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with opened(tmp_path) as latch:
+        latch.trip("by a person")
+    with opened(tmp_path, EDITED) as latch:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", fail)
+            inherit_estops({EDITED: latch}, [EDITED], tmp_path)
+        assert latch.holds == 1
+    assert "Input/output error" in caplog.text
+    with opened(tmp_path) as latch:
+        assert latch.holds == 1
 
 
 KILLED = """

@@ -15,7 +15,7 @@ from tactile.daemon import messages as m
 from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig, load_config, load_configured
 from tactile.daemon.estop_desk import EstopDesk
-from tactile.daemon.latch import Latch
+from tactile.daemon.latch import Latch, inherit_estops
 from tactile.daemon.messages import Event
 from tactile.daemon.paths import state_folder
 from tactile.daemon.playing import Playing
@@ -106,14 +106,22 @@ class Host:
         try:
             for config in self._config.display:
                 load_configured(config)
-            for config, latch in (await _latches(self._config.display, {})).items():
+            latches = await _latches(self._config.display, {})
+            for config, latch in latches.items():
                 self.playing[config.name] = Playing(config, latch, self._workbench, self._tell)
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
+            await self._inherit(latches)
             for playing in self.playing.values():
                 await playing.start()
         except BaseException:
             await self.close()
             raise
+
+    async def _inherit(self, latches: dict[DisplayConfig, Latch]) -> None:
+        """Let displays whose URL has other options than before keep their e-stop."""
+        heirs = {config.device: latch for config, latch in latches.items()}
+        used = [playing.config.device for playing in self.playing.values()]
+        await asyncio.to_thread(inherit_estops, heirs, used, state_folder())
 
     async def _beat(self) -> None:
         """Give playback signs of life for as long as this event loop runs, and see to the latches.
@@ -178,6 +186,7 @@ class Host:
                 playing.latch.close()
         if new or before:
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
+        await self._inherit(latches)  # after the last e-stop that the desk took before
         failures = []
         for playing in self.playing.values():
             begins = playing.child is None

@@ -10,11 +10,14 @@ no e-stop from being written. A file that is damaged is an e-stop.
 """
 
 import hashlib
+import logging
 import mmap
 import os
 import sys
 import tempfile
 import time
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import closing
 from enum import IntEnum
 from pathlib import Path
 from urllib.parse import quote
@@ -27,6 +30,8 @@ from tactile.errors import BusError, InputError
 if sys.platform != "win32":
     import fcntl
 
+log = logging.getLogger("tactile.latch")
+
 MAGIC = 0x31504F5453454354
 """First word of the file: "TCESTOP1", little-endian."""
 CLEARED = 4
@@ -36,6 +41,8 @@ WORDS, TEXT = 8, 248
 SIZE = 8 * WORDS + 3 * (8 + TEXT)
 LOCK_WITHIN = 3.0
 """s for the processes of a daemon that was killed to let go of the file."""
+READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
+SUFFIX = ".estop"
 LONGEST_NAME = 200
 """Characters of a file's name, which file systems hold to 255 bytes."""
 UNSAVED = ("sim:",)
@@ -89,21 +96,27 @@ class Latch:
             path = folder / file_name(device)
             try:
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-                file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o600)
+                file = os.open(path, READ_WRITE | os.O_CREAT, 0o600)
             except OSError as error:
                 raise InputError(
                     f"e-stop latch of {device}: {path}: {error.strerror}; make it writable, or "
                     "set STATE_DIRECTORY to another folder"
                 ) from error
             _lock(file, device, path)
+        latch = cls._of(file, path, device)
+        if device.startswith(UNSAVED) and sys.platform != "win32":
+            path.unlink()
+        return latch
+
+    @classmethod
+    def _of(cls, file: int, path: Path, device: str) -> "Latch":
+        """Return the server's latch from a file that it has locked."""
         intact = _is_intact(file)
         if sys.platform == "win32":
             os.close(file)
             latch = cls(f"file:{path}", Writer.SERVER)
         else:
             latch = cls(f"fd:{file}", Writer.SERVER)
-            if device.startswith(UNSAVED):
-                path.unlink()
         if not intact:
             latch.trip(f"the file of the latch of {device} was damaged")
         return latch
@@ -193,7 +206,51 @@ def file_name(device: str) -> str:
     name = quote(device, safe="")
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 20]}~{hashlib.sha256(device.encode()).hexdigest()[:16]}"
-    return name + ".estop"
+    return name + SUFFIX
+
+
+def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Path) -> None:
+    """Latch the e-stops that hold for the same devices by URLs with other options.
+
+    An e-stop is not over because somebody edited an option of the URL. Options may also choose
+    among several amplifiers of a bus (``nodes`` of CAN): one display too many is stopped then.
+
+    Parameters
+    ----------
+    heirs : latches by URL of the device
+    used : URLs of all devices of this daemon, which keep their e-stops
+    folder : where latches are kept
+    """
+    kept = {file_name(device) for device in used}
+    for path in sorted(folder.glob("*" + SUFFIX)):
+        latches = [latch for device, latch in heirs.items() if _is_place(path.name, device)]
+        if latches and path.name not in kept:
+            try:
+                _hand_on(path, latches)
+            except OSError as error:
+                log.error("e-stop latch %s: %s; what it says is ignored", path, error.strerror)
+
+
+def _is_place(name: str, device: str) -> bool:
+    """Return whether a latch's file is that of a device, whatever the options of the URL."""
+    place = quote(device.partition("?")[0], safe="")
+    return name.startswith((place + SUFFIX, place + quote("?")))
+
+
+def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
+    """Have latches take over an e-stop that holds, and end it where it was, once that is saved."""
+    file = os.open(path, READ_WRITE)
+    try:
+        _lock(file, path.name, path)
+    except BusError:
+        return  # another daemon has it, and another amplifier of the same bus
+    with closing(Latch._of(file, path, path.name)) as old:
+        if old.holds:
+            for latch in heirs:
+                latch.trip(f"{old.reason}, before the options of the device's URL were edited")
+                latch.save()
+            old.clear(old.holds)
+            old.save()
 
 
 def _is_intact(file: int) -> bool:

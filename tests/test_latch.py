@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
 from pathlib import Path
@@ -209,7 +210,7 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
 
     dying.trip("by a person")
     with opened(tmp_path, EDITED) as latch:
-        monkeypatch.setattr(module.time, "sleep", wait)
+        monkeypatch.setattr(time, "sleep", wait)
         inherit_estops({EDITED: latch}, [EDITED], tmp_path)
         assert latch.holds == 1
 

@@ -240,7 +240,7 @@ def test_who_does_not_read_the_log_keeps_nobody_waiting(
         for _ in range(3000):
             quiet.info("y" * 1000)
         written.close()
-        assert time.monotonic() - before < 5
+        assert time.monotonic() - before < 30
         assert written.dropped > 1500
         os.close(reading)
 

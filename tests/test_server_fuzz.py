@@ -115,12 +115,14 @@ async def arm_and_touch(talker: Talker) -> None:
             await asyncio.sleep(0.01)
     layers = [{"texture": "wood-oak"}]
     await talker.asked(type="select", display="default", layers=layers)
-    for number in range(50):
+    number, stats = 0, {"touching": False}
+    while number < 50 or not stats["touching"]:  # a slow machine may let a finger fall silent
         place = {"display": "default", "position_mm": [number * 0.8, 0], "time_us": None}
         await talker.send(**CONTACT | place)
         await asyncio.sleep(0.01)
-    stats = await talker.asked(type="get_stats", display="default")
-    assert (stats["state"], stats["touching"], stats["owner"]) == ("armed", True, True)
+        stats = await talker.asked(type="get_stats", display="default")
+        number += 1
+    assert (stats["state"], stats["owner"]) == ("armed", True)
 
 
 @pytest.mark.ci

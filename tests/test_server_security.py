@@ -365,16 +365,16 @@ def test_the_oldest_stranger_goes_first_of_those_that_asked_for_nothing() -> Non
 
 def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stays() -> None:
     async def story() -> None:
-        async with daemon(messages_per_second=50) as (there, hands), talking(there) as talker:
+        async with daemon(messages_per_second=10) as (there, hands), talking(there) as talker:
             for _ in range(300):
                 await talker.send(**CONTACT)
             found = await talker.receive()
             assert found["code"] == "too_fast"
-            assert "at most 50 a second" in found["message"]
+            assert "at most 10 a second" in found["message"]
             await talker.send(type="estop", id=9)
             assert (await talker.receive())["id"] == 9, "an e-stop is never too much"
             assert len(hands.clients[0].contacts) < 100
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(0.2)
             assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
             assert figure(there, "tactile_dropped_messages_total", reason="too_fast") > 200
 
@@ -417,20 +417,19 @@ def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notice(
 
     async def story() -> None:
         async with daemon() as (there, hands):
-            deaf = await unread(there)
-            async with talking(there) as other:
-                await until(lambda: len(hands.clients) == 2)
-                hand = next(hand for hand in hands.clients if hand.name == "deaf")
-                for number in range(2000):
-                    if hand.closed:
-                        break
-                    if not hand.outbox.full():
-                        hand.outbox.put_nowait(LARGE)
-                    assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
-                await until(lambda: hand.closed == 1)
-                await until(lambda: there.site.clients == 1)
-                assert not hands.clients[1].closed
-            deaf.close()
+            with await unread(there):
+                await until(lambda: len(hands.clients) == 1)
+                hand = hands.clients[0]
+                async with talking(there) as other:
+                    for number in range(2000):
+                        if hand.closed:
+                            break
+                        if not hand.outbox.full():
+                            hand.outbox.put_nowait(LARGE)
+                        assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
+                    await until(lambda: hand.closed == 1)
+                    await until(lambda: there.site.clients == 1)
+                    assert not hands.clients[1].closed
 
     run(story)
 

@@ -115,8 +115,8 @@ async def arm_and_touch(talker: Talker) -> None:
             await asyncio.sleep(0.01)
     layers = [{"texture": "wood-oak"}]
     await talker.asked(type="select", display="default", layers=layers)
-    number, stats = 0, {"touching": False}
-    while number < 50 or not stats["touching"]:  # a slow machine may let a finger fall silent
+    number, stats = 0, dict[str, Any]()
+    while number < 50 or not stats.get("touching"):  # a slow machine may let a finger fall silent
         place = {"display": "default", "position_mm": [number * 0.8, 0], "time_us": None}
         await talker.send(**CONTACT | place)
         await asyncio.sleep(0.01)

@@ -153,7 +153,12 @@ LONG = f"serial:///dev/{'x' * 150}?format="
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [(DEVICE, EDITED), (EDITED, "serial:///dev/ttyACM0"), (LONG + "a" * 60, LONG + "b" * 60)],
+    [
+        (DEVICE, EDITED),
+        (EDITED, "serial:///dev/ttyACM0"),
+        (EDITED, "serial:/dev/ttyACM0"),
+        (LONG + "a" * 60, LONG + "b" * 60),
+    ],
 )
 def test_an_e_stop_holds_though_the_options_of_the_url_were_edited(
     tmp_path: Path, before: str, after: str
@@ -188,8 +193,13 @@ def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) ->
 def test_displays_on_one_bus_keep_their_own_e_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemons: int
 ) -> None:
-    """Those of one daemon, which does not even look, and those of two."""
-    monkeypatch.setattr(module, "LOCK_WITHIN", 0.0 if daemons == 2 else float("inf"))
+    """Those of one daemon, which does not wait for itself, and those of two."""
+
+    def sleep(_: float) -> None:
+        pytest.fail("waits for a lock")
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    monkeypatch.setattr(module, "LOCK_WITHIN", -1.0 if daemons == 2 else 3.0)
     with opened(tmp_path, EDITED) as other, opened(tmp_path) as latch:
         other.trip("by a person")
         inherit_estops({DEVICE: latch}, [DEVICE, EDITED][: 3 - daemons], tmp_path)
@@ -215,8 +225,21 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
         assert latch.holds == 1
 
 
+def test_a_file_that_cannot_be_read_is_an_e_stop(tmp_path: Path) -> None:
+    """And one that no daemon made is none."""
+    (tmp_path / "mock%3A%2F%2F[.estop").touch()
+    with opened(tmp_path, EDITED) as latch:
+        inherit_estops({EDITED: latch}, [EDITED], tmp_path)
+        assert latch.holds == 0
+        path = tmp_path / file_name(DEVICE)
+        path.mkdir()
+        inherit_estops({EDITED: latch}, [EDITED], tmp_path)
+        assert latch.holds == 1
+        assert "Is a directory" in latch.reason
+
+
 def test_an_e_stop_that_is_not_saved_stays_where_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
@@ -227,8 +250,8 @@ def test_an_e_stop_that_is_not_saved_stays_where_it_was(
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", fail)
             inherit_estops({EDITED: latch}, [EDITED], tmp_path)
-        assert latch.holds == 1
-    assert "Input/output error" in caplog.text
+        assert latch.holds
+        assert "Input/output error" in latch.reason
     with opened(tmp_path) as latch:
         assert latch.holds == 1
 

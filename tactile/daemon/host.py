@@ -27,7 +27,7 @@ from tactile.texture import descriptor
 log = logging.getLogger("tactile.host")
 
 BEAT = 25e-3
-"""s between the heartbeats that playback waits for."""
+"""Time between the heartbeats that playback waits for [s]."""
 
 
 def shipped_textures() -> dict[str, m.TextureInfo]:
@@ -186,7 +186,7 @@ class Host:
                 playing.latch.close()
         if new or before:
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
-        await self._inherit(latches)  # after the last e-stop that the desk took before
+            await self._inherit(latches)  # after the last e-stop that the desk took before
         failures = []
         for playing in self.playing.values():
             begins = playing.child is None
@@ -204,7 +204,7 @@ class Host:
 
     @property
     def displays(self) -> tuple[m.DisplayInfo, ...]:
-        """What there is to play on."""
+        """Displays that there are to play on."""
         return tuple(playing.info for playing in self.playing.values())
 
     def textures(self) -> tuple[m.TextureInfo, ...]:

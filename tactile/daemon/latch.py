@@ -10,7 +10,6 @@ no e-stop from being written. A file that is damaged is an e-stop.
 """
 
 import hashlib
-import logging
 import mmap
 import os
 import sys
@@ -20,7 +19,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
 from enum import IntEnum
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +29,6 @@ from tactile.errors import BusError, InputError
 if sys.platform != "win32":
     import fcntl
 
-log = logging.getLogger("tactile.latch")
-
 MAGIC = 0x31504F5453454354
 """First word of the file: "TCESTOP1", little-endian."""
 CLEARED = 4
@@ -40,9 +37,11 @@ WORDS, TEXT = 8, 248
 """Words of the header; bytes of the note of each writer, after the time of its e-stop."""
 SIZE = 8 * WORDS + 3 * (8 + TEXT)
 LOCK_WITHIN = 3.0
-"""s for the processes of a daemon that was killed to let go of the file."""
+"""Time that the processes of a daemon that was killed have to let go of the file [s]."""
 READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
+"""Flags with which a latch's file is opened."""
 SUFFIX = ".estop"
+"""End of the name of each latch's file."""
 LONGEST_NAME = 200
 """Characters of a file's name, which file systems hold to 255 bytes."""
 UNSAVED = ("sim:",)
@@ -202,7 +201,12 @@ class Latch:
 
 
 def file_name(device: str) -> str:
-    """Return the name of the file that latches a device."""
+    """Return the name of the file that latches a device.
+
+    Parameters
+    ----------
+    device : its URL
+    """
     name = quote(device, safe="")
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 20]}~{hashlib.sha256(device.encode()).hexdigest()[:16]}"
@@ -213,7 +217,8 @@ def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Pa
     """Latch the e-stops that hold for the same devices by URLs with other options.
 
     An e-stop is not over because somebody edited an option of the URL. Options may also choose
-    among several amplifiers of a bus (``nodes`` of CAN): one display too many is stopped then.
+    among several amplifiers of a bus (``nodes`` of CAN): one display too many is stopped then. A
+    file that cannot be read is an e-stop.
 
     Parameters
     ----------
@@ -223,22 +228,33 @@ def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Pa
     """
     kept = {file_name(device) for device in used}
     for path in sorted(folder.glob("*" + SUFFIX)):
-        latches = [latch for device, latch in heirs.items() if _is_place(path.name, device)]
+        place = _place(unquote(path.name.removesuffix(SUFFIX)))
+        latches = [latch for device, latch in heirs.items() if _place(device) == place]
         if latches and path.name not in kept:
             try:
                 _hand_on(path, latches)
-            except OSError as error:
-                log.error("e-stop latch %s: %s; what it says is ignored", path, error.strerror)
+            except (OSError, BusError) as error:
+                for latch in latches:
+                    latch.trip(f"e-stop latch {path.name} cannot be taken over: {error}")
 
 
-def _is_place(name: str, device: str) -> bool:
-    """Return whether a latch's file is that of a device, whatever the options of the URL."""
-    place = quote(device.partition("?")[0], safe="")
-    return name.startswith((place + SUFFIX, place + quote("?")))
+def _place(device: str) -> str:
+    """Return the URL of a device without its options, as `tactile.bus.registry` takes it apart."""
+    try:
+        parts = urlsplit(device)
+    except ValueError:  # the name of a file that no daemon made
+        return device
+    return f"{parts.scheme}:{parts.netloc}{parts.path}"
 
 
 def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
-    """Have latches take over an e-stop that holds, and end it where it was, once that is saved."""
+    """Have latches take over an e-stop that holds, and end it where it was, once that is saved.
+
+    Raises
+    ------
+    OSError, BusError
+        Where the file cannot be opened, or a latch not saved; it still holds then.
+    """
     file = os.open(path, READ_WRITE)
     try:
         _lock(file, path.name, path)

@@ -16,6 +16,7 @@ import pytest
 from c_amplifier_rig import SOURCE, compiler
 from numpy.typing import NDArray
 
+from tactile.bus import session
 from tactile.bus.base import Bus
 from tactile.daemon import bringup
 from tactile.daemon.bringup import Report
@@ -141,8 +142,11 @@ class Served:
 
 
 @pytest.fixture
-def serve(built: Path, tmp_path: Path) -> Iterator[Callable[..., Served]]:
-    """Start amplifiers with options."""
+def serve(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Served]]:
+    """Start amplifiers with options, which a slow machine may hold up for longer than a link."""
+    monkeypatch.setattr(session, "SILENCE", 60.0)
     processes = []
 
     def start(*options: str) -> Served:

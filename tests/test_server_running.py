@@ -165,6 +165,7 @@ def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None
 
 
 PROCESS = """
+    import gc
     import sys
     sys.path.insert(0, {tests!r})
     import daemon_rig
@@ -182,7 +183,7 @@ PROCESS = """
     server._host = lambda config: Hands()
     log = LogConfig(format="json")
     config = Config(server=ServerConfig(port=0, socket=""), log=log)
-    server.serve(config, ready=lambda there: print(there.port, flush=True))
+    server.serve(config, ready=lambda there: print(there.port, gc.get_freeze_count(), flush=True))
     print("ended", flush=True)
 """
 
@@ -193,7 +194,7 @@ def test_signals_reload_and_end_the_process(
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
-        systemd.settimeout(10)
+        systemd.settimeout(60)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setenv("WATCHDOG_USEC", "100000")
         monkeypatch.delenv("WATCHDOG_PID", raising=False)
@@ -203,15 +204,17 @@ def test_signals_reload_and_end_the_process(
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         ) as process:  # fmt: skip
             assert process.stdout is not None
-            assert int(process.stdout.readline()) > 0
+            port, spared = map(int, process.stdout.readline().split())
             told = [systemd.recv(100) for _ in range(3)]
             assert sorted(set(told)) == [b"READY=1", b"WATCHDOG=1"]
             process.send_signal(signal.SIGHUP)
             assert process.stdout.readline() == "reloaded\n"
             process.send_signal(number)
-            out, err = process.communicate(timeout=10)
+            out, err = process.communicate(timeout=60)
             assert out == "closed\nended\n"
             assert process.returncode == 0
+            assert port > 0
+            assert spared > 10_000, "objects that no collection goes through"
             assert [json.loads(line)["message"] for line in err.splitlines()] == [
                 "listening", "reloaded", "ending",
             ]  # fmt: skip

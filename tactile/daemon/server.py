@@ -29,6 +29,7 @@ from tactile.daemon.liveness import look_after
 from tactile.daemon.logs import Logs
 from tactile.daemon.metrics import Metrics
 from tactile.daemon.osc import ROOM, OscProtocol
+from tactile.daemon.priority import shorten_collections
 from tactile.daemon.requests import Host
 from tactile.daemon.security import Door, Tokens
 from tactile.daemon.tasks import watched
@@ -236,6 +237,7 @@ async def _serve(config: Config, logs: Logs, ready: Callable[[Server], None] | N
         with suppress(NotImplementedError, AttributeError):
             loop.add_signal_handler(signal.SIGHUP, reloading.begin)
         beating = watched(asyncio.create_task(watchdog.keep_alive(server.host.beat)))
+        shorten_collections()
         log.info("listening", extra={"fields": {"url": server.url, "osc": config.osc.port}})
         watchdog.notify("READY=1")
         if ready is not None:

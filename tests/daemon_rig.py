@@ -329,6 +329,15 @@ GOOD: dict[str, tuple[dict[str, Any], str]] = {
 }  # fmt: skip
 
 
+def handshake(port: int) -> bytes:
+    """Return the request by which a client opens a WebSocket."""
+    return (
+        f"GET /v1 HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {JSON_PROTOCOL}\r\n\r\n"
+    ).encode()
+
+
 async def unread(there: Server) -> socket.socket:
     """Return a socket that said `Hello`, and reads no further."""
     loop = asyncio.get_running_loop()
@@ -336,12 +345,7 @@ async def unread(there: Server) -> socket.socket:
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     link.setblocking(False)
     await loop.sock_connect(link, ("127.0.0.1", there.port))
-    request = (
-        f"GET /v1 HTTP/1.1\r\nHost: 127.0.0.1:{there.port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
-        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {JSON_PROTOCOL}\r\n\r\n"
-    )
-    await loop.sock_sendall(link, request.encode())
+    await loop.sock_sendall(link, handshake(there.port))
     assert (await loop.sock_recv(link, 4096)).startswith(b"HTTP/1.1 101")
     await loop.sock_sendall(link, frame(0x81, b'{"type":"hello","client":"deaf"}'))
     return link

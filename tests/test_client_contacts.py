@@ -13,7 +13,7 @@ import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, until
 
 from tactile import client
-from tactile.client import base, websocket
+from tactile.client import base
 from tactile.client.waveform import Waveform
 from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
@@ -24,11 +24,8 @@ script = client_rig.script
 twin = client_rig.twin
 
 
-def test_touch_does_not_wait_for_a_daemon_that_does_not_read(
-    display: Any, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_touch_does_not_wait_for_a_daemon_that_does_not_read(display: Any, daemon: Daemon) -> None:
     """More is said than all buffers between the two could hold; the newest arrives in the end."""
-    monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
     said = fill(daemon, display)
     assert display.connected
     daemon.reading.set()

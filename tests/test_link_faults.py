@@ -152,9 +152,10 @@ def test_no_one_reads_of_a_link_that_is_down_but_not_why(
     monkeypatch.setattr(wire, "close", read_meanwhile)
     rig.start()
     rig.play(0.1)
-    rig.model.unplug(0.08)
-    rig.play(0.4)
-    other.join()
+    rig.model.unplug(0.4)
+    rig.play(0.2)
+    other.join()  # it is down until this goes on, however late the other gets to read
+    rig.play(0.8)
     assert [(status.link, bool(status.detail)) for status in read] == [("down", True)]
 
 

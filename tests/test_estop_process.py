@@ -38,7 +38,7 @@ def desk(latches: dict[str, Latch]) -> Desk:
 @pytest.fixture
 def served(desk: Desk) -> Iterator[Path]:
     """Serve in a thread of this process."""
-    link, address = bind()
+    link, address = bind("test")
     ending = threading.Event()
 
     def serve() -> None:
@@ -158,7 +158,7 @@ def test_rubbish_and_datagrams_that_are_too_long_hold_up_nobody(served: Path) ->
 
 
 def test_a_daemon_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[str, Latch]) -> None:
-    link, address = bind()
+    link, address = bind("test")
     link.close()
     (answer,) = request_estop()
     assert answer == EstopAnswer(address, failure="nobody listens there any more")

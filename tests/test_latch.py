@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
+from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,9 @@ def test_an_e_stop_holds_until_its_number_is_cleared(latch: Latch) -> None:
     assert latch.trip("again") == 2
     latch.clear(1)
     assert latch.holds == 2, "a clear of an older e-stop ends no newer one"
+    latch.clear(99)
+    assert latch.holds == 0
+    assert latch.trip("once more") == latch.holds == 3, "nor one that was yet to come"
 
 
 def test_it_holds_over_a_restart_of_the_server(tmp_path: Path) -> None:
@@ -120,7 +124,7 @@ def test_a_second_daemon_does_not_get_it(
     latch: Latch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "LOCK_WITHIN", 0.0)
-    with pytest.raises(BusError, match="another daemon has it"):
+    with pytest.raises(BusError, match="another program has it"):
         Latch.open(DEVICE, tmp_path)
 
 
@@ -177,6 +181,29 @@ def test_an_e_stop_holds_though_the_options_of_the_url_were_edited(
         assert latch.holds == 0
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs links")
+def test_an_e_stop_holds_though_the_device_is_named_by_another_link(tmp_path: Path) -> None:
+    port, by_id, by_path = (tmp_path / name for name in ("ttyACM0", "by-id", "by-path"))
+    port.touch()
+    by_id.symlink_to(port)
+    by_path.symlink_to(by_id)
+    names = [f"serial://{path}" for path in (port, by_id, by_path)]
+    for before, after in permutations(names, 2):
+        with opened(tmp_path, before) as latch:
+            latch.trip("by a person")
+        with opened(tmp_path, after) as latch:
+            inherit_estops({after: latch}, [after], tmp_path)
+            assert latch.holds
+            latch.clear(latch.holds)
+    with opened(tmp_path, names[1]) as latch:
+        latch.trip("by a person")
+    by_id.unlink()
+    by_id.symlink_to(tmp_path / "ttyACM1")
+    with opened(tmp_path, names[0]) as latch:
+        inherit_estops({names[0]: latch}, [names[0]], tmp_path)
+        assert latch.holds == 0, "of the device that the link leads to now"
+
+
 @pytest.mark.parametrize("other", ["serial:///dev/ttyACM01", "serial:///dev/ttyACM", "mock:"])
 def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) -> None:
     with opened(tmp_path, other) as latch:
@@ -226,8 +253,9 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
 
 
 def test_a_file_that_cannot_be_read_is_an_e_stop(tmp_path: Path) -> None:
-    """And one that no daemon made is none."""
-    (tmp_path / "mock%3A%2F%2F[.estop").touch()
+    """And those that no daemon made are none."""
+    for name in ("mock%3A%2F%2F[", "serial%3A%2F%2F%2F%00"):
+        (tmp_path / f"{name}.estop").touch()
     with opened(tmp_path, EDITED) as latch:
         inherit_estops({EDITED: latch}, [EDITED], tmp_path)
         assert latch.holds == 0

@@ -17,7 +17,7 @@ from tactile.bench.clock import measure_clock
 from tactile.bench.cluster import measure_dask, measure_million
 from tactile.bench.crowd import measure_crowd, measure_crowd_long, measure_hour
 from tactile.bench.deaths import measure_deaths, measure_deaths_long
-from tactile.bench.estop import measure_estop, measure_estop_long
+from tactile.bench.estop import measure_estop, measure_estop_long, measure_estop_play
 from tactile.bench.faults import measure_faults
 from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bench.fit import measure_fit
@@ -73,6 +73,7 @@ LONG: dict[str, Callable[[], Iterator[Figure]]] = {
     "latency-long": measure_latency_long,
     "deaths-long": measure_deaths_long,
     "estop-long": measure_estop_long,
+    "estop-play": measure_estop_play,
     "hour": measure_hour,
     "crowd-long": measure_crowd_long,
     "library": measure_library,

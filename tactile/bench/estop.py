@@ -1,13 +1,15 @@
-"""From an e-stop to its answer and to 0 V, whatever else goes on, by the amplifier's own clock.
+"""Time from an e-stop to its answer and to 0 V, whatever else goes on, by the amplifier's clock.
 
 An effect plays through a daemon, a process of its own, to the C amplifier on a pty. An e-stop is
 sent over a WebSocket of the SDK that was there before, or as `tactile estop` does. After each one
-arming must be refused until it is cleared by its number.
+arming must be refused until it is cleared by its number. The same is measured of `tactile play`,
+which drives the amplifier without a daemon.
 """
 
 import random
 import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import tactile.client
-from tactile.bench.app import begin_effect
+from tactile.bench.app import TEXTURE, begin_effect
 from tactile.bench.daemon import (
     NAME,
     PATIENCE,
@@ -44,32 +46,37 @@ from tactile.bench.floods import (
 from tactile.bench.virtual import can_be_built
 from tactile.client import Display
 from tactile.daemon import messages as m
+from tactile.daemon.estop_guard import clear_device
 from tactile.daemon.estop_request import request_estop
+from tactile.display import load_display
 from tactile.errors import ClientError, RequestError
 
 SHORT, LONG = 10, 200
-"""Tries of each way under each load."""
+"""Number of tries of each way under each load."""
+PLAYS = 100
+"""Number of tries with `tactile play`."""
 P99, WORST = 50.0, 100.0
-"""ms to the answer and to 0 V."""
+"""Limits of the time to the answer and to 0 V [ms]."""
 WATCHED = 0.3
-"""s after an e-stop that are watched."""
+"""Time after an e-stop that is watched [s]."""
 WAIT = 0.2
-"""s of a load before an e-stop, at least."""
+"""Least time that a load lasts before an e-stop [s]."""
 TRY = 8.0
-"""s that a load lasts for each try, at most."""
+"""Longest time that a load lasts for each try [s]."""
 CLIENTS = 50
+"""Number of apps that touch together."""
 MESSAGES, SENDERS = 100_000, 4
-"""Messages a second, and processes that send them."""
+"""Rate of messages [1/s], and number of processes that send them."""
 CONNECTIONS, PACKETS = 5000, 20_000
-"""TCP connections and OSC packets a second."""
+"""Rates of TCP connections and of OSC packets [1/s]."""
 NO_LIMIT = "messages_per_second = 100000"
-"""Of the server's configuration: a flood is to reach it."""
+"""Line of the server's configuration by which a flood reaches it."""
 SEED = 14
 
 
 @dataclass
 class Times:
-    """Of one way under one load: to the answer and to 0 V [s]; and what went wrong.
+    """Times to the answer and to 0 V, of one way under one load [s]; and what went wrong.
 
     Attributes
     ----------
@@ -105,6 +112,16 @@ class Rig:
     load: Load | None = None
 
 
+def _stop_by_command(name: str) -> bool:
+    """Do what `tactile estop` does, and return whether an e-stop was latched.
+
+    Parameters
+    ----------
+    name : of the display, or URL of the device
+    """
+    return any(answer.estops for answer in request_estop(name))
+
+
 def _over_socket(rig: Rig) -> bool:
     try:
         rig.display.estop(timeout=PATIENCE)
@@ -114,7 +131,7 @@ def _over_socket(rig: Rig) -> bool:
 
 
 def _as_command(rig: Rig) -> bool:
-    return any(answer.estops for answer in request_estop(NAME))
+    return _stop_by_command(NAME)
 
 
 WAYS: dict[str, Callable[[Rig], bool]] = {"websocket": _over_socket, "command": _as_command}
@@ -138,7 +155,12 @@ def _playback_restarting(rig: Rig) -> Iterator[None]:
 
 
 def is_silent(output: Output) -> bool:
-    """Return whether nothing was put out in the last instants."""
+    """Return whether nothing was put out in the last instants.
+
+    Parameters
+    ----------
+    output : record of the amplifier
+    """
     return len(output.times) > 0 and not output.is_loud[-20:].any()
 
 
@@ -188,15 +210,20 @@ def carry_out(rig: Rig, way: str, condition: Condition, times: Times, wait: floa
     with rig.load.on() if rig.load else nullcontext():
         time.sleep(wait)
         with condition.at_once(rig):
-            sent = time.monotonic()
-            if WAYS[way](rig):
-                times.answered.append(time.monotonic() - sent)
-            else:
-                times.unanswered += 1
-            output = _watched(rig.recorder, sent)
-    times.silent.append(last_after(output.times, output.is_loud, sent))
+            _stop(times, rig.recorder, lambda: WAYS[way](rig))
     times.forgotten += not is_refused(rig.display)
     _clear(rig.display)
+
+
+def _stop(times: Times, recorder: Recorder, request: Callable[[], bool]) -> None:
+    """Send an e-stop, which returns whether it was answered, and add how long all took."""
+    sent = time.monotonic()
+    if request():
+        times.answered.append(time.monotonic() - sent)
+    else:
+        times.unanswered += 1
+    output = _watched(recorder, sent)
+    times.silent.append(last_after(output.times, output.is_loud, sent))
 
 
 def _play(rig: Rig) -> None:
@@ -229,16 +256,19 @@ def _watched(recorder: Recorder, sent: float) -> Output:
 
 
 def is_refused(display: Display) -> bool:
-    """Return whether an e-stop refuses to arm; playback may have to be started for the answer."""
+    """Return whether an e-stop refuses to arm; playback may have to be started for the answer.
+
+    Parameters
+    ----------
+    display : that was e-stopped
+    """
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         try:
             display.arm(timeout=PATIENCE)
-        except RequestError as error:
-            if error.code == "estopped":
+        except ClientError as error:  # one that is not connected connects again
+            if isinstance(error, RequestError) and error.code == "estopped":
                 return True
-        except ClientError:
-            pass  # not connected: it connects again
         else:
             return False
         time.sleep(POLL)
@@ -261,7 +291,12 @@ def _clear(display: Display) -> None:
 
 
 def measure_estop(tries: int = SHORT) -> Iterator[Figure]:
-    """Measure e-stops while different things go on."""
+    """Measure e-stops while different things go on.
+
+    Parameters
+    ----------
+    tries : of each way in each condition
+    """
     if sys.platform == "linux" and can_be_built():
         name = "estop-long" if tries == LONG else "estop"
         yield from beside_machine(name, _measured(name, tries))
@@ -280,6 +315,39 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
             if load is not None:
                 yield Figure(f"{name}.{kind}.rate", load.rate(), "1/s")
             yield from rig.recorder.figures(f"{name}.{kind}")
+
+
+def measure_estop_play() -> Iterator[Figure]:
+    """Measure e-stops of `tactile play`, which must then be refused to play again."""
+    if sys.platform == "linux" and can_be_built():
+        yield from beside_machine("estop-play", _measured_play("estop-play", PLAYS))
+
+
+def _measured_play(name: str, tries: int) -> Iterator[Figure]:
+    times, display = Times(), load_display("reference-24")
+    with amplifier_and_folder() as (amplifier, _):
+        recorder, device = Recorder(amplifier), f"serial://{amplifier.path}"
+        words = [sys.executable, "-m", "tactile", "play", TEXTURE, "--quiet", "--device", device]
+        for _ in range(tries):
+            player = subprocess.Popen([*words, "--seconds", "3600"], stderr=subprocess.DEVNULL)
+            try:
+                wait_for("a texture", lambda: plays(_latest(recorder)))
+                _stop(times, recorder, lambda: _stop_by_command(device))
+            finally:
+                player.kill()
+                player.wait()
+            again = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
+            times.forgotten += again.returncode == 0
+            clear_device(device, display, lambda number, _: number, accept_unsafe_hold=False)
+        yield from times.figures(name)
+        yield from recorder.figures(name)
+
+
+def _latest(recorder: Recorder) -> Output:
+    """Return what the amplifier puts out from now on, for as long as `plays` looks at."""
+    recorder.read()
+    time.sleep(2 * HEARD)
+    return recorder.read()
 
 
 @contextmanager

@@ -15,6 +15,7 @@ import numpy as np
 
 from tactile.bus.base import Bus
 from tactile.bus.inspection import AmplifierFacts, amplifiers, identify, measuring, readings
+from tactile.daemon.estop_guard import guarded
 from tactile.daemon.probe import (
     FREQUENCY,
     INTERVAL,
@@ -121,7 +122,10 @@ def bring_up(
     report = Report(display.name, url, drive, display.capacitance * 1e9)
     order = np.argsort(display.channel)
     report.channels = [Channel(int(display.channel[i]), int(i)) for i in order]
-    with open_bus(url, display, accept_unsafe_hold=accept_unsafe_hold) as bus:
+    with (
+        open_bus(url, display, accept_unsafe_hold=accept_unsafe_hold) as bus,
+        guarded(bus, url),
+    ):
         _greet(report, bus, ask)
         _measure_all(report, bus, display, progress or (lambda done, total: None))
         if ask is not None and bus.state == "idle":

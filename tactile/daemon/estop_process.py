@@ -50,8 +50,12 @@ class EstopReady:
     failure: str = ""
 
 
-def bind() -> tuple[socket.socket, str]:
-    """Return the socket of this process and its address, as `tactile estop` looks for it.
+def bind(name: str) -> tuple[socket.socket, str]:
+    """Return a socket for requests and its address, as `tactile estop` looks for it.
+
+    Parameters
+    ----------
+    name : part of the address that no other socket of this machine has
 
     Raises
     ------
@@ -60,7 +64,7 @@ def bind() -> tuple[socket.socket, str]:
     """
     folder = runtime_folder()
     folder.mkdir(mode=0o755, parents=True, exist_ok=True)
-    path = folder / f"estop-{os.getppid()}.sock"
+    path = folder / f"estop-{name}.sock"
     if hasattr(socket, "AF_UNIX"):
         link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         path.unlink(missing_ok=True)
@@ -175,7 +179,7 @@ def main() -> None:
     os.dup2(2, 1)
     try:
         setup: EstopSetup = pickle.load(pipe)
-        link, address = bind()
+        link, address = bind(str(os.getppid()))
     except (EOFError, pickle.UnpicklingError):
         sys.exit(1)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What `tactile estop` does: it asks the e-stop process of every daemon of this machine."""
+"""Requests for an e-stop, as `tactile estop` sends them to every program of this machine."""
 
 import json
 import os
@@ -17,25 +17,27 @@ from typing import Any
 from tactile.daemon.paths import estop_sockets
 
 LARGEST_REQUEST = 1024
-"""Bytes of a request."""
+"""Largest size of a request [bytes]."""
 LARGEST_ANSWER = 65_536
-"""Bytes of an answer; `tactile.daemon.estop_process` says what both hold."""
+"""Largest size of an answer [bytes]; `tactile.daemon.estop_process` says what both hold."""
 WITHIN = 1.0
-"""s in which a daemon must answer; it does so within milliseconds."""
+"""Time in which a program must answer [s]; it does so within milliseconds."""
+GONE = "nobody listens there any more"
+"""Failure of a request to a socket that a process left behind."""
 ATTEMPT = 0.25
-"""s after which a request is sent once more: a flooded socket loses datagrams on some systems."""
+"""Time after which a request is repeated [s]: some systems lose datagrams of a full socket."""
 
 
 @dataclass(frozen=True)
 class EstopAnswer:
-    """What came of a request to one daemon.
+    """Result of a request to one program.
 
     Attributes
     ----------
-    socket : path of the daemon's e-stop socket
+    socket : path of the program's e-stop socket
     estops : number of the e-stop that was latched, by display
     failure : why nothing was latched; empty where it was
-    unknown : whether the daemon lives and has no display of that name
+    unknown : whether the program lives and drives no display of that name
     seconds : from the request to the answer [s]
     """
 
@@ -45,19 +47,24 @@ class EstopAnswer:
     unknown: bool = False
     seconds: float = 0.0
 
+    @property
+    def is_gone(self) -> bool:
+        """Whether the socket was left behind by a process that was killed."""
+        return self.failure == GONE
+
 
 def request_estop(display: str | None = None, *, within: float = WITHIN) -> list[EstopAnswer]:
-    """Ask all daemons of this machine that this user can reach for an e-stop, all at once.
+    """Ask all programs of this machine that this user can reach for an e-stop, all at once.
 
     Parameters
     ----------
-    display : name of the only display to stop; None for all
+    display : name of the only display to stop, or URL of its device without a daemon; None for all
     within : time in which each must answer [s]
 
     Returns
     -------
     list of EstopAnswer
-        One for each daemon; none where no daemon runs.
+        One for each program; none where none runs.
     """
     request = json.dumps({"estop": display, "id": secrets.token_hex(8)}).encode()
     begun, answers = time.monotonic(), dict[str, EstopAnswer]()
@@ -90,7 +97,7 @@ def _send(link: socket.socket, path: Path, request: bytes) -> str | None:
     except (ConnectionError, FileNotFoundError):
         with suppress(OSError):
             path.unlink()  # what a process that was killed has left
-        return "nobody listens there any more"
+        return GONE
     except (OSError, ValueError) as error:
         return str(error)
     return None

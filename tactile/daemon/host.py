@@ -118,7 +118,7 @@ class Host:
             raise
 
     async def _inherit(self, latches: dict[DisplayConfig, Latch]) -> None:
-        """Let displays whose URL has other options than before keep their e-stop."""
+        """Let displays whose device had another URL before keep their e-stop."""
         heirs = {config.device: latch for config, latch in latches.items()}
         used = [playing.config.device for playing in self.playing.values()]
         await asyncio.to_thread(inherit_estops, heirs, used, state_folder())

@@ -74,7 +74,7 @@ class Latch:
 
     @classmethod
     def open(cls, device: str, folder: Path) -> "Latch":
-        """Return the server's latch of a device, and keep every other daemon from it.
+        """Return the latch of a device for its server, and keep every other program from it.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Latch:
         InputError
             Where the file cannot be had.
         BusError
-            Where another daemon has it, perhaps one that was killed and left a hung process.
+            Where another program has it, perhaps one that was killed and left a hung process.
         """
         if device.startswith(UNSAVED):
             file, name = tempfile.mkstemp(prefix="tactile-estop-")
@@ -166,8 +166,11 @@ class Latch:
         return self.number
 
     def clear(self, number: int) -> None:
-        """End the e-stop with a number, and those before it; only the server does that."""
-        self._words[CLEARED] = max(number, int(self._words[CLEARED]))
+        """End the e-stop with a number, and those before it; only the server does that.
+
+        None that is yet to come ends, whatever the number.
+        """
+        self._words[CLEARED] = max(min(number, self.number), int(self._words[CLEARED]))
 
     def save(self) -> None:
         """Wait until the disk has it.
@@ -214,11 +217,12 @@ def file_name(device: str) -> str:
 
 
 def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Path) -> None:
-    """Latch the e-stops that hold for the same devices by URLs with other options.
+    """Latch the e-stops that hold for the same devices by other URLs.
 
-    An e-stop is not over because somebody edited an option of the URL. Options may also choose
-    among several amplifiers of a bus (``nodes`` of CAN): one display too many is stopped then. A
-    file that cannot be read is an e-stop.
+    An e-stop is not over because somebody edited an option of the URL, or named the device by
+    another link (``/dev/serial/by-id/…``; followed where the device is plugged in). Options may
+    also choose among several amplifiers of a bus (``nodes`` of CAN): one display too many is
+    stopped then. A file that cannot be read is an e-stop.
 
     Parameters
     ----------
@@ -239,12 +243,17 @@ def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Pa
 
 
 def _place(device: str) -> str:
-    """Return the URL of a device without its options, as `tactile.bus.registry` takes it apart."""
+    """Return the URL of a device without its options and links.
+
+    Taken apart as `tactile.bus.registry` does.
+    """
     try:
         parts = urlsplit(device)
+        is_file = not parts.netloc and os.path.isabs(parts.path)
+        path = os.path.realpath(parts.path) if is_file else parts.path
     except ValueError:  # the name of a file that no daemon made
         return device
-    return f"{parts.scheme}:{parts.netloc}{parts.path}"
+    return f"{parts.scheme}:{parts.netloc}{path}"
 
 
 def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
@@ -263,7 +272,7 @@ def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
     with closing(Latch._of(file, path, path.name)) as old:
         if old.holds:
             for latch in heirs:
-                latch.trip(f"{old.reason}, before the options of the device's URL were edited")
+                latch.trip(f"{old.reason}, before the URL of the device was edited")
                 latch.save()
             old.clear(old.holds)
             old.save()
@@ -299,7 +308,7 @@ def _lock(file: int, device: str, path: Path) -> None:
     Raises
     ------
     BusError
-        Where another daemon has it.
+        Where another program has it.
     """
     if sys.platform == "win32":
         return  # the device itself lets no second daemon in
@@ -312,6 +321,6 @@ def _lock(file: int, device: str, path: Path) -> None:
             if time.monotonic() > end:
                 os.close(file)
                 raise BusError(
-                    f"e-stop latch of {device}: another daemon has it ({path}); end that first"
+                    f"e-stop latch of {device}: another program has it ({path}); end that first"
                 ) from None
             time.sleep(0.02)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tactile.bus.base import Bus, Floats
+from tactile.daemon.estop_guard import guarded
 from tactile.daemon.playback import PlayedBlock, play, play_frames
 from tactile.devices import open_bus
 from tactile.display import Display
@@ -200,9 +201,12 @@ def run(
     )
     if gain != 1:
         texture = amplified(texture, gain)
-    with open_bus(
-        device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
-    ) as bus:
+    with (
+        open_bus(
+            device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
+        ) as bus,
+        guarded(bus, device),
+    ):
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         if bus.frames is not None:
             if record is not None:

@@ -52,6 +52,10 @@ SHARE_OF_CONTACTS = 0.9
 """Of the messages per second that the daemon takes; the rest is for requests."""
 
 
+class _SilentError(ClientError):
+    """Raised where the daemon does not answer in time."""
+
+
 class _Codec:
     """Messages to what goes over the WebSocket and back."""
 
@@ -188,6 +192,9 @@ class WebSocketTransport(ABC):
             connection = await self._connect()
             try:
                 await self._talk(connection)
+            except _SilentError:
+                connection.transport.abort()  # who is silent does not answer a farewell either
+                raise
             finally:
                 await self._hang_up(connection)
         except (ConnectionRefusedError, FileNotFoundError):
@@ -286,7 +293,7 @@ class WebSocketTransport(ABC):
             async with asyncio.timeout(timeout):
                 return await asyncio.wrap_future(future)
         except TimeoutError:
-            raise ClientError(f"no answer to {what} in {timeout:g} s") from None
+            raise _SilentError(f"no answer to {what} in {timeout:g} s") from None
 
 
 async def _end(*tasks: "asyncio.Task[Any]") -> None:

@@ -2,12 +2,14 @@
 
 import asyncio
 import gc
+import threading
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
 
 from tactile.daemon import shelf, workbench
+from tactile.daemon.children import Child
 from tactile.daemon.orders import Opened
 from tactile.daemon.shelf import MOST_DRAWINGS, MOST_TEXTURES, Shelf, TooManyDrawingsError
 from tactile.daemon.workbench import Workbench
@@ -16,6 +18,7 @@ from tactile.errors import BusError
 
 HOW = Opened(sample_rate=8000.0)
 OAK = "wood-oak"
+WRITER = "tactile.daemon.drawing:_write"
 
 
 class Bench:
@@ -196,7 +199,14 @@ def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another
     run(story)
 
 
-def test_a_process_that_dies_fails_what_it_makes_and_no_more() -> None:
+@pytest.mark.parametrize("reaped", [True, False])
+def test_a_process_that_dies_fails_what_it_makes_and_no_more(
+    monkeypatch: pytest.MonkeyPatch, *, reaped: bool
+) -> None:
+    """Its pipes end before the system says that it is dead; nothing of it is left."""
+    if not reaped:
+        monkeypatch.setattr(Child, "alive", True)
+
     async def story(bench: Bench) -> None:
         tasks = [asyncio.create_task(bench.texture(client, client)) for client in (1, 2)]
         await asyncio.sleep(0)
@@ -206,5 +216,6 @@ def test_a_process_that_dies_fails_what_it_makes_and_no_more() -> None:
         first, second = await asyncio.gather(*tasks, return_exceptions=True)
         assert isinstance(first, BusError)
         assert second == 2
+        assert [one.name for one in threading.enumerate()].count(WRITER) == 1, "of the second"
 
     run(story)

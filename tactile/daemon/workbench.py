@@ -90,6 +90,7 @@ class Workbench:
     def _heard(self, what: drawing.Made | None) -> None:
         """Take an answer, or that the process has ended."""
         if what is None:
+            self._kill()
             self._finish("the process that makes textures ready has ended")
         elif self._job is not None and what.number == self._job.request.number:
             self._finish(what.failure, what.order)
@@ -109,16 +110,20 @@ class Workbench:
             job.order.set_result(order)
 
     def _give_up(self, job: Job) -> None:
-        """End a process that hangs; the next drawing starts another one."""
-        child, self._child = self._child, None
-        if child is not None:
-            child.kill()
+        """Give up a drawing whose process hangs."""
+        self._kill()
         self._finish(f"texture {job.request.texture} was not ready after {LONGEST:g} s")
         self._hand_on()
 
+    def _kill(self) -> None:
+        """End the process, and leave no thread or pipe of it; the next drawing starts another."""
+        child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+
     def begin(self) -> None:
         """Start the process, so that it is there when the first texture is wanted."""
-        if self._child is not None and self._child.alive:
+        if self._child is not None:
             return
 
         def heard(what: drawing.Made | None) -> None:

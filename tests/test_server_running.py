@@ -1,6 +1,8 @@
 """The server over HTTP, and how it begins and ends: clients are told, displays are closed first."""
 
 import asyncio
+import contextlib
+import gc
 import json
 import signal
 import socket
@@ -10,7 +12,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from daemon_rig import CONTACT, Hands, daemon, free_port, get, run, talking
+from daemon_rig import CONTACT, Hands, daemon, free_port, get, handshake, run, talking
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
@@ -18,10 +20,13 @@ from websockets.typing import Subprotocol
 
 from tactile.daemon import sockets
 from tactile.daemon.config import Config, OscConfig, ServerConfig
-from tactile.daemon.listening import listen
+from tactile.daemon.listening import Listener, listen
 from tactile.daemon.messages import JSON_PROTOCOL
 from tactile.daemon.server import running
 from tactile.errors import InputError
+
+PATIENCE = 60.0
+"""Time after which a test gives up [s]."""
 
 # HTTP
 
@@ -143,6 +148,37 @@ def test_at_the_end_clients_are_told_and_displays_are_closed_before_connections_
             await connect(there.url)
 
     run(story)
+
+
+@pytest.mark.parametrize("turns", range(8))
+def test_a_connection_that_comes_as_the_server_ends_is_closed(
+    monkeypatch: pytest.MonkeyPatch, turns: int
+) -> None:
+    """Whichever turn of the event loop it comes in, no task and no socket is left of it."""
+    links: list[socket.socket] = []
+    shutdown = Listener.shutdown
+
+    async def connect_before(self: Listener, sockets: list[socket.socket]) -> None:
+        port = sockets[0].getsockname()[1]
+        links.append(socket.create_connection(("127.0.0.1", port)))
+        links[0].sendall(handshake(port))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        await shutdown(self, sockets)
+
+    async def test() -> None:
+        async with daemon():
+            pass
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    monkeypatch.setattr(Listener, "shutdown", connect_before)
+    run(test)
+    gc.collect()  # what is left open is a warning, hence an error
+    links[0].settimeout(PATIENCE)
+    with contextlib.suppress(ConnectionResetError):
+        while links[0].recv(4096):
+            pass
+    links[0].close()
 
 
 def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None:

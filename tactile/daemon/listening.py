@@ -33,6 +33,9 @@ AT_ONCE, WAITING = 4, 128
 CLOSE_WITHIN = 0.1
 """s for connections to end, once all displays are at 0 V."""
 
+TURNS = 3
+"""Turns of the event loop until a connection that was accepted is one that can be closed."""
+
 
 class Listener(uvicorn.Server):
     """uvicorn with bounds, without its signal handlers: whoever runs us has theirs."""
@@ -73,6 +76,13 @@ class Listener(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End all connections within a bounded time, whether or not the other side closes them."""
+        loop = asyncio.get_running_loop()
+        for server in self.servers:
+            for one in server.sockets:
+                with suppress(NotImplementedError):  # the event loop of Windows has no readers
+                    loop.remove_reader(one)
+        for _ in range(TURNS):  # asyncio forgets a connection that it has just accepted
+            await asyncio.sleep(0)
         for server in self.servers:
             server.close()
         connections, tasks = self.server_state.connections, self.server_state.tasks

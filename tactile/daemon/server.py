@@ -198,6 +198,7 @@ async def _looking_after(site: Site) -> AsyncIterator[None]:
         yield
     finally:
         task.cancel()
+        await asyncio.wait({task})
 
 
 def _url(listening: socket.socket) -> str:

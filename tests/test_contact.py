@@ -78,6 +78,14 @@ def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, co
         assert np.all(way_there >= -1e-12)
 
 
+@pytest.mark.parametrize("force", [5e-324, 2.2e-313])
+def test_forces_below_all_normal_numbers_are_taken_without_a_warning(force: float) -> None:
+    """Their slopes have no finite inverse in double precision."""
+    way = Trajectory(TIME[:3], np.zeros((3, 2)), [0.0, 0.0, force])
+    _, between = way.at(np.linspace(TIME[0], TIME[2], 50))
+    assert np.all((between >= 0) & (between <= force))
+
+
 def test_a_finger_that_rests_stays_at_rest() -> None:
     """To the last bit: any movement would sound."""
     position, _ = trajectory().at(np.linspace(0.65, 0.9, 1001))

@@ -50,7 +50,8 @@ class Trajectory:
             raise InputError("normal_force: needs one value, or as many as time") from None
         self._check()
         samples = np.column_stack([self.position, self.normal_force])
-        self._curve = PchipInterpolator(self.time, samples)
+        with np.errstate(over="ignore"):  # 1 / (a subnormal slope): scipy takes the inverse again
+            self._curve = PchipInterpolator(self.time, samples)
 
     def _check(self) -> None:
         if self.time.ndim != 1 or len(self.time) < 2 or self.position.shape != (len(self.time), 2):

@@ -192,7 +192,7 @@ class Recorder:
     def _client(self, server: str) -> Any:
         import jack
 
-        end = time.monotonic() + 10
+        end = time.monotonic() + 60
         while True:
             try:
                 return jack.Client("recorder", no_start_server=True, servername=server)
@@ -237,4 +237,6 @@ def main(server: str, inward: IO[bytes], outward: IO[bytes]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.stdin.buffer, sys.stdout.buffer)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # for what libjack says
+    main(sys.argv[1], sys.stdin.buffer, answers)

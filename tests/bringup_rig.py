@@ -16,7 +16,7 @@ import pytest
 from c_amplifier_rig import SOURCE, compiler
 from numpy.typing import NDArray
 
-from tactile.bus import session
+from tactile.bus import link_bus, peer, session
 from tactile.bus.base import Bus
 from tactile.daemon import bringup
 from tactile.daemon.bringup import Report
@@ -129,7 +129,7 @@ class Served:
         """Return states, high voltage (S, 2), and volts (S, C), up to some moment after now."""
         size = struct.calcsize(f"<QIBB{CHANNELS}h")
         before = self.out.stat().st_size
-        end = time.monotonic() + 20
+        end = time.monotonic() + 60
         while self.out.stat().st_size < before + 2 * 20 * 8 * size:  # two flushes
             assert time.monotonic() < end, "nothing is put out any more"
             time.sleep(0.01)
@@ -147,6 +147,9 @@ def serve(
 ) -> Iterator[Callable[..., Served]]:
     """Start amplifiers with options, which a slow machine may hold up for longer than a link."""
     monkeypatch.setattr(session, "SILENCE", 60.0)
+    monkeypatch.setattr(link_bus, "OPENING", 60.0)
+    monkeypatch.setattr(link_bus, "STARTING", 60.0)
+    monkeypatch.setattr(peer, "TRIES", 40)
     processes = []
 
     def start(*options: str) -> Served:

@@ -381,19 +381,24 @@ MODELED = (
     "mock:?link=i2c&bit_rate=1000000",
 )
 REAL = ("pty", "rfc2217", "virtual", "slcan")
+"""Run with ``-m realtime``."""
 SELDOM = (
     "mock:?keep=all",
     "mock:?link=serial",
     "mock:?link=can",
     "mock:?link=i2c&bit_rate=1000000",
-    "rfc2217",
-    "virtual",
 )
 """Run with ``-m ci``: they differ little from the others, or take their time."""
 BENCHES = [
-    pytest.param(name, id=name, marks=[pytest.mark.ci] if name in SELDOM else [])
-    for name in (*IDEAL, *MODELED, *REAL)
-    if name != "slcan"  # which has a test of its own, at a lower rate
+    *(
+        pytest.param(name, id=name, marks=[pytest.mark.ci] if name in SELDOM else [])
+        for name in (*IDEAL, *MODELED)
+    ),
+    *(
+        pytest.param(name, id=name, marks=pytest.mark.realtime)
+        for name in REAL
+        if name != "slcan"  # which has a test of its own, at a lower rate
+    ),
 ]
 
 

@@ -177,16 +177,22 @@ def test_the_command_finds_no_fault(
     assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum8"]
 
 
-def test_the_command_says_1_for_faults_and_2_for_what_cannot_be(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path,
-    serve: Callable[..., Served],
-) -> None:  # fmt: skip
+def test_the_command_says_2_for_what_cannot_be(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
+) -> None:
     assert run(capsys, monkeypatch, "serial:///dev/nothing", "--display", four) == 2
     assert "no such port" in capsys.readouterr().err
     target = four.with_name("new.toml")
     assert run(capsys, monkeypatch, "mock:", "--display", four, "--write", target) == 2
     assert "--write: needs a person at a terminal" in capsys.readouterr().err
     assert not target.exists()
+
+
+@pytest.mark.realtime
+def test_the_command_says_1_for_faults(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path,
+    serve: Callable[..., Served],
+) -> None:  # fmt: skip
     url = serve("--load-pf", LOADS).url
     assert run(capsys, monkeypatch, url, "--display", four) == 1
     out = capsys.readouterr().out

@@ -22,11 +22,12 @@ from firmware_protocol import messages as m
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.bus.base import Bus
+from tactile.bus.link_bus import LinkBus
 from tactile.devices import open_bus
 from tactile.display import Display
 from tactile.errors import BusError, InputError
 
-DEADLINE = 20.0
+DEADLINE = 60.0
 """s in which anything must have happened that is waited for."""
 
 
@@ -45,8 +46,16 @@ def open_files() -> set[tuple[str, str]]:
 
 
 @pytest.fixture(autouse=True)
-def _short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for an answer for 0.5 s rather than 2."""
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let what answers take its time, and be silent meanwhile."""
+    for limit in ("link_bus.OPENING", "link_bus.STARTING", "link_bus.ENDING", "session.SILENCE"):
+        monkeypatch.setattr(f"tactile.bus.{limit}", DEADLINE)
+    monkeypatch.setattr("tactile.bus.peer.TRIES", 40)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for an answer, where there is none, for 0.5 s rather than 2."""
     monkeypatch.setattr("tactile.bus.link_bus.OPENING", 0.5)
 
 
@@ -194,25 +203,37 @@ def answering(answer: Callable[[bytes], bytes]) -> Iterator[str]:
             thread.join()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_line_on_which_nothing_answers_is_told_so(display: Display) -> None:
     with answering(lambda data: b"") as path:
         said = refused(BusError, f"serial://{path}", display)
     assert said == "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_can_bus_on_which_nothing_answers_is_told_so(display: Display) -> None:
     said = refused(BusError, "can:virtual/nobody", display)
     assert said == "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
 
 @pytest.mark.parametrize("noise", [bytes(range(1, 200)) + b"\0", b"\xff\x00" * 40, b"login: \0"])
-def test_noise_is_told_from_silence(display: Display, noise: bytes) -> None:
+def test_noise_is_told_from_silence(
+    display: Display, noise: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait = LinkBus._wait
+
+    def wait_for_noise(bus: LinkBus, ready: Callable[[], object], seconds: float) -> bool:
+        assert wait(bus, lambda: not bus._silence().startswith("nothing"), seconds)
+        return wait(bus, ready, 0.0)
+
+    monkeypatch.setattr(LinkBus, "_wait", wait_for_noise)
     with answering(lambda data: noise) as path:
         said = refused(BusError, f"serial://{path}?baud=115200&format=spectrum", display)
     assert said.startswith("what comes is no packet of the protocol (")
     assert said.endswith(" so far): another bit rate, or another device")
 
 
+@pytest.mark.usefixtures("impatient")
 def test_an_echo_is_no_amplifier(display: Display) -> None:
     with answering(lambda data: data) as path:
         refused(BusError, f"serial://{path}", display)
@@ -289,6 +310,7 @@ def test_a_rate_or_format_that_the_line_cannot_carry_is_refused_with_what_it_can
     assert_disarmed(amplifier)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("end", ["close", "abort", "estop", "exception"])
 def test_the_amplifier_is_disarmed_and_free_after_the_end(
     display: Display, bench: RealBench, end: str
@@ -317,6 +339,7 @@ def assert_disarmed(amplifier: Amplifier) -> None:
     assert not last["codes"].any()
 
 
+@pytest.mark.realtime
 def test_no_thread_and_no_descriptor_is_left_by_use(display: Display, bench: RealBench) -> None:
     _, path = bench.pty(3)
     threads, files = threading.active_count(), open_files()
@@ -328,6 +351,7 @@ def test_no_thread_and_no_descriptor_is_left_by_use(display: Display, bench: Rea
         assert open_files() <= files
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_can_bus_is_shut_down_where_opening_fails(display: Display) -> None:
     refused(BusError, "can:virtual/shut", display)
     assert "shut" not in can.interfaces.virtual.channels

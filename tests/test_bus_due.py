@@ -19,7 +19,7 @@ CLOCK = 1e-3
 """s; 15 µs of clock error are measured on a quiet machine, a burdened one answers pings late."""
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_a_position_is_due_when_the_amplifier_puts_it_out(tmp_path: Path) -> None:
     if not can_be_built():
         assert os.environ.get("CI") != "true", "no C compiler"

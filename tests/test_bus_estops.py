@@ -23,7 +23,7 @@ from tactile.errors import BusError, BusStateError
 WIRING = Wiring(channels=2, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
 BLOCK = np.full((16, 2), 5.0)
 ROUNDS = 300
-PATIENCE = 30.0
+PATIENCE = 60.0
 """s that a thread may take."""
 
 

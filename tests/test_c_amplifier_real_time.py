@@ -50,7 +50,7 @@ def collect(stream: int, until: int) -> list[tuple[int, bytes]]:
     found: list[tuple[int, bytes]] = []
     data = b""
     while until not in [kind for kind, _ in found]:
-        assert select.select([stream], [], [], 20)[0], "nothing came for 20 s"
+        assert select.select([stream], [], [], 60)[0], "nothing came for 60 s"
         data += os.read(stream, 4096)
         *frames, data = data.split(b"\0")
         found += [parse(uncobs(frame)) for frame in frames if frame]
@@ -73,6 +73,7 @@ def terminal(build: Path, tmp_path: Path) -> Iterator[tuple[int, "subprocess.Pop
         output.close()
 
 
+@pytest.mark.realtime
 def test_pty(terminal: tuple[int, "subprocess.Popen[bytes]"], tmp_path: Path) -> None:
     stream, process = terminal
     every_byte = bytes(range(256))  # 17 and 19, 10 and 13 pass as they are
@@ -89,12 +90,13 @@ def test_pty(terminal: tuple[int, "subprocess.Popen[bytes]"], tmp_path: Path) ->
     kinds = [kind for kind, _ in collect(stream, STATUS) if kind not in (PULSE, LOG)]
     assert kinds == [ACK, ACK, ACK, ACK, STATUS]
     process.terminate()
-    assert process.wait(20) == 0
+    assert process.wait(60) == 0
     rows = list(struct.iter_unpack("<QIBB2h", (tmp_path / "out").read_bytes()))
     assert [b[0] > a[0] for a, b in pairwise(rows)] == [True] * (len(rows) - 1)
     assert rows[-1][3:] == (0, 0, 0)  # high voltage off, 0 V
 
 
+@pytest.mark.realtime
 def test_signals_pull_and_release_the_estop_button(
     terminal: tuple[int, "subprocess.Popen[bytes]"],
 ) -> None:
@@ -136,7 +138,7 @@ def refused(build: Path, *options: str) -> str:
     """Return what virtual-amplifier says to options that it does not take."""
     done = subprocess.run(
         [build / "virtual-amplifier", *options], capture_output=True, text=True, check=False,
-        timeout=20,
+        timeout=60,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (1, "")
     return done.stderr
@@ -167,6 +169,7 @@ def test_socketcan_on_what_is_no_can_interface(build: Path) -> None:
     assert refused(build, "--socketcan", "lo") == f"virtual-amplifier: --socketcan lo: {why}\n"
 
 
+@pytest.mark.realtime
 def test_can_socket(build: Path, tmp_path: Path) -> None:
     def frame(identifier: int, data: bytes) -> bytes:
         return struct.pack("<IBB2x64s", identifier, len(data), 0, data)
@@ -175,7 +178,7 @@ def test_can_socket(build: Path, tmp_path: Path) -> None:
     process = subprocess.Popen([build / "virtual-amplifier", "--can", str(path), "--extended"])
     host = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     host.bind(str(own))
-    host.settimeout(20)
+    host.settimeout(60)
     try:
         while not path.exists():
             assert process.poll() is None
@@ -191,7 +194,7 @@ def test_can_socket(build: Path, tmp_path: Path) -> None:
                 parts.append(data[:size])
         assert parse(join(parts))[0] == CAPS
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert not path.exists()
     finally:
         host.close()

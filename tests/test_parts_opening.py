@@ -41,6 +41,7 @@ class chips_of:  # noqa: N801
     clock: VirtualTime
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("url", ["drv2667:1", "drv2667:/dev/i2c-1", "bos1921:1"])
 def test_a_thread_plays_what_is_written_and_is_gone_after_close(
     url: str, shelf: dict[int | tuple[int, int], ChipModel]

@@ -43,6 +43,13 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 @pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let amplifiers in processes of their own take their time to answer and to start."""
+    monkeypatch.setattr("tactile.bus.link_bus.OPENING", 60.0)
+    monkeypatch.setattr("tactile.bus.link_bus.STARTING", 60.0)
+
+
+@pytest.fixture(autouse=True)
 def _no_wait_for_adapters(monkeypatch: pytest.MonkeyPatch) -> None:
     """Open slcan without the 2 s that python-can gives an Arduino to boot."""
     clock = SimpleNamespace(time=time.time, sleep=lambda seconds: None)

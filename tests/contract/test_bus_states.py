@@ -187,12 +187,10 @@ class TestStates:
         assert bus.state == "closed"
 
 
-SLCAN = pytest.param("slcan", marks=pytest.mark.ci)  # has the least time to spare
-
-
-@on([*REAL[:-1], SLCAN])
+@pytest.mark.realtime
+@on(REAL)
 class TestRealLinks:
-    """What the default run sees of each link in real time; all else runs with ``-m ci``."""
+    """What is seen of each link in real time, also of slcan, which has the least to spare."""
 
     def test_a_stream_is_put_out_stopped_and_broken_off(self, bench: Bench, slow: Display) -> None:
         bus, step = bench.open(slow), SLOW / bench.rate

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import can
 
-WAIT = 20.0
+WAIT = 60.0
 """Seconds to wait at most for what should happen soon; a guest is slow."""
 
 

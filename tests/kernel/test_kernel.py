@@ -54,7 +54,7 @@ UML = Machine(
     script="uml.sh",
     scripts=("in_uml.py", "in_i2c.py"),
     modules="vcan can-raw i2c-dev i2c-stub:chip_addr=0x48 cuse",
-    seconds=180,
+    seconds=1200,
     tools=("ip", "busybox", "modprobe"),
 )
 QEMU_TOOLS = ("ip", "busybox", "modprobe", "cpio", "qemu-system-x86_64")
@@ -62,14 +62,14 @@ DEVICES = Machine(
     script="guest.sh",
     scripts=("in_guest.py", "in_serial.py", "in_audio.py"),
     modules="can-raw gs_usb vhci-hcd dummy_hcd libcomposite cdc-acm snd-aloop",
-    seconds=600,
+    seconds=3600,
     tools=QEMU_TOOLS,
 )
 BUSES = Machine(
     script="guest.sh",
     scripts=("in_can.py", "in_adapter.py", "in_i2c_bus.py"),
     modules="can-raw vcan gs_usb vhci-hcd i2c-dev cuse",
-    seconds=600,
+    seconds=3600,
     tools=QEMU_TOOLS,
 )
 

@@ -18,6 +18,9 @@ from tactile.bus.base import Bus, Floats
 from tactile.bus.link_bus import LinkBus
 from tactile.bus.peer import Peer
 
+TRIES = 5
+"""Requests to begin or to end measuring; a busy machine may miss all repetitions of one."""
+
 
 @dataclass(frozen=True)
 class AmplifierFacts:
@@ -158,7 +161,8 @@ def _measure(bus: Bus, node: int, milliseconds: int) -> bool:
     assert isinstance(bus, LinkBus)
     session = next(peer.host.session for peer in bus.peers if peer.host.node == node)
     setting = m.Set(session, Parameter.SENSE_MS, milliseconds)
-    return isinstance(bus.ask(setting, node), m.Ack)
+    answers = (bus.ask(setting, node) for _ in range(TRIES))
+    return isinstance(next((a for a in answers if a is not None), None), m.Ack)
 
 
 def readings(bus: Bus) -> list[Readings]:

@@ -21,6 +21,7 @@ from tactile.daemon.probe import (
     INTERVAL,
     LEAST_READINGS,
     TONE,
+    TONES,
     Verdict,
     cautious,
     judge,
@@ -34,8 +35,8 @@ from tactile.display import Display, load_display
 from tactile.display_map import Map, checked_target, write_map
 from tactile.errors import BusError, InputError
 
-TRIES = 5
-"""Times that a tone is played at most while the link has its troubles."""
+MOST_DISTURBED = 40
+"""Tones during which the link had a fault, after which a line is given up."""
 BLINK = 5
 """s."""
 
@@ -195,25 +196,21 @@ def _measure_one(one: Channel, bus: Bus, display: Display) -> str:
     signal, rate = tone(display), bus.wiring.sample_rate
     fade = display.limits.fade
     begin, end = fade * rate, (fade + TONE) * rate
-    for _ in range(TRIES):
+    rows: list[tuple[int, float, float]] = []
+    undisturbed = disturbed = 0
+    while undisturbed < TONES:
+        if disturbed == MOST_DISTURBED or bus.status.link == "down":
+            return f"the link had faults in {disturbed} of {disturbed + undisturbed} tones"
         before = bus.counters.faults()
         readings(bus)
         sound(bus, signal, one.channel)
         if bus.counters.faults() == before:
-            break
-    else:
-        return f"the link had troubles in each of {TRIES} tones"
-    rows = [
-        (
-            r.position,
-            r.volts[one.channel - r.first_channel],
-            r.current[one.channel - r.first_channel],
-        )
-        for r in readings(bus)
-        if begin <= r.position < end and 0 <= one.channel - r.first_channel < len(r.volts)
-    ]
+            rows += _readings_of(one.channel, bus, begin, end)
+            undisturbed += 1
+        else:
+            disturbed += 1
     if len(rows) < LEAST_READINGS:
-        return f"{len(rows)} readings came, of {TONE / INTERVAL:.0f}"
+        return f"{len(rows)} readings came, of {TONES * TONE / INTERVAL:.0f}"
     load = load_of(*np.array(rows, np.float64).T, sample_rate=rate)
     drive = float(signal.envelope(np.array([signal.duration / 2]))[0])
     gain = display.amplifier.gain
@@ -224,6 +221,17 @@ def _measure_one(one: Channel, bus: Bus, display: Display) -> str:
         one.error_percent = load.error * 100
         one.loss = load.loss if math.isfinite(load.loss) else None
     return ""
+
+
+def _readings_of(
+    channel: int, bus: Bus, begin: float, end: float
+) -> list[tuple[int, float, float]]:
+    """Return position, volts and current [A] of a channel's readings between two positions."""
+    return [
+        (r.position, r.volts[channel - r.first_channel], r.current[channel - r.first_channel])
+        for r in readings(bus)
+        if begin <= r.position < end and 0 <= channel - r.first_channel < len(r.volts)
+    ]
 
 
 # Asking

@@ -20,8 +20,10 @@ INTERVAL = 10e-3
 FREQUENCY = 161.8
 """Hz: 1.618 turns from reading to reading, by the golden ratio ever other phases; far enough below
 the resonance that the motion adds 0.3 % to the capacitance in air (the default design)."""
-TONE = 0.3
-"""s at full level: 30 readings."""
+TONE = 0.1
+"""s at full level: 10 readings; so short that a busy machine keeps up with some of them."""
+TONES = 3
+"""Tones without any fault of the link that a line is measured by."""
 LEAST_READINGS = 12
 """Without which nothing is said; of three unknowns for each of voltage and current."""
 PULSES, PULSE, EDGE = 5, 0.2, 5e-3

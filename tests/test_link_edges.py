@@ -1,0 +1,203 @@
+"""What the host's side of a link does in moments that seldom come: halts, last words, back-off."""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from link_rig import LEVEL, RATE, SAMPLE, Bench, Panel, benches, fade_in, overheard, recover
+
+from firmware_protocol import messages as m
+from firmware_protocol.messages import State
+from firmware_protocol.packet import Packet
+from tactile.bus.base import Counters, DriveFrame, Wiring
+from tactile.bus.budget import Plan
+from tactile.bus.link_bus import LinkBus
+from tactile.bus.session import Session
+from tactile.bus.wire import Wire
+from tactile.bus.wire_time import Unlimited
+from tactile.devices import open_bus
+from tactile.errors import BusError
+
+bench = pytest.fixture(benches)
+
+WATCHDOG = 0.15
+"""s without a heartbeat after which an amplifier ramps to 0 V (SPEC.md, 14)."""
+
+
+def no_plan(caps: Sequence[m.Caps]) -> Plan:
+    raise AssertionError("no amplifier has answered")
+
+
+def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
+    session = Session(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters())
+    first, second = session.estop(0.0), session.estop(0.0)
+    assert first.type == second.type == m.Estop.TYPE
+    assert first.node == second.node == 0
+    assert first.seq != second.seq, "losses are seen by it (SPEC.md, 2)"
+
+
+def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
+    bench: Callable[..., Bench],
+) -> None:
+    """Fewer samples than a packet has: they wait for others to fill it."""
+    rig = bench("serial")
+    rig.start()
+    rig.write(3)
+    rig.bus.estop()
+    rig.bus.clear()
+    rig.start()
+    assert rig.bus.counters.dropped_samples == 0
+    rig.play(0.1)
+    assert rig.misplaced(since=rig.zero)[0] < SAMPLE
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, quick: bool
+) -> None:
+    """What they played was ended while the link was down; they have not noticed yet."""
+    heard = overheard(monkeypatch)
+    rig = bench("serial", extra="&lead_ms=100&fifo_ms=200")
+    rig.start()
+    rig.play(0.2)
+    rig.model.unplug(0.02)
+    lost = rig.clock.time
+    rig.play(0.01)
+    assert rig.bus.status.link == "down"
+    heard.clear()
+    (rig.bus.abort if quick else rig.bus.stop)()
+    assert rig.model.amplifiers[0].state == State.RUNNING
+    rig.idle(0.3)
+    first = {packet.type: rig.model.time_of(0, tick) for packet, tick in reversed(heard)}
+    at_rest = lost + rig.silence_after(lost)
+    assert first[m.Stop.TYPE] < at_rest <= first[m.Limits.TYPE]
+    assert at_rest < lost + 0.06, "before the samples that it had run out"
+    assert (rig.bus.status.state, rig.bus.status.link) == ("idle", "up")
+    rig.start()
+    rig.play(0.1)
+    assert rig.misplaced(since=rig.zero)[0] < SAMPLE
+
+
+@pytest.mark.parametrize("away", np.arange(0.02, 0.26, 0.01).round(3).tolist())
+def test_however_long_the_link_was_away_all_play_again_in_place(
+    bench: Callable[..., Bench], away: float
+) -> None:
+    """At 0.15 to 0.17 s the amplifier is in the middle of its watchdog's ramp."""
+    rig = bench("serial")
+    rig.start()
+    rig.play(0.2)
+    rig.model.unplug(away)
+    recover(rig, 0, np.random.default_rng(1))
+    back = rig.clock.time
+    fade_in(rig)
+    rig.play(0.1)
+    worst, count = rig.misplaced(since=back)
+    assert worst < SAMPLE
+    assert count > 0.05 * RATE
+
+
+@pytest.mark.parametrize("block", [7, 16, 500])
+def test_every_sample_reaches_the_amplifier_once_in_its_place_or_is_counted_as_dropped(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    """Also those written before the position at which it fades in again."""
+    heard = overheard(monkeypatch)
+    rig = bench("serial")
+    rig.start()
+    rig.play(0.2, block=block)
+    rig.idle(1e-3)  # nothing is on the wire
+    rig.model.unplug(0.2)
+    rig.play(0.6, block=block)
+    back = rig.clock.time
+    rig.play(0.4, block=block)
+    rig.bus.stop()
+    pieces = [m.Pcm.unpack(packet.payload) for packet, _ in heard if packet.type == m.Pcm.TYPE]
+    delivered = sum(piece.samples for piece in pieces if piece is not None)
+    held = math.ceil(0.025 * RATE)  # the last sample, until STOP has come
+    assert delivered - held + rig.bus.counters.dropped_samples == rig.position
+    assert "late_samples" not in rig.faults()
+    worst, count = rig.misplaced(since=back)
+    assert worst < SAMPLE
+    assert count > 0.2 * RATE
+
+
+def test_a_wire_that_stays_away_is_tried_less_and_less_often(bench: Callable[..., Bench]) -> None:
+    """50 ms at first, twice as long each time, and each second in the end."""
+    rig = bench("serial")
+    tries: list[float] = []
+    usual = rig.model.open
+
+    def counted() -> None:
+        tries.append(rig.clock.time)
+        usual()
+
+    rig.model.open = counted  # type: ignore[method-assign]
+    rig.start()
+    rig.play(0.1)
+    rig.model.unplug(6.0)
+    lost = rig.clock.time
+    rig.idle(5.5)
+    rig.idle(1.5)
+    pauses = [b - a for a, b in pairwise([lost, *tries])]
+    assert pauses[:8] == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0], abs=0.03)
+
+
+def test_a_renderer_that_is_late_with_its_frames_is_alive_all_the_same() -> None:
+    """It has no time to wait, where signs of life are given otherwise."""
+    bus = open_bus("mock:?link=can&format=spectrum", Panel(), sample_rate=RATE)
+    with bus:
+        assert isinstance(bus, LinkBus)
+        assert bus.frames is not None
+        spacing = round(bus.wiring.sample_rate / bus.frames.rate)
+        bus.tune(np.array([100.0]))
+        bus.start()
+        model = bus.model  # type: ignore[attr-defined]
+        for k in range(1, round(4 * WATCHDOG * bus.frames.rate)):
+            model.run_away(bus.due((k - 1) * spacing) - bus.ahead + 1e-4)
+            bus.write_frame(DriveFrame(k * spacing, np.full((2, 1), LEVEL, np.complex128)))
+        (amplifier,) = model.amplifiers
+        assert amplifier.state == State.RUNNING
+        assert amplifier.counters.watchdogs == 0
+
+
+class Faulty(Wire):
+    """A wire whose driver has a fault of its own."""
+
+    closed = False
+
+    def send(self, packet: Packet) -> float:
+        return 0.0
+
+    def urge(self, packet: Packet) -> None:
+        """Do as `send` does."""
+
+    def receive(self, until: float) -> list[Packet]:
+        raise ZeroDivisionError("a fault of the driver")
+
+    def wake(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_fault_in_the_links_own_thread_is_told_and_lets_go_of_the_wire() -> None:
+    wire = Faulty(Unlimited())
+    with pytest.raises(BusError, match="internal error: ZeroDivisionError"):
+        LinkBus(Wiring.of(Panel(), RATE), lambda: wire, no_plan)
+    assert wire.closed
+
+
+def test_boards_that_follow_are_handed_their_samples_earlier(bench: Callable[..., Bench]) -> None:
+    """By eight samples, half of those that a value between two samples is made of."""
+    one = Bench("mock:?link=can&format=pcm16", Panel(channels=4))
+    two = Bench("mock:?link=can&boards=2&format=pcm16", Panel(channels=4))
+    per_packet = [rig.bus.plan.use * rig.bus.plan.packet_samples / RATE for rig in (one, two)]
+    leads = [rig.bus.ahead - rig.bus.lead for rig in (one, two)]
+    assert leads[0] == pytest.approx(per_packet[0])
+    assert leads[1] - per_packet[1] == pytest.approx(8 / RATE)
+    for rig in (one, two):
+        rig.bus.close()

@@ -1,10 +1,19 @@
-"""Folders of their own for the state and the sockets of every test's daemons."""
+"""What holds for all tests: folders for their daemons, and examples that depend on no clock."""
 
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# The same examples on every machine, however slow it is: Hypothesis's limits of time would fail
+# where one is held up. Fixtures that several examples share are folders.
+settings.register_profile(
+    "replay", derandomize=True, deadline=None, database=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)  # fmt: skip
+settings.load_profile("replay")
 
 
 def _in_folder(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:

@@ -6,7 +6,7 @@ from hypothesis import settings
 
 from tactile.errors import InputError
 
-NO_PANIC = settings(deadline=None, derandomize=True, max_examples=150)
+NO_PANIC = settings(max_examples=150)
 
 
 def has(message: str, *words: str) -> None:

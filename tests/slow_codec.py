@@ -32,7 +32,7 @@ PACKET = st.builds(Packet, BYTE, BODY, BYTE, BYTE, BYTE)
 def drawn(*values: Any, examples: int = 100, **named: Any) -> Callable[[Callable[..., None]], Any]:
     """Return hypothesis's ``given``, without a deadline: the machine may be busy."""
     draw: Any = given(*values, **named)
-    relaxed = settings(deadline=None, max_examples=examples)
+    relaxed = settings(max_examples=examples)
     return lambda test: relaxed(draw(test))
 
 

@@ -288,7 +288,6 @@ def test_a_spectrum_frame_beyond_the_packet_limit_is_cut_by_channels() -> None:
     assert [len(packet) for packet in frame] == [20 + 6 * 32] * 4
 
 
-@settings(deadline=None)
 @given(any_link, st.sampled_from(CODINGS), st.integers(1, 100), st.integers(1, 20))
 def test_more_channels_never_use_less(link: Link, coding: Coding, few: int, more: int) -> None:
     """As long as a packet holds one sample of all channels; BFP8 beyond is cut better by `pcm`."""
@@ -360,7 +359,7 @@ def test_a_refusal_is_one_line_that_says_what_would_fit(message: str) -> None:
     assert {row.what for row in refused.value.rows} >= {"PCM16", "SPECTRUM 8 at 100 Hz"}
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     any_link, st.integers(1, 2000), st.sampled_from([None, *SampleFormat]), st.integers(500, 9999)
 )

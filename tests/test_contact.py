@@ -60,7 +60,7 @@ def test_position_is_continuous_with_its_velocity() -> None:
     assert np.abs(np.diff(knots, axis=0)).max() > 10e-3
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(data=st.data(), count=st.integers(2, 12))
 def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, count: int) -> None:
     """Nor does it reverse between two: each coordinate and the force is monotone there."""

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -30,7 +30,6 @@ N = 3
 BLOCK = 16
 Floats = NDArray[np.float64]
 Take = tuple[int, Curve | None]
-NO_PACE = settings(deadline=None, derandomize=True)
 
 
 def random_curve(rng: np.random.Generator, *, transients: int = 30) -> Curve:
@@ -104,7 +103,6 @@ def by_formula(takes: list[Take]) -> Floats:
     return np.array(out)
 
 
-@NO_PACE
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 64), min_size=1, max_size=100))
 def test_an_effect_is_its_formula_however_blocks_are_cut(seed: int, counts: list[int]) -> None:
     """A second curve takes over while the first one plays."""
@@ -133,7 +131,6 @@ def test_a_whole_effect_is_its_formula_and_does_not_depend_on_the_block() -> Non
             np.testing.assert_allclose(got, wanted[: len(got)], atol=1e-11)
 
 
-@NO_PACE
 @given(st.integers(0, 2**32), st.sampled_from([100.0, 1000.0, 8000.0, 11025.0, 48000.0]))
 def test_a_waveform_is_its_formula_however_it_comes_and_goes(seed: int, rate: float) -> None:
     """Windowed sincs, summed sample by sample, to the table's 4e-6 of each that takes part."""
@@ -172,7 +169,6 @@ def test_transients_that_are_far_off_take_no_work() -> None:
         plain.skip(BLOCK)
 
 
-@NO_PACE
 @given(st.integers(0, 2**32), st.integers(0, 500))
 def test_only_so_many_transients_sound_at_once_and_the_others_are_counted(
     seed: int, count: int
@@ -235,7 +231,6 @@ def test_memory_is_bounded_by_what_waits() -> None:
         assert len(segment._data) <= 2 * (LONGEST * 48_000 + 4000) + 3 * segment._reach
 
 
-@NO_PACE
 @given(st.integers(0, 2**32), st.integers(1, 300))
 def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
     """After silence the waves are where they would be, but for an effect's phase."""
@@ -258,7 +253,6 @@ def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
 # All clients
 
 
-@NO_PACE
 @given(
     st.dictionaries(st.integers(1, 1000), st.integers(1, 2 * BLOCK_WORK), max_size=80),
     st.integers(0, 10**6),

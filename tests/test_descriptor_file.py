@@ -100,7 +100,7 @@ def read_back(text: str) -> Descriptor:
     return msgspec.convert(tomllib.loads(text), Descriptor)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(DESCRIPTORS)
 def test_any_descriptor_reads_back_as_itself(descriptor: Descriptor) -> None:
     assert read_back(as_toml(descriptor)) == descriptor

@@ -273,7 +273,7 @@ def rounding(found: InverseFilter, shear: Singles) -> float:
     return 1e-6 * float(np.abs(taps_of(found)).sum(axis=-1).max() * np.abs(shear).max())
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(max_examples=40)
 @given(many=st.booleans(), sizes=st.lists(st.integers(1, 64), min_size=1, max_size=30))
 def test_a_stream_is_the_convolution_with_the_taps_however_it_is_cut(
     many: bool, sizes: list[int]

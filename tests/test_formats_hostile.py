@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from format_samples import SAMPLES, sample
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tactile.errors import InputError, NotFoundError
@@ -263,8 +263,7 @@ def read_or_refuse(name: str, changes: list[tuple[float, int, bytes]], folder: P
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir() and os.environ.get("CI") != "true", reason="no samples")
-@settings(max_examples=40, deadline=None, derandomize=True, database=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
+@settings(max_examples=40)
 @given(st.sampled_from(FUZZED), st.lists(change, min_size=1, max_size=3))
 @example("haptic/valid_v1.haptic", [(0.5, 0, b"\xff")])
 def test_a_changed_sample_is_read_or_refused(
@@ -275,8 +274,7 @@ def test_a_changed_sample_is_read_or_refused(
 
 @pytest.mark.ci
 @pytest.mark.skipif(not SAMPLES.is_dir() and os.environ.get("CI") != "true", reason="no samples")
-@settings(max_examples=1500, deadline=None, database=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
+@settings(max_examples=1500)
 @given(st.sampled_from(FUZZED), st.lists(change, min_size=1, max_size=3))
 def test_many_changed_samples_are_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[float, int, bytes]]

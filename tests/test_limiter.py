@@ -20,7 +20,7 @@ from tactile.rendering.limiter import Limiter
 Floats = NDArray[np.float64]
 
 RATE = 8000.0
-ANYTHING = settings(deadline=None, derandomize=True, max_examples=200)
+ANYTHING = settings(max_examples=200)
 AGAIN_ALL = 32_000
 """Samples, 4 s: 40 time constants of the release, after which a gain is 1 within rounding."""
 

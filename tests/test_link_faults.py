@@ -416,7 +416,7 @@ SHARES = st.sampled_from([0.0, 0.0, 0.01, 0.1])
 
 
 @pytest.mark.ci
-@settings(deadline=None, max_examples=6, suppress_health_check=list(HealthCheck))
+@settings(max_examples=6, suppress_health_check=list(HealthCheck))
 @given(
     link=st.sampled_from(sorted(LINKS)),
     loss=SHARES,

@@ -114,7 +114,7 @@ LINK = st.lists(
 
 
 @given(LINK, st.floats(-1e4, 1e4))
-@settings(deadline=None, derandomize=True, max_examples=200)
+@settings(max_examples=200)
 def test_both_directions_are_monotonic_and_each_others_inverse(
     link: list[tuple[float, float, float]], drift_ppm: float
 ) -> None:
@@ -178,7 +178,7 @@ NUMBER = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1
         st.tuples(NUMBER, st.integers(-1, 2**64), st.integers(-1, 2**64), NUMBER), max_size=20
     ),
 )
-@settings(deadline=None, derandomize=True, max_examples=300)
+@settings(max_examples=300)
 def test_no_exchange_whatever_raises_or_stays(junk: list[tuple[float, int, int, float]]) -> None:
     """After any junk, as many exchanges as fill its memory give the clock again."""
     estimator = ClockEstimator(TICK_HZ)

@@ -31,7 +31,7 @@ from protocol_traces import CONFIGS, Rig, loaded, play, replay, saved
 
 NAMES = list(CONFIGS)
 CHANCE = st.integers(0, 1 << 20).map(Random)
-STEPS = settings(derandomize=True, deadline=None, stateful_step_count=40)
+STEPS = settings(stateful_step_count=40)
 C = SPEC.parent / "c"
 
 

@@ -367,7 +367,7 @@ def test_bad_positions_forces_and_waveforms_are_counted_and_harm_nothing(
 
 
 @pytest.mark.ci
-@settings(deadline=None, max_examples=25, derandomize=True)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_limits_hold_whatever_the_finger_does(data: st.DataObject) -> None:
     display = tactile.load_display("reference-24")

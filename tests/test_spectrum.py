@@ -107,7 +107,7 @@ def test_one_carrier_alone_makes_up_for_what_straight_ramps_lose(offset: float) 
     np.testing.assert_allclose(found, 1 / np.sqrt(lost), rtol=1e-4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(0, 1200), st.sampled_from([(16, 50.0), (16, 100.0), (8, 100.0)]))
 def test_a_partial_keeps_its_power_wherever_it_is(
     frequency: float, case: tuple[int, float]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
@@ -201,7 +201,6 @@ def test_the_mean_is_that_of_random_data(identifier: int) -> None:
     assert estimate.nominal == pytest.approx(fd[0], abs=1)
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from(LINKS),
     st.sampled_from([m.Pcm.TYPE, m.Spectrum.TYPE, m.Heartbeat.TYPE, m.Start.TYPE, m.Estop.TYPE]),

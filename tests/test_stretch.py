@@ -49,6 +49,20 @@ def test_friction_falls_from_static_to_kinetic_as_a_gaussian_of_speed(
         assert q == pytest.approx((expected * math.cos(angle), expected * math.sin(angle)))
 
 
+@pytest.mark.parametrize("angle", [0.5 * math.pi, -0.5 * math.pi, math.pi, 0.7, 2.4, -2.0])
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+def test_friction_is_the_same_along_any_direction(angle: float, share: float) -> None:
+    """Sticking, slipping and sliding evenly, forth and back: turned as the motion is."""
+    along, turned = Bristles(law(stick_slip=share)), Bristles(law(stick_slip=share))
+    cos, sin = math.cos(angle), math.sin(angle)
+    speeds = [0.002, 0.005, 0.03, -0.004, -0.002, 0.06, 0.003]
+    for step in np.repeat(speeds, 80) * 2e-3:
+        q, _ = along.move(step, 0.0, 2e-3)
+        assert turned.move(step * cos, step * sin, 2e-3) == pytest.approx(
+            (q * cos, q * sin), abs=1e-9
+        )
+
+
 def test_far_above_the_stribeck_speed_friction_is_kinetic() -> None:
     bristles = Bristles(law())
     for _ in range(100):

@@ -1,0 +1,144 @@
+"""What the daemon says and does of a playback that dies or hangs, on the virtual clock."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
+
+from tactile.daemon import messages as m
+from tactile.daemon import playback_process
+from tactile.daemon.client import Client
+from tactile.daemon.config import Config, DisplayConfig
+from tactile.daemon.orders import Setup
+
+NAME = "left"
+BACK = 2.0
+"""s within which a playback that died plays again: 0.5 s, and what opening takes."""
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with virtual_world(lambda playback, volts: None) as made:
+        yield made
+
+
+@pytest.fixture
+def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
+    """Start a daemon with one display, and connect a client to it."""
+
+    def start(device: str = "mock:", **options: Any) -> Client:
+        display = DisplayConfig(
+            name=NAME, display=small_display(tmp_path), device=device, sample_rate_hz=2500.0,
+            **options,
+        )  # fmt: skip
+        assert world.start(Config(display=(display,)))
+        assert world.host is not None
+        world.run(asyncio.sleep(0.2))
+        return world.host.connect("app", roles=m.ALL_ROLES)
+
+    return start
+
+
+def is_alive(world: World) -> tuple[bool, bool, float]:
+    """Return what /healthz, the system's watchdog and the figures say of the display."""
+    assert world.host is not None
+    world.host.beat()
+    world.run(asyncio.sleep(0.3))
+    said = world.host.figures()[NAME]["playback_alive"]
+    return world.host.healthy(), world.host.beat(), said
+
+
+def playback_of(world: World) -> PlaybackProcess:
+    (playback,) = world.playbacks()
+    return playback
+
+
+def events_of(client: Client) -> list[tuple[str, str]]:
+    found = []
+    while not client.outbox.empty():
+        event = client.outbox.get_nowait()
+        if isinstance(event, m.Event):
+            found.append((event.kind, event.detail))
+    return found
+
+
+def test_a_daemon_whose_playback_died_is_not_healthy_until_it_plays_again(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    serve()
+    assert is_alive(world) == (True, True, 1.0)
+    playback_of(world).kill()
+    assert world.host is not None
+    assert not world.host.healthy(), "at once, before anybody has looked"
+    assert world.host.figures()[NAME]["playback_alive"] == 0.0
+    world.run(asyncio.sleep(BACK))
+    assert is_alive(world) == (True, True, 1.0)
+
+
+def test_a_playback_that_hangs_is_seen_by_the_watchdog_and_started_again(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    serve()
+    world.run(asyncio.sleep(0.05))  # so that the limit falls between two looks of the supervisor
+    hung = playback_of(world)
+    hung.hang(60.0)
+    assert hung.alive
+    assert not is_alive(world)[1]
+    assert world.host is not None
+    said = []
+    while hung.alive:
+        said.append(world.host.figures()[NAME]["playback_alive"])
+        world.run(asyncio.sleep(0.01))
+    assert said[0] == 1.0
+    assert said[-1] == 0.0
+    world.run(asyncio.sleep(BACK))
+    assert is_alive(world) == (True, True, 1.0)
+
+
+@pytest.mark.parametrize("rearm", [True, False])
+def test_who_had_armed_is_told_whether_it_is_armed_again(
+    world: World, serve: Callable[..., Client], rearm: bool
+) -> None:
+    client = serve(rearm=rearm)
+    assert isinstance(world.run(client.request(m.Arm(display=NAME))), m.Done)
+    events_of(client)
+    playback_of(world).kill()
+    world.run(asyncio.sleep(BACK))
+    assert world.host is not None
+    assert world.host.playing[NAME].state == ("armed" if rearm else "disarmed")
+    events = events_of(client)
+    assert ("lost", "playback died; it is started again") in events
+    back = ("disarmed", "playback is back, and disarmed")
+    assert (back in events) is not rearm
+
+
+@pytest.mark.parametrize(
+    ("device", "opened"),
+    [
+        ("serial:///dev/x", "serial:///dev/x?rearm=true"),
+        ("serial:///dev/x?baud=9600", "serial:///dev/x?baud=9600&rearm=true"),
+        ("can:virtual/x?rearm=false", "can:virtual/x?rearm=false"),
+        ("mock:?link=can", "mock:?link=can"),
+    ],
+)
+def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
+    world: World, serve: Callable[..., Client], monkeypatch: pytest.MonkeyPatch, device: str,
+    opened: str,
+) -> None:  # fmt: skip
+    devices: list[str] = []
+    usual = playback_process.opened
+
+    def open_in_memory(setup: Setup) -> Any:
+        devices.append(setup.device)
+        return usual(replace(setup, device="mock:"))
+
+    monkeypatch.setattr(playback_process, "opened", open_in_memory)
+    serve(device, rearm=True)
+    assert devices == [opened]
+    playback_of(world).kill()
+    world.run(asyncio.sleep(BACK))
+    assert devices == [opened] * 2

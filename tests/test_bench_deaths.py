@@ -129,7 +129,7 @@ def test_a_long_message_has_its_length_in_two_bytes() -> None:
     assert frame("x" * 198)[:4] == b"\x81\xfe\x00\xc8"
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_after_one_try_of_each_fault_the_amplifier_has_kept_its_limits() -> None:
     if sys.platform != "linux" or not can_be_built():
         if os.environ.get("CI") == "true":

@@ -1,29 +1,53 @@
-"""What a client may ask of the host, answered by real playback of a simulated display."""
+"""What a client may ask of the host, answered by real playback of a simulated display.
+
+Playback and the host bear with each other for as long as a slow machine takes; when they do not is
+tested in virtual time (`test_playback_process`, `test_estop_model`).
+"""
 
 import asyncio
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import closing
+from functools import partialmethod
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import pytest
+from daemon_rig import until
 
+from tactile.daemon import children as child_processes
+from tactile.daemon import client as client_module
 from tactile.daemon import messages as m
+from tactile.daemon import playing as playing_module
 from tactile.daemon.client import OUTBOX, Client
 from tactile.daemon.config import Config, DisplayConfig, load_config
 from tactile.daemon.host import Host
-from tactile.daemon.playing import STILL, hangs
+from tactile.daemon.playing import Playing, hangs
 from tactile.errors import BusError, InputError
 
 T = TypeVar("T")
 Run = Callable[[Coroutine[Any, Any, T]], T]
 NAME = "right"
+PATIENCE = 60.0
+"""s until a test gives up; nothing that is tested depends on it."""
+PATIENT = "from tactile.daemon import playback_process as p; p.SILENCE = 600.0; main()"
+"""What a process runs: playback that waits for the server's heartbeats for long."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _patient() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        program = child_processes.PROGRAM.replace("main()", PATIENT)
+        patch.setattr(child_processes, "PROGRAM", program)
+        patch.setattr(playing_module, "STILL", 600.0)
+        patch.setattr(Playing, "ask", partialmethod(Playing.ask, within=PATIENCE))
+        yield
 
 
 class Loop:
-    """An event loop that runs all the time, as a daemon's does: playback wants its heartbeats."""
+    """An event loop that runs all the time, as a daemon's does."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -31,7 +55,7 @@ class Loop:
         self._thread.start()
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result(60)
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(2 * PATIENCE)
 
     def call(self, work: Callable[[], T]) -> T:
         async def called() -> T:
@@ -79,9 +103,12 @@ class Program:
 
         self.runner.run(closed())
 
-    def touch(self, force: float = 0.5, x: float = 0.0) -> m.Failure | None:
+    def touch(
+        self, force: float = 0.5, x: float = 0.0, *, arrival: float | None = None
+    ) -> m.Failure | None:
         contact = m.Contact(display=NAME, position_mm=(x, 0.0), normal_force_n=force)
-        return self.runner.call(lambda: self.client.contact(contact, time.monotonic()))
+        came = time.monotonic() if arrival is None else arrival
+        return self.runner.call(lambda: self.client.contact(contact, came))
 
     def stats(self) -> m.Stats:
         (answer,) = self.ask(m.GetStats(display=NAME))
@@ -89,7 +116,7 @@ class Program:
         return answer
 
     def until(self, happens: Callable[[m.Stats], bool]) -> m.Stats:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE
         while not happens(stats := self.stats()):
             assert time.monotonic() < deadline, stats
             self.runner.run(asyncio.sleep(0.02))
@@ -224,14 +251,16 @@ def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
     runner: Loop, host: Host, program: Program
 ) -> None:
     other = Program(runner, host)
-    program.touch()
-    other.touch()
+    now, silence = time.monotonic(), m.SILENCE
+    program.touch(arrival=now)
+    other.touch(arrival=now + 0.9 * silence)
     assert (program.stats().owner, other.stats().owner) == (True, False)
-    program.touch(0.0)
-    other.touch()
+    program.touch(0.0, arrival=now + silence)
+    other.touch(arrival=now + silence)
     assert (program.stats().owner, other.stats().owner) == (False, True)
-    runner.run(asyncio.sleep(1.5 * m.SILENCE))
-    program.touch()
+    program.touch(arrival=now + 1.9 * silence)
+    assert (program.stats().owner, other.stats().owner) == (False, True)
+    program.touch(arrival=now + 2.1 * silence)
     assert (program.stats().owner, other.stats().owner) == (True, False)
     program.close()
     other.touch()
@@ -284,18 +313,29 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
 def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None:
     """One that was opened a moment ago has reported nothing yet: its last report is of time 0."""
     assert not hangs(100.0, 0.0, 99.9)
-    assert not hangs(100.0 + STILL, 100.0, 50.0)
-    assert hangs(100.0 + STILL + 0.1, 0.0, 100.0)
-    assert hangs(100.0 + STILL + 0.1, 100.0, 50.0)
+    still = playing_module.STILL
+    assert not hangs(100.0 + still, 100.0, 50.0)
+    assert hangs(100.0 + still + 0.1, 0.0, 100.0)
+    assert hangs(100.0 + still + 0.1, 100.0, 50.0)
 
 
 def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
-    runner: Loop, program: Program
+    runner: Loop, program: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The time between passes at once, and is noted."""
+    between: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        between.append(seconds)
+        await asyncio.sleep(0)
+
+    timeless = SimpleNamespace(sleep=sleep, create_task=asyncio.create_task)
+    monkeypatch.setattr(client_module, "asyncio", timeless)
     program.ask(m.Subscribe(display=NAME, rate_hz=100.0))
-    runner.run(asyncio.sleep(1.5))
-    assert program.client.outbox.qsize() == OUTBOX
-    program.client.post(m.Event(display=NAME, kind="fault"))
+    program.until(lambda _: len(between) > OUTBOX)
+    assert set(between) == {0.01}
+    assert runner.call(program.client.outbox.qsize) == OUTBOX
+    runner.call(lambda: program.client.post(m.Event(display=NAME, kind="fault")))
     program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
     found = [program.client.outbox.get_nowait() for _ in range(OUTBOX)]
     assert any(isinstance(one, m.Event) and one.kind == "fault" for one in found)
@@ -318,10 +358,14 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.Event)}
     program.ask(m.Arm(display=NAME))
-    for k in range(60):
-        program.touch(x=0.9 * k)
-        runner.run(asyncio.sleep(1 / 90))
-    assert playing.memory.drive.any(), "and it plays"
+    begun, drives = time.monotonic(), set[bytes]()
+
+    def plays(_: m.Stats) -> bool:
+        program.touch(x=80 * (time.monotonic() - begun))
+        drives.add(playing.memory.drive.tobytes())
+        return len(drives) > 5
+
+    program.until(plays)
     assert host.healthy()
     assert host.figures()[NAME]["playback_alive"] == 1.0
 
@@ -436,7 +480,7 @@ def test_reloading_another_configuration_opens_what_changed_and_tries_what_canno
         path.write_text(left)
         await host.reload()
         assert list(host.playing.values()) == [kept]
-        assert host.healthy()
+        await until(host.healthy)
         await host.close()
         assert not host.healthy()
 

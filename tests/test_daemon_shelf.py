@@ -7,6 +7,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
+from daemon_rig import until
 
 from tactile.daemon import shelf, workbench
 from tactile.daemon.children import Child
@@ -188,12 +189,17 @@ def test_a_failure_is_told_and_nobody_need_hear_it() -> None:
 def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The first process never hears of what it is to draw."""
     monkeypatch.setattr(workbench, "LONGEST", 0.0)
+    told: list[Child] = []
+    monkeypatch.setattr(Child, "tell", lambda child, order: told.append(child))
 
     async def story(bench: Bench) -> None:
         with pytest.raises(BusError, match="was not ready after 0 s"):
             await bench.texture(1, 0)
-        monkeypatch.setattr(workbench, "LONGEST", 600.0)
+        (hung,) = told
+        assert not hung.alive
+        monkeypatch.undo()
         assert await bench.texture(1, 0) == 2
 
     run(story)
@@ -216,6 +222,6 @@ def test_a_process_that_dies_fails_what_it_makes_and_no_more(
         first, second = await asyncio.gather(*tasks, return_exceptions=True)
         assert isinstance(first, BusError)
         assert second == 2
-        assert [one.name for one in threading.enumerate()].count(WRITER) == 1, "of the second"
+        await until(lambda: [one.name for one in threading.enumerate()].count(WRITER) == 1)
 
     run(story)

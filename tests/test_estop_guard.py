@@ -329,7 +329,7 @@ def test_what_cannot_be_cleared_is_one_line(
     assert why in result.err
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_the_c_amplifier_is_stopped_and_cleared(serve: Callable[..., Served], four: Path) -> None:
     """It has a latch of its own, which the next program meets and a clear ends."""
     served, shown = serve(), load_display(four)

@@ -2,16 +2,20 @@
 
 import json
 import os
+import select
 import socket
 import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile.daemon import estop_request
 from tactile.daemon.estop_process import Desk, bind
 from tactile.daemon.estop_request import EstopAnswer, request_estop
 from tactile.daemon.latch import Latch
@@ -20,6 +24,8 @@ from tactile.daemon.paths import estop_sockets, runtime_folder
 pytestmark = pytest.mark.skipif(
     not hasattr(socket, "AF_UNIX"), reason="datagrams of a Unix socket are read here"
 )
+PATIENCE = 60.0
+"""s until a request gives up; nothing that is tested depends on it."""
 
 
 @pytest.fixture
@@ -76,12 +82,35 @@ def test_a_request_that_is_sent_again_is_one_e_stop(desk: Desk, latches: dict[st
     assert len(desk._answered) < 300, "memory is bounded"
 
 
-def test_one_daemon_that_hangs_holds_up_no_other(served: Path, latches: dict[str, Latch]) -> None:
+class WaitsForDeaf:
+    """Time that passes where one of two processes is waited for that never answers."""
+
+    now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def select(self, links: list[Any], _: object, __: object, seconds: float) -> Any:
+        if len(links) > 1:
+            return select.select(links, [], [], PATIENCE)
+        self.now += seconds
+        return [], [], []
+
+
+def test_one_daemon_that_hangs_holds_up_no_other(
+    served: Path, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And both are told of: the one that was stopped, and the one that did not answer."""
-    path = served.with_name("estop-1.sock")
+    path, clock = served.with_name("estop-1.sock"), WaitsForDeaf()
+    monkeypatch.setattr(estop_request, "time", clock)
+    monkeypatch.setattr(estop_request, "select", SimpleNamespace(select=clock.select))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
         deaf.bind(str(path))
         silent, stopped = request_estop(within=2.0)
+        deaf.setblocking(False)
+        requests = [deaf.recv(1000) for _ in range(8)]
+    assert clock.now == pytest.approx(102.0)
+    assert len(set(requests)) == 1, "it is sent again and again"
     assert (silent.socket, silent.failure) == (str(path), "no answer within 2 s")
     assert stopped.estops == {"right": 1, "left": 1}
     assert latches["right"].number == 1, "sent again to one, it was no second e-stop of the other"
@@ -91,7 +120,7 @@ def test_what_a_killed_process_has_left_is_removed(served: Path) -> None:
     path = served.with_name("estop-1.sock")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as gone:
         gone.bind(str(path))
-    first, second = request_estop(within=30)
+    first, second = request_estop(within=PATIENCE)
     assert first.failure == "nobody listens there any more"
     assert second.estops
     assert not path.exists()
@@ -128,7 +157,7 @@ def test_a_program_of_another_process_finds_it_and_is_named(
 ) -> None:
     assert estop_sockets() == [served]
     assert served.parent == runtime_folder()
-    (answer,) = request_estop(within=30)
+    (answer,) = request_estop(within=PATIENCE)
     assert answer.estops == {"right": 1, "left": 1}
     assert not answer.failure
     assert f"user {os.getuid()}, process {os.getpid()}" in latches["right"].reason
@@ -144,7 +173,7 @@ def test_who_reads_no_answers_holds_up_nobody(served: Path, latches: dict[str, L
         deaf.bind("")
         for _ in range(1000):
             deaf.sendto(b'{"estop": "left"}', str(served))
-        (answer,) = request_estop("right", within=30)
+        (answer,) = request_estop("right", within=PATIENCE)
     assert answer.estops == {"right": 1}
     assert latches["left"].number == 1000
 
@@ -153,14 +182,14 @@ def test_rubbish_and_datagrams_that_are_too_long_hold_up_nobody(served: Path) ->
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
         for size in (0, 1, 100, 60_000):
             link.sendto(b"\xff" * size, str(served))
-    (answer,) = request_estop(within=30)
+    (answer,) = request_estop(within=PATIENCE)
     assert answer.estops == {"right": 1, "left": 1}
 
 
 def test_a_daemon_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[str, Latch]) -> None:
     link, address = bind("test")
     link.close()
-    (answer,) = request_estop()
+    (answer,) = request_estop(within=PATIENCE)
     assert answer == EstopAnswer(address, failure="nobody listens there any more")
 
 

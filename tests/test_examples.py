@@ -35,29 +35,30 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
         url = process.stdout.readline().split()[0]
         yield {"url": url, "osc": str(port)}
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
 
 
 def run(name: str, *words: str) -> str:
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / name), *words],
-        capture_output=True, text=True, timeout=60, check=False,
+        capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_hand_tracking(daemon: dict[str, str]) -> None:
     said = run(
         "hand_tracking.py", "--url", daemon["url"], "--display", "left", "--seconds", SECONDS
     )
     frames, touches = (int(word) for word in said.split()[0:3:2])
-    assert frames == pytest.approx(90 * float(SECONDS), rel=0.2)
+    most = 90 * float(SECONDS)
+    assert most / 2 < frames <= most + 1
     assert 0 < touches <= frames
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_hand_tracking_of_a_recorded_path(daemon: dict[str, str], tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("time_s,x_m,y_m,z_m\n0,0,0.748,0\n1,0.08,0.748,0\n2,0.08,0.8,0\n")
@@ -68,12 +69,12 @@ def test_hand_tracking_of_a_recorded_path(daemon: dict[str, str], tmp_path: Path
     assert int(said.split()[2]) > 0
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_two_fingers(daemon: dict[str, str]) -> None:
     assert run("two_fingers.py", "--url", daemon["url"], "--seconds", SECONDS)
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_waveform_streamer(daemon: dict[str, str]) -> None:
     said = run(
         "waveform_streamer.py", "--url", daemon["url"], "--display", "right", "--seconds", SECONDS
@@ -81,13 +82,13 @@ def test_waveform_streamer(daemon: dict[str, str]) -> None:
     assert said.startswith("12000 samples at 8000 Hz in ")
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_osc_sender(daemon: dict[str, str]) -> None:
     pytest.importorskip("pythonosc")
     url = f"osc.udp://127.0.0.1:{daemon['osc']}"
     assert run("osc_sender.py", "--url", url, "--seconds", SECONDS)
     where = daemon["url"].replace("ws://", "http://").replace("/v1", "/metrics")
-    with urllib.request.urlopen(where, timeout=5) as answer:
+    with urllib.request.urlopen(where, timeout=60) as answer:
         lines = answer.read().decode().splitlines()
     (came,) = [line for line in lines if line.startswith("tactile_messages_total") and "osc" in line
                and '"contact"' in line]  # fmt: skip
@@ -99,9 +100,9 @@ def test_every_example_is_run_here() -> None:
     assert names == {name.removeprefix("test_") for name in globals() if name[5:] in names}
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_a_display_without_a_daemon_has_the_same_interface() -> None:
-    with open_display("reference-24", device="sim:") as display:
+    with open_display("reference-24", device="sim:", timeout=60.0) as display:
         display.select("wood-oak")
         display.arm()
         for k in range(60):

@@ -245,6 +245,7 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
         if len(waits) == 2:
             dying.close()
 
+    monkeypatch.setattr(module, "LOCK_WITHIN", 60.0)
     dying.trip("by a person")
     with opened(tmp_path, EDITED) as latch:
         monkeypatch.setattr(time, "sleep", wait)

@@ -11,8 +11,9 @@ ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_its_python_lines_run() -> None:
+    """One plays in real time, with the timeouts that programs have by default."""
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     assert blocks
     done = subprocess.run(

@@ -27,6 +27,13 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block_store, "BLOCK_POINTS", SMALL)
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bear with a slow machine, where a test says nothing else."""
+    for limit in ("CONNECT_S", "WORKERS_S", "LOST_S"):
+        monkeypatch.setattr(crews, limit, 60.0)
+
+
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     """Start a scheduler and two worker processes."""
@@ -70,7 +77,8 @@ def _lost_workers(cluster: Any, path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         if done == 4:
             cluster.scale(0)
             end = time.monotonic() + 60
-            while cluster.scheduler.workers and time.monotonic() < end:
+            while cluster.scheduler.workers:
+                assert time.monotonic() < end, "not all workers have left after 60 s"
                 time.sleep(0.02)
 
     told = r"has lost all its workers; \d+ of 20 blocks are stored in .*t\.zarr, and the same comm"
@@ -85,14 +93,14 @@ def _lost_workers(cluster: Any, path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_scheduler_that_cannot_be_reached_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crews, "CONNECT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as deaf:
-        for address, words in {
-            "tcp://127.0.0.1:9": "no scheduler answers within 0.5 s; start it",
-            f"tcp://127.0.0.1:{deaf.getsockname()[1]}": "no scheduler answers within 0.5 s",
-            "tcp://127.0.0.1": "missing port number .*reads as tcp://host:8786",
-            "http://127.0.0.1:8786": "unknown address scheme",
-        }.items():
+        for address, seconds, words in (
+            ("tcp://127.0.0.1:9", 0.5, "no scheduler answers within 0.5 s; start it"),
+            (f"tcp://127.0.0.1:{deaf.getsockname()[1]}", 0.5, "no scheduler answers within 0.5 s"),
+            ("tcp://127.0.0.1", 60.0, "missing port number .*reads as tcp://host:8786"),
+            ("http://127.0.0.1:8786", 60.0, "unknown address scheme"),
+        ):
+            monkeypatch.setattr(crews, "CONNECT_S", seconds)
             with pytest.raises(InputError, match=f"--scheduler {address}: .*{words}") as caught:
                 run_study(study(), scheduler=address)
             assert "\n" not in str(caught.value)

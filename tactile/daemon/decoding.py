@@ -28,7 +28,7 @@ LONGEST_TEXT = 200
 PATH = re.compile(r"(?s)(.*?)(?: - at `(?:key` in `)?\$\.?([^`]*)`)?")
 MISSING = re.compile(r"Object missing required field `(\w+)`")
 KINDS = [str(kind.__struct_config__.tag) for kind in get_args(Command)]
-WRONG = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+WRONG = (msgspec.MsgspecError, UnicodeError, RecursionError)
 """What msgspec raises for bytes that hold no message."""
 
 

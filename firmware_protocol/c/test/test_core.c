@@ -443,6 +443,11 @@ static void test_configuration(void)
     bad = good;
     bad.rate_max_hz = 16000; /* 102 codes, 320 samples */
     CHECK(!ta_init(&amp, &bad, &hal));
+    bad = good;
+    bad.rate_max_hz = bad.rate_min_hz; /* it plays one rate */
+    CHECK(ta_init(&amp, &bad, &hal));
+    bad.rate_max_hz = bad.rate_min_hz - 1;
+    CHECK(!ta_init(&amp, &bad, &hal));
     CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_IDLE && amp.counters.trips == 0);
     open = true;
     CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_ESTOP && amp.counters.trips == 1);
@@ -454,6 +459,39 @@ static void test_configuration(void)
     CHECK(!ta_init(&amp, &good, &hal));
     good.full_scale_uv = 60000000;
     CHECK(ta_init(&amp, &good, &hal));
+}
+
+/* Replies that wait for an I2C host: as many as there is room for, to the last byte, in order, at
+ * whatever place of the ring they begin. */
+static void test_replies(void)
+{
+    static ta_replies replies;
+    uint8_t packet[TA_REPLIES];
+    uint8_t got[TA_REPLIES];
+    for (size_t i = 0; i < sizeof packet; i++) {
+        packet[i] = (uint8_t)(7 * i);
+    }
+    for (size_t begin = 0; begin < TA_REPLIES; begin++) {
+        size_t waiting = 0;
+        size_t room = TA_REPLIES;
+        replies.head = begin;
+        while (ta_replies_push(&replies, packet + waiting, 98)) {
+            waiting++;
+            room -= 100;
+            CHECK(replies.used == TA_REPLIES - room);
+        }
+        CHECK(waiting == TA_REPLIES / 100 && room >= 2);
+        CHECK(!ta_replies_push(&replies, packet, room - 1)); /* one byte too many */
+        CHECK(ta_replies_push(&replies, packet, room - 2));
+        CHECK(replies.used == TA_REPLIES && !ta_replies_push(&replies, packet, 0));
+        for (size_t k = 0; k < waiting; k++) {
+            CHECK(ta_i2c_read(&replies, got, sizeof got) == 100 && got[0] == 98 && got[1] == 0);
+            CHECK(memcmp(got + 2, packet + k, 98) == 0);
+        }
+        CHECK(ta_i2c_read(&replies, got, sizeof got) == room);
+        CHECK(memcmp(got + 2, packet, room - 2) == 0 && !ta_replies_waiting(&replies));
+        CHECK(ta_i2c_read(&replies, got, sizeof got) == 2 && got[0] == 0 && got[1] == 0);
+    }
 }
 
 int main(void)
@@ -479,6 +517,7 @@ int main(void)
     test_bfp8();
     test_player();
     test_configuration();
+    test_replies();
     test_input_is_read_at_instants();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }

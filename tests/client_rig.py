@@ -148,8 +148,8 @@ class Daemon:
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         protocols = [Subprotocol(m.MSGPACK_PROTOCOL), Subprotocol(m.JSON_PROTOCOL)]
         self.server: Server = serve(
-            self._handle, sock=self._listener, subprotocols=protocols, close_timeout=1,
-            ping_interval=None,
+            self._handle, sock=self._listener, subprotocols=protocols, open_timeout=PATIENCE,
+            close_timeout=1, ping_interval=None,
         )  # fmt: skip
         self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}/v1" if not listener else ""
         self._thread = threading.Thread(target=self.server.serve_forever)
@@ -265,8 +265,8 @@ class Twin:
     def over(self, transport: Any) -> Any:
         """Return a connection over a transport."""
         if self.name == "thread":
-            return client.Connection(transport)
-        return Driven(self.run, self.run(aio.Connection(transport).open()))
+            return client.Connection(transport, timeout=PATIENCE)
+        return Driven(self.run, self.run(aio.Connection(transport, timeout=PATIENCE).open()))
 
     def close(self) -> None:
         if self.name == "asyncio":

@@ -6,17 +6,20 @@ they say, and breaks on demand. What the real one does with a command has tests 
 
 import asyncio
 import json
+import random
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Any, TypeVar
 
 import httpx
 import msgspec
 import pytest
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio import client
 from websockets.typing import Subprotocol
 
+from tactile.daemon import connection, listening, osc, requests, sockets
 from tactile.daemon.config import Config, OscConfig, ServerConfig, TokenConfig
 from tactile.daemon.messages import (
     JSON_PROTOCOL,
@@ -46,8 +49,25 @@ from tactile.daemon.messages import (
 from tactile.daemon.server import Server, running
 
 T = TypeVar("T")
+PATIENCE = 60.0
+"""Longest wait for something that takes milliseconds on an idle machine [s]."""
+PATIENT: dict[str, Any] = {
+    "open_timeout": PATIENCE, "close_timeout": PATIENCE, "ping_interval": None,
+}  # fmt: skip
+connect: Any = partial(client.connect, **PATIENT)
+unix_connect: Any = partial(client.unix_connect, **PATIENT)
 TEXTURE = "wood-oak"
 LARGE = Event(display="right", kind="fault", detail="x" * 20_000)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a server give up nobody because the machine stood still."""
+    for module, name in [
+        (connection, "HELLO_WITHIN"), (connection, "READ_WITHIN"), (listening, "PONG_WITHIN"),
+        (osc, "SILENCE"), (requests, "FINISH_WITHIN"), (sockets, "REQUEST_WITHIN"),
+    ]:  # fmt: skip
+        monkeypatch.setattr(module, name, 10 * PATIENCE)
 
 
 def display(name: str) -> DisplayInfo:
@@ -196,7 +216,7 @@ class Hands:
 class Talker:
     """A connection that speaks one of the subprotocols, in plain data."""
 
-    def __init__(self, link: ClientConnection, protocol: str) -> None:
+    def __init__(self, link: client.ClientConnection, protocol: str) -> None:
         self.link, self.protocol = link, protocol
 
     async def send(self, **message: Any) -> None:
@@ -206,7 +226,7 @@ class Talker:
             await self.link.send(msgspec.msgpack.encode(message))
 
     async def receive(self) -> dict[str, Any]:
-        data = await asyncio.wait_for(self.link.recv(), 60)
+        data = await asyncio.wait_for(self.link.recv(), PATIENCE)
         assert isinstance(data, str) is (self.protocol == JSON_PROTOCOL)
         found = json.loads(data) if isinstance(data, str) else msgspec.msgpack.decode(data)
         assert isinstance(found, dict)
@@ -224,7 +244,7 @@ class Talker:
         return found
 
     async def closed(self) -> tuple[int | None, str | None]:
-        await asyncio.wait_for(self.link.wait_closed(), 60)
+        await asyncio.wait_for(self.link.wait_closed(), PATIENCE)
         return self.link.close_code, self.link.close_reason
 
 
@@ -254,7 +274,7 @@ async def daemon(
         yield server, hands
 
 
-def run(test: Callable[[], Awaitable[T]], within: float = 120.0) -> T:
+def run(test: Callable[[], Awaitable[T]], within: float = 10 * PATIENCE) -> T:
     """Run a test's coroutine; one that hangs fails."""
 
     async def bounded() -> T:
@@ -264,25 +284,26 @@ def run(test: Callable[[], Awaitable[T]], within: float = 120.0) -> T:
     return asyncio.run(bounded())
 
 
-async def until(condition: Callable[[], bool], within: float = 60.0) -> None:
+async def until(condition: Callable[[], bool]) -> None:
     """Wait until something is so."""
-    async with asyncio.timeout(within):
+    async with asyncio.timeout(PATIENCE):
         while not condition():
             await asyncio.sleep(0.005)
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    """Return a port that nobody has at present."""
-    with socket.socket(socket.AF_INET, kind) as one:
-        one.bind(("127.0.0.1", 0))
-        port: int = one.getsockname()[1]
-        return port
+    """Return a port that nobody has, and that the system gives to nobody who asks for any."""
+    while True:
+        port = random.randrange(20_000, 32_000)
+        with socket.socket(socket.AF_INET, kind) as one, suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            return port
 
 
 async def get(there: Server, path: str, **headers: str) -> httpx.Response:
     url = f"http://127.0.0.1:{there.port}{path}"
-    async with httpx.AsyncClient(trust_env=False) as client:
-        return await client.get(url, headers=headers)
+    async with httpx.AsyncClient(trust_env=False, timeout=PATIENCE) as asking:
+        return await asking.get(url, headers=headers)
 
 
 def figure(there: Server, name: str, **labels: str) -> float:

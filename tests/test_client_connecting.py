@@ -6,7 +6,9 @@ import socket
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import client_rig
 import pytest
@@ -82,10 +84,11 @@ def test_address_and_token_of_the_environment(
 
 
 def test_no_daemon_is_an_error_at_once(twin: Twin) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
+    with socket.socket() as taken:  # so that nobody else begins to listen there
+        taken.bind(("127.0.0.1", 0))
         url = f"ws://127.0.0.1:{taken.getsockname()[1]}"
-    with pytest.raises(DisconnectedError, match=f"{url}/v1: nobody listens there"):
-        twin.connect(url, timeout=PATIENCE)
+        with pytest.raises(DisconnectedError, match=f"{url}/v1: nobody listens there"):
+            twin.connect(url, timeout=PATIENCE)
 
 
 def test_something_that_accepts_and_says_nothing_is_an_error_in_time(twin: Twin) -> None:
@@ -96,11 +99,21 @@ def test_something_that_accepts_and_says_nothing_is_an_error_in_time(twin: Twin)
 
 
 def test_a_daemon_that_does_not_answer_hello_is_an_error_in_time(
-    twin: Twin, script: Script, daemon: Daemon
+    twin: Twin, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """It is given the timeout, which is short here for the answer alone."""
+    answer = websocket.WebSocketTransport._answer
+    waits: list[tuple[float, str]] = []
+
+    async def shorter(self: Any, future: "Future[Any]", timeout: float, what: str) -> Any:
+        waits.append((timeout, what))
+        return await answer(self, future, 0.01, what)
+
+    monkeypatch.setattr(websocket.WebSocketTransport, "_answer", shorter)
     script.answers[m.Hello] = lambda said: None
     with pytest.raises(DisconnectedError, match="no answer to hello"):
-        twin.connect(daemon.url, timeout=1.0)
+        twin.connect(daemon.url, timeout=PATIENCE)
+    assert set(waits) == {(PATIENCE, "hello")}
 
 
 def test_a_daemon_that_does_not_let_us_in(twin: Twin, script: Script, daemon: Daemon) -> None:
@@ -117,7 +130,7 @@ def test_a_server_that_is_no_daemon(twin: Twin) -> None:
         with contextlib.suppress(ConnectionClosed):
             connection.recv()
 
-    with serve(handle, "127.0.0.1", 0) as server:
+    with serve(handle, "127.0.0.1", 0, open_timeout=PATIENCE, ping_interval=None) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
@@ -172,10 +185,17 @@ def test_the_way_out_stops_and_closes(
 
 @pytest.mark.ci
 def test_the_way_out_is_bounded_where_the_daemon_does_not_read(twin: Twin, daemon: Daemon) -> None:
-    with twin.connect(daemon.url, timeout=1.0) as display:
-        fill(daemon, display)
+    """It takes the timeout, which is short only once all is connected."""
+    display = twin.connect(daemon.url, timeout=10 * PATIENCE)
+    fill(daemon, display)
+    connection = getattr(display.connection, "_inner", display.connection)
+    connection.timeout = connection._transport._timeout = 1.0
+    closing = threading.Thread(target=display.close)
+    closing.start()
+    closing.join(PATIENCE)
+    assert not closing.is_alive()
     assert not display.connected
-    assert display.connection._transport._closed.done()
+    until(connection._transport._closed.done)
 
 
 def test_who_gives_up_waiting_for_the_end_does_not_take_it_away() -> None:
@@ -209,12 +229,12 @@ from tactile.errors import ClientError
 twin, url = sys.argv[1:]
 
 def use():
-    with connect(url, timeout=20.0) as display:
+    with connect(url, timeout=60.0) as display:
         display.on_event(lambda event: None)
         display.gain(0.5)
 
 async def ause():
-    async with aio.connect(url, timeout=20.0) as display:
+    async with aio.connect(url, timeout=60.0) as display:
         display.on_event(lambda event: None)
         await display.gain(0.5)
 
@@ -233,7 +253,7 @@ async def main():
     for _ in range(4):
         with contextlib.suppress(ClientError):
             await ause() if twin == "asyncio" else use()
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while held() != before:
             assert time.monotonic() < deadline, (before, held(), threading.enumerate(), files())
             time.sleep(0.01)
@@ -254,5 +274,6 @@ def test_no_thread_and_no_file_is_left(
         script.answers[m.Hello] = lambda said: m.Failure(id=said.id, code="busy", message="no")
     if ending == "dropped":
         script.answers[m.Gain] = lambda said: daemon.drop()
-    subprocess.run([sys.executable, "-c", LEAKS, name, daemon.url], check=True, timeout=120)
+    code = [sys.executable, "-c", LEAKS, name, daemon.url]
+    subprocess.run(code, check=True, timeout=10 * PATIENCE)
     assert len(daemon.of(m.Hello)) >= 4

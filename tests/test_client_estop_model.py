@@ -227,15 +227,13 @@ def welcome(hello: m.Hello, numbers: dict[str, int]) -> m.Welcome:
 
 
 def test_no_schedule_arms_against_the_user_or_loses_an_estop() -> None:
-    run_state_machine_as_test(
-        Schedule, settings=settings(max_examples=150, stateful_step_count=60, deadline=None)
-    )
+    run_state_machine_as_test(Schedule, settings=settings(max_examples=150, stateful_step_count=60))
 
 
 @pytest.mark.ci
 def test_no_schedule_of_many_does() -> None:
     run_state_machine_as_test(
-        Schedule, settings=settings(max_examples=1500, stateful_step_count=100, deadline=None)
+        Schedule, settings=settings(max_examples=1500, stateful_step_count=100)
     )
 
 

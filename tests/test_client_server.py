@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import client_rig
+import daemon_rig
 import msgspec
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Twin, count, plain, samples_of, telemetry, until
 from daemon_rig import Hands
 
 from tactile import client
-from tactile.client import base
+from tactile.client import base, websocket
 from tactile.client.wire import from_telemetry
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, ServerConfig
@@ -24,8 +25,15 @@ from tactile.daemon.server import running
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
 
 daemon = client_rig.daemon
+patient = daemon_rig.patient
 script = client_rig.script
 twin = client_rig.twin
+
+
+@pytest.fixture(autouse=True)
+def patient_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no client give up a server because the machine stood still."""
+    monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
 
 
 class RealServer:
@@ -134,11 +142,12 @@ def test_import_is_light() -> None:
 
 def test_a_session_of_the_sdk_never_needs_numpy(daemon: Daemon) -> None:
     code = (
-        "import sys\nfrom tactile import client\n"
+        "import sys\nfrom tactile import client\nfrom tactile.client import websocket\n"
+        f"websocket.SILENCE = {PATIENCE}\n"
         f"with client.connect({daemon.url!r}, timeout={PATIENCE}) as display:\n"
         "    display.play([0.0] * 5000, sample_rate=8000, amplitude=1e-6)\n"
         "    display.touch((0.0, 0.0))\n"
         "assert 'numpy' not in sys.modules and 'scipy' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=10 * PATIENCE)
     assert sum(count(said) for said in daemon.of(m.Append)) == 5000

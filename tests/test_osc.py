@@ -7,12 +7,15 @@ import asyncio
 import math
 import random
 import socket
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
+import daemon_rig
 import pytest
-from daemon_rig import Hands, daemon, figure, free_port, run, until
+from daemon_rig import PATIENCE, Hands, daemon, figure, free_port, run, until
 from osc_faults import bundle, mutated, packet
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder, build_msg
@@ -23,6 +26,8 @@ from tactile.daemon.messages import Arm, Clear, Contact, EStop, Failure, Gain, S
 from tactile.daemon.osc import read_estops, read_packet, to_command
 from tactile.daemon.server import Server
 from tactile.errors import InputError
+
+patient = daemon_rig.patient
 
 
 @asynccontextmanager
@@ -199,7 +204,7 @@ def test_a_bundle_of_the_future_is_carried_out_at_once_and_keeps_nobody_waiting(
     async def story() -> None:
         async with sending() as (_, hands, link):
             link.send(bundle(packet("/tactile/contact", 1.0, 2.0, 0.5), time=4e9))
-            await until(lambda: len(hands.log) == 1, within=2)
+            await until(lambda: len(hands.log) == 1)
 
     run(story)
 
@@ -242,14 +247,16 @@ def test_a_host_that_breaks_is_counted_and_what_follows_is_heard() -> None:
     run(story)
 
 
-def test_a_sender_that_sends_too_fast_loses_messages() -> None:
+def test_a_sender_that_sends_too_fast_loses_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(osc, "time", SimpleNamespace(monotonic=lambda: 1000.0))
+
     async def story() -> None:
         async with sending(messages_per_second=1) as (there, hands, link):
             for _ in range(100):
                 link.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
             reason = {"transport": "osc", "reason": "too_fast"}
-            await until(lambda: figure(there, "tactile_dropped_messages_total", **reason) > 80)
-            assert len(hands.clients[1].contacts) < 15
+            await until(lambda: figure(there, "tactile_dropped_messages_total", **reason) == 98)
+            assert len(hands.clients[1].contacts) == 2, "the one that it came with, and one more"
 
     run(story)
 
@@ -311,6 +318,23 @@ def test_it_listens_on_loopback_only_and_a_port_that_is_taken_is_one_line() -> N
 
 # E-stops
 
+
+def as_one(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let so many packets lie in the socket's buffer together, which the kernel may delay."""
+    waiting, deadline, missing = osc.OscProtocol._waiting, time.monotonic() + PATIENCE, count - 1
+
+    def look(self: osc.OscProtocol) -> Iterator[tuple[bytes, osc.Address]]:
+        nonlocal missing
+        while True:
+            for one in waiting(self):
+                missing -= 1
+                yield one
+            if missing <= 0 or time.monotonic() > deadline:
+                return
+
+    monkeypatch.setattr(osc.OscProtocol, "_waiting", look)
+
+
 STOP = packet("/tactile/estop")
 CONTACT = packet("/tactile/contact", 1.0, 2.0, 0.5)
 
@@ -363,8 +387,10 @@ def test_an_estop_is_carried_out_for_a_sender_too_many_and_behind_a_senders_own_
     run(story)
 
 
-def test_an_estop_comes_before_the_packets_that_wait_before_it() -> None:
-    """All of them lie in the socket's buffer before the event loop gets its turn."""
+def test_an_estop_comes_before_the_packets_that_wait_before_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    as_one(101, monkeypatch)
 
     async def story() -> None:
         async with sending() as (there, hands, link):
@@ -394,7 +420,9 @@ def test_estops_of_displays_that_there_are_not_keep_no_real_one_waiting() -> Non
     run(story)
 
 
-def test_many_estops_at_once_are_one_for_each_display() -> None:
+def test_many_estops_at_once_are_one_for_each_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_one(100, monkeypatch)
+
     async def story() -> None:
         async with sending() as (_, hands, link):
             for _ in range(50):
@@ -440,4 +468,4 @@ def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
         said = [c for hand in hands.clients for c in hand.commands]
         return sum(1 for c in said if isinstance(c, Gain) and c.gain == 0.125)
 
-    run(story, within=180 if count == 2000 else 900)
+    run(story, within=900)

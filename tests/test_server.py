@@ -5,6 +5,7 @@ Figures are counts and orders, not times: what one client does must not show in 
 
 from typing import Any
 
+import daemon_rig
 import jsonschema  # type: ignore[import-untyped]
 import pytest
 from daemon_rig import (
@@ -13,6 +14,7 @@ from daemon_rig import (
     GOOD,
     LARGE,
     SELECT,
+    connect,
     daemon,
     each_encoding,
     get,
@@ -20,7 +22,6 @@ from daemon_rig import (
     talking,
     until,
 )
-from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
 from tactile.daemon import connection, requests
@@ -33,6 +34,8 @@ from tactile.daemon.messages import (
     GetStats,
     Select,
 )
+
+patient = daemon_rig.patient
 
 # Both encodings, every kind of message
 

@@ -6,8 +6,9 @@ import time
 from contextlib import suppress
 from typing import Any
 
+import daemon_rig
 import pytest
-from daemon_rig import GOOD, SELECT, Hands, daemon, figure, run, talking, until
+from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, run, talking, until
 
 from tactile.daemon import requests
 from tactile.daemon.connection import Connection
@@ -15,6 +16,8 @@ from tactile.daemon.messages import Arm, Command, Disarm, EStop, Select
 from tactile.daemon.metrics import Metrics
 from tactile.daemon.requests import Requests
 from tactile.daemon.server import Server
+
+patient = daemon_rig.patient
 
 KINDS = ["gain", "select", "arm", "disarm", "estop", "effect"]
 
@@ -31,7 +34,7 @@ class Hesitation:
         if self._rng.random() < 0.3:
             result = asyncio.get_running_loop().create_future()
             asyncio.get_running_loop().call_soon(result.set_result, None)
-            await asyncio.wait_for(result, 10)  # in Python 3.11 this swallows a cancellation
+            await asyncio.wait_for(result, PATIENCE)  # in Python 3.11 this swallows a cancellation
         if self._rng.random() < 0.1:
             try:
                 await asyncio.sleep(0.001)

@@ -10,10 +10,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import daemon_rig
 import httpx
 import pytest
-from daemon_rig import Hands, Talker, daemon, get, run, talking
-from websockets.asyncio.client import connect, unix_connect
+from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, run, talking, unix_connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
@@ -27,6 +27,7 @@ from tactile.daemon.server import running
 from tactile.errors import InputError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="users of peers are told by Linux")
+patient = daemon_rig.patient
 PROTOCOL = Subprotocol(JSON_PROTOCOL)
 
 # Users
@@ -178,7 +179,7 @@ def test_who_may_open_the_socket_may_do_all_without_a_token(tmp_path: Path) -> N
                 refused = await talker.ask(type="hello", client="a", token="wrong")
                 assert refused["code"] == "unauthorized"
             transport = httpx.AsyncHTTPTransport(uds=str(path))
-            async with httpx.AsyncClient(transport=transport) as client:
+            async with httpx.AsyncClient(transport=transport, timeout=PATIENCE) as client:
                 assert (await client.get("http://localhost/metrics")).status_code == 200
                 evil = await client.get(
                     "http://localhost/metrics", headers={"host": "evil.example"}

@@ -210,12 +210,22 @@ class Recorder:
         self.xruns += 1
 
     def record(self) -> int:
-        """Connect to PortAudio, and forget what was; return how many ports have a source."""
-        ports = self.client.get_ports(is_output=True, is_audio=True)
-        theirs = [p for p in ports if not p.name.startswith(("system:", "recorder:"))]
-        for source, sink in zip(theirs, self.ports, strict=False):
-            if not sink.is_connected_to(source):
-                self.client.connect(source, sink)
+        """Connect to PortAudio, and forget what was; return how many ports have a source.
+
+        A client that was killed has its ports for a moment more.
+        """
+        import jack
+
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            ports = self.client.get_ports(is_output=True, is_audio=True)
+            theirs = [p for p in ports if not p.name.startswith(("system:", "recorder:"))]
+            with contextlib.suppress(jack.JackError, ValueError):
+                for source, sink in zip(theirs, self.ports, strict=True):
+                    if not sink.is_connected_to(source):
+                        self.client.connect(source, sink)
+                break
+            time.sleep(0.05)
         self.blocks.clear()
         return sum(bool(port.number_of_connections) for port in self.ports)
 

@@ -14,6 +14,8 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )  # fmt: skip
 settings.load_profile("replay")
+# Other examples each time, by --hypothesis-profile=explore --hypothesis-seed=N: see .ci/nightly.
+settings.register_profile("explore", settings.get_profile("replay"), derandomize=False)
 
 
 def _in_folder(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:

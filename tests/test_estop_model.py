@@ -357,8 +357,8 @@ def run(examples: int, steps: int) -> None:
     run_state_machine_as_test(
         Model,
         settings=settings(
-            max_examples=examples, stateful_step_count=steps, deadline=None, database=None,
-            derandomize=True, phases=[Phase.generate], suppress_health_check=list(HealthCheck),
+            max_examples=examples, stateful_step_count=steps, phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
         ),
     )  # fmt: skip
     wall = time.perf_counter() - begun

@@ -166,25 +166,40 @@ class Daemon:
             process.stdout.close()
 
 
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder in which the amplifier is built once for all tests."""
+    return tmp_path_factory.mktemp("amplifier")
+
+
 @pytest.fixture
-def amplifier(tmp_path: Path) -> Iterator[VirtualAmplifier]:
+def amplifier(tmp_path: Path, build: Path) -> Iterator[VirtualAmplifier]:
     if sys.platform != "linux" or not can_be_built():
         if os.environ.get("CI") == "true":
             pytest.fail("no C compiler")
         pytest.skip("needs Linux, make and cc")
+    (tmp_path / "build").symlink_to(build)
     with closing(VirtualAmplifier(tmp_path, "--pty")) as amplifier:
         yield amplifier
 
 
-@pytest.fixture(params=["stroke", "effect"])
-def daemon(
-    tmp_path: Path, amplifier: VirtualAmplifier, request: pytest.FixtureRequest
-) -> Iterator[Daemon]:
-    daemon = Daemon(tmp_path, amplifier, sound=request.param)
+@pytest.fixture
+def sound() -> str:
+    return "stroke"
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[Daemon]:
+    daemon = Daemon(tmp_path, amplifier, sound=sound)
     yield daemon
     daemon.end()
 
 
+either_sound = pytest.mark.parametrize("sound", ["stroke", "effect"])
+"""For what ends programs: an effect of a minute needs no program to go on."""
+
+
+@either_sound
 def test_a_program_that_is_killed_is_silent_and_disarmed(daemon: Daemon) -> None:
     daemon.play().kill()
     daemon.falls_silent()
@@ -194,6 +209,7 @@ def test_a_program_that_is_killed_is_silent_and_disarmed(daemon: Daemon) -> None
     daemon.arms_and_plays()
 
 
+@either_sound
 def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(daemon: Daemon) -> None:
     app = daemon.play()
     app.send_signal(signal.SIGSTOP)
@@ -206,6 +222,7 @@ def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(daemon: Daemon
         wait_for("it is armed again", lambda: display.stats().state == "armed")
 
 
+@either_sound
 def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(daemon: Daemon) -> None:
     daemon.play()
     before = daemon.children
@@ -349,6 +366,7 @@ def test_ended_by_a_signal_it_fades_and_disarms(daemon: Daemon) -> None:
     assert not any(map(alive, before.values()))
 
 
+@either_sound
 def test_a_client_that_does_not_read_disturbs_no_other(daemon: Daemon) -> None:
     daemon.play()
     hello = '{"type":"hello","client":"deaf"}'

@@ -64,6 +64,14 @@ def test_a_value_that_is_not_plain_is_not_repeated() -> None:
     assert found.message == "display: expected str, got object"
 
 
+def test_a_long_text_is_cut_to_200_characters_of_one_line() -> None:
+    found = failure(type="z\n" * 100, id=7)
+    assert found.message.startswith("type = 'z\\nz\\n")
+    assert len(found.message) == 200
+    assert found.message.endswith("…")
+    assert "\n" not in found.message
+
+
 def test_text_and_bytes_are_not_taken_for_each_other() -> None:
     assert read(b"{}", JSON) == Failure(
         code="malformed", message="a binary message: must be text, as it is JSON"

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tactile.daemon.decoding import ENCODINGS, read
+from tactile.daemon.decoding import ENCODINGS, Encoding, read
 from tactile.daemon.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm, Failure
 
 JSON, MSGPACK = ENCODINGS[JSON_PROTOCOL], ENCODINGS[MSGPACK_PROTOCOL]
@@ -70,6 +70,22 @@ def test_a_long_text_is_cut_to_200_characters_of_one_line() -> None:
     assert len(found.message) == 200
     assert found.message.endswith("…")
     assert "\n" not in found.message
+
+
+def test_a_long_value_is_shown_by_its_first_60_characters() -> None:
+    found = failure(type="arm", id="x" * 100, display="right")
+    assert found.message == f"id = '{'x' * 59}: expected int | null, got str"
+
+
+@pytest.mark.parametrize("letter", ["y", "µ", "𝄞"])
+def test_the_largest_message_has_64_kib(letter: str) -> None:
+    text = letter * (2**16 // len(letter.encode()))
+    messages: list[tuple[str | bytes, Encoding]] = [
+        (text, JSON), (text + "z", JSON), (b"\xc1" * 2**16, MSGPACK), (b"\xc1" * 65537, MSGPACK),
+    ]  # fmt: skip
+    found = [read(data, encoding) for data, encoding in messages]
+    codes = [one.code for one in found if isinstance(one, Failure)]
+    assert codes == ["malformed", "too_large", "malformed", "too_large"]
 
 
 def test_text_and_bytes_are_not_taken_for_each_other() -> None:

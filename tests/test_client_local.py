@@ -1,5 +1,6 @@
 """The SDK inside one process, and its outbox: what quiets comes first."""
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -49,6 +50,24 @@ def test_a_display_in_the_same_process_is_the_same(
     with twin.over(transport) as connection:
         call(connection.display())
     assert plain(message) in map(plain, transport.heard)
+
+
+class Endless(LocalTransport):
+    """A transport whose end never comes, and cannot be called off."""
+
+    def close(self) -> "Future[None]":
+        future: Future[None] = Future()
+        future.set_running_or_notify_cancel()
+        return future
+
+
+def test_closing_ends_though_the_transports_end_never_comes(twin: Twin, script: Script) -> None:
+    connection = twin.over(Endless(script))
+    getattr(connection, "_inner", connection).timeout = 0.1
+    closing = threading.Thread(target=connection.close, daemon=True)
+    closing.start()
+    closing.join(60)
+    assert not closing.is_alive()
 
 
 class Nowhere:

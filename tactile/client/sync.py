@@ -44,11 +44,11 @@ def _wait(future: "Future[T]", timeout: float, what: str) -> T:
     try:
         return future.result(timeout)
     except BaseException as error:
-        late = not future.done()
-        if future.cancel() and late and isinstance(error, TimeoutError):
-            raise ClientTimeoutError(f"{what}: no answer in {timeout:g} s") from None
-        if late and isinstance(error, TimeoutError):
+        late = isinstance(error, TimeoutError) and not future.done()
+        if not future.cancel() and late and future.done():
             return future.result()  # it came meanwhile
+        if late:
+            raise ClientTimeoutError(f"{what}: no answer in {timeout:g} s") from None
         raise
 
 

@@ -6,11 +6,13 @@ SPEC.md is read as text; whoever changes one of the two and not the other fails 
 import re
 from pathlib import Path
 
+import pytest
 from slow_codec import slow_crc
 
-from firmware_protocol import generate
+from firmware_protocol import clock, generate, i2c_link
 from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC
 from firmware_protocol.packet import decode_packet
+from tactile.bus import aside, session, stream, wire
 
 SCHEMA = generate.load()
 SPEC = re.sub(
@@ -154,6 +156,32 @@ def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
     assert bit
     assert 1 << int(bit[1]) == SCHEMA["enum"]["feature"]["ESTOP_INPUT"]
     assert SPEC.startswith(f"# The tactile amplifier protocol, version {MAJOR}.{MINOR}")
+
+
+def test_numbers_that_the_spec_gives_are_those_of_the_host() -> None:
+    words = {"three": 3, "four": 4, "ten": 10, "half": 0.5}
+    for number, text in (
+        (1e3 * stream.LEAD, r"A host starts with (\d+) ms of lead"),
+        (1e3 * stream.MOST_LEAD, r"at an underrun, to (\d+) ms at most"),
+        (1e3 * stream.LEAST_LEAD, r"per second to (\d+) ms at least"),
+        (stream.RAISE, r"raises the lead by (\w+) at an underrun"),
+        (1e3 * stream.LOWER, r"lowers it by ([\d.]+) ms per second"),
+        (1e3 * aside.RETRY, r"sends the same packet, seq included, again after (\d+) ms"),
+        (aside.TRIES, r"again after 50 ms, (\w+) times in all"),
+        (clock.FIRST_PROBES, r"A host sends (\d+) at connection"),
+        (1e3 * clock.INTERVAL, r"\(([\d.]+) ms does not\)"),
+        (1e3 * session.QUEUED, r"while more than (\d+) ms of data are on their way"),
+        (wire.REORDERED, r"A host that counts (\w+) in a second SHOULD say"),
+        (i2c_link.WRITE_COMMAND, r"block writes with command 0x([0-9A-F]+)"),
+        (i2c_link.READ_COMMAND, r"block reads with command 0x([0-9A-F]+)"),
+        (i2c_link.SMBUS_BLOCK, r"carry fragments of at most (\d+) bytes"),
+        (i2c_link.DEFAULT_LIMIT, r"`packet_limit` \(by default (\d+)\) bytes"),
+    ):
+        found = re.search(text, SPEC)
+        assert found, text
+        told = words.get(found[1]) or float(int(found[1], 16) if "0x" in text else found[1])
+        told += text.startswith("raises")  # by half: one and a half times
+        assert number == pytest.approx(told), text
 
 
 def test_the_schema_crc_is_that_of_the_lines_of_section_13() -> None:

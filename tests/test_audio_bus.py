@@ -1,9 +1,8 @@
 """``audio:`` plays what it is told and nothing else, and ends at 0 V whatever happens.
 
 The whole way runs in real time on JACK's dummy card, where a recorder keeps what the card is given,
-and on an ALSA device that writes a file. Other programs on the machine may keep a dummy card
-waiting, which real ones with their priorities are not; where that would matter the test says what
-it does then.
+and on an ALSA device that writes a file. Other programs may keep a dummy card waiting, which real
+ones with their priorities are not; where that would matter the test says what it does then.
 """
 
 import contextlib

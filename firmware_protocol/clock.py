@@ -71,8 +71,12 @@ class Exchange:
         return self.t4 - self.t1 - (self.t3 - self.taken(tick_hz)) / tick_hz
 
     def is_possible(self, tick_hz: float) -> bool:
-        """Tell whether time ran forward; ticks may be one off, and run at another rate."""
-        if not -FARTHEST < self.t1 <= self.t4 < FARTHEST or not 0 <= self.t2 <= self.t3 < 2**64:
+        """Tell whether time ran forward, and for less than the memory.
+
+        Ticks may be one off, and run at another rate.
+        """
+        in_order = -FARTHEST < self.t1 <= self.t4 < FARTHEST and 0 <= self.t2 <= self.t3 < 2**64
+        if not in_order or self.t4 - self.t1 > SILENCE:
             return False
         slack = (1 + DRIFT_LIMIT * (self.t3 - self.t2)) / tick_hz
         return self.round_trip(tick_hz) >= -slack

@@ -35,7 +35,7 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
     first, second = session.estop(0.0), session.estop(0.0)
     assert first.type == second.type == m.Estop.TYPE
     assert first.node == second.node == 0
-    assert first.seq != second.seq, "losses are seen by it (SPEC.md, 2)"
+    assert second.seq == (first.seq + 1) % 256, "it counts packets (SPEC.md, 2)"
 
 
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
@@ -51,6 +51,31 @@ def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
     assert rig.bus.counters.dropped_samples == 0
     rig.play(0.1)
     assert rig.misplaced(since=rig.zero)[0] < SAMPLE
+
+
+@pytest.mark.parametrize("end", ["abort", "stop"])
+def test_what_waits_when_playing_is_ended_is_not_counted_as_lost(
+    bench: Callable[..., Bench], end: str
+) -> None:
+    rig = bench("serial")
+    for count in (3, 1003):
+        rig.start()
+        rig.write(count)
+        getattr(rig.bus, end)()
+    assert rig.bus.counters.dropped_samples == 0
+    assert rig.bus.counters.faults() == {}
+
+
+def test_samples_that_come_too_late_are_counted_in_blocks(bench: Callable[..., Bench]) -> None:
+    """The amplifier counts samples: no fewer blocks than those fill, and no more than there are."""
+    rig = bench("serial")
+    rig.start()
+    rig.play(0.2)
+    rig.model.stall(0.03)
+    rig.play(0.6)
+    late = rig.faults()["late_samples"]
+    assert late > 2 * rig.bus.plan.packet_samples
+    assert late / rig.bus.plan.packet_samples <= rig.bus.counters.late_blocks <= late
 
 
 @pytest.mark.parametrize("quick", [True, False])

@@ -183,7 +183,7 @@ class Session:
 
     # What comes and goes
 
-    def receive(self, packets: list[Packet], now: float, dropped: int = 0) -> None:
+    def receive(self, packets: list[Packet], now: float, dropped: int) -> None:
         """Take what came, and how many fragments the wire has dropped so far."""
         known = {peer.host.node: peer for peer in self.peers}
         for packet in packets:

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from relief_rig import Image, along, field, plane_wave
 
+import tactile.cli.commands  # noqa: F401  # what `app` knows
 from tactile.cli import main
 from tactile.cli.app import app
 from tactile.errors import InputError, NotFoundError

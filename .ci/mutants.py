@@ -16,6 +16,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,9 +32,9 @@ from queue import Queue
 ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
 COUNT = 15
-"""Faults per module."""
+"""Number of faults per module."""
 CONSTANTS = 3
-"""One in so many faults at most is another number."""
+"""Number of faults of which one at most is another constant."""
 LINKS = (
     "test_link_edges test_link_estop test_link_states test_link_faults test_mock_bus "
     "test_bus_follower test_bus_spectrum test_bus_estops contract"
@@ -87,7 +88,7 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """What tells it from others of the module, wherever the line has moved."""
+        """Name that tells it from others of the module, wherever the line has moved."""
         return f"{self.source.strip()} [{self.old.strip()} -> {self.text.strip() or 'nothing'}]"
 
 
@@ -99,7 +100,7 @@ COMPARISONS: dict[type[ast.cmpop], tuple[str, ...]] = {
     ast.Is: ("is", "is not"), ast.IsNot: ("is not", "is"), ast.In: ("in", "not in"),
     ast.NotIn: ("not in", "in"),
 }  # fmt: skip
-"""How an operator is spelled, and what stands in its place."""
+"""Spelling of each operator, and the operators that stand in its place."""
 OPERATIONS: dict[type[ast.operator], tuple[str, ...]] = {
     ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"),
     ast.FloorDiv: ("//", "*"), ast.Mod: ("%", "+"), ast.Pow: ("**", "*"), ast.BitAnd: ("&", "|"),
@@ -278,7 +279,7 @@ class Workshop:
             try:
                 out, _ = process.communicate(timeout=within)
             except subprocess.TimeoutExpired:
-                os.killpg(process.pid, 9)
+                os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
                 return 124, ""
             return process.returncode, out
@@ -296,8 +297,8 @@ class Workshop:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What became of a fault."""
+class TriedMutant:
+    """A fault that was tried: whether a test noticed it, which, or why none could."""
 
     mutant: Mutant
     killed: bool
@@ -305,7 +306,7 @@ class Verdict:
     equivalent: str = ""
 
 
-def tried(module: str, count: int, workshops: "Queue[Workshop]") -> Iterator[Verdict]:
+def tried(module: str, count: int, workshops: "Queue[Workshop]") -> Iterator[TriedMutant]:
     """Yield what becomes of each fault of a module."""
     reasons = tomllib.loads(EQUIVALENT.read_text("utf-8")).get(module, {})
     workshop = workshops.get()
@@ -314,15 +315,15 @@ def tried(module: str, count: int, workshops: "Queue[Workshop]") -> Iterator[Ver
     if not passed:
         raise SystemExit(f"{module}: its tests fail without any fault: {why}")
 
-    def one(mutant: Mutant) -> Verdict:
+    def one(mutant: Mutant) -> TriedMutant:
         if mutant.key in reasons:
-            return Verdict(mutant, killed=False, by="", equivalent=reasons[mutant.key])
+            return TriedMutant(mutant, killed=False, by="", equivalent=reasons[mutant.key])
         workshop = workshops.get()
         try:
             passed, by = workshop.try_out(mutant, 3 * seconds + 25)
         finally:
             workshops.put(workshop)
-        return Verdict(mutant, not passed, "" if passed else by)
+        return TriedMutant(mutant, not passed, "" if passed else by)
 
     with ThreadPoolExecutor(workshops.maxsize) as pool:
         yield from pool.map(one, drawn(module, count))

@@ -43,7 +43,7 @@ def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
     return start
 
 
-def is_alive(world: World) -> tuple[bool, bool, float]:
+def health_of(world: World) -> tuple[bool, bool, float]:
     """Return what /healthz, the system's watchdog and the figures say of the display."""
     assert world.host is not None
     world.host.beat()
@@ -70,13 +70,13 @@ def test_a_daemon_whose_playback_died_is_not_healthy_until_it_plays_again(
     world: World, serve: Callable[..., Client]
 ) -> None:
     serve()
-    assert is_alive(world) == (True, True, 1.0)
+    assert health_of(world) == (True, True, 1.0)
     playback_of(world).kill()
     assert world.host is not None
     assert not world.host.healthy(), "at once, before anybody has looked"
     assert world.host.figures()[NAME]["playback_alive"] == 0.0
     world.run(asyncio.sleep(BACK))
-    assert is_alive(world) == (True, True, 1.0)
+    assert health_of(world) == (True, True, 1.0)
 
 
 def test_a_playback_that_hangs_is_seen_by_the_watchdog_and_started_again(
@@ -87,7 +87,7 @@ def test_a_playback_that_hangs_is_seen_by_the_watchdog_and_started_again(
     hung = playback_of(world)
     hung.hang(60.0)
     assert hung.alive
-    assert not is_alive(world)[1]
+    assert not health_of(world)[1]
     assert world.host is not None
     said = []
     while hung.alive:
@@ -96,7 +96,7 @@ def test_a_playback_that_hangs_is_seen_by_the_watchdog_and_started_again(
     assert said[0] == 1.0
     assert said[-1] == 0.0
     world.run(asyncio.sleep(BACK))
-    assert is_alive(world) == (True, True, 1.0)
+    assert health_of(world) == (True, True, 1.0)
 
 
 @pytest.mark.parametrize("rearm", [True, False])

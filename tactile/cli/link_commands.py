@@ -96,7 +96,10 @@ def check_display(
 
     from tactile.daemon.bringup import bring_up
 
-    with Progress(console=Console(stderr=True), transient=True, disable=as_json) as bar:
+    console = Console(stderr=True)
+    with Progress(
+        console=console, transient=True, disable=as_json or not console.is_terminal
+    ) as bar:
         task = bar.add_task("channels", total=None)
 
         def ask(question: str) -> str:

@@ -69,6 +69,25 @@ def test_a_cluster_finds_the_same_bits_also_where_a_worker_is_killed(
     _lost_workers(cluster, tmp_path / "t.zarr", monkeypatch)
 
 
+def test_a_result_counts_also_where_its_worker_leaves_the_moment_after(cluster: Any) -> None:
+    crew = crews.ClusterCrew(cluster.scheduler_address)
+    gather = crew._client._gather
+
+    async def gather_and_lose(task: Any, *args: Any, **options: Any) -> Any:
+        found = await gather(task, *args, **options)
+        for key in list(crew._client.futures):
+            crew._client._handle_lost_data(key)
+        return found
+
+    crew._client._gather = gather_and_lose
+    try:
+        part = study(96)
+        found = crew.submit(part).result(60)
+        assert found.keys() == crews.solve_part(part).keys()
+    finally:
+        crew.close()
+
+
 def _lost_workers(cluster: Any, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Take all workers away midway: one line, and what is stored is there."""
     monkeypatch.setattr(crews, "LOST_S", 1.0)

@@ -176,7 +176,6 @@ class ClusterCrew:
         try:
             self._count()
             _check_versions(self._client)
-            self._executor = self._client.get_executor(pure=False, retries=RETRIES)
         except BaseException:
             self._client.close()
             raise
@@ -201,9 +200,14 @@ class ClusterCrew:
         return max(1, self._threads)
 
     def submit(self, part: Study) -> "Future[Found]":
-        """Have a part solved."""
-        future: Future[Found] = self._executor.submit(solve_part, part)
-        return future
+        """Have a part solved.
+
+        Not by the executor of `distributed`, which gives a part up, with an error of its own, where
+        the worker leaves in the moment after its result has come.
+        """
+        task = self._client.submit(solve_part, part, pure=False, retries=RETRIES)
+        result = self._client.gather(task, asynchronous=True)
+        return asyncio.run_coroutine_threadsafe(result, self._client.loop.asyncio_loop)
 
     def succeed(self) -> None:
         """Note that a part is solved, so that somebody is there."""

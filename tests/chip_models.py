@@ -15,25 +15,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.clock import Clock, ModelClock
+
 Floats = NDArray[np.float64]
 
 
-class VirtualTime:
-    """A clock that stands still until it is moved [s]."""
-
-    def __init__(self) -> None:
-        self.time = 100.0
-
-    def now(self) -> float:
-        """Return the time."""
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        self.time += max(seconds, 0.0)
-
-
-class VirtualRunner(VirtualTime):
+class VirtualRunner(ModelClock):
     """Calls a step when it is due, without a thread.
 
     Attributes
@@ -56,7 +43,7 @@ class VirtualRunner(VirtualTime):
         """Let it be called at once."""
         self._deadline = self.now()
 
-    def wait(self, done: Callable[[], bool], seconds: float) -> bool:
+    def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
         """Let time pass until something is so."""
         limit = self.now() + seconds
         while not done():
@@ -73,7 +60,7 @@ class VirtualRunner(VirtualTime):
     def run(self, seconds: float) -> None:
         """Let so much time pass."""
         limit = self.now() + seconds
-        self.wait(lambda: self.now() >= limit, seconds)
+        self.wait_for(lambda: self.now() >= limit, seconds)
 
     def end(self) -> None:
         """Call it no more."""
@@ -95,7 +82,7 @@ class Playing:
     drops : ticks at which it went to 0 V by itself, not by a sample
     """
 
-    def __init__(self, time: VirtualTime, rate: float) -> None:
+    def __init__(self, time: Clock, rate: float) -> None:
         self.time, self.rate = time, rate
         self.fifo: deque[int] = deque()
         self.volts = 0.0
@@ -131,7 +118,7 @@ class Playing:
 class Drv2667Model(Playing):
     """A DRV2667, or with ``identity=5`` a DRV2665."""
 
-    def __init__(self, time: VirtualTime, rate: float = 8000.0, identity: int = 7) -> None:
+    def __init__(self, time: Clock, rate: float = 8000.0, identity: int = 7) -> None:
         super().__init__(time, rate)
         self.identity = identity
         self.power_cycle()
@@ -209,7 +196,7 @@ class Drv2667Model(Playing):
 class Bos1921Model(Playing):
     """A BOS1921."""
 
-    def __init__(self, time: VirtualTime, rate: float = 8000.0) -> None:
+    def __init__(self, time: Clock, rate: float = 8000.0) -> None:
         super().__init__(time, rate)
         self.power_cycle()
 
@@ -307,7 +294,7 @@ class ModelBus:
 
     def __init__(
         self,
-        time: VirtualTime,
+        time: Clock,
         chips: dict[int | tuple[int, int], ChipModel],
         clock: float | None = 400e3,
     ) -> None:

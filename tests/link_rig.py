@@ -192,8 +192,8 @@ class Bench:
 
     def idle(self, seconds: float) -> None:
         """Let time pass while nobody writes."""
-        end = self.clock.time + seconds
-        while self.clock.time < end:
+        end = self.clock.now() + seconds
+        while self.clock.now() < end:
             self.bus._turn(end)
 
     def at(self, time: float) -> Floats:
@@ -277,12 +277,12 @@ def benches() -> Iterator[Callable[..., Bench]]:
 
 def recover(rig: Bench, reconnects: int, random: np.random.Generator) -> None:
     """Write until all play again after a reconnection."""
-    end = rig.clock.time + RECOVERY
+    end = rig.clock.now() + RECOVERY
     session = rig.bus._session
     while not (
         rig.bus.counters.reconnects > reconnects and rig.playing and session.phase is Phase.RUN
     ):
-        assert rig.clock.time < end, rig.bus.status
+        assert rig.clock.now() < end, rig.bus.status
         rig.write(int(random.integers(3, 20)))
 
 

@@ -75,7 +75,7 @@ def test_each_disconnect_is_survived_in_step_and_counted(
         rig.model.unplug(float(away) if k else 0.3)
         recover(rig, k, random)
         rig.play(float(random.choice([0.005, 0.02, 0.09], p=[0.5, 0.3, 0.2])), 16)
-    since = rig.clock.time
+    since = rig.clock.now()
     fade_in(rig)
     counters = rig.bus.counters
     late, compared = rig.misplaced()
@@ -121,7 +121,7 @@ def test_each_burst_of_errors_is_survived_in_step_and_counted(
         disturb(rig, Faults())
         rig.play(float(random.uniform(0.01, 0.03)), 7)
     rig.play(0.5)
-    since = rig.clock.time
+    since = rig.clock.now()
     fade_in(rig)
     counters, told = rig.bus.counters, rig.faults()
     late, compared = rig.misplaced()
@@ -201,7 +201,7 @@ def test_a_short_disconnect_that_the_amplifier_plays_through_needs_no_arming(
     rig.play(0.1)
     rig.model.unplug(0.01)
     recover(rig, 0, np.random.default_rng(0))
-    since = rig.clock.time
+    since = rig.clock.now()
     fade_in(rig)
     assert rig.misplaced(since=since)[1] > 20
     assert rig.misplaced()[0] < SAMPLE
@@ -262,13 +262,13 @@ def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
 
     def spy(message: m.Message) -> Packet:
         if isinstance(message, m.Heartbeat):
-            sent.append(rig.clock.time)
+            sent.append(rig.clock.now())
         return tell(message)
 
     monkeypatch.setattr(rig.bus._session, "_to_all", spy)
     rig.start()
     rig.play(0.2)
-    began = rig.clock.time
+    began = rig.clock.now()
     rig.model.stall(0.5)
     rig.play(0.45)
     assert not [t for t in sent if began + 0.05 + 1e-3 < t]
@@ -276,7 +276,7 @@ def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
     assert rig.silence_after(began) < 0.17
     assert rig.bus.status.detail
     rig.play(1.0)
-    since = rig.clock.time
+    since = rig.clock.now()
     fade_in(rig)
     assert (rig.bus.status.link, rig.bus.status.detail) == ("up", "")
     assert rig.misplaced(since=since)[1] > 20
@@ -290,7 +290,7 @@ def test_when_the_host_dies_all_is_at_0_volts_in_time(
     rig = bench(link)
     rig.start()
     rig.play(0.2)
-    died = rig.clock.time
+    died = rig.clock.now()
     rig.model.run_away(died + DEATH)
     assert rig.silent
     assert 0 < rig.silence_after(died) < DEATH
@@ -326,7 +326,7 @@ def test_the_lead_rises_by_half_at_an_underrun_to_24_ms_and_falls_to_6(
     rig.play(0.1)
     stream, peer = rig.bus._session.stream, rig.bus._session.peers[0]
     assert stream is not None
-    now, lead = rig.clock.time, stream.lead
+    now, lead = rig.clock.now(), stream.lead
     for k in range(1, 5):
         peer.underruns += 1
         stream.control(now + k, running=True)
@@ -445,7 +445,7 @@ def test_whatever_happens_limits_hold_time_is_kept_and_the_end_is_0_volts(
         assert loss or corrupt or reorder or mean
     finally:
         rig.bus.close()
-    rig.model.run_away(rig.clock.time + DEATH)
+    rig.model.run_away(rig.clock.now() + DEATH)
     rig.check_limits()
     assert rig.silent
     assert rig.misplaced()[0] < SAMPLE + 2 * delay
@@ -462,8 +462,8 @@ def test_a_host_that_was_held_up_between_arm_and_start_arms_again(
     def late(session: Session, now: float) -> None:
         if not held:
             held.append(now)
-            bus.model.run_away(bus.model.clock.time + 0.2)
-        starting(session, bus.model.clock.time)
+            bus.model.run_away(bus.model.clock.now() + 0.2)
+        starting(session, bus.model.clock.now())
 
     monkeypatch.setattr(Session, "_starting", late)
     bus.start()

@@ -37,11 +37,11 @@ def playing(rig: Bench) -> Bench:
 
 def until(rig: Bench, reached: Callable[[], bool], within: float = 2.0) -> float:
     """Write until something is so; return how long that took [s]."""
-    begun = rig.clock.time
+    begun = rig.clock.now()
     while not reached():
-        assert rig.clock.time < begun + within, rig.bus.status
+        assert rig.clock.now() < begun + within, rig.bus.status
         rig.play(STEP)
-    return rig.clock.time - begun
+    return rig.clock.now() - begun
 
 
 def assert_over(rig: Bench) -> None:
@@ -69,7 +69,7 @@ def assert_over(rig: Bench) -> None:
 @EVERY
 def test_after_the_watchdog_the_bus_is_idle(bench: Callable[..., Bench], link: str) -> None:
     rig = playing(bench(link, PLAIN))
-    rig.model.run_away(rig.clock.time + HELD_UP)
+    rig.model.run_away(rig.clock.now() + HELD_UP)
     rig.position += round(HELD_UP * rig.rate)
     assert rig.model.amplifiers[0].state == State.SAFE
     assert until(rig, lambda: rig.bus.state != "running") <= TOLD
@@ -81,7 +81,7 @@ def test_with_rearm_the_status_tells_when_it_plays_again(
     bench: Callable[..., Bench], link: str
 ) -> None:
     rig = playing(bench(link, REARM))
-    rig.model.run_away(rig.clock.time + HELD_UP)
+    rig.model.run_away(rig.clock.now() + HELD_UP)
     rig.position += round(HELD_UP * rig.rate)
     assert (rig.bus.status.state, rig.bus.status.playing) == ("running", False)
     until(rig, lambda: rig.bus.status.playing)
@@ -115,12 +115,12 @@ def test_over_a_link_that_is_lost_it_does_not_play_with_rearm_until_it_is_back(
 def test_a_link_that_goes_silent_does_not_play_and_is_lost(bench: Callable[..., Bench]) -> None:
     """Nothing comes back, though the device is there and takes what is sent."""
     rig = playing(bench("serial", PLAIN))
-    rig.model.back.hold(10.0, rig.clock.time)
+    rig.model.back.hold(10.0, rig.clock.now())
     assert until(rig, lambda: not rig.bus.status.playing) <= TOLD + STEP
     rest = until(rig, lambda: rig.bus.state != "running")
     assert rest <= SILENCE - TOLD + 2 * STEP
     assert rig.bus.status.detail
-    rig.model.run_away(rig.clock.time + HELD_UP)
+    rig.model.run_away(rig.clock.now() + HELD_UP)
     assert rig.silent
 
 
@@ -184,7 +184,7 @@ def test_an_arming_that_is_refused_ends_the_wish_to_play(
             usual(packet, now)
 
     monkeypatch.setattr(amplifier, "receive", refuse)
-    rig.model.run_away(rig.clock.time + HELD_UP)
+    rig.model.run_away(rig.clock.now() + HELD_UP)
     rig.position += round(HELD_UP * rig.rate)
     until(rig, lambda: rig.bus.state == "idle")
     rig.play(0.1)
@@ -258,13 +258,13 @@ def test_an_estop_in_the_middle_of_a_call_holds_on_the_amplifier(
         return wait(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rig.bus, "_wait", wait_late)
-    begun = rig.clock.time
+    begun = rig.clock.now()
     if call == "stop":
         rig.bus.stop()
     else:
         with pytest.raises(BusStateError, match=f"{call}: the bus was e-stopped meanwhile"):
             getattr(rig.bus, call)()
-    assert rig.clock.time < begun + TOLD, "it waits for what cannot come"
+    assert rig.clock.now() < begun + TOLD, "it waits for what cannot come"
     rig.idle(0.3)
     assert rig.bus.state == "estopped"
     assert rig.model.amplifiers[0].state == State.ESTOP

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import parts_rig
 import pytest
-from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel, VirtualTime
+from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel
 from parts_rig import ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
 
 from firmware_protocol.messages import State
@@ -16,6 +16,7 @@ from tactile.bus.base import DriveBlock
 from tactile.bus.parts.adapter import Place
 from tactile.bus.parts.chip_bus import START_WAIT
 from tactile.bus.parts.drv2667 import Drv2667
+from tactile.clock import ModelClock
 from tactile.errors import BusStateError
 
 one = parts_rig.one
@@ -115,7 +116,7 @@ def test_an_order_that_comes_after_an_estop_does_not_undo_it(one: Rig) -> None:
 
 
 def test_a_multiplexer_that_lost_its_power_is_set_again() -> None:
-    clock = VirtualTime()
+    clock = ModelClock()
     mux = Tca9548aModel()
     wire = ModelBus(clock, {0x70: mux, (3, 0x59): Drv2667Model(clock)}, None)
     (target,) = Place("test", (0x59,), 0x70, (3,), 400_000).targets(wire)
@@ -255,14 +256,14 @@ def test_an_estop_while_one_waits_to_write_drops_the_rest(
 ) -> None:
     one.bus.start()
     one.write(level(40, 800))
-    wait = one.runner.wait
+    wait = one.runner.wait_for
 
     def press(done: Callable[[], bool], seconds: float) -> bool:
-        monkeypatch.setattr(one.runner, "wait", wait)
+        monkeypatch.setattr(one.runner, "wait_for", wait)
         one.bus.estop()
         return wait(done, seconds)
 
-    monkeypatch.setattr(one.runner, "wait", press)
+    monkeypatch.setattr(one.runner, "wait_for", press)
     one.write(np.full((800, 1), 40.0), begin=800, size=400)
     assert one.bus.state == "estopped"
     assert one.bus.counters.dropped_samples > 600
@@ -276,14 +277,14 @@ def test_an_estop_while_one_waits_to_write_drops_the_rest(
 def test_an_estop_while_chips_are_set_up_holds_and_start_says_so_at_once(
     one: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, wait = one.runner.now(), one.runner.wait
+    begun, wait = one.runner.now(), one.runner.wait_for
 
     def press(done: Callable[[], bool], seconds: float) -> bool:
-        monkeypatch.setattr(one.runner, "wait", wait)
+        monkeypatch.setattr(one.runner, "wait_for", wait)
         one.bus.estop()
         return wait(done, seconds)
 
-    monkeypatch.setattr(one.runner, "wait", press)
+    monkeypatch.setattr(one.runner, "wait_for", press)
     with pytest.raises(BusStateError, match="start: the bus was e-stopped meanwhile"):
         one.bus.start()
     assert one.runner.now() - begun < START_WAIT

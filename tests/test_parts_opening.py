@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chip_models import Bos1921Model, ChipModel, Drv2667Model, ModelBus, VirtualTime
+from chip_models import Bos1921Model, ChipModel, Drv2667Model, ModelBus
 from parts_rig import FakeDisplay, FakeLimits, level
 
 from tactile.bus.base import Bus, DriveBlock, HostDeath
@@ -17,13 +17,14 @@ from tactile.bus.parts.bos1921 import Bos1921Bus
 from tactile.bus.parts.chip import ChipCounters
 from tactile.bus.parts.drv2667 import Drv2667, Drv2667Bus
 from tactile.bus.registry import find_devices, open_bus
+from tactile.clock import ModelClock
 from tactile.errors import BusError, InputError
 
 
 @pytest.fixture
 def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[int | tuple[int, int], ChipModel]]:
     """Give the chips of /dev/i2c-1, by the wall clock."""
-    clock = VirtualTime()
+    clock = ModelClock()
     monkeypatch.setattr(clock, "now", time.monotonic)
     monkeypatch.setattr(clock, "sleep", lambda seconds: None)
     chips: dict[int | tuple[int, int], ChipModel] = {}
@@ -38,7 +39,7 @@ def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[int | tuple[int, int
 class chips_of:  # noqa: N801
     """Where the fixture leaves its clock."""
 
-    clock: VirtualTime
+    clock: ModelClock
 
 
 @pytest.mark.realtime
@@ -166,7 +167,7 @@ def test_what_host_death_does_is_declared(kind: type[Bus], death: HostDeath) -> 
 
 
 def test_chips_are_found_by_reading_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = VirtualTime()
+    clock = ModelClock()
     wire = ModelBus(clock, {0x59: Drv2667Model(clock), 0x45: Bos1921Model(clock)}, None)
     monkeypatch.setattr(adapter, "open_adapter", lambda path: wire)
     monkeypatch.setattr(Path, "glob", lambda self, pattern: [Path("/dev/i2c-3")])
@@ -185,7 +186,7 @@ def test_without_an_adapter_nothing_is_found_silently(
 
 def test_a_refusal_of_a_full_fifo_is_none_that_the_driver_ever_meets() -> None:
     """The model refuses the 101st byte, so that the tests above would see one written."""
-    clock = VirtualTime()
+    clock = ModelClock()
     chip = Drv2667Model(clock)
     chip.write(bytes([2, 4]))
     with pytest.raises(OSError, match="Remote") as found:

@@ -164,11 +164,11 @@ def _estop(bus: ModeledBus, after: int) -> float:
     bus.start()
     for k in range(0, after, 16):
         bus.write(DriveBlock(k, np.repeat(tone[k : k + 16], bus.wiring.channels, axis=1)))
-    pressed = bus.model.clock.time
+    pressed = bus.model.clock.now()
     bus.estop()
     while amplifier.high_voltage:
-        bus.model.run_away(bus.model.clock.time + 0.25e-3)
-    taken = bus.model.clock.time - pressed
+        bus.model.run_away(bus.model.clock.now() + 0.25e-3)
+    taken = bus.model.clock.now() - pressed
     bus.clear()
     return taken
 

@@ -28,8 +28,8 @@ from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus
 from tactile.bus.stream import LONGEST_LEAD
-from tactile.bus.wire import Monotonic
 from tactile.bus.wire_time import Can
+from tactile.clock import MONOTONIC
 from tactile.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
@@ -149,7 +149,7 @@ def _streamed(
 
 def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
     """Stream oak as frames to the C amplifier, at the bit time of classic CAN."""
-    display, clock, link = load_display("reference-24"), Monotonic(), Can(1e6)
+    display, clock, link = load_display("reference-24"), MONOTONIC, Can(1e6)
     sent: deque[tuple[int, m.Spectrum]] = deque()
 
     def connect() -> CanWire:

@@ -37,8 +37,8 @@ from tactile.bus.can_bus import CanWire
 from tactile.bus.link_bus import LinkBus
 from tactile.bus.registry import open_bus
 from tactile.bus.stream import LONGEST_LEAD
-from tactile.bus.wire import Monotonic
 from tactile.bus.wire_time import Can
+from tactile.clock import MONOTONIC
 from tactile.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -199,7 +199,7 @@ def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
 
 def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
     """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
-    clock = Monotonic()
+    clock = MONOTONIC
     return LinkBus(
         Wiring.of(display, RATE),
         lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, clock),

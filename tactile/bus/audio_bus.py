@@ -19,7 +19,6 @@ its field say so.
 
 import math
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from urllib.parse import quote, unquote
@@ -185,12 +184,12 @@ class AudioBus(Bus):
                 return
             self._trouble = f"{self.device} is lost: {why}"
             self.counters.disconnects += 1
-            self._retry_at = time.monotonic() + RETRY
+            self._retry_at = self._clock.now() + RETRY
             player.kill()
 
     def _reopen(self) -> None:
         """Open the card again, without waiting; what played stays at rest."""
-        trial, now = self._opening, time.monotonic()
+        trial, now = self._opening, self._clock.now()
         if trial is None:
             if now >= self._retry_at:
                 self._opening, self._retry_at = Player(self._order), now + audio_process.OPENING
@@ -236,19 +235,19 @@ class AudioBus(Bus):
             player = self._begun
             if player is None:
                 return None
-            told = player.told if time.monotonic() - player.told_at < FRESH else self.told
+            told = player.told if self._clock.now() - player.told_at < FRESH else self.told
             if told is None:
                 self._lose("its player does not answer")
                 return None
             playing = told.phase == "playing"
-            since = told.age + time.monotonic() - player.told_at if playing else 0.0
+            since = told.age + self._clock.now() - player.told_at if playing else 0.0
             ahead = position - told.lead - told.position - min(since, FRESH + self.latency) * rate
             if ahead <= 0:
                 return player
             if told.phase == "waiting":
                 player.tell("go")
                 player.told_at = 0.0
-            time.sleep(min(max(ahead / rate, 5e-4), ANSWER / 10))
+            self._clock.sleep(min(max(ahead / rate, 5e-4), ANSWER / 10))
         return None
 
     def _stop(self) -> None:

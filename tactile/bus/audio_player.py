@@ -32,6 +32,7 @@ from firmware_protocol.messages import HEARTBEAT_MS, SampleFormat, State
 from tactile.bus.audio_devices import choose, default_output, imported, outputs, rate_of
 from tactile.bus.base import Floats, Wiring
 from tactile.bus.board import REASON, SESSION, Board, config_of
+from tactile.clock import MONOTONIC
 from tactile.errors import BusError, TactileError
 
 Phase = Literal["rest", "waiting", "playing", "ending"]
@@ -150,7 +151,7 @@ class Output:
         self.inbox: deque[tuple[Any, ...]] = deque(maxlen=BACKLOG)
         self.phase: Phase = "rest"
         self.position = self.frames = self.xruns = self.late_blocks = self.dropped_samples = 0
-        self.called, self.refused, self.fault = time.monotonic(), "", ""
+        self.called, self.refused, self.fault = MONOTONIC.now(), "", ""
         self.busy = self.played = 0.0
         config = replace(config_of(wiring, wiring.channels, 1), packet_limit=PACKET)
         self._board = Board(config, SampleFormat.PCM16)
@@ -181,7 +182,7 @@ class Output:
 
     def __call__(self, out: NDArray[np.float32], frames: int, clock: object, flags: Any) -> None:
         """Fill a buffer (frames, channels of the card)."""
-        self.called, begun = time.monotonic(), time.thread_time()
+        self.called, begun = MONOTONIC.now(), time.thread_time()
         self.frames = max(self.frames, frames)
         out[:] = 0
         try:
@@ -359,11 +360,11 @@ def open_stream(order: Order) -> tuple[Output, Any, Opened]:
         stream.start()
     except sd.PortAudioError as error:
         raise BusError(f"audio: {device.name!r}: {error}; close what else plays on it") from error
-    begun = time.monotonic()
+    begun = MONOTONIC.now()
     while not output.frames:
-        if time.monotonic() - begun > FIRST:
+        if MONOTONIC.now() - begun > FIRST:
             raise BusError(f"audio: {device.name!r} opened, but does not play; is it suspended?")
-        time.sleep(1e-3)
+        MONOTONIC.sleep(1e-3)
     latency = max(float(stream.latency), output.frames / wiring.sample_rate)
     return output, stream, Opened(f"{device.name}, {device.api}", wiring, latency)
 
@@ -377,7 +378,7 @@ def told(output: Output, answered: int) -> Told:
         answered, output.phase, len(output.inbox), output.position, output.lead,
         output.underruns, output.xruns,
         output.late_blocks, output.dropped_samples, output.busy / max(output.played, 1e-9),
-        time.monotonic() - output.called, output.refused, output.fault,
+        MONOTONIC.now() - output.called, output.refused, output.fault,
     )  # fmt: skip
 
 
@@ -393,13 +394,13 @@ def serve(output: Output, inward: IO[bytes], outward: IO[bytes]) -> None:
             send(outward, output.output)
         elif kind != "ask":
             output.inbox.append((kind, *rest))
-        if kind != "samples" or time.monotonic() - last > TOLD:
+        if kind != "samples" or MONOTONIC.now() - last > TOLD:
             send(outward, told(output, number))
-            last = time.monotonic()
+            last = MONOTONIC.now()
     output.inbox.append(("stop",))
-    end = time.monotonic() + LEAVE
-    while (output.inbox or output.phase != "rest") and time.monotonic() < end:
-        time.sleep(1e-3)
+    end = MONOTONIC.now() + LEAVE
+    while (output.inbox or output.phase != "rest") and MONOTONIC.now() < end:
+        MONOTONIC.sleep(1e-3)
 
 
 def send(outward: IO[bytes], message: object) -> None:
@@ -444,5 +445,5 @@ def main() -> None:
     gc.disable()
     send(outward, opened)
     serve(output, inward, outward)
-    time.sleep(min(opened.latency, LEAVE))
+    MONOTONIC.sleep(min(opened.latency, LEAVE))
     leave(stream)

@@ -10,7 +10,6 @@ import select
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, cast
@@ -20,6 +19,7 @@ import numpy as np
 from tactile.bus.audio_devices import Device
 from tactile.bus.audio_player import Failed, Opened, Order, Told
 from tactile.bus.base import Floats
+from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
 
 OPENING = 20.0
@@ -80,7 +80,7 @@ class Player:
 
     def _take(self, message: object) -> None:
         if isinstance(message, Told):
-            self.told, self.told_at = message, time.monotonic()
+            self.told, self.told_at = message, MONOTONIC.now()
         elif isinstance(message, Opened):
             self.opened = message
         elif isinstance(message, Failed):
@@ -129,14 +129,14 @@ class Player:
 
     def settled(self, seconds: float, *, rest: bool = True) -> bool:
         """Wait until the card has taken all and is at rest, or is not; tell whether it is so."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
+        end = MONOTONIC.now() + seconds
+        while (left := end - MONOTONIC.now()) > 0:
             told = self.ask(seconds=left)
             if told is None or self.ended or told.fault:
                 return False
             if not told.waiting and (told.phase == "rest") == rest:
                 return True
-            time.sleep(5e-4)
+            MONOTONIC.sleep(5e-4)
         return False
 
     def exit_code(self) -> int:

@@ -22,7 +22,6 @@ nothing; after `_start` and `_clear` the driver's `_estop` is called once more.
 """
 
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.states import BusState, States
+from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
 
 Floats = NDArray[np.float64]
@@ -213,8 +213,9 @@ class Bus(ABC):
     paced: ClassVar[bool] = True
     frames: Frames | None = None
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: Wiring, clock: Clock = MONOTONIC) -> None:
         self.wiring = wiring
+        self._clock = clock
         self.counters = Counters()
         self._next = 0
         self._anchor = 0, 0.0
@@ -255,7 +256,7 @@ class Bus(ABC):
                 raise BusStateError(f"start: the bus is {self.state}, not idle; {way} it first")
             self._next = position
             self._start(position)
-            self._anchor = position, time.monotonic() + self.ahead
+            self._anchor = position, self._clock.now() + self.ahead
             self._states.begin(estops)
 
     @property
@@ -304,7 +305,7 @@ class Bus(ABC):
         if len(volts):
             self._write(DriveBlock(self._next - len(volts), self._allowed(volts)))
             if self.paced:
-                self._anchor = self._next - len(volts), time.monotonic() + self.ahead
+                self._anchor = self._next - len(volts), self._clock.now() + self.ahead
 
     def tune(self, carriers: Floats) -> None:
         """Set the carriers (P,) [Hz] of the frames to come.
@@ -362,7 +363,7 @@ class Bus(ABC):
         """Count samples from a position on that nobody plays, and wait as if they were played."""
         self.counters.dropped_samples += count
         if self.paced:
-            time.sleep(count / self.wiring.sample_rate)
+            self._clock.sleep(count / self.wiring.sample_rate)
 
     def _tune(self, carriers: Floats) -> None:
         raise NotImplementedError

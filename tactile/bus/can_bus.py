@@ -14,7 +14,6 @@ import select
 import socket
 import struct
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
@@ -28,8 +27,9 @@ from tactile.bus.link_bus import LinkBus
 from tactile.bus.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
 from tactile.bus.registry import Address, Found, register_bus
-from tactile.bus.wire import STALL, Clock, Monotonic, Wire, WireError
+from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Can
+from tactile.clock import MONOTONIC, Clock
 
 TICK_HZ = 1_000_000
 """Of the time of reception, for the time-out of fragments."""
@@ -241,7 +241,7 @@ class PythonCan(Channel):
 
     def _first(self, until: float) -> Any:
         """Return the first message, None where none came in time."""
-        while (left := until - time.monotonic()) > 0 and not self._awake:
+        while (left := until - MONOTONIC.now()) > 0 and not self._awake:
             if self._file is not None:
                 ready, _, _ = select.select([self._file, self._woken], [], [], left)
                 if ready:
@@ -415,7 +415,7 @@ def find() -> Iterator[Found]:
 
 def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
-    link, clock = link_of(address), Monotonic()
+    link, clock = link_of(address), MONOTONIC
     return open_link(
         address, rig, sample_rate, link, lambda: connect(address, link, clock),
         nodes=wholes(address, "nodes", 1, 127),

@@ -31,8 +31,9 @@ from tactile.bus.link_bus import LinkBus
 from tactile.bus.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
 from tactile.bus.registry import Address, Found, register_bus
-from tactile.bus.wire import STALL, Clock, Monotonic, Wire, WireError
+from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import I2c
+from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
 ADDRESS, CLOCK = 0x42, 400e3
@@ -166,11 +167,8 @@ class I2cWire(Wire):
 
     def _pause(self, seconds: float) -> None:
         """Let time pass, or less where woken."""
-        if isinstance(self._clock, Monotonic):
-            self._woken.wait(max(seconds, 0.0))
-            self._woken.clear()
-        else:
-            self._clock.sleep(seconds)
+        self._clock.wait(self._woken, seconds)
+        self._woken.clear()
 
     def _read(self, index: int, target: Target) -> Iterator[Packet]:
         """Yield the packets that a target has."""
@@ -296,7 +294,7 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
     addresses = wholes(address, "address", 0x08, 0x77) or (ADDRESS,)
-    link, clock = link_of(address), Monotonic()
+    link, clock = link_of(address), MONOTONIC
     return open_link(
         address, rig, sample_rate, link, lambda: connect(address, addresses, link, clock)
     )

@@ -1,8 +1,9 @@
 """A link that is not there but behaves: bits take their time, and things go wrong, as its URL says.
 
-Time is the model's own and goes only while somebody waits. Amplifiers in memory run by it, each
-with a clock that may be off. What the host sees is what a driver would show it: a line of bytes, a
-channel of CAN frames, an I²C adapter, over which the same code runs as over real ones.
+Time goes only while somebody waits, unless the model is given another clock. Amplifiers in memory
+run by it, each with a clock that may be off. What the host sees is what a driver would show it: a
+line of bytes, a channel of CAN frames, an I²C adapter, over which the same code runs as over real
+ones.
 """
 
 import errno
@@ -34,6 +35,7 @@ from tactile.bus.wire_time import (
     i2c_bits,
     uart_bits,
 )
+from tactile.clock import Clock
 
 STEP = 1e-3
 """s that amplifiers run at a time."""
@@ -45,21 +47,6 @@ AWAY = 0.1
 """s for which a link stays away that was disconnected."""
 STALLED = 0.3
 """s for which a reader stalls."""
-
-
-class ModelClock:
-    """Time that goes while somebody waits."""
-
-    def __init__(self) -> None:
-        self.time = 1.0
-
-    def now(self) -> float:
-        """Return the time [s]."""
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        self.time += max(seconds, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +182,7 @@ class Party(NamedTuple):
 
     configs: list[Config]
     faults: Faults
-    clock: ModelClock
+    clock: Clock
     drift: list[float]
     seed: int = 0
 
@@ -239,15 +226,15 @@ class Model(ABC):
     def _power_up(self) -> None:
         self.listen()
         self.amplifiers = [Amplifier(config) for config in self.configs]
-        self._powered = [self.clock.time] * len(self.configs)
+        self._powered = [self.clock.now()] * len(self.configs)
         self.attach()
 
     def _after(self, mean: float) -> float:
-        return self.clock.time + (self.random.exponential(mean) if mean < math.inf else math.inf)
+        return self.clock.now() + (self.random.exponential(mean) if mean < math.inf else math.inf)
 
     def tick(self, board: int) -> int:
         """Return an amplifier's tick."""
-        passed = (self.clock.time - self._powered[board]) * (1 + self.drift[board])
+        passed = (self.clock.now() - self._powered[board]) * (1 + self.drift[board])
         return int(passed * self.configs[board].tick_hz)
 
     def time_of(self, board: int, tick: int) -> float:
@@ -271,7 +258,7 @@ class Model(ABC):
 
     def open(self) -> None:
         """Open the link; raise WireError where it is not there."""
-        self._open = self.clock.time >= self._away_until
+        self._open = self.clock.now() >= self._away_until
         self.require()
 
     def require(self) -> None:
@@ -282,16 +269,16 @@ class Model(ABC):
     def advance(self, until: float) -> None:
         """Let time pass to a time at the latest, or until something has come back."""
         self._happen()
-        while self.clock.time < until and self.back.next > self.clock.time:
-            pause = min(until, self.clock.time + STEP, self.out.next, self.back.next)
-            self.clock.time = max(pause, self.clock.time)
+        while self.clock.now() < until and self.back.next > self.clock.now():
+            pause = min(until, self.clock.now() + STEP, self.out.next, self.back.next)
+            self.clock.sleep(pause - self.clock.now())
             self.exchange()
             self._happen()
             self.require()
 
     def _happen(self) -> None:
         """Let faults happen whose time has come."""
-        now = self.clock.time
+        now = self.clock.now()
         for name, when in self._events.items():
             if when <= now:
                 self._events[name] = self._after(getattr(self.faults, name))
@@ -306,19 +293,19 @@ class Model(ABC):
     def stall(self, seconds: float) -> None:
         """Let the amplifiers read nothing for a while."""
         self.stalls += 1
-        self.out.hold(seconds, self.clock.time)
+        self.out.hold(seconds, self.clock.now())
 
     def unplug(self, seconds: float = math.inf) -> None:
         """Take the link away for a while."""
         self.out.clear()
         self.back.clear()
         self._open = False
-        self._away_until = self.clock.time + seconds
+        self._away_until = self.clock.now() + seconds
 
     def run_away(self, until: float) -> None:
         """Let amplifiers run on while nobody talks to them."""
-        while self.clock.time < until:
-            self.clock.time = min(until, self.clock.time + STEP)
+        while self.clock.now() < until:
+            self.clock.sleep(min(until - self.clock.now(), STEP))
             self.exchange()
             self._happen()
 
@@ -340,45 +327,45 @@ class SerialModel(Model, Line):
         """Hand bytes over."""
         tick = self.tick(0)
         self.amplifiers[0].run(tick)
-        for unit in self.out.take(self.clock.time):
+        for unit in self.out.take(self.clock.now()):
             assert isinstance(unit, bytes)
             self._port.feed(unit, tick)
         answer = self._port.take()
         if answer:
-            self.back.put(answer, len(answer) * self._byte, self.clock.time)
+            self.back.put(answer, len(answer) * self._byte, self.clock.now())
 
     def write(self, data: bytes) -> int:
         """Take what the kernel has room for."""
         self.require()
         taken = data[: max(KERNEL - self.waiting(), 0)]
         if taken:
-            self.out.put(taken, len(taken) * self._byte, self.clock.time)
+            self.out.put(taken, len(taken) * self._byte, self.clock.now())
         return len(taken)
 
     def read(self) -> bytes:
         """Return what has come."""
         self.require()
-        return b"".join(u for u in self.back.take(self.clock.time) if isinstance(u, bytes))
+        return b"".join(u for u in self.back.take(self.clock.now()) if isinstance(u, bytes))
 
     def wait(self, until: float, *, writable: bool) -> None:
         """Let time pass."""
         self.require()
-        self.advance(min(until, self.clock.time + STEP) if writable else until)
+        self.advance(min(until, self.clock.now() + STEP) if writable else until)
 
     def wake(self) -> None:
         """Nothing to do: who waits is who calls."""
 
     def waiting(self) -> int:
         """Return what is not on the wire yet."""
-        return sum(len(unit) for unit in self.out.waiting(self.clock.time))
+        return sum(len(unit) for unit in self.out.waiting(self.clock.now()))
 
     def discard(self) -> None:
         """Drop what is not on the wire yet."""
-        self.out.forget(self.clock.time)
+        self.out.forget(self.clock.now())
 
     def close(self) -> None:
         """Drop what is under way."""
-        self.out.forget(self.clock.time)
+        self.out.forget(self.clock.now())
 
 
 class CanModel(Model, Channel):
@@ -402,7 +389,7 @@ class CanModel(Model, Channel):
 
     def exchange(self) -> None:
         """Hand frames over."""
-        arrived = [u for u in self.out.take(self.clock.time) if isinstance(u, tuple)]
+        arrived = [u for u in self.out.take(self.clock.now()) if isinstance(u, tuple)]
         for board, port in enumerate(self._ports):
             tick = self.tick(board)
             if not arrived:
@@ -410,36 +397,36 @@ class CanModel(Model, Channel):
             for identifier, data in arrived:
                 port.feed(identifier, data, tick)
             for frame in port.take():
-                self.back.put(frame, self._seconds(len(frame[1])), self.clock.time)
+                self.back.put(frame, self._seconds(len(frame[1])), self.clock.now())
 
     def send(self, frame: Frame) -> bool:
         """Take a frame, if there is room."""
         self.require()
-        if len(self.out.waiting(self.clock.time)) >= FRAMES:
+        if len(self.out.waiting(self.clock.now())) >= FRAMES:
             return False
-        self.out.put(frame, self._seconds(len(frame[1])), self.clock.time)
+        self.out.put(frame, self._seconds(len(frame[1])), self.clock.now())
         return True
 
     def urge(self, frame: Frame) -> None:
         """Send a frame before those that wait."""
         self.require()
-        waiting = [u for u in self.out.waiting(self.clock.time) if isinstance(u, tuple)]
-        self.out.forget(self.clock.time)
+        waiting = [u for u in self.out.waiting(self.clock.now()) if isinstance(u, tuple)]
+        self.out.forget(self.clock.now())
         for one in (frame, *waiting):
-            self.out.put(one, self._seconds(len(one[1])), self.clock.time)
+            self.out.put(one, self._seconds(len(one[1])), self.clock.now())
 
     def receive(self, until: float) -> list[Frame]:
         """Return what has come."""
         self.require()
         self.advance(until)
-        return [u for u in self.back.take(self.clock.time) if isinstance(u, tuple)]
+        return [u for u in self.back.take(self.clock.now()) if isinstance(u, tuple)]
 
     def wake(self) -> None:
         """Nothing to do: who waits is who calls."""
 
     def close(self) -> None:
         """Drop what is under way."""
-        self.out.forget(self.clock.time)
+        self.out.forget(self.clock.now())
 
 
 class I2cModel(Model, Adapter):
@@ -461,7 +448,7 @@ class I2cModel(Model, Adapter):
     def _transfer(self, address: int, size: int) -> I2cPort:
         """Let a transfer's time pass; return who acknowledges."""
         self.require()
-        self.run_away(self.clock.time + i2c_bits(size) / self._link.clock_hz)
+        self.run_away(self.clock.now() + i2c_bits(size) / self._link.clock_hz)
         self.require()
         board = address - self._first
         if not 0 <= board < len(self._ports) or self.random.random() < self.faults.loss:

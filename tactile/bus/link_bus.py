@@ -10,7 +10,6 @@ import logging
 import math
 import secrets
 import threading
-import time
 from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
@@ -20,7 +19,8 @@ from tactile.bus.budget import Plan
 from tactile.bus.peer import Peer
 from tactile.bus.phases import Phase, Want
 from tactile.bus.session import Session
-from tactile.bus.wire import Clock, Monotonic, Wire, WireError
+from tactile.bus.wire import Wire, WireError
+from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
 
 logger = logging.getLogger("tactile.bus")
@@ -77,9 +77,8 @@ class LinkBus(Bus):
         lead: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        super().__init__(wiring)
+        super().__init__(wiring, clock or MONOTONIC)
         self._connect = connect
-        self._clock: Clock = Monotonic() if clock is None else clock
         self._changed = threading.Condition()
         self._wire: Wire | None = connect()
         self._retry, self._retry_at = FIRST_RETRY, math.inf
@@ -284,7 +283,7 @@ class LinkBus(Bus):
             if self._thread is None:
                 self._turn(min(until, self._clock.now() + SLICE))
             else:
-                time.sleep(min(left, SLICE))
+                self._clock.sleep(min(left, SLICE))
             with self._changed:
                 self._session.alive(self._clock.now())
 

@@ -18,7 +18,7 @@ from tactile.bus.base import RATE, Floats, Rig, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
-from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, ModelClock, Party, SerialModel
+from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
 from tactile.bus.link_bus import LinkBus
 from tactile.bus.link_url import LINK_OPTIONS, lead_of, planner
 from tactile.bus.options import flag, number, whole
@@ -26,6 +26,7 @@ from tactile.bus.registry import Address
 from tactile.bus.serial_bus import SerialWire
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
+from tactile.clock import Clock, ModelClock
 from tactile.errors import InputError
 from tactile.files import nearest
 
@@ -158,14 +159,16 @@ class ModeledBus(LinkBus):
         super()._stop()
 
 
-def open_modeled(address: Address, rig: Rig, sample_rate: float | None) -> ModeledBus:
-    """Open a link as its URL says."""
+def open_modeled(
+    address: Address, rig: Rig, sample_rate: float | None, clock: Clock | None = None
+) -> ModeledBus:
+    """Open a link as its URL says, on a clock of its own if none is given."""
     address.only(*OPTIONS)
     keep = address.options.get("keep", "second")
     if keep not in ("second", "all"):
         raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
     wiring = Wiring.of(rig, sample_rate or RATE)
-    clock, link = ModelClock(), link_of(address)
+    clock, link = clock or ModelClock(), link_of(address)
     model = _model(address, wiring, link, clock)
 
     def connect() -> Wire:
@@ -199,7 +202,7 @@ def link_of(address: Address) -> Link:
     return Can(rate or NOMINAL, data if name == "canfd" else None)
 
 
-def _model(address: Address, wiring: Wiring, link: Link, clock: ModelClock) -> Model:
+def _model(address: Address, wiring: Wiring, link: Link, clock: Clock) -> Model:
     boards = whole(address, "boards", 1, 16) or 1
     drift = (number(address, "drift_ppm", -20000, 20000) or 0.0) * 1e-6
     width = -(wiring.channels // -boards)

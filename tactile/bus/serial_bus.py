@@ -10,7 +10,6 @@ import errno
 import os
 import select
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
@@ -24,8 +23,9 @@ from tactile.bus.link_bus import LinkBus
 from tactile.bus.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import number
 from tactile.bus.registry import Address, Found, register_bus
-from tactile.bus.wire import STALL, Clock, Monotonic, Wire, WireError
+from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
+from tactile.clock import MONOTONIC, Clock
 
 LARGEST_READ = 65536
 PURGE_OUTPUT = b"\x02"
@@ -179,7 +179,7 @@ class PosixLine(Line):
     def wait(self, until: float, *, writable: bool) -> None:
         """Wait, with the resolution of poll, rounded up."""
         self._poll.modify(self._fd, select.POLLIN | (select.POLLOUT if writable else 0))
-        seconds = until - time.monotonic()
+        seconds = until - MONOTONIC.now()
         events = dict(self._poll.poll(max(0.0, seconds) * 1000))
         if self._woken in events:
             with suppress(BlockingIOError):
@@ -235,8 +235,8 @@ class PortLine(Line):
 
     def wait(self, until: float, *, writable: bool) -> None:
         """Look now and then."""
-        while not (self._woken or self._port.in_waiting or time.monotonic() >= until):
-            time.sleep(self.STEP)
+        while not (self._woken or self._port.in_waiting or MONOTONIC.now() >= until):
+            MONOTONIC.sleep(self.STEP)
         self._woken = False
 
     def wake(self) -> None:
@@ -336,7 +336,7 @@ def find() -> Iterator[Found]:
 
 def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     address.only("baud", *LINK_OPTIONS, path=True)
-    link, clock = link_of(address), Monotonic()
+    link, clock = link_of(address), MONOTONIC
     return open_link(address, rig, sample_rate, link, lambda: connect(address, link, clock))
 
 

@@ -5,10 +5,8 @@ overtake with `urge`. A wire that breaks raises WireError; whoever holds it conn
 """
 
 import math
-import time
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import Protocol
 
 from firmware_protocol.packet import LinkCounters, Packet
 from tactile.bus.wire_time import Link
@@ -22,18 +20,6 @@ STALL = 0.1
 
 class WireError(BusError):
     """A wire that broke, or never was."""
-
-
-class Clock(Protocol):
-    """Host time: real, or that of a model."""
-
-    def now(self) -> float:
-        """Return the time [s]; it never goes back."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        ...
 
 
 class FragmentWatch:
@@ -60,18 +46,6 @@ class FragmentWatch:
                 f"{dropped - counts[0][1]} fragments of packets came out of order, or not at all, "
                 f"within {REORDERED_IN:g} s: the adapter reorders or loses frames"
             )
-
-
-class Monotonic:
-    """The host's clock."""
-
-    def now(self) -> float:
-        """Return the time [s]."""
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        time.sleep(seconds)
 
 
 class Wire(ABC):

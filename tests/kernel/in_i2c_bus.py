@@ -2,7 +2,6 @@
 
 import errno
 import sys
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,7 +20,7 @@ from bus_tools import (
     wait_for_link,
     write,
 )
-from chip_models import Bos1921Model, Drv2667Model, VirtualTime
+from chip_models import Bos1921Model, Drv2667Model
 from cuse_i2c import CuseI2c
 from guest_tools import wait_for
 from i2c_targets import AmplifierTarget, I2cBus
@@ -35,6 +34,7 @@ from tactile.bus.parts import bos1921, drv2667
 from tactile.bus.parts.chip import ChipCounters
 from tactile.bus.parts.chip_bus import ChipBus
 from tactile.bus.registry import open_bus
+from tactile.clock import MONOTONIC
 from tactile.errors import BusError
 
 NUMBER, ADDRESS, NOBODY = 7, 0x42, 0x33
@@ -58,13 +58,6 @@ def switching() -> Iterator[None]:
     sys.setswitchinterval(1e-4)
     yield
     sys.setswitchinterval(before)
-
-
-class RealTime(VirtualTime):
-    """The machine's."""
-
-    def now(self) -> float:
-        return time.monotonic()
 
 
 class Recorded(AmplifierTarget):
@@ -193,7 +186,7 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def chip(kind: str) -> Model:
-    return Drv2667Model(RealTime()) if kind == "drv2667" else Bos1921Model(RealTime())
+    return Drv2667Model(MONOTONIC) if kind == "drv2667" else Bos1921Model(MONOTONIC)
 
 
 @pytest.fixture

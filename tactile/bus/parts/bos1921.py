@@ -33,7 +33,6 @@ from tactile.bus.parts.chip import (
     Chip,
     ChipCounters,
     LostError,
-    Time,
     ramp_codes,
     was_taken_nothing,
 )
@@ -48,6 +47,7 @@ from tactile.bus.parts.chip_bus import (
 from tactile.bus.parts.occupancy import RATE, RATES
 from tactile.bus.parts.pump import Runner, ThreadRunner
 from tactile.bus.registry import Address, Found, register_bus
+from tactile.clock import Clock
 from tactile.errors import BusError, InputError
 
 ADDRESS = 0x44
@@ -107,12 +107,12 @@ class Bos1921(Chip):
     lead = HIGH
 
     def __init__(
-        self, target: Target, time: Time, counters: ChipCounters,
+        self, target: Target, clock: Clock, counters: ChipCounters,
         *, wide: str, step: float, board: dict[int, int],
     ) -> None:  # fmt: skip
         scale = SCALES[wide]
         super().__init__(
-            target, time, counters, volts_per_code=scale,
+            target, clock, counters, volts_per_code=scale,
             most=int(PEAKS[wide] / scale), step=step_codes(step, scale),
         )  # fmt: skip
         self._config = PLAY | (LOW_RANGE if wide == "13" else 0)
@@ -122,7 +122,7 @@ class Bos1921(Chip):
         self._empty_since()
 
     def _empty_since(self) -> None:
-        now = self.time.now()
+        now = self.clock.now()
         self._fill, self._times, self._bursts = (0, 0), (now, now), 0
 
     def _get(self, register: int) -> int:
@@ -147,7 +147,7 @@ class Bos1921(Chip):
             self._known = False
             self.identify()
             self._set(CONFIG, RESET)
-            self.time.sleep(SETTLE)
+            self.clock.sleep(SETTLE)
             self.identify()
             for register, value in self._board.items():
                 self._set(register, value)
@@ -170,18 +170,18 @@ class Bos1921(Chip):
         for _ in range(POLLS):
             if self._state() == 0:
                 return
-            self.time.sleep(POLL)
+            self.clock.sleep(POLL)
         raise BusError(f"{self.name}: its FIFO does not run empty")
 
     def _state(self) -> int:
         """Read the fill, and keep it as both bounds."""
-        before = self.time.now()
+        before = self.clock.now()
         state = self._get(FIFO_STATE)
         if state & ERROR:
             raise LostError(f"{self.name}: reports an error{self._faults()}")
         space = state & SPACE
         fill = 0 if state & EMPTY else DEPTH - space
-        self._fill, self._times, self._bursts = (fill, fill), (before, self.time.now()), 0
+        self._fill, self._times, self._bursts = (fill, fill), (before, self.clock.now()), 0
         return fill
 
     def _faults(self) -> str:
@@ -194,7 +194,7 @@ class Bos1921(Chip):
 
     def fill(self) -> int:
         """Return how many samples are in the FIFO for certain."""
-        return max(0, self._fill[0] - int((self.time.now() - self._times[0]) * RATES[1]) - 1)
+        return max(0, self._fill[0] - int((self.clock.now() - self._times[0]) * RATES[1]) - 1)
 
     def room(self) -> int:
         """Return how many samples fit now within `lead`; reads FIFO_STATE now and then."""
@@ -202,7 +202,7 @@ class Bos1921(Chip):
         if asked and self._state() == 0:
             self._check_power()
             self.counters.stalls += self.last != 0
-        return self._room_at(self.time.now())
+        return self._room_at(self.clock.now())
 
     def _check_power(self) -> None:
         """See that it still is as it was set up: a chip that lost its power seems empty."""
@@ -221,7 +221,7 @@ class Bos1921(Chip):
         return self._times[0] + self._fill[0] / RATES[1] + PATIENCE if self.last else math.inf
 
     def _burst(self, codes: Sequence[int]) -> None:
-        if self._most_fill(self.time.now()) == 0:
+        if self._most_fill(self.clock.now()) == 0:
             self._empty_since()
         data = b"".join((code & 0xFFF).to_bytes(2, "big") for code in codes)
         try:
@@ -247,7 +247,7 @@ class Bos1921(Chip):
         fewest that it can have taken are taken as such, at most two are sent twice, which steps
         back by one slew limit at most.
         """
-        before, tried = self._most_fill(self.time.now()), self._tried
+        before, tried = self._most_fill(self.clock.now()), self._tried
         least_before = self.fill()
         now = self._state()
         self.unsure = False

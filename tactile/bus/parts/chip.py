@@ -9,13 +9,14 @@ import errno
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
 from tactile.bus.base import Counters, Floats
 from tactile.bus.parts.adapter import Target
 from tactile.bus.parts.occupancy import RATE
+from tactile.clock import Clock
 
 TRIES = 4
 """Of a transfer that does no harm when repeated, before it counts as failed."""
@@ -25,18 +26,6 @@ BURST = 32
 
 LEAST = 16
 """Samples that are worth a write of their own."""
-
-
-class Time(Protocol):
-    """A clock to wait by, monotonic [s]."""
-
-    def now(self) -> float:
-        """Return the time."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        ...
 
 
 @dataclass
@@ -122,10 +111,10 @@ class Chip(ABC):
     """Samples in the FIFO, at most."""
 
     def __init__(
-        self, target: Target, time: Time, counters: ChipCounters,
+        self, target: Target, clock: Clock, counters: ChipCounters,
         *, volts_per_code: float, most: int, step: int,
     ) -> None:  # fmt: skip
-        self.target, self.time, self.counters = target, time, counters
+        self.target, self.clock, self.counters = target, clock, counters
         self.volts_per_code, self.most, self.step = volts_per_code, most, step
         self.pending: list[int] = []
         self.last = 0
@@ -169,7 +158,7 @@ class Chip(ABC):
         burst = self.pending[: min(self.room(), BURST)] if self.pending else []
         while burst:
             self._burst(burst)
-            burst = self.pending[: min(self._room_at(self.time.now()), BURST)]
+            burst = self.pending[: min(self._room_at(self.clock.now()), BURST)]
             if len(burst) < min(LEAST, len(self.pending)):
                 return
 
@@ -195,12 +184,12 @@ class Chip(ABC):
 
     def due(self) -> float:
         """Return when it can take the next burst [s]."""
-        now = self.time.now()
+        now = self.clock.now()
         return now + max(0, min(len(self.pending) or BURST, BURST) - self._room_at(now)) / RATE
 
     def room(self) -> int:
         """Return how many samples fit now, for certain, within `lead`; may read from the chip."""
-        return self._room_at(self.time.now())
+        return self._room_at(self.clock.now())
 
     @abstractmethod
     def _room_at(self, now: float) -> int:

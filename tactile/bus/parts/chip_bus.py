@@ -69,7 +69,7 @@ class ChipBus(Bus):
     def _start(self, position: int) -> None:
         with self._runner.lock:
             self.pump.start(position, round(self.wiring.sample_rate))
-            self._runner.wait(self._started, START_WAIT)
+            self._runner.wait_for(self._started, START_WAIT)
 
     def _started(self) -> bool:
         return self.pump.phase in ("ready", "down") or self.state == "estopped"
@@ -94,7 +94,7 @@ class ChipBus(Bus):
 
         while not room():
             pump.hurry()
-            self._runner.wait(room, END_WAIT)
+            self._runner.wait_for(room, END_WAIT)
         if pump.phase == "down" or self.state != "running":
             self.counters.dropped_samples += len(volts)
         else:
@@ -116,7 +116,7 @@ class ChipBus(Bus):
     def _end(self, order: Literal["stop", "abort", "estop"]) -> None:
         with self._runner.lock:
             self.pump.order(order)
-            self._runner.wait(lambda: self.pump.settled, END_WAIT)
+            self._runner.wait_for(lambda: self.pump.settled, END_WAIT)
 
     def _clear(self) -> None:
         with self._runner.lock:
@@ -127,7 +127,7 @@ class ChipBus(Bus):
     def _close(self) -> None:
         """Let go; where a chip that holds its voltage cannot be reached `status` says so."""
         with self._runner.lock:
-            self._runner.wait(lambda: self.pump.phase == "rest", END_WAIT)
+            self._runner.wait_for(lambda: self.pump.phase == "rest", END_WAIT)
         self._runner.end()
         self._i2c.close()
         atexit.unregister(self.close)

@@ -36,7 +36,6 @@ from tactile.bus.parts.chip import (
     Chip,
     ChipCounters,
     LostError,
-    Time,
     was_taken_nothing,
 )
 from tactile.bus.parts.chip_bus import (
@@ -50,6 +49,7 @@ from tactile.bus.parts.chip_bus import (
 from tactile.bus.parts.occupancy import RATE, RATES, Occupancy, measured_rates
 from tactile.bus.parts.pump import Runner, ThreadRunner
 from tactile.bus.registry import Address, Found, register_bus
+from tactile.clock import Clock
 from tactile.errors import BusError, InputError
 
 ADDRESS = 0x59
@@ -124,11 +124,11 @@ class Drv2667(Chip):
     lead = HIGH
 
     def __init__(
-        self, target: Target, time: Time, counters: ChipCounters, *, wide: int, step: float
+        self, target: Target, clock: Clock, counters: ChipCounters, *, wide: int, step: float
     ) -> None:
         scale = wide / 2 / MOST
         super().__init__(
-            target, time, counters,
+            target, clock, counters,
             volts_per_code=scale, most=MOST, step=step_codes(step, scale),
         )  # fmt: skip
         self.gain = RANGES[wide]
@@ -143,12 +143,12 @@ class Drv2667(Chip):
         super().silence()
         self._empty, self._sounding, self._lost = True, False, False
         self._measure = None
-        self._flat, self._held, self._full_until = 0, False, self.time.now()
+        self._flat, self._held, self._full_until = 0, False, self.clock.now()
 
     def _status(self) -> int:
-        before = self.time.now()
+        before = self.clock.now()
         status = self._ask(bytes([STATUS]), 1)[0]
-        self._seen = (before, self.time.now())
+        self._seen = (before, self.clock.now())
         return status
 
     def _set(self, register: int, value: int, mask: int) -> None:
@@ -171,20 +171,20 @@ class Drv2667(Chip):
         self.identify()
         if not self._ask(bytes([CONTROL_2]), 1)[0] & STANDBY:
             self._run_empty()
-            self.time.sleep(TIMEOUT / EARLY)
+            self.clock.sleep(TIMEOUT / EARLY)
         self._set(CONTROL_2, ACTIVE, 0xFF)
-        self.time.sleep(SETTLE)
+        self.clock.sleep(SETTLE)
         self._set(CONTROL_1, self.gain, 0b111)
         self.silence()
 
     def _run_empty(self) -> tuple[float, float]:
         """Wait until the FIFO is empty; return between which times it became so."""
-        since = self.time.now()
+        since = self.clock.now()
         for _ in range(POLLS):
             if self._status() & EMPTY:
                 return since, self._seen[1]
             since = self._seen[0]
-            self.time.sleep(POLL)
+            self.clock.sleep(POLL)
         raise BusError(f"{self.name}: its FIFO does not run empty")
 
     def warm(self) -> None:
@@ -201,16 +201,16 @@ class Drv2667(Chip):
             return
         self.warm()
         self.ready()
-        begun = self.time.now()
+        begun = self.clock.now()
         self._zeros(RESERVE)
         self.occupancy = Occupancy()
-        self.occupancy.begin(RESERVE, begun, self.time.now())
-        while (now := self.time.now()) < begun + MEASURED:
+        self.occupancy.begin(RESERVE, begun, self.clock.now())
+        while (now := self.clock.now()) < begun + MEASURED:
             more = int(RATES[0] * (now - begun)) + RESERVE - self.occupancy.written
             if more > 0:
                 self._zeros(more)
                 self.occupancy.wrote(more, now)
-            self.time.sleep(BURST / 4 / RATE)
+            self.clock.sleep(BURST / 4 / RATE)
         empty = self._run_empty()
         self._check_power()
         rates = measured_rates(self.occupancy.written, (begun, begun), empty)
@@ -230,12 +230,12 @@ class Drv2667(Chip):
     def due(self) -> float:
         """Return when it can take the next burst [s]."""
         if self._sounding:
-            return max(self.occupancy.dry_at, self.time.now() + POLL)
+            return max(self.occupancy.dry_at, self.clock.now() + POLL)
         return super().due()
 
     def room(self) -> int:
         """Return how many samples fit now for certain; none while it is to run empty."""
-        now = self.time.now()
+        now = self.clock.now()
         if not self._empty and now > self.occupancy.dry_at:
             self._look()
         elif not self._empty and not self._sounding:
@@ -263,7 +263,7 @@ class Drv2667(Chip):
 
     def fill(self) -> int:
         """Return how many samples are in the FIFO for certain."""
-        return 0 if self._empty else self.occupancy.least_fill(self.time.now())
+        return 0 if self._empty else self.occupancy.least_fill(self.clock.now())
 
     @property
     def lost_at(self) -> float:
@@ -273,7 +273,7 @@ class Drv2667(Chip):
         return self.occupancy.dry_at + EARLY * TIMEOUT if self.last else math.inf
 
     def _burst(self, codes: Sequence[int]) -> None:
-        before = self.time.now()
+        before = self.clock.now()
         if self._empty and before > self.lost_at:
             self._lost = True
             raise LostError(f"{self.name}: ran empty for longer than its timeout")
@@ -282,7 +282,7 @@ class Drv2667(Chip):
         except OSError as error:
             self.unsure = self._lost = not was_taken_nothing(error)
             raise
-        after = self.time.now()
+        after = self.clock.now()
         if self._empty:
             idle = before > self.occupancy.dry_at + EARLY * TIMEOUT
             self.occupancy.begin(len(codes), before, after + STARTUP * idle)

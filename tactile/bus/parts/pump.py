@@ -13,15 +13,15 @@ is fed again and fades in.
 
 import threading
 from collections.abc import Callable, Sequence
-from time import monotonic, sleep
 from typing import Literal, Protocol
 
 import numpy as np
 
 from tactile.bus.base import Floats
 from tactile.bus.board import Board
-from tactile.bus.parts.chip import BURST, LEAST, Chip, ChipCounters, LostError, Time
+from tactile.bus.parts.chip import BURST, LEAST, Chip, ChipCounters, LostError
 from tactile.bus.parts.occupancy import RATE
+from tactile.clock import Clock, MonotonicClock
 from tactile.errors import BusError
 
 QUEUE = 64
@@ -45,7 +45,7 @@ Order = Literal["", "start", "stop", "abort", "estop"]
 Phase = Literal["rest", "ready", "running", "ending", "down"]
 
 
-class Runner(Time, Protocol):
+class Runner(Clock, Protocol):
     """What calls the pump, and by which clock: a thread, or a test's virtual time."""
 
     @property
@@ -61,7 +61,7 @@ class Runner(Time, Protocol):
         """Let the step be called soon."""
         ...
 
-    def wait(self, done: Callable[[], bool], seconds: float) -> bool:
+    def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
         """Wait, with the lock held, until something is so or time is over; return which."""
         ...
 
@@ -70,7 +70,7 @@ class Runner(Time, Protocol):
         ...
 
 
-class ThreadRunner:
+class ThreadRunner(MonotonicClock):
     """A thread of its own by the monotonic clock."""
 
     def __init__(self) -> None:
@@ -82,14 +82,6 @@ class ThreadRunner:
     def lock(self) -> threading.Condition:
         """What guards the amplifier, and is notified after each step."""
         return self._lock
-
-    def now(self) -> float:
-        """Return the time."""
-        return monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        sleep(seconds)
 
     def begin(self, step: Callable[[], float | None]) -> None:
         """Start the thread."""
@@ -104,7 +96,7 @@ class ThreadRunner:
             with self.lock:
                 self.lock.notify_all()
                 if not self._alarmed:
-                    left = None if deadline is None else max(0.0, deadline - monotonic())
+                    left = None if deadline is None else max(0.0, deadline - self.now())
                     self.lock.wait_for(lambda: self._alarmed, left)
                 if self._ended:
                     return
@@ -116,7 +108,7 @@ class ThreadRunner:
             self._alarmed = True
             self.lock.notify_all()
 
-    def wait(self, done: Callable[[], bool], seconds: float) -> bool:
+    def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
         """Wait, with the lock held, until something is so or time is over; return which."""
         with self.lock:
             return self.lock.wait_for(done, seconds)

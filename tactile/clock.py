@@ -1,9 +1,10 @@
 """Time for whoever reads it or waits: the host's, a model's, or a simulation's.
 
 Code that runs in a thread is given a `Clock`. Coroutines need none: their event loop is their
-clock, `asyncio.sleep` and `asyncio.timeout` go by it, and `loop.time()` reads it.
+clock, by which `asyncio.sleep` and `asyncio.timeout` go, and which `loop_time` reads.
 """
 
+import asyncio
 import threading
 import time
 from typing import Protocol
@@ -42,6 +43,11 @@ class MonotonicClock:
 
 
 MONOTONIC = MonotonicClock()
+
+
+def loop_time() -> float:
+    """Return the time of the running event loop [s]; that of asyncio's own is `time.monotonic`."""
+    return asyncio.get_running_loop().time()
 
 
 class ModelClock:

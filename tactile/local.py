@@ -12,7 +12,6 @@ their own here as well, so that nothing that the program does holds up a block.
 
 import asyncio
 import threading
-import time
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any
@@ -107,7 +106,7 @@ class LocalTransport:
     def send(self, command: Command) -> None:
         """Hand over a message, from any thread."""
         with suppress(RuntimeError):  # it has ended
-            self._loop.call_soon_threadsafe(self._take, command, time.monotonic())
+            self._loop.call_soon_threadsafe(self._take, command, self._loop.time())
 
     def _take(self, command: Command, arrival: float) -> None:
         answer: Answer | None
@@ -117,7 +116,7 @@ class LocalTransport:
             answer = Welcome(
                 id=command.id, server="local", version=API_VERSION, session="local",
                 displays=self._host.displays, may_arm=True, roles=tuple(sorted(ALL_ROLES)),
-                time_us=time.monotonic_ns() // 1000,
+                time_us=int(self._loop.time() * 1e6),
             )  # fmt: skip
         else:
             answer = self._requests.offer(command)

@@ -114,7 +114,7 @@ class Judged(RuleBasedStateMachine):
 
     @property
     def now(self) -> float:
-        return self.world.clock.now
+        return self.world.clock.now()
 
     # What is put out
 

@@ -52,7 +52,7 @@ MAP: dict[str, set[str]] = {
     },
     "client": {"clock", "daemon", "errors"},
     "local": {"client", "daemon"},
-    "study": {"actuator", "display", "errors", "files"},
+    "study": {"actuator", "clock", "display", "errors", "files"},
     "terminal": {"display"},
     "gallery": {"display", "errors", "files", "rendering", "terminal", "texture"},
     "plots": {
@@ -253,6 +253,19 @@ def calls(module: str, name: str) -> list[ast.Call]:
         for call in found
         if name in (getattr(call.func, "attr", ""), getattr(call.func, "id", ""))
     ]
+
+
+def test_only_clocks_read_the_time_and_let_it_pass() -> None:
+    """So that a test or the simulator can pass its own; benchmarks measure the real one."""
+    banned = {f"time.{name}" for name in ("monotonic", "monotonic_ns", "perf_counter", "sleep")}
+    users = {
+        module
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.Attribute) and ast.unparse(node) in banned)
+        or (isinstance(node, ast.ImportFrom) and node.module == "time")
+    }
+    assert {user for user in users if room_of(user) != "bench"} == {"clock"}
 
 
 def test_nothing_waits_by_what_swallows_a_cancellation() -> None:

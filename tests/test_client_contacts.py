@@ -5,8 +5,6 @@ import threading
 import time
 from array import array
 from collections.abc import Callable
-from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import client_rig
@@ -17,6 +15,7 @@ from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, 
 from tactile import client
 from tactile.client import base
 from tactile.client.waveform import Waveform
+from tactile.clock import ModelClock
 from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
 
@@ -74,12 +73,11 @@ def test_a_refused_contact_is_an_event_and_not_at_its_rate(
     display: Any, script: Script, daemon: Daemon
 ) -> None:
     script.answers[m.Contact] = lambda said: m.Failure(code="not_armed", message="arm it first")
-    now = 1000.0
-    display.connection._session._monotonic = lambda: now
+    clock = display.connection._session.clock = ModelClock()
     events: list[client.Event] = []
     display.on_event(events.append)
     for number in range(1, 5):
-        now += number // 4  # the last one comes a second after the others
+        clock.sleep(number // 4)  # the last one comes a second after the others
         display.touch((0.0, 0.0))
         until(lambda: display.connection.counters["refused_contacts"] == number)  # noqa: B023
     until(lambda: len(events) >= 2)
@@ -144,22 +142,22 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
 ) -> None:
     display = base.BaseDisplay("left", owns=False)
     waveform = Waveform("left", [0.0] * 10, sample_rate=8000, amplitude=1e-6)
-    playback = base.Playback(display, waveform, timeout=PATIENCE)
+    playback = base.Playback(display, waveform, PATIENCE, ModelClock())
     message = playback.message()
     assert message is not None
     reply = m.Appended(samples_consumed=taken, buffered_ms=buffered_ms)
     assert playback.taken(message, reply) == pytest.approx(pause)
 
 
-def test_play_gives_up_where_nothing_is_taken(
-    display: Any, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By a clock that goes on by half of the timeout with each answer."""
-    clock = partial(next, itertools.count(0.0, PATIENCE / 2))
-    monkeypatch.setattr(base, "time", SimpleNamespace(monotonic=clock))
-    script.answers[m.Append] = lambda said: m.Appended(
-        id=said.id, samples_consumed=0, buffered_ms=1.0
-    )
+def test_play_gives_up_where_nothing_is_taken(display: Any, script: Script, daemon: Daemon) -> None:
+    """By a clock that goes on by almost half of the timeout with each answer."""
+    clock = display.connection._session.clock = ModelClock()
+
+    def nothing(said: m.Append) -> m.Appended:
+        clock.sleep(PATIENCE / 2 - 1)
+        return m.Appended(id=said.id, samples_consumed=0, buffered_ms=1.0)
+
+    script.answers[m.Append] = nothing
     with pytest.raises(ClientTimeoutError, match=r"no sample was taken in 60 s"):
         display.play([0.0] * 10, sample_rate=8000, amplitude=1e-6, timeout=PATIENCE)
     assert len(daemon.of(m.Append)) == 3

@@ -1,7 +1,6 @@
 """The SDK's e-stop in both twins: never lost, named by `clear`, and nothing is armed again."""
 
 import asyncio
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -12,6 +11,7 @@ from client_rig import PATIENCE, Daemon, Script, Twin, until
 
 from tactile.client import aio, base, websocket
 from tactile.client.session import Session
+from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError, InputError
 
@@ -105,7 +105,7 @@ def opened_session() -> tuple[Session, list[Any]]:
         close: Any = None
         send = staticmethod(kept.append)
 
-    session = Session(Nowhere(), m.Hello(client="test"), monotonic=time.monotonic)
+    session = Session(Nowhere(), m.Hello(client="test"), clock=MONOTONIC)
     session.opened()
     session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
     return session, kept

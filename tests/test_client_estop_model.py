@@ -15,6 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_s
 from tactile.client.outbox import Outbox
 from tactile.client.session import RAISING, Session
 from tactile.client.transport import Receiver
+from tactile.clock import ModelClock
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
 
@@ -33,7 +34,7 @@ class Schedule(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.outbox = Outbox(lambda display: None)
-        self.session = Session(self, m.Hello(client="test"), monotonic=lambda: 0.0, rearm=True)
+        self.session = Session(self, m.Hello(client="test"), clock=ModelClock(), rearm=True)
         self.futures: list[Future[Any]] = []
         self.handed: dict[int, int] = {}  # place in the order by id
         self.unarmed: set[str] = set(DISPLAYS)  # where nobody wishes to be armed

@@ -1,7 +1,6 @@
 """The SDK inside one process, and its outbox: what quiets comes first."""
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -13,6 +12,7 @@ from client_rig import MESSAGES, Script, Twin, plain
 from tactile.client.outbox import Outbox
 from tactile.client.session import Session
 from tactile.client.transport import Receiver
+from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
 
@@ -88,7 +88,7 @@ class Nowhere:
 
 def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> None:
     transport, script = Nowhere(), Script()
-    session = Session(transport, m.Hello(client="test"), monotonic=time.monotonic)
+    session = Session(transport, m.Hello(client="test"), clock=MONOTONIC)
     session.opened()
     welcome = script.answer(transport.kept.pop())
     assert welcome is not None
@@ -104,7 +104,7 @@ def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> N
 
 def test_requests_that_wait_have_a_limit() -> None:
     transport, script = Nowhere(), Script()
-    session = Session(transport, m.Hello(client="test"), monotonic=time.monotonic)
+    session = Session(transport, m.Hello(client="test"), clock=MONOTONIC)
     session.opened()
     session.received(script.answer(transport.kept.pop()))  # type: ignore[arg-type]
     for _ in range(256):

@@ -10,7 +10,7 @@ from client_rig import PATIENCE, Daemon, Script, Twin, fill, plain, telemetry, u
 
 from tactile import client
 from tactile.client import websocket
-from tactile.client.session import Clock
+from tactile.client.session import ClockOffset
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
 
@@ -159,9 +159,9 @@ def test_pings_measure_the_clocks(
 
 
 def test_the_quickest_exchange_tells_the_clocks_best() -> None:
-    clock = Clock()
+    clock = ClockOffset()
     clock.exchange(1.0, 11.9, 2.0)
     clock.exchange(3.0, 13.05, 3.1)
     clock.exchange(4.0, 14.9, 5.0)
-    assert clock.offset == pytest.approx(10.0)
+    assert clock.seconds == pytest.approx(10.0)
     assert clock.round_trip == pytest.approx(0.1)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
+from tactile.bus.modeled_bus import ModeledBus
+from tactile.clock import ModelClock
 from tactile.daemon.player import BLOCK, IN_AIR, Player, Samples
 from tactile.daemon.shared import Shared, Touch
 from tactile.daemon.waves import BLOCK_WORK, Curve, Singles, Voice
@@ -48,14 +50,11 @@ def leather(display: Display) -> Layer:
 class Stage:
     """A player, whose clock is as far as it waited, and its bus."""
 
+    clock: ModelClock
+
     player: Player
     bus: MockBus
     memory: Shared
-    held: float = 0.0
-
-    def wait(self, moment: float) -> float:
-        late, self.held = self.held, 0.0
-        return moment + late
 
     @property
     def now(self) -> float:
@@ -89,14 +88,29 @@ class Stage:
     origin: float = 0.0
 
 
+class LinkTime(ModelClock):
+    """The time of a modeled link, on which both ends go on while somebody waits."""
+
+    def __init__(self, bus: ModeledBus) -> None:
+        self._bus = bus
+
+    def now(self) -> float:
+        return self._bus.model.clock.now()
+
+    def sleep(self, seconds: float) -> None:
+        end = self.now() + seconds
+        while self.now() < end:
+            self._bus._turn(end)
+
+
 @pytest.fixture
 def stage(display: Display, oak: Layer, leather: Layer) -> Iterator[Stage]:
     memory = Shared.create(len(display.contactors))
     reader = Shared(memory.handle, len(display.contactors))
-    bus = MockBus(Wiring.of(display, RATE), keep="all")
-    player = Player(display, bus, reader)
-    built = Stage(player, bus, memory)
-    player.wait = built.wait
+    clock = ModelClock()
+    bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
+    player = Player(display, bus, reader, clock=clock)
+    built = Stage(clock, player, bus, memory)
     player.keep(1, oak)
     player.keep(2, leather)
     player.voice(ME).layers = ((1, 1.0),)
@@ -201,8 +215,8 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
     stage.player.voice(ME).layers = ()
     touched = rms(stage.slide(0.4)[800:])
     assert air / touched == pytest.approx(IN_AIR, rel=0.05)
-    bus = MockBus(Wiring.of(display, RATE), keep="all")
-    worn = Player(display, bus, Shared(stage.memory.handle, 24), worn=True, wait=stage.wait)
+    bus = MockBus(Wiring.of(display, RATE), keep="all", clock=stage.clock)
+    worn = Player(display, bus, Shared(stage.memory.handle, 24), worn=True, clock=stage.clock)
     worn.arm()
     worn.voice(ME).queue.append(tone, RATE, ())
     for _ in range(150):
@@ -282,7 +296,7 @@ def test_transients_that_are_too_many_at_once_are_counted(stage: Stage) -> None:
 
 def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: Display) -> None:
     stage.slide(0.3)
-    stage.held = 0.05
+    stage.clock.sleep(BLOCK / RATE + 0.05)
     position = stage.player._position
     stage.player.step()
     assert stage.player._position - position == pytest.approx(0.05 * RATE, abs=2 * BLOCK)
@@ -336,12 +350,13 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
     memory = Shared.create(24)
     url = "mock:?link=can&format=spectrum&keep=all"
     with open_bus(url, display) as bus:
+        assert isinstance(bus, ModeledBus)
         assert bus.frames is not None
         texture = SpectrumRenderer(
             display, load_texture("wood-oak"), carriers=bus.frames.carriers,
             frame_rate=bus.frames.rate, whole_band=True,
         )  # fmt: skip
-        player = Player(display, bus, Shared(memory.handle, 24), wait=lambda moment: moment)
+        player = Player(display, bus, Shared(memory.handle, 24), clock=LinkTime(bus))
         player.keep(1, texture)
         player.voice(ME).layers = ((1, 1.0),)
         player.arm()
@@ -354,7 +369,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
             player.step()
         assert not isinstance(player.rendering, Samples)
         assert bus.counters.faults() == {}
-        put_out = bus.output  # type: ignore[attr-defined]
+        put_out = bus.output
         assert rms(put_out[2000:]) > 0.5
     memory.close()
 

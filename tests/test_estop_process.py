@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile.clock import ModelClock
 from tactile.daemon import estop_request
 from tactile.daemon.estop_process import Desk, bind
 from tactile.daemon.estop_request import EstopAnswer, request_estop
@@ -82,18 +83,13 @@ def test_a_request_that_is_sent_again_is_one_e_stop(desk: Desk, latches: dict[st
     assert len(desk._answered) < 300, "memory is bounded"
 
 
-class WaitsForDeaf:
+class WaitsForDeaf(ModelClock):
     """Time that passes where one of two processes is waited for that never answers."""
-
-    now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
 
     def select(self, links: list[Any], _: object, __: object, seconds: float) -> Any:
         if len(links) > 1:
             return select.select(links, [], [], PATIENCE)
-        self.now += seconds
+        self.sleep(seconds)
         return [], [], []
 
 
@@ -102,14 +98,15 @@ def test_one_daemon_that_hangs_holds_up_no_other(
 ) -> None:
     """And both are told of: the one that was stopped, and the one that did not answer."""
     path, clock = served.with_name("estop-1.sock"), WaitsForDeaf()
-    monkeypatch.setattr(estop_request, "time", clock)
+    begun = clock.now()
+    monkeypatch.setattr(estop_request, "MONOTONIC", clock)
     monkeypatch.setattr(estop_request, "select", SimpleNamespace(select=clock.select))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
         deaf.bind(str(path))
         silent, stopped = request_estop(within=2.0)
         deaf.setblocking(False)
         requests = [deaf.recv(1000) for _ in range(8)]
-    assert clock.now == pytest.approx(102.0)
+    assert clock.now() - begun == pytest.approx(2.0)
     assert len(set(requests)) == 1, "it is sent again and again"
     assert (silent.socket, silent.failure) == (str(path), "no answer within 2 s")
     assert stopped.estops == {"right": 1, "left": 1}

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
 from itertools import permutations
@@ -15,8 +14,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile.clock import ModelClock
 from tactile.daemon import latch as module
-from tactile.daemon.latch import CLEARED, SIZE, Latch, Writer, file_name, inherit_estops
+from tactile.daemon.latch import (
+    CLEARED,
+    LOCK_WITHIN,
+    SIZE,
+    Latch,
+    Writer,
+    file_name,
+    inherit_estops,
+)
 from tactile.errors import BusError, InputError
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
@@ -222,34 +230,33 @@ def test_displays_on_one_bus_keep_their_own_e_stops(
 ) -> None:
     """Those of one daemon, which does not wait for itself, and those of two."""
 
-    def sleep(_: float) -> None:
-        pytest.fail("waits for a lock")
+    class Impatient(ModelClock):
+        def sleep(self, seconds: float) -> None:
+            pytest.fail("waits for a lock")
 
-    monkeypatch.setattr(time, "sleep", sleep)
-    monkeypatch.setattr(module, "LOCK_WITHIN", -1.0 if daemons == 2 else 3.0)
+    if daemons == 2:
+        monkeypatch.setattr(module, "LOCK_WITHIN", -1.0)
     with opened(tmp_path, EDITED) as other, opened(tmp_path) as latch:
         other.trip("by a person")
-        inherit_estops({DEVICE: latch}, [DEVICE, EDITED][: 3 - daemons], tmp_path)
+        used = [DEVICE, EDITED][: 3 - daemons]
+        inherit_estops({DEVICE: latch}, used, tmp_path, clock=Impatient())
         assert (other.holds, latch.holds) == (1, 0)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
-def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is left of one that was killed has the lock for a while."""
-    dying, waits = Latch.open(DEVICE, tmp_path), []
-
-    def wait(seconds: float) -> None:
-        waits.append(seconds)
-        if len(waits) == 2:
-            dying.close()
-
-    monkeypatch.setattr(module, "LOCK_WITHIN", 60.0)
+def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) -> None:
+    """What is left of one that was killed has the lock for almost as long as is waited."""
+    dying = Latch.open(DEVICE, tmp_path)
     dying.trip("by a person")
+
+    class Dying(ModelClock):
+        def sleep(self, seconds: float) -> None:
+            super().sleep(seconds)
+            if self.time > 1.0 + 0.9 * LOCK_WITHIN:
+                dying.close()
+
     with opened(tmp_path, EDITED) as latch:
-        monkeypatch.setattr(time, "sleep", wait)
-        inherit_estops({EDITED: latch}, [EDITED], tmp_path)
+        inherit_estops({EDITED: latch}, [EDITED], tmp_path, clock=Dying())
         assert latch.holds == 1
 
 

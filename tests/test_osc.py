@@ -10,7 +10,6 @@ import socket
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from types import SimpleNamespace
 from typing import Any
 
 import daemon_rig
@@ -248,7 +247,7 @@ def test_a_host_that_breaks_is_counted_and_what_follows_is_heard() -> None:
 
 
 def test_a_sender_that_sends_too_fast_loses_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(osc, "time", SimpleNamespace(monotonic=lambda: 1000.0))
+    monkeypatch.setattr(osc, "loop_time", lambda: 1000.0)
 
     async def story() -> None:
         async with sending(messages_per_second=1) as (there, hands, link):

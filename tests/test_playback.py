@@ -7,7 +7,7 @@ import playback_rig
 import pytest
 from playback_rig import FADE, RATE, SINGLE, Played, played, stroke
 
-from tactile.daemon import playback
+from tactile.clock import ModelClock
 from tactile.daemon.playback import PlayedBlock, play
 from tactile.devices import open_bus
 from tactile.display import Display
@@ -154,58 +154,55 @@ def test_a_shorter_or_longer_fade_of_the_display_is_kept(
 # The clock
 
 
-class Clock:
+class CountedClock(ModelClock):
     """Time that passes only where somebody waits or works."""
 
-    def __init__(self) -> None:
-        self.now, self.slept = 1000.0, 0.0
+    slept = 0.0
 
-    def monotonic(self) -> float:
-        return self.now
-
-    def sleep(self, duration: float) -> None:
-        assert duration >= 0
-        self.now += duration
-        self.slept += duration
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        self.slept += max(seconds, 0.0)
 
 
 @pytest.mark.parametrize("work", [0.0, 0.005, 0.02])
 def test_in_real_time_blocks_keep_absolute_deadlines(
-    display: Display, oak: Texture, monkeypatch: pytest.MonkeyPatch, work: float
+    display: Display, oak: Texture, work: float
 ) -> None:
     """Less work than the 8 ms of a block leaves no drift; with more nobody waits at all.
 
     Two blocks are shorter than 64 samples, so that work may be late by itself once.
     """
-    clock = Clock()
-    monkeypatch.setattr(playback, "time", clock)
+    clock = CountedClock()
     begins: list[float] = []
 
     def listen(block: PlayedBlock) -> None:
-        begins.append(clock.now)
-        clock.now += work
+        begins.append(clock.time)
+        clock.time += work
 
     renderer = Renderer(display, oak, sample_rate=RATE)
     with open_bus("mock:", display, sample_rate=RATE) as bus:
         play(
-            display, renderer, stroke(0.4), bus, sample_rate=RATE, listen=listen, realtime=True
+            display, renderer, stroke(0.4), bus, sample_rate=RATE, listen=listen, realtime=True,
+            clock=clock,
         )  # fmt: skip
     if work < 0.008:
         cut = 3200 - FADE  # an edge where the fade begins, besides the blocks' own
         edges = sorted({*range(64, 3216, 64), cut, 3216})
         # the first block begins at once, each other one when its predecessors have been played
-        expected = [1000.0, *(1000.0 + edge / RATE for edge in edges[:-1])]
+        expected = [1.0, *(1.0 + edge / RATE for edge in edges[:-1])]
         np.testing.assert_allclose(begins, expected, rtol=0, atol=work + 1e-9)
-        assert clock.now == pytest.approx(1000.0 + 3216 / RATE, abs=work + 1e-9)
+        assert clock.time == pytest.approx(1.0 + 3216 / RATE, abs=work + 1e-9)
     else:
         assert clock.slept == 0
-        assert clock.now == pytest.approx(1000.0 + work * len(begins), abs=1e-9)
+        assert clock.time == pytest.approx(1.0 + work * len(begins), abs=1e-9)
 
 
-def test_out_of_real_time_nobody_waits(
-    display: Display, oak: Texture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clock = Clock()
-    monkeypatch.setattr(playback, "time", clock)
-    played(display, oak, stroke(0.2))
+def test_out_of_real_time_nobody_waits(display: Display, oak: Texture) -> None:
+    clock = CountedClock()
+    renderer = Renderer(display, oak, sample_rate=RATE)
+    with open_bus("mock:", display, sample_rate=RATE) as bus:
+        play(
+            display, renderer, stroke(0.2), bus, sample_rate=RATE, listen=lambda block: None,
+            clock=clock,
+        )  # fmt: skip
     assert clock.slept == 0

@@ -3,10 +3,9 @@
 The loop is turned by hand and time is passed in; the bus is the mock amplifier.
 """
 
-import io
 import pickle
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
+from tactile.clock import ModelClock
 from tactile.daemon import orders
 from tactile.daemon.latch import Latch, Writer
-from tactile.daemon.orders import Answer, Order
+from tactile.daemon.orders import Answer, News, Order
 from tactile.daemon.playback_process import SILENCE, WATCH, Program
 from tactile.daemon.player import BLOCK, Player
 from tactile.daemon.shared import Shared
@@ -36,22 +36,17 @@ class Stage:
     bus: MockBus
     memory: Shared
     latch: Latch
+    said: list[Answer | News]
     _number: int = 0
-    _answers: dict[int, Answer] = field(default_factory=dict)
-
-    def wait(self, moment: float) -> float:
-        return moment
 
     def order(self, order: Order) -> Answer:
         """Have an order obeyed, and return the answer."""
         self._number += 1
-        self.program._orders.append(pickle.loads(pickle.dumps((self._number, order))))
+        self.program.take(*pickle.loads(pickle.dumps((self._number, order))))
         self.program.turn()
-        while not self.program._said.empty():
-            what = self.program._said.get_nowait()
-            if isinstance(what, Answer):
-                self._answers[what.number] = what
-        return self._answers[self._number]
+        answers = [what for what in self.said if isinstance(what, Answer)]
+        assert answers[-1].number == self._number
+        return answers[-1]
 
     def play(self, seconds: float, *, beats: bool = True) -> NDArray[np.float64]:
         """Play, with or without heartbeats of the server; return what was put out (S, C) [V]."""
@@ -86,12 +81,13 @@ def display() -> Display:
 def stage(display: Display) -> Iterator[Stage]:
     memory = Shared.create(len(display.contactors))
     latch = Latch.open("sim:", Path())
-    bus = MockBus(Wiring.of(display, RATE), keep="all")
-    player = Player(display, bus, Shared(memory.handle, len(display.contactors)), worn=True)
-    program = Program(player, Latch(latch.handle, Writer.PLAYBACK), io.BytesIO())
-    built = Stage(program, bus, memory, latch)
-    player.wait = built.wait
-    yield built
+    clock = ModelClock()
+    bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
+    shared = Shared(memory.handle, len(display.contactors))
+    player = Player(display, bus, shared, worn=True, clock=clock)
+    said: list[Answer | News] = []
+    program = Program(player, Latch(latch.handle, Writer.PLAYBACK), said.append)
+    yield Stage(program, bus, memory, latch, said)
     bus.close()
     memory.close()
 
@@ -222,7 +218,7 @@ def test_an_amplifier_that_is_still_e_stopped_is_no_new_e_stop(
     stage.latch.trip("before playback died")
     stage.bus.estop()
     stage.program = Program(
-        stage.program._player, Latch(stage.latch.handle, Writer.PLAYBACK), io.BytesIO()
+        stage.program._player, Latch(stage.latch.handle, Writer.PLAYBACK), stage.said.append
     )
     stage.play(0.05)
     assert stage.latch.number == 1
@@ -251,5 +247,5 @@ def test_a_watch_that_fails_ends_playback_and_with_it_what_plays(
     monkeypatch.setattr(playing.bus, "estop", broken)
     playing.latch.trip("by a test")
     with pytest.raises(OSError, match="the device is gone"):
-        playing.program._watch()
+        playing.program.watch()
     assert playing.program._ended

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, run, talking
 
+from tactile.clock import ModelClock
 from tactile.daemon import connection, decoding, listening
 from tactile.daemon.decoding import ENCODINGS, hint, read_estop
 from tactile.daemon.messages import JSON_PROTOCOL, LARGEST_MESSAGE, MSGPACK_PROTOCOL, Select
@@ -193,7 +194,7 @@ def test_similar_names_are_looked_for_so_often_and_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(decoding, "HINTS", TokenBucket(20))
-    monkeypatch.setattr("tactile.daemon.decoding.time.monotonic", lambda: 1.0)
+    monkeypatch.setattr(decoding, "MONOTONIC", ModelClock())
     found = [hint("estp", ["estop", "ping"]) for _ in range(25)]
     assert found[:20] == ["did you mean 'estop'?"] * 20
     assert set(found[20:]) == {"similar names are looked for 20 times a second at most"}

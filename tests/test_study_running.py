@@ -326,7 +326,7 @@ def test_a_pool_is_given_up_only_where_no_part_succeeds_in_between() -> None:
 def cluster_crew(monkeypatch: pytest.MonkeyPatch) -> tuple[ClusterCrew, SimpleNamespace]:
     """Return a crew without a cluster, and what it sees: the time now and its workers' threads."""
     seen = SimpleNamespace(now=1000.0, threads={"one": 1})
-    monkeypatch.setattr(crews, "time", SimpleNamespace(monotonic=lambda: seen.now))
+    monkeypatch.setattr(crews, "MONOTONIC", SimpleNamespace(now=lambda: seen.now))
     crew = ClusterCrew.__new__(ClusterCrew)
     crew.address, crew._missed = "tcp://here:1", None
     crew._client = SimpleNamespace(status="running", nthreads=lambda: seen.threads)

@@ -1,4 +1,8 @@
-"""A clock that passes as far as the next thing that any process does, and the processes on it."""
+"""A clock that passes as far as the next thing that any process does, and the processes on it.
+
+Each thread of a process is a greenlet that runs until it sleeps or waits; then the next one does
+whose time has come. So everything happens in one order, which depends on nothing but what happens.
+"""
 
 import asyncio
 import heapq
@@ -7,8 +11,12 @@ import logging
 import os
 import pickle
 import selectors
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import greenlet
 
 if TYPE_CHECKING:
     from virtual_daemon import World
@@ -18,38 +26,143 @@ PIPE = 0.3e-3
 """s from a process to another."""
 
 
-class Clock:
-    """Time of all processes [s], and what they will do when."""
+class Killed(BaseException):
+    """The process is killed; raised where its threads sleep."""
+
+
+@dataclass(eq=False)
+class Thread:
+    """A thread of a process.
+
+    Attributes
+    ----------
+    turn : number of its latest sleep
+    event : that would wake it
+    held : whether its process hangs
+    due : whether it would run, did its process not hang
+    """
+
+    run: Any
+    turn: int = 0
+    event: threading.Event | None = None
+    held: bool = False
+    due: bool = False
+
+
+class VirtualClock:
+    """Time of all processes [s], and what they will do when; it is a `Clock` for all of them."""
 
     def __init__(self) -> None:
-        self.now = 1000.0
+        self.time = 1000.0
         self.interrupted = False
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
+        self._threads: dict[Any, Thread] = {}
 
-    def __call__(self) -> float:
-        return self.now
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self.time
 
     def after(self, seconds: float, work: Callable[[], None]) -> None:
         """Have something done later."""
-        heapq.heappush(self._events, (self.now + seconds, next(self._numbers), work))
+        heapq.heappush(self._events, (self.time + seconds, next(self._numbers), work))
 
     def advance(self, seconds: float, *, interruptible: bool = False) -> None:
         """Let time pass, until the event loop is given something where it is interruptible."""
-        end = self.now + seconds
+        end = self.time + seconds
         while self._events and self._events[0][0] <= end:
             when, _, work = heapq.heappop(self._events)
-            self.now = max(self.now, when)
+            self.time = max(self.time, when)
             work()
+            self._wake()
             if interruptible and self.interrupted:
                 return
-        self.now = max(self.now, end)
+        self.time = max(self.time, end)
+
+    # What threads do
+
+    def start(self, work: Callable[[], None]) -> Thread:
+        """Start a thread of a process; it runs until it sleeps, now and whenever it is woken."""
+        thread = Thread(None)
+
+        def body() -> None:
+            try:
+                work()
+            except Killed:
+                return
+            finally:
+                del self._threads[thread.run]
+
+        thread.run = greenlet.greenlet(body)
+        self._threads[thread.run] = thread
+        self.after(0.0, lambda: self._go_on(thread, 0))
+        return thread
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass, and others run."""
+        thread = self._threads.get(greenlet.getcurrent())
+        if thread is None:
+            self.advance(max(seconds, 0.0))
+            return
+        turn = thread.turn = thread.turn + 1
+        self.after(max(seconds, 0.0), lambda: self._go_on(thread, turn))
+        thread.run.parent.switch()
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Let time pass, or less of it where an event is set."""
+        if event.is_set():
+            return
+        thread = self._threads[greenlet.getcurrent()]
+        thread.event = event
+        self.sleep(seconds)
+        thread.event = None
+
+    def _wake(self) -> None:
+        for thread in list(self._threads.values()):
+            if thread.event is not None and thread.event.is_set() and not thread.held:
+                thread.event = None
+                self._go_on(thread, thread.turn)
+
+    def _go_on(self, thread: Thread, turn: int) -> None:
+        if turn != thread.turn or thread.run.dead:
+            return
+        if thread.held:
+            thread.due = True
+            return
+        thread.turn += 1  # what else would wake it is over
+        thread.run.parent = greenlet.getcurrent()
+        thread.run.switch()
+
+    def hold(self, thread: Thread) -> None:
+        """Let a thread stand still."""
+        thread.held = True
+
+    def release(self, thread: Thread) -> None:
+        """Let a thread that stood still go on, with what it missed first."""
+        thread.held = False
+        if thread.due:
+            thread.due = False
+            turn = thread.turn
+            self.after(0.0, lambda: self._go_on(thread, turn))
+
+    def kill(self, *threads: Thread) -> None:
+        """End threads where they sleep, the running one last."""
+        current = greenlet.getcurrent()
+        for thread in threads:
+            thread.turn += 1
+            if thread.run is not current and thread.run:
+                thread.run.parent = current
+                thread.run.throw(Killed)
+            elif thread.run is not current:
+                self._threads.pop(thread.run, None)
+        if any(thread.run is current for thread in threads):
+            raise Killed
 
 
 class VirtualSelector(selectors.SelectSelector):
     """Waits on the virtual clock; there are no files to wait for."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: VirtualClock) -> None:
         super().__init__()
         self._clock = clock
 
@@ -58,6 +171,17 @@ class VirtualSelector(selectors.SelectSelector):
             self._clock.advance(60.0 if timeout is None else timeout, interruptible=True)
         self._clock.interrupted = False
         return []
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time is a virtual clock's."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._virtual = clock
+        super().__init__(VirtualSelector(clock))
+
+    def time(self) -> float:
+        return self._virtual.now()
 
 
 class Errors(logging.Handler):

@@ -21,17 +21,19 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_clock import Clock, Errors, Process, VirtualSelector
+from virtual_clock import Errors, Process, Thread, VirtualClock, VirtualLoop
 
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.mock_bus import MockBus, open_mock
+from tactile.bus.modeled_bus import link_of
+from tactile.bus.registry import register_bus
 from tactile.daemon import drawing, host, orders, playback_process
 from tactile.daemon.config import Config
 from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup
 from tactile.daemon.host import Host
 from tactile.daemon.latch import Latch, Writer
 from tactile.daemon.orders import Setup
-from tactile.daemon.playback_process import IDLE, WATCH, Program
-from tactile.daemon.player import MARGIN, Player, Samples
+from tactile.daemon.playback_process import Program
+from tactile.daemon.player import Player, Samples
 from tactile.daemon.shared import Shared
 from tactile.display import Display, load_display
 from tactile.errors import InputError
@@ -91,34 +93,33 @@ class Stored:
 
 
 class PlaybackProcess(Process):
-    """A playback process: real `Program`, `Player` and bus, its two threads calls on the clock."""
+    """A playback process: real `Program`, `Player` and bus, in two threads."""
 
     program: Program | None = None
     bus: MockBus
     device = ""
     within: Callable[[], object] | None = None
     """Done once in the middle of what the loop does next, as another thread would."""
+    threads: tuple[Thread, ...] = ()
 
     def receive(self, order: Any) -> None:
         if isinstance(order, Setup):
-            self.clock.after(OPENING, lambda: self._open(order))
-        else:
-            self._program._orders.append(order)
-            if not self._running:
-                self._begin_turns()
+            self._start(lambda: self._play(order))
+        elif self.program is not None:
+            self.program.take(*order)
 
-    @property
-    def _program(self) -> Program:
-        assert self.program is not None
-        return self.program
+    def _start(self, work: Callable[[], None]) -> None:
+        def run() -> None:
+            try:
+                work()
+            except Exception as error:
+                self.world.errors.all.append(f"a thread of playback: {error!r}")
+                self.kill()
 
-    @property
-    def _running(self) -> bool:
-        return self._program._player.running
+        self.threads += (self.clock.start(run),)
 
-    def _open(self, setup: Setup) -> None:
-        if not self.alive:
-            return
+    def _play(self, setup: Setup) -> None:
+        self.clock.sleep(OPENING)
         bus, how = playback_process.opened(setup)
         assert isinstance(bus, MockBus)
         self.bus, self.device = bus, setup.device
@@ -126,85 +127,50 @@ class PlaybackProcess(Process):
         self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
         file = int(self.handle(setup.latch).partition(":")[2])
         self._latch = Latch(f"fd:{os.dup(file)}", Writer.PLAYBACK)
-        player = Player(setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn)
-        player.wait = lambda moment: max(moment, self.clock.now)
-        self.program = Program(player, self._latch, None)  # type: ignore[arg-type]
+        player = Player(
+            setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn, clock=self.clock
+        )
+        self.program = Program(player, self._latch, self.answer)
         self.world.by_bus[id(bus)] = self
         self.answer(how)
-        self._turns = 0
-        self._begin_turns()
-        self._watch()
-
-    def _begin_turns(self) -> None:
-        """Take a turn now, in place of the one that was to come."""
-        self._turns += 1
-        self._turn_after(0.0)
-
-    def _turn_after(self, seconds: float) -> None:
-        turns = self._turns
-        self.clock.after(seconds, lambda: self._turn() if turns == self._turns else None)
-
-    def _turn(self) -> None:
-        if not self.alive or self.hung:
-            return
-        program = self._program
-        try:
-            running = program.turn()
-        except Exception as error:
-            self.world.errors.all.append(f"a turn of playback: {error!r}")
-            self.kill()
-            return
-        while not program._said.empty():
-            self.answer(program._said.get_nowait())
-        wait = IDLE
-        if running:
-            player = program._player
-            asked = player.rendering.asked(player._position) - MARGIN
-            wait = max(asked - self.clock.now, RENDERING)
-        self._turn_after(wait)
-
-    def _watch(self) -> None:
-        if not self.alive:
-            return
-        if not self.hung:
-            try:
-                self._program.look_at_latch()
-                self._program.look_at_server(WATCH)
-            except Exception as error:
-                self.world.errors.all.append(f"the watch of playback: {error!r}")
-                self.kill()
-                return
-        self.clock.after(WATCH, self._watch)
+        self._start(self.program.watch)
+        self.program.run()
+        self.kill()
 
     def interrupt(self) -> None:
         """Let what is to come in the middle come, and the thread that watches look."""
-        if self.within is not None and not self._program._stopping.locked():
+        program = self.program
+        if self.within is not None and program is not None and not program._stopping.locked():
             work, self.within = self.within, None
             work()
-            self._program.look_at_latch()
+            program.look_at_latch()
 
     def hang(self, seconds: float) -> None:
         """Stand still for a while."""
         self.hung = True
+        for thread in self.threads:
+            self.clock.hold(thread)
         self.clock.after(seconds, self._resume)
 
     def _resume(self) -> None:
         self.hung = False
+        for thread in self.threads:
+            self.clock.release(thread)
         if self.ending and self.alive:
             self.finish()
-        elif self.alive and self.program is not None:
-            self._begin_turns()
 
     def finish(self) -> None:
-        if self.program is not None:
-            self.bus.close()
-        self.kill()
+        if self.program is None:
+            self.kill()
+        else:
+            self.program.end()
 
     def let_go(self) -> None:
         if self.program is not None:
+            self.world.by_bus.pop(id(self.bus), None)
             self._latch.close()
             self._memory.close()
-            self.world.by_bus.pop(id(self.bus), None)
+        self.clock.kill(*self.threads)
 
 
 KINDS: dict[str, type[Process]] = {
@@ -223,7 +189,7 @@ class World:
     """
 
     def __init__(self, put_out: Callable[[PlaybackProcess, Floats], None]) -> None:
-        self.clock, self.errors = Clock(), Errors()
+        self.clock, self.errors = VirtualClock(), Errors()
         self.numbers = itertools.count(1)
         self.processes: list[Process] = []
         self.by_bus: dict[int, PlaybackProcess] = {}
@@ -241,11 +207,11 @@ class World:
 
     def start(self, config: Config) -> bool:
         """Start a server; return whether it had what it needs."""
-        self.loop = asyncio.SelectorEventLoop(VirtualSelector(self.clock))
+        self.loop = VirtualLoop(self.clock)
         self.loop.set_exception_handler(self.errors.of_loop)
 
         async def started() -> Host:
-            host = Host(config)
+            host = Host(config, clock=self.clock)
             await host.start()
             return host
 
@@ -286,7 +252,7 @@ class World:
         """Let the server's event loop stand still, all other processes going on."""
 
         async def stalled() -> None:
-            self.stalled = self.clock.now
+            self.stalled = self.clock.now()
             self.clock.advance(seconds)
             self.stalled = None
 
@@ -348,6 +314,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
 
     def write(samples: Samples, *words: Any) -> None:
         interrupt(samples._bus)
+        world.clock.sleep(RENDERING)
         real_write(samples, *words)
 
     def interrupt(bus: Any) -> None:
@@ -357,9 +324,9 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     real_write = Samples.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
+        register_bus("mock", functools.partial(open_mock, clock=world.clock), link=link_of)
+        stack.callback(register_bus, "mock", open_mock, link=link_of)
         for name, instead in {
-            "time.monotonic": world.clock,
-            "time.sleep": world.clock.advance,
             "asyncio.to_thread": _inline,
             "tactile.daemon.playing.Child": world.child,
             "tactile.daemon.estop_desk.Child": world.child,

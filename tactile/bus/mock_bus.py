@@ -18,6 +18,7 @@ from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
 from tactile.bus.modeled_bus import link_of, open_modeled
 from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus
+from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
 
@@ -29,6 +30,7 @@ class MockBus(Bus):
     wiring : what they drive
     keep : "second" or "all" of the output
     sample_format : on the line
+    clock : host time, by which `due` counts from the start
 
     Raises
     ------
@@ -46,8 +48,9 @@ class MockBus(Bus):
         *,
         keep: str = "second",
         sample_format: SampleFormat = SampleFormat.PCM16,
+        clock: Clock = MONOTONIC,
     ) -> None:
-        super().__init__(wiring)
+        super().__init__(wiring, clock)
         self._all = keep == "all"
         self._kept: deque[Floats] = deque()
         self._kept_samples = 0
@@ -156,12 +159,16 @@ def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
     return keep, SampleFormat.PCM16 if asked is None else asked
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+def open_mock(
+    address: Address, rig: Rig, sample_rate: float | None, clock: Clock | None = None
+) -> Bus:
+    """Open amplifiers in memory, or a link with a model, as the URL says; by a given clock."""
     if "link" in address.options:
-        return open_modeled(address, rig, sample_rate)
+        return open_modeled(address, rig, sample_rate, clock)
     address.only("keep", "format")
     keep, kind = kept_and_format(address)
-    return MockBus(Wiring.of(rig, sample_rate or RATE), keep=keep, sample_format=kind)
+    wiring = Wiring.of(rig, sample_rate or RATE)
+    return MockBus(wiring, keep=keep, sample_format=kind, clock=clock or MONOTONIC)
 
 
-register_bus("mock", _open, link=link_of)
+register_bus("mock", open_mock, link=link_of)

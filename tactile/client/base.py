@@ -3,7 +3,6 @@
 import difflib
 import os
 import socket
-import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from typing import Any, Literal, TypeVar
@@ -15,6 +14,7 @@ from tactile.client.session import QUIETER, Session
 from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
+from tactile.clock import MONOTONIC, Clock
 from tactile.daemon import paths
 from tactile.daemon.messages import (
     PATH,
@@ -123,6 +123,7 @@ class BaseConnection:
     token : where the daemon wants one
     timeout : for an answer, where a call says nothing else [s]
     rearm : whether to arm again after a reconnection what was armed before
+    clock : of this program, for the time of contacts and for timeouts
     """
 
     def __init__(
@@ -133,12 +134,13 @@ class BaseConnection:
         token: str = "",
         timeout: float = TIMEOUT,
         rearm: bool = False,
+        clock: Clock = MONOTONIC,
     ) -> None:
         self.timeout = TIMEOUT
         self.timeout = self._patience(timeout)
         self._transport = transport
         hello = wire.checked(Hello(client=client_name, token=token))
-        self._session = Session(transport, hello, monotonic=time.monotonic, rearm=rearm)
+        self._session = Session(transport, hello, clock=clock, rearm=rearm)
 
     def _begin(self, request: Request, timeout: float | None) -> "tuple[Future[Any], float]":
         """Send a request; return the future of its answer, and how long to wait for it [s].
@@ -204,12 +206,12 @@ class BaseConnection:
     @property
     def clock_offset(self) -> float:
         """The daemon's clock less this program's monotonic one [s]."""
-        return self._session.clock.offset
+        return self._session.offset.seconds
 
     @property
     def round_trip(self) -> float:
         """Of the quickest of the last messages [s]."""
-        return self._session.clock.round_trip
+        return self._session.offset.round_trip
 
     @property
     def counters(self) -> dict[str, int]:
@@ -283,7 +285,8 @@ class BaseDisplay:
         velocity: Sequence[float] | None,
         time_s: float | None,
     ) -> None:
-        now = time.monotonic_ns() // 1000 if time_s is None else wire.to_microseconds(time_s)
+        when = self._connection._session.clock.now() if time_s is None else time_s
+        now = wire.to_microseconds(when)
         contact: Contact = wire.to_contact(self.name, position, normal_force, velocity, now)
         x, y = contact.position_mm
         self._position = (x * 1e-3, y * 1e-3)
@@ -316,7 +319,8 @@ class BaseDisplay:
 
     def _playback(self, waveform: Waveform, timeout: float | None) -> "Playback":
         self._playing += 1
-        return Playback(self, waveform, self._connection._patience(timeout))
+        connection = self._connection
+        return Playback(self, waveform, connection._patience(timeout), connection._session.clock)
 
     def _end_playback(self) -> None:
         """Let a `play` of another thread or task send no more."""
@@ -326,10 +330,13 @@ class BaseDisplay:
 class Playback:
     """A `play` in progress: what to send next, how long to wait, and when to give up."""
 
-    def __init__(self, display: BaseDisplay, waveform: Waveform, timeout: float) -> None:
+    def __init__(
+        self, display: BaseDisplay, waveform: Waveform, timeout: float, clock: Clock
+    ) -> None:
         self._display, self._waveform, self._timeout = display, waveform, timeout
         self._mine = display._playing
-        self._progress = time.monotonic()
+        self._clock = clock
+        self._progress = clock.now()
         self.samples = 0
 
     def message(self) -> Append | None:
@@ -344,7 +351,7 @@ class Playback:
         ClientTimeoutError
             Where the daemon took nothing for the timeout.
         """
-        appended, now = wire.from_appended(reply), time.monotonic()
+        appended, now = wire.from_appended(reply), self._clock.now()
         self._waveform.taken(appended.samples_consumed)
         self.samples += appended.samples_consumed
         if appended.samples_consumed:

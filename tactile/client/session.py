@@ -19,6 +19,7 @@ from tactile.client import wire
 from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.wishes import EStops, Wishes
+from tactile.clock import Clock
 from tactile.daemon.messages import (
     Answer,
     Arm,
@@ -72,17 +73,17 @@ def refusal(failure: Failure) -> RequestError:
 
 
 @dataclass
-class Clock:
+class ClockOffset:
     """What lies between two clocks: the quickest of the last exchanges tells it best."""
 
-    offset: float = 0.0
+    seconds: float = 0.0
     round_trip: float = 0.0
     _seen: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
 
     def exchange(self, asked: float, theirs: float, answered: float) -> None:
         """Take one exchange: our time at either end, and theirs between [s]."""
         self._seen.append((answered - asked, theirs - (asked + answered) / 2))
-        self.round_trip, self.offset = min(self._seen)
+        self.round_trip, self.seconds = min(self._seen)
 
 
 class Session:
@@ -92,7 +93,7 @@ class Session:
     ----------
     transport : carries the messages; opened and closed by the twin
     hello : what to say first
-    monotonic : the program's clock [s]
+    clock : the program's
     rearm : whether to arm again after a reconnection what was armed before
     """
 
@@ -101,11 +102,11 @@ class Session:
         transport: Transport,
         hello: Hello,
         *,
-        monotonic: Callable[[], float],
+        clock: Clock,
         rearm: bool = False,
     ) -> None:
         self._transport, self._hello, self._rearm = transport, hello, rearm
-        self._monotonic = monotonic
+        self.clock = clock
         self._lock = threading.RLock()  # a transport may answer before `send` returns
         self._last_id = 0
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
@@ -118,7 +119,7 @@ class Session:
         self.ready: Future[Welcome] = Future()
         self.connected = self.closed = self._final = False
         self.reason = "not connected yet"
-        self.clock = Clock()
+        self.offset = ClockOffset()
         self.counters: Counter[str] = Counter(
             dict.fromkeys(
                 ("dropped_contacts", "dropped_events", "dropped_telemetry", "ignored_messages",
@@ -179,7 +180,7 @@ class Session:
         with self._lock:
             self._last_id = number = self._last_id + 1
             command = msgspec.structs.replace(command, id=number)
-            self._waiting[number] = (command, future, self._monotonic())
+            self._waiting[number] = (command, future, self.clock.now())
             future.add_done_callback(lambda _: self._waiting.pop(number, None))
             if isinstance(command, EStop):
                 self.estops.request(command.display, number)
@@ -275,7 +276,7 @@ class Session:
 
     def ping(self) -> "Future[Pong]":
         """Ask what time it is there."""
-        return self._ask(Ping(time_us=wire.to_microseconds(self._monotonic())))
+        return self._ask(Ping(time_us=wire.to_microseconds(self.clock.now())))
 
     def received(self, answer: Answer) -> None:
         """Take what the daemon says."""
@@ -304,7 +305,7 @@ class Session:
                 self._queues.pop(telemetry.display, None)
         if not queues and known:
             self._transport.send(Subscribe(display=telemetry.display, rate_hz=0))
-        made = wire.from_telemetry(telemetry, self.clock.offset)
+        made = wire.from_telemetry(telemetry, self.offset.seconds)
         lost = sum(queue.put(made) for queue in queues)
         if lost:
             with self._lock:
@@ -319,7 +320,7 @@ class Session:
         if isinstance(reply, Welcome):
             self._welcomed(reply, asked)
         elif isinstance(reply, Pong):
-            self.clock.exchange(asked, reply.server_time_us * 1e-6, self._monotonic())
+            self.offset.exchange(asked, reply.server_time_us * 1e-6, self.clock.now())
         elif not isinstance(reply, Failure):
             self._granted(command)
         elif isinstance(command, Arm) and reply.code == "estopped":
@@ -337,7 +338,7 @@ class Session:
 
     def _refuse(self, failure: Failure) -> None:
         """Tell once a second what is wrong with a stream, rather than at its rate."""
-        now = self._monotonic()
+        now = self.clock.now()
         with self._lock:
             self.counters["refused_contacts"] += 1
             code, told = self._refused
@@ -347,8 +348,8 @@ class Session:
         self.notify(wire.Event("refused", detail=f"{failure.code}: {refusal(failure)}"))
 
     def _welcomed(self, welcome: Welcome, asked: float) -> None:
-        self.clock = Clock()
-        self.clock.exchange(asked, welcome.time_us * 1e-6, self._monotonic())
+        self.offset = ClockOffset()
+        self.offset.exchange(asked, welcome.time_us * 1e-6, self.clock.now())
         with self._lock:  # nothing is asked or withdrawn between what is restored
             again = self.welcome is not None
             self.welcome = welcome

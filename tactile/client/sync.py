@@ -7,7 +7,6 @@
 ...     display.touch((0.012, 0.003), velocity=(0.08, 0.0), normal_force=0.5)
 """
 
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
@@ -189,11 +188,11 @@ class Connection(BaseConnection):
 
     def _stop(self, names: Iterable[str]) -> None:
         """Ask to fade out, and wait for at most half of the timeout."""
-        deadline = time.monotonic() + self.timeout / 2
+        deadline = self._session.clock.now() + self.timeout / 2
         with suppress(ClientError):
             stops = [self._session.ask(messages.Stop(display=name)) for name in names]
             for stop in stops:
-                _wait(stop, max(0.0, deadline - time.monotonic()), "stop")
+                _wait(stop, max(0.0, deadline - self._session.clock.now()), "stop")
 
     def _end(self) -> None:
         self._session.close()
@@ -391,7 +390,7 @@ class Display(BaseDisplay):
         playback = self._playback(waveform, timeout)
         while (message := playback.message()) is not None:
             reply = self._connection._ask(message, messages.Appended, timeout)
-            time.sleep(playback.taken(message, reply))
+            self._connection._session.clock.sleep(playback.taken(message, reply))
         return playback.samples
 
     def effect(

@@ -6,7 +6,6 @@ the roles are in `tactile.daemon.messages`.
 
 import asyncio
 import math
-import time
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.clock import loop_time
 from tactile.daemon import messages as m
 from tactile.daemon import orders
 from tactile.daemon.decoding import hint
@@ -73,7 +73,7 @@ class Client:
     @property
     def sounds(self) -> bool:
         """Whether it has waveforms or effects that may still sound."""
-        return time.monotonic() < self._sounds_until
+        return loop_time() < self._sounds_until
 
     @property
     def holds_voltage(self) -> bool:
@@ -132,7 +132,7 @@ class Client:
 
     async def _answer(self, command: Command) -> Answer:
         if isinstance(command, m.Ping):
-            return m.Pong(time_us=command.time_us, server_time_us=time.monotonic_ns() // 1000)
+            return m.Pong(time_us=command.time_us, server_time_us=int(loop_time() * 1e6))
         if isinstance(command, m.ListTextures):
             return m.Textures(textures=self._host.textures())
         if isinstance(command, m.EStop):
@@ -143,7 +143,7 @@ class Client:
         if playing is None:
             return self._no_display(command.display)
         if isinstance(command, Contact):
-            return self.contact(command, time.monotonic()) or m.Done()
+            return self.contact(command, loop_time()) or m.Done()
         if self._left and not isinstance(command, m.Disarm):
             return Failure(code="unavailable", message="the connection has ended")
         needed = NEEDED.get(type(command))
@@ -259,7 +259,7 @@ class Client:
                 command.sample_rate_hz, command.contactors, command.append,
             )
         )  # fmt: skip
-        self._sounds_until = max(self._sounds_until, time.monotonic() + waiting + ENDING)
+        self._sounds_until = max(self._sounds_until, loop_time() + waiting + ENDING)
         return m.Appended(samples_consumed=int(taken), buffered_ms=1e3 * waiting)
 
     async def _effect(self, playing: Playing, command: m.Effect) -> Answer:
@@ -278,7 +278,7 @@ class Client:
             if np.any(np.diff(rows[:, 0]) < 0):
                 return Failure(code="invalid_field", field=name, message="times must not descend")
         await playing.ask(orders.Shape(self.number, curve))
-        self._sounds_until = max(self._sounds_until, time.monotonic() + curve.end + ENDING)
+        self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
         return m.Done()
 
     @staticmethod

@@ -8,13 +8,13 @@ Whatever a client sends, or does not read, costs that client its connection and 
 import asyncio
 import logging
 import secrets
-import time
 from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from tactile.clock import loop_time
 from tactile.daemon.config import ServerConfig
 from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read, read_estop
 from tactile.daemon.liveness import SignsOfLife
@@ -216,7 +216,7 @@ class Connection:
             return await self._refuse(Close(4406, "wrong version"), failure)
         if self._site.ending:
             return ENDING
-        if not self._site.places.take(self, time.monotonic()):
+        if not self._site.places.take(self, loop_time()):
             text = self._crowded()
             return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
         if self._site.places.is_reserved(self):
@@ -249,7 +249,7 @@ class Connection:
             displays=self._site.host.displays,
             may_arm="arm" in welcomed.roles,
             roles=tuple(sorted(welcomed.roles)),
-            time_us=time.monotonic_ns() // 1000,
+            time_us=int(loop_time() * 1e6),
             messages_per_second=self._site.config.messages_per_second,
         )
 
@@ -302,7 +302,7 @@ class Connection:
                 return GONE
             if self._ended.done():
                 return self._ended.result()
-            self._take(self._data(message), time.monotonic())
+            self._take(self._data(message), loop_time())
 
     @staticmethod
     def _data(message: Any) -> str | bytes:
@@ -331,7 +331,7 @@ class Connection:
         if type(command) is Contact:
             failure = self._client.contact(command, arrival)
             self._failures = self._failures if failure else 0
-            self._traffic.message("contact", time.monotonic() - arrival)
+            self._traffic.message("contact", loop_time() - arrival)
             return failure
         if isinstance(command, Failure):
             if command.code == "too_large":
@@ -340,7 +340,7 @@ class Connection:
         if isinstance(command, Ping):
             came = int(arrival * 1e6)
             self._answer(Pong(id=command.id, time_us=command.time_us, server_time_us=came))
-            self._traffic.message("ping", time.monotonic() - arrival)
+            self._traffic.message("ping", loop_time() - arrival)
             return None
         if isinstance(command, Hello):
             return failed("unsupported", "hello was said already", field="type", to=command.id)

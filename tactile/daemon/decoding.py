@@ -4,12 +4,12 @@ Nothing raises here, whatever the bytes are.
 """
 
 import re
-import time
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
 import msgspec
 
+from tactile.clock import MONOTONIC
 from tactile.daemon.messages import (
     JSON_PROTOCOL,
     LARGEST_MESSAGE,
@@ -97,7 +97,7 @@ def read_estop(data: str | bytes, encoding: Encoding) -> EStop | None:
 
 def hint(name: str, known: list[str]) -> str:
     """Return which known name was meant, or which there are; no more often than `HINTS` allows."""
-    if HINTS.take(time.monotonic()):
+    if HINTS.take(MONOTONIC.now()):
         return nearest(name, known)
     return "similar names are looked for 20 times a second at most"
 

@@ -7,13 +7,13 @@ import select
 import socket
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tactile.clock import MONOTONIC
 from tactile.daemon.paths import estop_sockets
 
 LARGEST_REQUEST = 1024
@@ -67,20 +67,20 @@ def request_estop(display: str | None = None, *, within: float = WITHIN) -> list
         One for each program; none where none runs.
     """
     request = json.dumps({"estop": display, "id": secrets.token_hex(8)}).encode()
-    begun, answers = time.monotonic(), dict[str, EstopAnswer]()
+    begun, answers = MONOTONIC.now(), dict[str, EstopAnswer]()
     waiting = {str(path): path for path in estop_sockets()}
     with _links(len(waiting)) as links:
         by_link = dict(zip(links, list(waiting), strict=True))
-        while by_link and (left := begun + within - time.monotonic()) > 0:
+        while by_link and (left := begun + within - MONOTONIC.now()) > 0:
             for link, name in list(by_link.items()):
                 if (failure := _send(link, waiting[name], request)) is not None:
                     answers[name] = EstopAnswer(name, failure=failure)
                     del by_link[link]
-            attempt = time.monotonic() + min(ATTEMPT, left)
-            while by_link and (rest := attempt - time.monotonic()) > 0:
+            attempt = MONOTONIC.now() + min(ATTEMPT, left)
+            while by_link and (rest := attempt - MONOTONIC.now()) > 0:
                 for link in select.select(list(by_link), [], [], rest)[0]:
                     name = by_link.pop(link)
-                    answers[name] = _answer(name, link, time.monotonic() - begun)
+                    answers[name] = _answer(name, link, MONOTONIC.now() - begun)
     silent = f"no answer within {within:g} s"
     return [answers.get(name, EstopAnswer(name, failure=silent)) for name in waiting]
 

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 
+from tactile.clock import MONOTONIC, Clock
 from tactile.daemon import messages as m
 from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig, load_config, load_configured
@@ -47,7 +48,7 @@ def shipped_textures() -> dict[str, m.TextureInfo]:
 
 
 async def _latches(
-    configs: Sequence[DisplayConfig], left: dict[str, Latch]
+    configs: Sequence[DisplayConfig], left: dict[str, Latch], clock: Clock
 ) -> dict[DisplayConfig, Latch]:
     """Return the latch of each display; those that are ``left`` are taken by device, and removed.
 
@@ -63,7 +64,8 @@ async def _latches(
             if one.device in left:
                 handed[one] = left.pop(one.device)
             else:
-                opened[one] = await asyncio.to_thread(Latch.open, one.device, folder)
+                open_latch = partial(Latch.open, one.device, folder, clock=clock)
+                opened[one] = await asyncio.to_thread(open_latch)
     except BaseException:
         for latch in opened.values():
             latch.close()
@@ -77,10 +79,11 @@ class Host:
     Parameters
     ----------
     config : which
+    clock : by which it waits for files; all else goes by the event loop's
     """
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
+    def __init__(self, config: Config, *, clock: Clock = MONOTONIC) -> None:
+        self._config, self._clock = config, clock
         self._workbench = Workbench()
         self._clients: dict[int, Client] = {}
         self._numbers = itertools.count(1)
@@ -106,7 +109,7 @@ class Host:
         try:
             for config in self._config.display:
                 load_configured(config)
-            latches = await _latches(self._config.display, {})
+            latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
                 self.playing[config.name] = Playing(config, latch, self._workbench, self._tell)
             await self._desk.start({name: one.latch for name, one in self.playing.items()})
@@ -121,7 +124,8 @@ class Host:
         """Let displays whose device had another URL before keep their e-stop."""
         heirs = {config.device: latch for config, latch in latches.items()}
         used = [playing.config.device for playing in self.playing.values()]
-        await asyncio.to_thread(inherit_estops, heirs, used, state_folder())
+        take_over = partial(inherit_estops, heirs, used, state_folder(), clock=self._clock)
+        await asyncio.to_thread(take_over)
 
     async def _beat(self) -> None:
         """Give playback signs of life for as long as this event loop runs, and see to the latches.
@@ -174,7 +178,7 @@ class Host:
         textures = await asyncio.to_thread(shipped_textures)  # which takes longer than a heartbeat
         after = {one.name: before.pop(one) for one in config.display if one in before}
         left = {playing.config.device: playing.latch for playing in before.values()}
-        latches = await _latches(new, left)
+        latches = await _latches(new, left, self._clock)
         self._config, self._textures = config, textures
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for one, latch in latches.items():

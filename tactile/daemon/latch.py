@@ -24,6 +24,7 @@ from urllib.parse import quote, unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, InputError
 
 if sys.platform != "win32":
@@ -73,13 +74,14 @@ class Latch:
         self._words: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, WORDS)
 
     @classmethod
-    def open(cls, device: str, folder: Path) -> "Latch":
+    def open(cls, device: str, folder: Path, *, clock: Clock = MONOTONIC) -> "Latch":
         """Return the latch of a device for its server, and keep every other program from it.
 
         Parameters
         ----------
         device : URL of the device that the latch guards
         folder : where latches are kept; created where it is missing
+        clock : to wait by for what is left of a program that was killed
 
         Raises
         ------
@@ -101,7 +103,7 @@ class Latch:
                     f"e-stop latch of {device}: {path}: {error.strerror}; make it writable, or "
                     "set STATE_DIRECTORY to another folder"
                 ) from error
-            _lock(file, device, path)
+            _lock(file, device, path, clock)
         latch = cls._of(file, path, device)
         if device.startswith(UNSAVED) and sys.platform != "win32":
             path.unlink()
@@ -216,7 +218,9 @@ def file_name(device: str) -> str:
     return name + SUFFIX
 
 
-def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Path) -> None:
+def inherit_estops(
+    heirs: Mapping[str, Latch], used: Collection[str], folder: Path, *, clock: Clock = MONOTONIC
+) -> None:
     """Latch the e-stops that hold for the same devices by other URLs.
 
     An e-stop is not over because somebody edited an option of the URL, or named the device by
@@ -229,6 +233,7 @@ def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Pa
     heirs : latches by URL of the device
     used : URLs of all devices of this daemon, which keep their e-stops
     folder : where latches are kept
+    clock : to wait by for what is left of a program that was killed
     """
     kept = {file_name(device) for device in used}
     for path in sorted(folder.glob("*" + SUFFIX)):
@@ -236,7 +241,7 @@ def inherit_estops(heirs: Mapping[str, Latch], used: Collection[str], folder: Pa
         latches = [latch for device, latch in heirs.items() if _place(device) == place]
         if latches and path.name not in kept:
             try:
-                _hand_on(path, latches)
+                _hand_on(path, latches, clock)
             except (OSError, BusError) as error:
                 for latch in latches:
                     latch.trip(f"e-stop latch {path.name} cannot be taken over: {error}")
@@ -256,7 +261,7 @@ def _place(device: str) -> str:
     return f"{parts.scheme}:{parts.netloc}{path}"
 
 
-def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
+def _hand_on(path: Path, heirs: Sequence[Latch], clock: Clock) -> None:
     """Have latches take over an e-stop that holds, and end it where it was, once that is saved.
 
     Raises
@@ -266,7 +271,7 @@ def _hand_on(path: Path, heirs: Sequence[Latch]) -> None:
     """
     file = os.open(path, READ_WRITE)
     try:
-        _lock(file, path.name, path)
+        _lock(file, path.name, path, clock)
     except BusError:
         return  # another daemon has it, and another amplifier of the same bus
     with closing(Latch._of(file, path, path.name)) as old:
@@ -302,7 +307,7 @@ def _is_intact(file: int) -> bool:
     return not content
 
 
-def _lock(file: int, device: str, path: Path) -> None:
+def _lock(file: int, device: str, path: Path, clock: Clock) -> None:
     """Keep other daemons from a latch; wait for what is left of one that was killed.
 
     Raises
@@ -312,15 +317,15 @@ def _lock(file: int, device: str, path: Path) -> None:
     """
     if sys.platform == "win32":
         return  # the device itself lets no second daemon in
-    end = time.monotonic() + LOCK_WITHIN
+    end = clock.now() + LOCK_WITHIN
     while True:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
         except BlockingIOError:
-            if time.monotonic() > end:
+            if clock.now() > end:
                 os.close(file)
                 raise BusError(
                     f"e-stop latch of {device}: another program has it ({path}); end that first"
                 ) from None
-            time.sleep(0.02)
+            clock.sleep(0.02)

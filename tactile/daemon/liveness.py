@@ -5,10 +5,10 @@ while this event loop itself runs: a machine that stood still does not take its 
 """
 
 import asyncio
-import time
 from collections.abc import Callable, Iterable
 from typing import NamedTuple, Protocol
 
+from tactile.clock import loop_time
 from tactile.daemon.silence import Silence
 
 TICK = 0.025
@@ -73,10 +73,10 @@ class Watched(Protocol):
 
 async def look_after(clients: Callable[[], Iterable[Watched]]) -> None:
     """Look at all clients in each tick, for as long as this runs."""
-    before = time.monotonic()
+    before = loop_time()
     while True:
         await asyncio.sleep(TICK)
-        now = time.monotonic()
+        now = loop_time()
         for client in tuple(clients()):
             client.look(now - before)
         before = now

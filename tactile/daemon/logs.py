@@ -14,6 +14,7 @@ from collections.abc import Callable
 from logging.handlers import QueueHandler, QueueListener
 from typing import Any
 
+from tactile.clock import MONOTONIC
 from tactile.daemon.config import LogConfig
 from tactile.errors import InputError
 
@@ -146,7 +147,7 @@ class Logs:
         Where the file cannot be opened.
     """
 
-    def __init__(self, config: LogConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: LogConfig, *, clock: Callable[[], float] = MONOTONIC.now) -> None:
         self._sink = Lines(_descriptor(config.file))
         self._sink.setFormatter(JsonFormatter() if config.format == "json" else TextFormatter())
         waiting: queue.Queue[Any] = queue.Queue(MOST_WAITING)

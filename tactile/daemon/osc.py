@@ -15,7 +15,6 @@ import asyncio
 import logging
 import socket
 import struct
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from typing import Any
 
 import msgspec
 
+from tactile.clock import loop_time
 from tactile.daemon.decoding import failed
 from tactile.daemon.messages import (
     Answer,
@@ -214,7 +214,7 @@ class OscProtocol(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         """Carry out what a packet says, and those that wait behind it; e-stops first."""
-        now = time.monotonic()
+        now = loop_time()
         try:
             packets = [(data, addr), *self._waiting()]
             stops: dict[str | None, EStop] = {}
@@ -275,7 +275,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     ) -> None:
         if isinstance(command, Contact):
             failure = sender.client.contact(command, now)
-            self._traffic.message("contact", time.monotonic() - now)
+            self._traffic.message("contact", loop_time() - now)
         elif isinstance(command, Failure):
             failure = command
         else:
@@ -347,7 +347,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     async def forget_silent(self) -> None:
         """Close the clients of those that are silent, for as long as this runs."""
         while True:
-            now = time.monotonic()
+            now = loop_time()
             for addr in [a for a, s in self._senders.items() if now - s.heard > SILENCE]:
                 self._forget(addr)
             await asyncio.sleep(SILENCE / 10)

@@ -4,13 +4,13 @@ The stream fades in at its beginning and out at its end. What is handed to the l
 the renderer's delay is taken off, so that a sample's drive, shear, place and time belong together.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
+from tactile.clock import MONOTONIC, Clock
 from tactile.display import Display
 from tactile.errors import BusError
 from tactile.rendering.contact import Trajectory
@@ -49,6 +49,7 @@ def play(
     sample_rate: float,
     listen: Callable[[PlayedBlock], None],
     realtime: bool = False,
+    clock: Clock = MONOTONIC,
 ) -> None:
     """Play a trajectory to its end.
 
@@ -58,6 +59,7 @@ def play(
     sample_rate : of the drive [Hz]
     listen : called after each block
     realtime : wait for each block's time, on a bus that does not
+    clock : to wait by
 
     Raises
     ------
@@ -67,7 +69,7 @@ def play(
     fade = round(display.limits.fade * sample_rate)
     last = round(trajectory.duration * sample_rate) - fade
     renderer.fade_in()
-    begun, sent = time.monotonic(), 0
+    begun, sent = clock.now(), 0
     delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
     for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
         if sent == max(last, 0):
@@ -75,7 +77,7 @@ def play(
         drive, shear = renderer.block(position, normal_force, shear=True)
         if not sent:  # the first block takes longest
             bus.start()
-            begun = time.monotonic()
+            begun = clock.now()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         _check_estop(bus)
         sent += len(drive)
@@ -83,7 +85,7 @@ def play(
         if played is not None:
             listen(played)
         if realtime and not bus.paced:
-            time.sleep(max(0.0, begun + sent / sample_rate - time.monotonic()))
+            clock.sleep(begun + sent / sample_rate - clock.now())
     bus.stop()
 
 

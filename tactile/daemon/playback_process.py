@@ -15,9 +15,9 @@ import queue
 import signal
 import sys
 import threading
-import time
 import traceback
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, BinaryIO
 
@@ -52,13 +52,12 @@ class Program:
     ----------
     player : what it plays with
     latch : the display's e-stop latch
-    out : where answers go
+    say : takes answers and news, and never waits
     """
 
-    def __init__(self, player: Player, latch: Latch, out: BinaryIO) -> None:
-        self._player, self._latch, self._out = player, latch, out
+    def __init__(self, player: Player, latch: Latch, say: Callable[[Answer | News], None]) -> None:
+        self._player, self._latch, self._say = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
-        self._said: queue.Queue[Answer | News] = queue.Queue(WAITING)
         self._news = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
@@ -68,19 +67,25 @@ class Program:
         self._told = "", "disarmed", "up"
         self._underruns = 0
 
-    def run(self, pipe: BinaryIO) -> None:
-        """Play until the pipe ends."""
-        for work, words in ((self._write, ()), (self._read, (pipe,)), (self._watch, ())):
-            threading.Thread(target=work, args=words, name="tactile-talk", daemon=True).start()
-        priority.urge()
+    def run(self) -> None:
+        """Play until `end`, then close the bus."""
         try:
             while not self._ended:
                 if not self.turn():
-                    self._news.wait(IDLE)
+                    self._player.clock.wait(self._news, IDLE)
                     self._news.clear()
         finally:
             self._player.bus.close()
-            self._said_all()
+
+    def take(self, number: int, order: Order) -> None:
+        """Take an order, from any thread."""
+        self._orders.append((number, order))
+        self._news.set()
+
+    def end(self) -> None:
+        """Let `run` end, from any thread."""
+        self._ended = True
+        self._news.set()
 
     def turn(self) -> bool:
         """Obey, and play a block; return whether there are more to play."""
@@ -102,28 +107,18 @@ class Program:
 
     # Orders
 
-    def _read(self, pipe: BinaryIO) -> None:
+    def watch(self) -> None:
+        """Look at the latch and at the server's signs of life until the end, in another thread."""
+        clock = self._player.clock
+        looked = clock.now()
         try:
             while not self._ended:
-                self._orders.append(pickle.load(pipe))
-                self._news.set()
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return  # the server is gone
-        finally:
-            self._ended = True
-            self._news.set()
-
-    def _watch(self) -> None:
-        looked = time.monotonic()
-        try:
-            while not self._ended:
-                time.sleep(WATCH)
+                clock.sleep(WATCH)
                 self.look_at_latch()
-                before, looked = looked, time.monotonic()
+                before, looked = looked, clock.now()
                 self.look_at_server(looked - before)
         finally:  # also where an amplifier cannot be e-stopped: its watchdog takes it to 0 V
-            self._ended = True
-            self._news.set()
+            self.end()
 
     def look_at_latch(self) -> None:
         """Stop at once where there is a new e-stop, and latch one that the amplifier tells of."""
@@ -243,28 +238,55 @@ class Program:
             self._say(News("underrun", f"{counters.underruns - self._underruns} more"))
             self._underruns = counters.underruns
 
-    def _say(self, what: Answer | News) -> None:
-        with suppress(queue.Full):
-            self._said.put_nowait(what)
 
-    def _write(self) -> None:
+class Pipe:
+    """The server's end of a playback process: orders come in, answers and news go out.
+
+    Parameters
+    ----------
+    orders, answers : files to read and to write
+    """
+
+    def __init__(self, orders: BinaryIO, answers: BinaryIO) -> None:
+        self._orders, self._answers = orders, answers
+        self._waiting: queue.Queue[Answer | News] = queue.Queue(WAITING)
+
+    def say(self, what: Answer | News) -> None:
+        """Have something written; drop it where nobody reads."""
+        with suppress(queue.Full):
+            self._waiting.put_nowait(what)
+
+    def begin(self, program: Program) -> None:
+        """Hand orders to a program and write what it says, each in a thread of its own."""
+        for work in (self._read, self._write):
+            threading.Thread(target=work, args=(program,), name="tactile-talk", daemon=True).start()
+
+    def _read(self, program: Program) -> None:
+        try:
+            while True:
+                program.take(*pickle.load(self._orders))
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return  # the server is gone
+        finally:
+            program.end()
+
+    def _write(self, program: Program) -> None:
         while True:
-            what = self._said.get()
+            what = self._waiting.get()
             try:
-                self._out.write(pickle.dumps(what, protocol=5))
-                self._out.flush()
+                self._answers.write(pickle.dumps(what, protocol=5))
+                self._answers.flush()
             except (OSError, ValueError):
-                self._ended = True
-                self._news.set()
+                program.end()
                 return
             finally:
-                self._said.task_done()
+                self._waiting.task_done()
 
-    def _said_all(self) -> None:
-        """Let the last answers out, if somebody reads them."""
-        waited = threading.Thread(target=self._said.join, daemon=True)
+    def flush(self, seconds: float) -> None:
+        """Wait for a while until all is written."""
+        waited = threading.Thread(target=self._waiting.join, daemon=True)
         waited.start()
-        waited.join(PATIENCE)
+        waited.join(seconds)
 
 
 def opened(setup: Setup) -> tuple[Bus, Opened]:
@@ -290,29 +312,36 @@ def opened(setup: Setup) -> tuple[Bus, Opened]:
 
 def main() -> None:
     """Play as the server says on standard input."""
-    pipe: Any = os.fdopen(os.dup(0), "rb", buffering=1 << 16)
-    out: Any = os.fdopen(os.dup(1), "wb")
+    inward: Any = os.fdopen(os.dup(0), "rb", buffering=1 << 16)
+    outward: Any = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        setup: Setup = pickle.load(pipe)
+        setup: Setup = pickle.load(inward)
     except (EOFError, OSError, pickle.UnpicklingError):
         sys.exit(1)
     try:
         bus, how = opened(setup)
     except TactileError as error:
-        out.write(pickle.dumps(Opened(why_not=str(error)), protocol=5))
-        out.flush()
+        outward.write(pickle.dumps(Opened(why_not=str(error)), protocol=5))
+        outward.flush()
         sys.exit(1)
     memory = Shared(setup.memory, len(setup.display.contactors))
     player = Player(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
-    program = Program(player, Latch(setup.latch, Writer.PLAYBACK), out)
+    pipe = Pipe(inward, outward)
+    program = Program(player, Latch(setup.latch, Writer.PLAYBACK), pipe.say)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     refused = priority.prepare()
-    out.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))
-    out.flush()
+    outward.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))
+    outward.flush()
+    pipe.begin(program)
+    threading.Thread(target=program.watch, name="tactile-watch", daemon=True).start()
+    priority.urge()
     with suppress(SystemExit):
-        program.run(pipe)
+        try:
+            program.run()
+        finally:
+            pipe.flush(PATIENCE)
     os._exit(0)  # at once: nothing that was frozen is taken to pieces
 
 

@@ -9,14 +9,14 @@ counted. Where it is held up it goes on at what is due by then, fading in.
 """
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Status
+from tactile.clock import MONOTONIC, Clock
 from tactile.daemon.shared import COUNTERS, Report, Shared, State, Trace
 from tactile.daemon.waves import TURN, Singles, Voice, affordable
 from tactile.display import Display
@@ -44,16 +44,6 @@ SMOOTHED = 0.02
 """Weight of a block's latency in the mean."""
 
 Complex = NDArray[np.complex128]
-Wait = Callable[[float], float]
-"""Waits until a monotonic time [s], or not, and returns what time it is then."""
-
-
-def wait_until(moment: float) -> float:
-    """Wait for an absolute time of the monotonic clock; return what it is then."""
-    left = moment - time.monotonic()
-    if left > 0:
-        time.sleep(left)
-    return time.monotonic()
 
 
 def state_of(status: Status) -> State:
@@ -204,7 +194,7 @@ class Player:
     display, bus, memory : what plays, on what, and what it shares with the server
     gain : of the display, over that of each client
     worn : whether the finger stays on the display though it touches nothing
-    wait : how it waits; a test's own clock turns here
+    clock : the host's, by which blocks are due
     """
 
     display: Display
@@ -212,7 +202,7 @@ class Player:
     memory: Shared
     gain: float = 1.0
     worn: bool = False
-    wait: Wait = wait_until
+    clock: Clock = MONOTONIC
     textures: dict[int, Layer | SpectrumRenderer] = field(default_factory=dict)
     voices: dict[int, Voice] = field(default_factory=dict)
 
@@ -290,7 +280,8 @@ class Player:
 
     def step(self) -> None:
         """Wait until it is time for a block, render it and play it."""
-        now = self.wait(self.rendering.asked(self._position) - MARGIN)
+        self.clock.sleep(self.rendering.asked(self._position) - MARGIN - self.clock.now())
+        now = self.clock.now()
         if not self.running:
             return
         self._catch_up(now)
@@ -366,7 +357,7 @@ class Player:
     def write_report(self) -> None:
         """Tell how it stands."""
         r, status = self.report, self.bus.status
-        r.time = time.monotonic()
+        r.time = self.clock.now()
         r.state = state_of(status)
         r.link, r.detail, r.running = status.link, status.detail, self.running
         r.touching, r.client = self.tracker.touching, self._client

@@ -9,7 +9,6 @@ to the latch, which playback watches, and waits for nothing.
 
 import asyncio
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -82,6 +81,7 @@ class Playing:
         tell: Callable[[Event], None],
     ) -> None:
         self.config, self.display = config, load_configured(config)
+        self._loop = asyncio.get_running_loop()
         self.latch = latch
         self.memory = Shared.create(len(self.display.contactors))
         self.how = Opened()
@@ -157,7 +157,7 @@ class Playing:
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
-        self.lost, self._since = False, time.monotonic()
+        self.lost, self._since = False, self._loop.time()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
@@ -199,7 +199,7 @@ class Playing:
         retry = FIRST_RETRY
         while not self._ended.is_set():
             await asyncio.sleep(0.1)
-            reported, now = self.memory.report().time, time.monotonic()
+            reported, now = self.memory.report().time, self._loop.time()
             if self._child is not None and not self.lost and hangs(now, reported, self._since):
                 log.error("%s: playback hangs", self.config.name)
                 self._child.kill()
@@ -448,7 +448,7 @@ class Playing:
     async def leave(self, client: int) -> None:
         """Lift a client's finger, and let what it plays fade."""
         self.cancel_drawings(client)
-        lifted = self.finger.lifted(client, time.monotonic())
+        lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
             self.touch(client, lifted)
         work = [self.give_up(client)]
@@ -478,7 +478,7 @@ class Playing:
         """Whether playback lives and gets on."""
         if self.lost or self._child is None or not self._child.alive:
             return False
-        return time.monotonic() - self.report.time < STILL
+        return self._loop.time() - self.report.time < STILL
 
     @property
     def child(self) -> Child | None:

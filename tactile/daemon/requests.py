@@ -2,12 +2,12 @@
 
 import asyncio
 import logging
-import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from msgspec import structs
 
+from tactile.clock import loop_time
 from tactile.daemon.decoding import failed
 from tactile.daemon.messages import (
     Answer,
@@ -165,13 +165,13 @@ class Requests:
                 await self._new.wait()
 
     async def _carry_out(self, command: Command) -> None:
-        started = time.monotonic()
+        started = loop_time()
         try:
             answer = await self._client.request(command)
         except Exception:
             log.exception("a request failed")
             answer = failed("internal", "the daemon failed; its log says how")
-        self._traffic.message(kind_of(command), time.monotonic() - started)
+        self._traffic.message(kind_of(command), loop_time() - started)
         if isinstance(answer, Reply) and answer.id != id_of(command):
             answer = structs.replace(answer, id=id_of(command))
         self._answered(answer)

@@ -10,7 +10,6 @@ import logging
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import (
     BrokenExecutor,
@@ -29,6 +28,7 @@ from weakref import WeakKeyDictionary
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tactile.clock import MONOTONIC
 from tactile.errors import InputError
 from tactile.study.extras import study_extra
 from tactile.study.scenarios import Scenarios
@@ -189,13 +189,13 @@ class ClusterCrew:
             self._threads: int = sum(self._client.nthreads().values())
         except OSError as error:
             raise CrewLostError(gone) from error
-        self._counted = time.monotonic()
+        self._counted = MONOTONIC.now()
         return self._threads
 
     @property
     def size(self) -> int:
         """How many threads there are, or were a moment ago; at least one, which may come yet."""
-        if time.monotonic() - self._counted > COUNTED_S:
+        if MONOTONIC.now() - self._counted > COUNTED_S:
             self._count()
         return max(1, self._threads)
 
@@ -232,8 +232,8 @@ class ClusterCrew:
         if self._count():
             self._missed = None
         elif self._missed is None:
-            self._missed = time.monotonic()
-        elif time.monotonic() - self._missed > LOST_S:
+            self._missed = MONOTONIC.now()
+        elif MONOTONIC.now() - self._missed > LOST_S:
             raise CrewLostError(f"the scheduler at {self.address} has lost all its workers")
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from virtual_clock import LinkTime
 
 from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
@@ -86,21 +87,6 @@ class Stage:
         return self.bus.output[before:]
 
     origin: float = 0.0
-
-
-class LinkTime(ModelClock):
-    """The time of a modeled link, on which both ends go on while somebody waits."""
-
-    def __init__(self, bus: ModeledBus) -> None:
-        self._bus = bus
-
-    def now(self) -> float:
-        return self._bus.model.clock.now()
-
-    def sleep(self, seconds: float) -> None:
-        end = self.now() + seconds
-        while self.now() < end:
-            self._bus._turn(end)
 
 
 @pytest.fixture

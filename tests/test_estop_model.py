@@ -29,6 +29,7 @@ from hypothesis.stateful import (
 from virtual_daemon import PlaybackProcess, small_display
 
 from firmware_protocol.messages import State
+from tactile.bus.mock_bus import MockBus
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.errors import BusError
@@ -293,6 +294,7 @@ class Model(Judged):
                 assert playback.bus.state != "running", (expected, now)
                 # after a stop the watchdog takes high voltage away, but a mock's clock stands still
                 allowed = set() if expected.holds else {State.ARMED}
+                assert isinstance(playback.bus, MockBus)
                 amplifiers = [board.amplifier for board in playback.bus.boards]
                 assert {one.state for one in amplifiers if one.high_voltage} <= allowed
         if not host.tasks and not any(app.tasks for app in self.apps):

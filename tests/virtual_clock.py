@@ -18,12 +18,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import greenlet
 
+from tactile.bus.link_bus import LinkBus
+
 if TYPE_CHECKING:
     from virtual_daemon import World
 
 T = TypeVar("T")
 PIPE = 0.3e-3
 """s from a process to another."""
+LOOK = 2e-3
+"""s after which a program that waits for a link looks whether it was woken."""
 
 
 class Killed(BaseException):
@@ -157,6 +161,30 @@ class VirtualClock:
                 self._threads.pop(thread.run, None)
         if any(thread.run is current for thread in threads):
             raise Killed
+
+
+class LinkTime:
+    """The clock of a program with a bus that has no thread: who waits lets both of its ends go on.
+
+    Parameters
+    ----------
+    bus : a link with a model
+    """
+
+    def __init__(self, bus: LinkBus) -> None:
+        self._bus, self.now = bus, bus._clock.now
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.now() + seconds
+        while self.now() < end:
+            self._bus._turn(end)
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Let time pass, or little more of it than until an event is set."""
+        end = self.now() + seconds
+        while self.now() < end and not event.is_set():
+            self._bus._turn(min(end, self.now() + LOOK))
 
 
 class VirtualSelector(selectors.SelectSelector):

@@ -21,22 +21,25 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_clock import Errors, Process, Thread, VirtualClock, VirtualLoop
+from virtual_clock import PIPE, Errors, LinkTime, Process, Thread, VirtualClock, VirtualLoop
 
+from firmware_protocol.machine import Played
+from tactile.bus.base import RATE, Bus, Rig, Wiring
+from tactile.bus.line_model import Model
 from tactile.bus.mock_bus import MockBus, open_mock
-from tactile.bus.modeled_bus import link_of
-from tactile.bus.registry import register_bus
+from tactile.bus.modeled_bus import ModeledBus, link_of, model_of, open_modeled
+from tactile.bus.registry import Address, register_bus
 from tactile.daemon import drawing, host, orders, playback_process
 from tactile.daemon.config import Config
 from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup
 from tactile.daemon.host import Host
 from tactile.daemon.latch import Latch, Writer
-from tactile.daemon.orders import Setup
+from tactile.daemon.orders import Opened, Setup
 from tactile.daemon.playback_process import Program
 from tactile.daemon.player import Player, Samples
 from tactile.daemon.shared import Shared
 from tactile.display import Display, load_display
-from tactile.errors import InputError
+from tactile.errors import TactileError
 
 T = TypeVar("T")
 Floats = NDArray[np.float64]
@@ -44,6 +47,8 @@ OPENING, DRAWING = 20e-3, 30e-3
 """s to open a device, and to make a texture ready."""
 RENDERING = 0.2e-3
 """s for a block."""
+ALONE = 5e-3
+"""s after which amplifiers on a link go on by themselves, at the latest."""
 
 
 class EstopProcess(Process):
@@ -96,7 +101,7 @@ class PlaybackProcess(Process):
     """A playback process: real `Program`, `Player` and bus, in two threads."""
 
     program: Program | None = None
-    bus: MockBus
+    bus: MockBus | ModeledBus
     device = ""
     within: Callable[[], object] | None = None
     """Done once in the middle of what the loop does next, as another thread would."""
@@ -120,15 +125,22 @@ class PlaybackProcess(Process):
 
     def _play(self, setup: Setup) -> None:
         self.clock.sleep(OPENING)
-        bus, how = playback_process.opened(setup)
-        assert isinstance(bus, MockBus)
+        try:
+            bus, how = playback_process.opened(setup)
+        except TactileError as error:
+            self.answer(Opened(why_not=str(error)))
+            self.clock.sleep(PIPE)
+            self.kill()
+            return
+        assert isinstance(bus, MockBus | ModeledBus)
         self.bus, self.device = bus, setup.device
         file = int(self.handle(setup.memory).partition(":")[2])
         self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
         file = int(self.handle(setup.latch).partition(":")[2])
         self._latch = Latch(f"fd:{os.dup(file)}", Writer.PLAYBACK)
+        clock = LinkTime(bus) if isinstance(bus, ModeledBus) else self.clock
         player = Player(
-            setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn, clock=self.clock
+            setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn, clock=clock
         )
         self.program = Program(player, self._latch, self.answer)
         self.world.by_bus[id(bus)] = self
@@ -170,6 +182,7 @@ class PlaybackProcess(Process):
             self.world.by_bus.pop(id(self.bus), None)
             self._latch.close()
             self._memory.close()
+            vars(self.bus)["close"] = lambda: None  # what ends its threads is no end in good order
         self.clock.kill(*self.threads)
 
 
@@ -194,6 +207,9 @@ class World:
         self.processes: list[Process] = []
         self.by_bus: dict[int, PlaybackProcess] = {}
         self.put_out = put_out
+        self.models: dict[str, Model] = {}
+        self.on_link: Callable[[Address, Model, int, Played], None] = lambda *_: None
+        """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
         self.loop: asyncio.AbstractEventLoop | None = None
         self.host: Host | None = None
         self.stalled: float | None = None
@@ -217,7 +233,7 @@ class World:
 
         try:
             self.host = self.run(started())
-        except InputError:
+        except TactileError:
             self._forget_server()
             return False
         return True
@@ -257,6 +273,32 @@ class World:
             self.stalled = None
 
         self.run(stalled())
+
+    # The amplifiers
+
+    def open_bus(self, address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        """Open amplifiers in memory; those on a link are the same ones each time."""
+        if "link" not in address.options:
+            return open_mock(address, rig, sample_rate, self.clock)
+        name = str(address)
+        if name not in self.models:
+            wiring = Wiring.of(rig, sample_rate or RATE)
+            model = self.models[name] = model_of(address, wiring, self.clock)
+            vars(model)["listen"] = lambda: self._listen(address, model)
+            self._go_on(model)
+        return open_modeled(address, rig, sample_rate, self.models[name])
+
+    def _listen(self, address: Address, model: Model) -> None:
+        for board, amplifier in enumerate(model.amplifiers):
+            for run in amplifier.take_played():
+                self.on_link(address, model, board, run)
+                model.listener(board, run)
+
+    def _go_on(self, model: Model) -> None:
+        """Let amplifiers go on, also where nobody talks to them."""
+        model.exchange()
+        model.listen()
+        self.clock.after(ALONE, lambda: self._go_on(model))
 
     # The processes
 
@@ -324,7 +366,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     real_write = Samples.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
-        register_bus("mock", functools.partial(open_mock, clock=world.clock), link=link_of)
+        register_bus("mock", world.open_bus, link=link_of)
         stack.callback(register_bus, "mock", open_mock, link=link_of)
         for name, instead in {
             "asyncio.to_thread": _inline,

@@ -160,15 +160,15 @@ def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
 
 
 def open_mock(
-    address: Address, rig: Rig, sample_rate: float | None, clock: Clock | None = None
+    address: Address, rig: Rig, sample_rate: float | None, clock: Clock = MONOTONIC
 ) -> Bus:
-    """Open amplifiers in memory, or a link with a model, as the URL says; by a given clock."""
+    """Open amplifiers in memory, by a clock, or a modeled link, as the URL says."""
     if "link" in address.options:
-        return open_modeled(address, rig, sample_rate, clock)
+        return open_modeled(address, rig, sample_rate)
     address.only("keep", "format")
     keep, kind = kept_and_format(address)
     wiring = Wiring.of(rig, sample_rate or RATE)
-    return MockBus(wiring, keep=keep, sample_format=kind, clock=clock or MONOTONIC)
+    return MockBus(wiring, keep=keep, sample_format=kind, clock=clock)
 
 
 register_bus("mock", open_mock, link=link_of)

@@ -118,8 +118,8 @@ class ModeledBus(LinkBus):
         self._heard = [
             Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, kept) for c in model.configs
         ]
-        model.listener = self._hear
         super().__init__(wiring, *arguments, clock=model.clock, **named)
+        model.listener = self._hear
 
     @property
     def output(self) -> Floats:
@@ -160,16 +160,17 @@ class ModeledBus(LinkBus):
 
 
 def open_modeled(
-    address: Address, rig: Rig, sample_rate: float | None, clock: Clock | None = None
+    address: Address, rig: Rig, sample_rate: float | None, model: Model | None = None
 ) -> ModeledBus:
-    """Open a link as its URL says, on a clock of its own if none is given."""
+    """Open a link as its URL says: with new amplifiers and a clock of its own, unless given."""
     address.only(*OPTIONS)
     keep = address.options.get("keep", "second")
     if keep not in ("second", "all"):
         raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
     wiring = Wiring.of(rig, sample_rate or RATE)
-    clock, link = clock or ModelClock(), link_of(address)
-    model = _model(address, wiring, link, clock)
+    if model is None:
+        model = model_of(address, wiring, ModelClock())
+    clock, link = model.clock, link_of(address)
 
     def connect() -> Wire:
         model.open()
@@ -202,7 +203,9 @@ def link_of(address: Address) -> Link:
     return Can(rate or NOMINAL, data if name == "canfd" else None)
 
 
-def _model(address: Address, wiring: Wiring, link: Link, clock: Clock) -> Model:
+def model_of(address: Address, wiring: Wiring, clock: Clock) -> Model:
+    """Return the amplifiers and the link that a URL asks for."""
+    link = link_of(address)
     boards = whole(address, "boards", 1, 16) or 1
     drift = (number(address, "drift_ppm", -20000, 20000) or 0.0) * 1e-6
     width = -(wiring.channels // -boards)

@@ -1,0 +1,44 @@
+"""A simulated daemon keeps its promises, whatever fails and whoever dies.
+
+``TACTILE_LONG=1 pytest tests/test_simulator.py -m ci -s`` simulates an hour, from seeds of the
+moment or from ``TACTILE_SEED`` on, and prints them; ``python tests/simulator.py SEED SECONDS`` goes
+the same way again.
+"""
+
+import os
+import time
+
+import pytest
+from simulator import Simulation, simulate
+
+LONG = bool(os.environ.get("TACTILE_LONG"))
+FIRST = int(os.environ.get("TACTILE_SEED", time.time_ns() % 2**31)) if LONG else 0
+
+
+def judged(seed: int, seconds: float) -> Simulation:
+    done = simulate(seed, seconds)
+    history = "\n".join(done.log[-12:])
+    again = f"python tests/simulator.py {seed} {seconds:g}"
+    assert not done.wrong, f"{again}\n{history}\n{done.wrong}"
+    assert done.sounding, "nothing was played"
+    return done
+
+
+def test_promises_hold_whatever_fails() -> None:
+    judged(1, 3.0)
+
+
+def test_a_seed_goes_the_same_way_again() -> None:
+    first, second = (simulate(7, 2.0) for _ in range(2))
+    assert first.log == second.log
+    assert first.digest.hexdigest() == second.digest.hexdigest()
+    assert simulate(8, 2.0).log != first.log
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("seed", range(2, 10))
+def test_promises_hold_from_many_seeds(seed: int) -> None:
+    begun = time.perf_counter()
+    done = judged(FIRST + seed, 450.0 if LONG else 10.0)
+    took = time.perf_counter() - begun
+    print(f"seed {done.seed}: {done.counts} in {took:.0f} s; to 0 V at worst {done.worst} s")

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
+from repeating import often
 
 from tactile.client.outbox import Outbox
 from tactile.client.session import RAISING, Session
@@ -234,7 +235,7 @@ def test_no_schedule_arms_against_the_user_or_loses_an_estop() -> None:
 @pytest.mark.ci
 def test_no_schedule_of_many_does() -> None:
     run_state_machine_as_test(
-        Schedule, settings=settings(max_examples=1500, stateful_step_count=100)
+        Schedule, settings=settings(max_examples=often(1500), stateful_step_count=100)
     )
 
 

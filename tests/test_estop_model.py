@@ -9,7 +9,6 @@ on a virtual clock (`virtual_daemon`); what is right is told by plain counting o
 """
 
 import asyncio
-import os
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
@@ -26,6 +25,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from repeating import LONG
 from virtual_daemon import PlaybackProcess, small_display
 
 from firmware_protocol.messages import State
@@ -41,7 +41,6 @@ MOMENTS = st.sampled_from(
 ).map(lambda ms: 1e-3 * ms + 1e-4)
 """s; few are long, since what plays takes a tenth of its time."""
 ROLES = st.frozensets(st.sampled_from(sorted(m.ALL_ROLES))) | st.just(m.ALL_ROLES)
-LONG = bool(os.environ.get("TACTILE_LONG"))
 KINDS = st.sampled_from(
     ["arm"] * 3
     + ["effect"] * 2

@@ -27,6 +27,7 @@ from link_rig import (
     overheard,
     recover,
 )
+from repeating import often
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import State
@@ -41,7 +42,7 @@ from tactile.errors import BusError
 
 EVERY = pytest.mark.parametrize("link", MOST)
 FEW_OR_MANY = pytest.mark.parametrize(
-    "times", [8, pytest.param(1000, marks=pytest.mark.ci)], ids=["few", "many"]
+    "times", [8, pytest.param(often(1000), marks=pytest.mark.ci)], ids=["few", "many"]
 )
 DEATH = 220e-3
 """s within which all is at 0 V when a host has died (SPEC.md, 14)."""

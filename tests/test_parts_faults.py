@@ -10,6 +10,7 @@ import parts_rig
 import pytest
 from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel
 from parts_rig import ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
+from repeating import often
 
 from firmware_protocol.messages import State
 from tactile.bus.base import DriveBlock
@@ -177,7 +178,7 @@ def test_a_drv2667_that_has_to_start_up_is_not_taken_to_play_at_once() -> None:
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("times", [10, pytest.param(1000, marks=pytest.mark.ci)])
+@pytest.mark.parametrize("times", [10, pytest.param(often(1000), marks=pytest.mark.ci)])
 @pytest.mark.parametrize("power", [False, True], ids=["wire", "power"])
 def test_many_disconnects_are_all_recovered_without_a_jump(
     one: Rig, power: bool, times: int
@@ -208,7 +209,7 @@ def test_many_disconnects_are_all_recovered_without_a_jump(
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("times", [10, pytest.param(1000, marks=pytest.mark.ci)])
+@pytest.mark.parametrize("times", [10, pytest.param(often(1000), marks=pytest.mark.ci)])
 def test_many_error_bursts_are_all_recovered_without_a_jump(one: Rig, times: int) -> None:
     rng = np.random.default_rng(3)
     one.wire.fault = faults = Faults(4, 0.9, lambda k: -1)

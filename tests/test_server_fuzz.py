@@ -25,6 +25,7 @@ from daemon_rig import (
     until,
 )
 from osc_faults import mutated as osc_mutated
+from repeating import often
 
 from tactile.daemon import osc
 from tactile.daemon.config import Config, OscConfig, ServerConfig
@@ -66,7 +67,7 @@ def mutated(rng: random.Random, protocol: str, display: str = "right") -> str | 
     return data if protocol == MSGPACK_PROTOCOL else data.decode("utf-8", "replace")
 
 
-@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.ci)])
+@pytest.mark.parametrize("count", [2000, pytest.param(often(100_000), marks=pytest.mark.ci)])
 @each_encoding
 def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(protocol: str, count: int) -> None:
     rng = random.Random(f"{protocol} {count}")

@@ -9,9 +9,9 @@ import os
 import time
 
 import pytest
+from repeating import LONG
 from simulator import Simulation, simulate
 
-LONG = bool(os.environ.get("TACTILE_LONG"))
 FIRST = int(os.environ.get("TACTILE_SEED", time.time_ns() % 2**31)) if LONG else 0
 
 

@@ -1,0 +1,13 @@
+"""How often a check is repeated: in CI a fifth as often as with ``TACTILE_LONG=1``.
+
+`.ci/nightly` sets it.
+"""
+
+import os
+
+LONG = bool(os.environ.get("TACTILE_LONG"))
+
+
+def often(count: int) -> int:
+    """Return how many repetitions to make of those that a long run makes."""
+    return count if LONG else count // 5

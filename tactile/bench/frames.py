@@ -149,11 +149,11 @@ def _streamed(
 
 def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
     """Stream oak as frames to the C amplifier, at the bit time of classic CAN."""
-    display, clock, link = load_display("reference-24"), MONOTONIC, Can(1e6)
+    display, link = load_display("reference-24"), Can(1e6)
     sent: deque[tuple[int, m.Spectrum]] = deque()
 
     def connect() -> CanWire:
-        wire = Listening(SocketCan(folder, fd=False), link, clock)
+        wire = Listening(SocketCan(folder, fd=False), link, MONOTONIC)
         wire.frames = sent
         return wire
 

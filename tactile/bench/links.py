@@ -199,10 +199,9 @@ def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
 
 def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
     """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
-    clock = MONOTONIC
     return LinkBus(
         Wiring.of(display, RATE),
-        lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, clock),
+        lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, MONOTONIC),
         lambda caps: plan(link, display.channels, Ability.of(caps)),
         nodes=[1],
         rearm=True,

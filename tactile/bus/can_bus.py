@@ -415,9 +415,9 @@ def find() -> Iterator[Found]:
 
 def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
-    link, clock = link_of(address), MONOTONIC
+    link = link_of(address)
     return open_link(
-        address, rig, sample_rate, link, lambda: connect(address, link, clock),
+        address, rig, sample_rate, link, lambda: connect(address, link, MONOTONIC),
         nodes=wholes(address, "nodes", 1, 127),
     )  # fmt: skip
 

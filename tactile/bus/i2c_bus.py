@@ -294,9 +294,9 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
     addresses = wholes(address, "address", 0x08, 0x77) or (ADDRESS,)
-    link, clock = link_of(address), MONOTONIC
+    link = link_of(address)
     return open_link(
-        address, rig, sample_rate, link, lambda: connect(address, addresses, link, clock)
+        address, rig, sample_rate, link, lambda: connect(address, addresses, link, MONOTONIC)
     )
 
 

@@ -336,8 +336,8 @@ def find() -> Iterator[Found]:
 
 def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
     address.only("baud", *LINK_OPTIONS, path=True)
-    link, clock = link_of(address), MONOTONIC
-    return open_link(address, rig, sample_rate, link, lambda: connect(address, link, clock))
+    link = link_of(address)
+    return open_link(address, rig, sample_rate, link, lambda: connect(address, link, MONOTONIC))
 
 
 register_bus("serial", _open, find=find, link=link_of)

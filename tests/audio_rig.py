@@ -131,6 +131,16 @@ class Server:
         """Return what was recorded so far."""
         return list(self._ask("blocks"))
 
+    def silent_blocks(self) -> list[Block]:
+        """Return what was recorded until the card is silent; it must be within a minute."""
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            blocks = self.blocks()
+            if not any(block.any() for _, block in blocks[-1:]):
+                return blocks
+            time.sleep(0.02)
+        pytest.fail("the card still sounds")
+
     def xruns(self) -> int:
         """Return how often the server itself was late, with the recorder or with its card."""
         return int(self._ask("xruns"))

@@ -1,11 +1,16 @@
 """What holds for all tests: folders for their daemons, and examples that depend on no clock."""
 
+import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# pytest-xdist takes all processors already, and OpenBLAS spins while it waits for its threads; it
+# reads this when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # The same examples on every machine, however slow it is: Hypothesis's limits of time would fail
 # where one is held up. Fixtures that several examples share are folders.

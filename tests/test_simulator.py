@@ -25,14 +25,14 @@ def judged(seed: int, seconds: float) -> Simulation:
 
 
 def test_promises_hold_whatever_fails() -> None:
-    judged(1, 3.0)
+    judged(1, 2.0)
 
 
 def test_a_seed_goes_the_same_way_again() -> None:
-    first, second = (simulate(7, 2.0) for _ in range(2))
+    first, second = (simulate(7, 1.0) for _ in range(2))
     assert first.log == second.log
     assert first.digest.hexdigest() == second.digest.hexdigest()
-    assert simulate(8, 2.0).log != first.log
+    assert simulate(8, 0.5).log[:3] != first.log[:3]
 
 
 @pytest.mark.ci

@@ -51,7 +51,7 @@ class Route:
     ----------
     model : of the link and its amplifiers; None before it is opened
     stopped : when the latest e-stop was answered, unless a clear was asked for since [s]
-    dead : since when somebody on the way is dead [s]
+    deaths : who on the way is dead, and since when [s]
     last : what each amplifier put out last (C,) [V]
     """
 
@@ -60,8 +60,13 @@ class Route:
     model: Model | None = None
     number: int = 0
     stopped: float = math.inf
-    dead: float = math.inf
+    deaths: dict[str, float] = field(default_factory=dict)
     last: dict[int, Floats] = field(default_factory=dict)
+
+    @property
+    def dead(self) -> float:
+        """Time since when the way is cut [s]; infinite where it is not."""
+        return min(self.deaths.values(), default=math.inf)
 
 
 class Simulation:
@@ -121,6 +126,9 @@ class Simulation:
     def _listen(self, address: Address, model: Model, board: int, run: Played) -> None:
         route = next(one for one in self.routes if parse(one.device) == address)
         route.model = model
+        if any(one.of_server for one in self.world.playbacks(route.device)):  # started anew
+            route.deaths.pop("playback", None)
+            route.deaths.pop("server", None)
         if len(run.codes):
             code = model.configs[board].full_scale_uv * 1e-6 / FULL_SCALE_CODE
             pace = model.configs[board].tick_hz * (1 + model.drift[board])
@@ -161,8 +169,11 @@ class Simulation:
             self.world.clock.advance(0.5)
         assert self.world.host is not None
         self.client = self.world.host.connect("app", roles=m.ALL_ROLES)
-        for route in self.routes:
-            route.dead = math.inf
+
+    def _die(self, route: Route, who: str, seconds: float) -> None:
+        """Note a death that ends by itself."""
+        route.deaths[who] = self.now
+        self.world.clock.after(seconds, lambda: route.deaths.pop(who, None))
 
     def _pass(self, seconds: float) -> None:
         self.world.run(asyncio.sleep(seconds))
@@ -172,7 +183,7 @@ class Simulation:
 
     def play(self, route: Route) -> None:
         """Clear, arm and begin an effect, if that is allowed."""
-        route.stopped = route.dead = math.inf
+        route.stopped = math.inf
         begin, end = m.Point(0.0, 1.0), m.Point(60_000.0, 1.0)
         clear = m.Clear(display=route.name, estop=max(route.number, 1))
         effect = m.Effect(display=route.name, amplitude_um=20.0, amplitude=(begin, end))
@@ -215,46 +226,42 @@ class Simulation:
         """Kill the playback process."""
         for playback in self.world.playbacks(route.device):
             playback.kill()
-            route.dead = min(route.dead, self.now)
+            route.deaths.setdefault("playback", self.now)
 
     def hang_playback(self, route: Route) -> None:
         """Let playback stand still, for long or not."""
         seconds = self.random.choice([0.005, 0.05, 0.2, 1.0])
         for playback in self.world.playbacks(route.device):
-            if not playback.hung and route.dead == math.inf:
+            if not playback.hung:
                 playback.hang(seconds)
-                route.dead = self.now
-                self.world.clock.after(seconds, lambda: setattr(route, "dead", math.inf))
+                self._die(route, f"hanging {playback.pid}", seconds)
 
     def kill_server(self, route: Route) -> None:
         """Kill the daemon's server, and start another some time later."""
         self.world.kill()
         for one in self.routes:
-            one.dead = min(one.dead, self.now)
+            one.deaths.setdefault("server", self.now)
         self.world.clock.advance(self.random.choice([0.0, 0.3, 1.5]))
         self._start()
 
     def stall_server(self, route: Route) -> None:
         """Let the server's event loop stand still."""
-        late = [one for one in self.routes if one.dead == math.inf]
-        for one in late:
-            one.dead = self.now
+        for one in self.routes:
+            one.deaths["stalled server"] = self.now
         self.world.stall(self.random.choice([0.01, 0.1, 0.5]))
-        for one in late:
-            one.dead = math.inf
+        for one in self.routes:
+            del one.deaths["stalled server"]
 
     def unplug(self, route: Route) -> None:
         """Take the link away for a while."""
-        if route.model is None or route.dead < math.inf:
-            return
-        seconds = self.random.choice([0.01, 0.1, 0.6, 1.5])
-        route.model.unplug(seconds)
-        route.dead = self.now
-        self.world.clock.after(seconds, lambda: setattr(route, "dead", math.inf))
+        if route.model is not None and "link" not in route.deaths:
+            seconds = self.random.choice([0.01, 0.1, 0.6, 1.5])
+            route.model.unplug(seconds)
+            self._die(route, "link", seconds)
 
     def stall_link(self, route: Route) -> None:
         """Let the amplifiers read nothing for a while."""
-        if route.model is not None and route.dead == math.inf:
+        if route.model is not None:
             route.model.stall(self.random.choice([0.01, 0.05, 0.25]))
 
     def power_cycle(self, route: Route) -> None:

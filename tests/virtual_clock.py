@@ -59,7 +59,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self.time = 1000.0
         self.interrupted = False
-        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._events: list[tuple[float, int, Callable[[], object]]] = []
         self._numbers = itertools.count()
         self._threads: dict[Any, Thread] = {}
 
@@ -67,7 +67,7 @@ class VirtualClock:
         """Return the time [s]."""
         return self.time
 
-    def after(self, seconds: float, work: Callable[[], None]) -> None:
+    def after(self, seconds: float, work: Callable[[], object]) -> None:
         """Have something done later."""
         heapq.heappush(self._events, (self.time + seconds, next(self._numbers), work))
 
@@ -249,6 +249,11 @@ class Process:
 
     # The server's end
 
+    @property
+    def of_server(self) -> bool:
+        """Whether the server that started it is the one that runs."""
+        return self._loop is self.world.loop
+
     def tell(self, order: object) -> None:
         """Send an order, or bytes that are the pickle of one."""
         data = order if isinstance(order, bytes) else pickle.dumps(order, protocol=5)
@@ -270,11 +275,11 @@ class Process:
         """End it at once."""
         if self.alive:
             self.alive = False
-            self.let_go()
             for file in self._files.values():
                 os.close(file)
             self.world.processes.remove(self)
             self._post(None)
+            self.let_go()  # last: it does not return to a thread that ends its own process
 
     # The process
 
@@ -288,7 +293,7 @@ class Process:
 
     def _post(self, data: bytes | None) -> None:
         def arrive() -> None:
-            if self._loop is self.world.loop:
+            if self.of_server:
                 self._loop.call_soon(self._heard, None if data is None else pickle.loads(data))
                 self.clock.interrupted = True
 

@@ -248,7 +248,8 @@ class World:
         """Kill the server: nothing of it runs any more, its pipes and files are closed."""
         assert self.host is not None
         for playing in self.host.playing.values():
-            playing.latch.close()
+            playing.latch._writer = Writer.PLAYBACK  # who is killed unlocks nothing: a child may
+            playing.latch.close()  # have the file still
             playing.memory.close()
         for process in list(self.processes):
             process.hang_up()
@@ -366,8 +367,8 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     real_write = Samples.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
+        stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, link=link_of)
-        stack.callback(register_bus, "mock", open_mock, link=link_of)
         for name, instead in {
             "asyncio.to_thread": _inline,
             "tactile.daemon.playing.Child": world.child,

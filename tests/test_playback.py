@@ -182,8 +182,7 @@ def test_in_real_time_blocks_keep_absolute_deadlines(
     renderer = Renderer(display, oak, sample_rate=RATE)
     with open_bus("mock:", display, sample_rate=RATE) as bus:
         play(
-            display, renderer, stroke(0.4), bus, sample_rate=RATE, listen=listen, realtime=True,
-            clock=clock,
+            display, renderer, stroke(0.4), bus, sample_rate=RATE, listen=listen, clock=clock
         )  # fmt: skip
     if work < 0.008:
         cut = 3200 - FADE  # an edge where the fade begins, besides the blocks' own
@@ -197,10 +196,11 @@ def test_in_real_time_blocks_keep_absolute_deadlines(
         assert clock.time == pytest.approx(1.0 + work * len(begins), abs=1e-9)
 
 
-def test_out_of_real_time_nobody_waits(display: Display, oak: Texture) -> None:
+def test_a_bus_that_waits_is_not_waited_for_besides(display: Display, oak: Texture) -> None:
     clock = CountedClock()
     renderer = Renderer(display, oak, sample_rate=RATE)
     with open_bus("mock:", display, sample_rate=RATE) as bus:
+        vars(bus)["paced"] = True
         play(
             display, renderer, stroke(0.2), bus, sample_rate=RATE, listen=lambda block: None,
             clock=clock,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
-from tactile.clock import MONOTONIC, Clock
+from tactile.clock import Clock
 from tactile.display import Display
 from tactile.errors import BusError
 from tactile.rendering.contact import Trajectory
@@ -48,8 +48,7 @@ def play(
     *,
     sample_rate: float,
     listen: Callable[[PlayedBlock], None],
-    realtime: bool = False,
-    clock: Clock = MONOTONIC,
+    clock: Clock | None = None,
 ) -> None:
     """Play a trajectory to its end.
 
@@ -58,8 +57,7 @@ def play(
     display, renderer, trajectory, bus : what plays what, where, on what; the bus idle
     sample_rate : of the drive [Hz]
     listen : called after each block
-    realtime : wait for each block's time, on a bus that does not
-    clock : to wait by
+    clock : by which to wait for each block's time, on a bus that does not; None to go ahead
 
     Raises
     ------
@@ -69,7 +67,7 @@ def play(
     fade = round(display.limits.fade * sample_rate)
     last = round(trajectory.duration * sample_rate) - fade
     renderer.fade_in()
-    begun, sent = clock.now(), 0
+    begun, sent = 0.0, 0
     delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
     for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
         if sent == max(last, 0):
@@ -77,14 +75,14 @@ def play(
         drive, shear = renderer.block(position, normal_force, shear=True)
         if not sent:  # the first block takes longest
             bus.start()
-            begun = clock.now()
+            begun = 0.0 if clock is None else clock.now()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         _check_estop(bus)
         sent += len(drive)
         played = delayed(position, normal_force, drive, shear)
         if played is not None:
             listen(played)
-        if realtime and not bus.paced:
+        if clock is not None and not bus.paced:
             clock.sleep(begun + sent / sample_rate - clock.now())
     bus.stop()
 

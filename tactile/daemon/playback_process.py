@@ -105,7 +105,7 @@ class Program:
             self._tell_changes()
         return player.running or bool(self._orders)
 
-    # Orders
+    # What another thread does
 
     def watch(self) -> None:
         """Look at the latch and at the server's signs of life until the end, in another thread."""
@@ -141,6 +141,8 @@ class Program:
         self._forsaken = self._silence.look(passed, sign=beats != before) > SILENCE
         if self._forsaken:
             self._news.set()
+
+    # Orders
 
     def _obey(self, number: int, order: Order) -> None:
         try:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tactile.bus.base import Bus, Floats
+from tactile.clock import MONOTONIC
 from tactile.daemon.estop_guard import guarded
 from tactile.daemon.playback import PlayedBlock, play, play_frames
 from tactile.devices import open_bus
@@ -134,7 +135,7 @@ class _Run:
         with self._recorder if self._recorder is not None else nullcontext():
             play(
                 display, renderer, trajectory, self._bus,
-                sample_rate=self._rate, listen=listen, realtime=realtime,
+                sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
             )  # fmt: skip
             if self._simulated is not None:
                 self._simulated.settle()

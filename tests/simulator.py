@@ -1,8 +1,8 @@
 """A simulated daemon with its programs, processes, links and amplifiers, and all that fails.
 
-All is real but time, process boundaries and wires (`virtual_daemon`), and all that happens follows
-from a seed. What holds whatever happens is judged where each amplifier puts out its volts, by what
-was asked and answered.
+All is real but time, process boundaries and wires (`virtual_daemon`): programs have the SDK, and
+talk to the server over its socket. All that happens follows from a seed. What holds whatever
+happens is judged where each amplifier puts out its volts, by what was asked and answered.
 """
 
 import asyncio
@@ -11,21 +11,32 @@ import math
 import random
 import sys
 import tempfile
+from collections import Counter
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from virtual_daemon import Floats, small_display, virtual_world
+from sample_ledger import Ledger
+from virtual_clock import VirtualClock
+from virtual_daemon import Floats, World, small_display, virtual_world
+from virtual_loop import LoopProcess
 
 from firmware_protocol.machine import Played
-from firmware_protocol.messages import FULL_SCALE_CODE
+from firmware_protocol.messages import FULL_SCALE_CODE, Start
+from tactile.bus.base import DriveBlock
 from tactile.bus.line_model import Model
+from tactile.bus.modeled_bus import ModeledBus
 from tactile.bus.registry import Address, parse
-from tactile.daemon import messages as m
-from tactile.daemon.client import Client
-from tactile.daemon.config import Config, DisplayConfig
+from tactile.bus.stream import Stream
+from tactile.client import aio
+from tactile.client.base import UNIX
+from tactile.client.websocket import TaskTransport
+from tactile.daemon.config import Config, DisplayConfig, ServerConfig
+from tactile.errors import ClientError, RequestError
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
@@ -43,20 +54,52 @@ FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
 """What a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
 
 
+class Program(LoopProcess):
+    """A program that plays on a display, or only stops.
+
+    Parameters
+    ----------
+    world : that it is in
+    url : of the daemon
+    rearm : whether to arm again after a reconnection
+    """
+
+    def __init__(self, world: World, url: str, *, rearm: bool = False) -> None:
+        super().__init__(world.clock, world.errors)
+        self.connection: aio.Connection | None = None
+        self.begin(self._connect(world.clock, url, rearm))
+
+    async def _connect(self, clock: VirtualClock, url: str, rearm: bool) -> None:
+        while True:
+            transport = TaskTransport(url, timeout=1.0)
+            connection = aio.Connection(transport, clock=clock, rearm=rearm)
+            try:
+                self.connection = await connection.open()
+            except ClientError:  # there is no daemon yet
+                await asyncio.sleep(0.1)
+            else:
+                return
+
+
 @dataclass
 class Route:
     """What is between a program and the amplifiers of one display, and what was asked of it.
 
     Attributes
     ----------
+    program : that plays on it
     model : of the link and its amplifiers; None before it is opened
-    stopped : when the latest e-stop was answered, unless a clear was asked for since [s]
+    number : of the latest e-stop that was answered
+    stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
     last : what each amplifier put out last (C,) [V]
+    ledger : of samples
     """
 
     name: str
     device: str
+    program: Program
+    ledger: Ledger = field(default_factory=Ledger)
     model: Model | None = None
     number: int = 0
     stopped: float = math.inf
@@ -81,7 +124,9 @@ class Simulation:
     wrong : what broke a promise, a line each
     worst : longest time from an e-stop or a death to 0 V [s]
     counts : how often each kind of event came
+    answers : how often programs had what they asked for, or why not
     sounding : samples other than 0 V that were put out
+    exact : samples that were put out as they were written, in their place
     digest : of all that was put out, and when
     """
 
@@ -90,38 +135,82 @@ class Simulation:
         self.wrong: list[str] = []
         self.log: list[str] = []
         self.worst = {"e-stop": 0.0, "death": 0.0}
-        self.counts: dict[str, int] = {}
+        self.counts, self.answers = Counter[str](), Counter[str]()
         self.sounding = 0
         self.digest = hashlib.sha256()
         self.stack = ExitStack()
         folder = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="t-")))
         patch = self.stack.enter_context(pytest.MonkeyPatch.context())
         patch.setenv("STATE_DIRECTORY", str(folder / "state"))
+        self.stack.callback(random.setstate, random.getstate())
+        random.seed(seed)  # the SDK draws how long it waits to reconnect
         self.world = self.stack.enter_context(virtual_world(lambda playback, volts: None))
         self.world.on_link = self._listen
+        self._overhear(patch)
+        self.url = f"{UNIX}{folder}/socket"
         display = small_display(folder)
         self.routes = [
-            Route(name, device + (FAULTY if self.random.random() < 0.5 else "") + f"&seed={seed}")
+            Route(
+                name,
+                device + (FAULTY if self.random.random() < 0.5 else "") + f"&seed={seed}",
+                self._program(),
+            )
             for name, device in LINKS.items()
         ]
+        self.stopper = self._program()
         self.config = Config(
+            server=ServerConfig(port=0, socket=f"{folder}/socket"),
             display=tuple(
                 DisplayConfig(
                     name=route.name, display=display, device=route.device, sample_rate_hz=RATE,
                     worn=True,
                 )
                 for route in self.routes
-            )
+            ),
         )  # fmt: skip
-        self.client: Client
         self._start()
+
+    @property
+    def exact(self) -> int:
+        return sum(route.ledger.exact for route in self.routes)
 
     @property
     def now(self) -> float:
         """The time [s]."""
         return self.world.clock.now()
 
-    # What amplifiers put out
+    # What is written, and what amplifiers put out
+
+    def _overhear(self, patch: pytest.MonkeyPatch) -> None:
+        """Let ledgers know what is written and withdrawn, and what a START plays first."""
+        real_write, real_begin, real_clear = ModeledBus.write, Stream.begin, Stream.clear
+
+        def route_of(bus: ModeledBus) -> Route:
+            return next(one for one in self.routes if one.model is bus.model)
+
+        def ledgers(stream: Stream) -> Iterator[Ledger]:
+            for playback in self.world.playbacks():
+                if playback.bus.counters is stream._counters:
+                    assert isinstance(playback.bus, ModeledBus)
+                    yield route_of(playback.bus).ledger
+
+        def write(bus: ModeledBus, block: DriveBlock) -> None:
+            route_of(bus).ledger.write(block)
+            real_write(bus, block)
+
+        def begin(stream: Stream, position: int, time: float, **named: bool) -> list[Start]:
+            for ledger in ledgers(stream):
+                ledger.begin(position)
+            return real_begin(stream, position, time, **named)
+
+        def clear(stream: Stream, **named: bool) -> None:
+            for ledger in ledgers(stream):
+                ledger.withdraw()
+            real_clear(stream, **named)
+
+        patch.setattr(ModeledBus, "write", write)
+        patch.setattr(Stream, "clear", clear)
+        patch.setattr(Stream, "begin", begin)
 
     def _listen(self, address: Address, model: Model, board: int, run: Played) -> None:
         route = next(one for one in self.routes if parse(one.device) == address)
@@ -134,7 +223,13 @@ class Simulation:
             pace = model.configs[board].tick_hz * (1 + model.drift[board])
             times = model.time_of(board, 0) + run.ticks / pace
             self.digest.update(run.codes.tobytes() + times.tobytes())
-            self._judge(route, board, np.float64(code) * run.codes, np.asarray(times), code)
+            volts = np.float64(code) * run.codes
+            self._judge(route, board, volts, np.asarray(times), code)
+            if board == 0:
+                rough = (17 if "pcm12" in route.device else 2) * code
+                faults = replace(model.amplifiers[0].counters, packets=0)
+                route.ledger.count(faults, self.now)
+                route.ledger.put_out(run, volts, np.asarray(times), rough)
             since = min(route.stopped, route.dead)
             if run.high_voltage and times[-1] > since + UNPOWERED:
                 self.wrong.append(
@@ -160,72 +255,133 @@ class Simulation:
             if loud[-1] > since + SILENT:
                 self.wrong.append(
                     f"{route.name}: {peak:.2f} V at {loud[-1]:.4f}, the {kind} was at {since:.4f}"
+                    f" ({route.deaths})"
                 )
 
-    # What happens
+    # Programs and the server
+
+    def _program(self) -> Program:
+        return Program(self.world, self.url, rearm=self.random.random() < 0.5)
 
     def _start(self) -> None:
-        while not self.world.start(self.config):  # what a killed server left has the latch
-            self.world.clock.advance(0.5)
-        assert self.world.host is not None
-        self.client = self.world.host.connect("app", roles=m.ALL_ROLES)
+        while not self.world.start(self.config, listening=True):  # what a killed server left
+            self.world.clock.advance(0.5)  # has the latch
 
     def _die(self, route: Route, who: str, seconds: float) -> None:
         """Note a death that ends by itself."""
         route.deaths[who] = self.now
         self.world.clock.after(seconds, lambda: route.deaths.pop(who, None))
 
-    def _pass(self, seconds: float) -> None:
-        self.world.run(asyncio.sleep(seconds))
+    def _have(
+        self, program: Program, work: Callable[[aio.Connection], Coroutine[Any, Any, None]]
+    ) -> None:
+        """Have a program do something; what it is refused is counted, other errors are wrong."""
 
-    async def _ask(self, *commands: m.Command) -> list[m.Answer]:
-        return list(await asyncio.gather(*(self.client.request(one) for one in commands)))
+        async def done() -> None:
+            try:
+                if program.connection is not None:
+                    await work(program.connection)
+                    self.answers["done"] += 1
+            except ClientError as error:
+                self.answers[type(error).__name__] += 1
+            except Exception as error:
+                self.wrong.append(f"{work.__name__}: {error!r}")
+
+        program.begin(done())
+
+    # What happens
 
     def play(self, route: Route) -> None:
         """Clear, arm and begin an effect, if that is allowed."""
-        route.stopped = math.inf
-        begin, end = m.Point(0.0, 1.0), m.Point(60_000.0, 1.0)
-        clear = m.Clear(display=route.name, estop=max(route.number, 1))
-        effect = m.Effect(display=route.name, amplitude_um=20.0, amplitude=(begin, end))
-        for command in (clear, m.Arm(display=route.name), effect):
-            self.world.run(self._ask(command))
+
+        async def clear_and_play(connection: aio.Connection) -> None:
+            display = connection.display(route.name)
+            known = display.estopped
+            older = known < route.number
+            if known and not older:
+                route.stopped = math.inf
+            if known:
+                try:
+                    await display.clear(estop=known)
+                except RequestError:
+                    pass
+                else:
+                    if older and known < route.number and route.stopped < math.inf:
+                        self.wrong.append(f"{route.name}: clear {known} ended {route.number}")
+            route.deaths.pop("program", None)
+            await display.arm()
+            await display.effect(20e-6, amplitude_points=[(0.0, 1.0), (60.0, 1.0)])
+
+        self._have(route.program, clear_and_play)
 
     def estop(self, route: Route) -> None:
         """E-stop one display, or all."""
-        every = self.random.random() < 0.3
-        (answer,) = self.world.run(self._ask(m.EStop(display=None if every else route.name)))
-        assert isinstance(answer, m.Done), answer
-        for one in self.routes:
-            if one.name in answer.estops:
-                one.number, one.stopped = answer.estops[one.name], self.now
+        name = None if self.random.random() < 0.3 else route.name
+        program = self.random.choice([route.program, self.stopper])
+
+        async def stop(connection: aio.Connection) -> None:
+            if name is None:
+                estops = await connection.estop()
+            else:
+                estops = {name: await connection.display(name).estop()}
+            for one in self.routes:
+                if estops.get(one.name, 0) > one.number:
+                    one.number, one.stopped = estops[one.name], self.now
+
+        self._have(program, stop)
 
     def arm_in_vain(self, route: Route) -> None:
         """Try to arm what is e-stopped."""
-        if route.stopped < math.inf:
-            (answer,) = self.world.run(self._ask(m.Arm(display=route.name)))
-            if isinstance(answer, m.Done):
+        number, stopped = route.number, route.stopped
+
+        async def arm(connection: aio.Connection) -> None:
+            route.deaths.pop("program", None)
+            await connection.display(route.name).arm()
+            if stopped < math.inf and (number, stopped) == (route.number, route.stopped):
                 self.wrong.append(f"{route.name}: armed at {self.now:.4f} in an e-stop")
+
+        self._have(route.program, arm)
 
     def touch(self, route: Route) -> None:
         """Move a finger over a texture."""
-        select = m.Select(display=route.name, layers=(m.Layer(texture="wood-oak"),))
-        self.world.run(self._ask(select))
-        for k in range(20):
-            place = m.Contact(
-                display=route.name, position_mm=(0.5 * k, 0.0), normal_force_n=0.5,
-                velocity_mm_s=(50.0, 0.0),
-            )  # fmt: skip
-            self.client.contact(place, self.now)
-            self._pass(0.01)
+
+        async def move(connection: aio.Connection) -> None:
+            display = connection.display(route.name)
+            await display.select("wood-oak")
+            for k in range(20):
+                await display.touch((0.5e-3 * k, 0.0), velocity=(0.05, 0.0))
+                await asyncio.sleep(0.01)
+
+        self._have(route.program, move)
 
     def disarm(self, route: Route) -> None:
         """Fade out and disarm."""
-        self.world.run(self._ask(m.Disarm(display=route.name)))
+
+        async def end(connection: aio.Connection) -> None:
+            await connection.display(route.name).disarm()
+
+        self._have(route.program, end)
+
+    def kill_program(self, route: Route) -> None:
+        """Kill a program; another takes its place."""
+        route.program.kill()
+        self.world.killed.append(route.program)
+        route.deaths.pop(f"hanging program {id(route.program)}", None)
+        route.deaths.setdefault("program", self.now)
+        route.program = self._program()
+
+    def hang_program(self, route: Route) -> None:
+        """Let a program stand still, for long or not."""
+        if not route.program.hung:
+            seconds = self.random.choice([0.05, 0.2, 0.6, 2.0])
+            route.program.hang(seconds)
+            self._die(route, f"hanging program {id(route.program)}", seconds)
 
     def kill_playback(self, route: Route) -> None:
         """Kill the playback process."""
         for playback in self.world.playbacks(route.device):
             playback.kill()
+            route.deaths.pop(f"hanging {playback.pid}", None)
             route.deaths.setdefault("playback", self.now)
 
     def hang_playback(self, route: Route) -> None:
@@ -271,22 +427,27 @@ class Simulation:
             route.last.clear()
 
     EVENTS = (
-        (play, 8), (estop, 3), (arm_in_vain, 2), (touch, 2), (disarm, 1), (kill_playback, 1),
-        (hang_playback, 2), (kill_server, 1), (stall_server, 1), (unplug, 2), (stall_link, 1),
-        (power_cycle, 1),
+        (play, 10), (estop, 3), (arm_in_vain, 2), (touch, 2), (disarm, 1), (kill_program, 1),
+        (hang_program, 2), (kill_playback, 1), (hang_playback, 2), (kill_server, 1),
+        (stall_server, 1), (unplug, 2), (stall_link, 1), (power_cycle, 1),
     )  # fmt: skip
 
     def run(self, seconds: float) -> None:
         """Let things happen for a while; stop at the first promise that is broken."""
         events, weights = zip(*self.EVENTS, strict=True)
         end = self.now + seconds
+        self.world.clock.advance(0.1)  # programs connect
+        for route in self.routes:
+            self.play(route)
         while self.now < end and not self.wrong:
             (event,) = self.random.choices(events, weights)
-            route = self.random.choice(self.routes)
-            self.counts[event.__name__] = self.counts.get(event.__name__, 0) + 1
+            sounding = [one for one in self.routes if any(v.any() for v in one.last.values())]
+            often = sounding and event is not Simulation.play and self.random.random() < 0.7
+            route = self.random.choice(sounding if often else self.routes)
+            self.counts[event.__name__] += 1
             self.log.append(f"{self.now:.6f} {event.__name__} {route.name}")
             event(self, route)
-            self._pass(self.random.choice([0.001, 0.01, 0.05, 0.2, 0.5]))
+            self.world.clock.advance(self.random.choice([0.001, 0.01, 0.05, 0.2, 0.5]))
             self._check()
 
     def _check(self) -> None:
@@ -294,12 +455,17 @@ class Simulation:
         assert self.world.host is not None
         self.wrong += self.world.errors.all
         for route in self.routes:
+            for time in route.ledger.unexplained:
+                self.wrong.append(f"{route.name}: from {time:.4f} not what was written")
             playing = self.world.host.playing[route.name]
             if route.stopped < math.inf and playing.state not in ("estopped", "lost"):
                 self.wrong.append(f"{route.name}: {playing.state} at {self.now:.4f} in an e-stop")
 
     def close(self) -> None:
         """End everything."""
+        for program in (self.stopper, *(route.program for route in self.routes)):
+            program.kill()
+            self.world.killed.append(program)
         self.stack.close()
 
 
@@ -316,4 +482,6 @@ def simulate(seed: int, seconds: float) -> Simulation:
 if __name__ == "__main__":
     done = simulate(int(sys.argv[1]), float(sys.argv[2]))
     print(*done.log[-20:], sep="\n")
-    print(done.wrong, done.worst, done.counts, done.sounding)
+    print(
+        done.wrong[:3], done.worst, dict(done.counts), dict(done.answers), done.sounding, done.exact
+    )

@@ -21,6 +21,7 @@ def judged(seed: int, seconds: float) -> Simulation:
     again = f"python tests/simulator.py {seed} {seconds:g}"
     assert not done.wrong, f"{again}\n{history}\n{done.wrong}"
     assert done.sounding, "nothing was played"
+    assert done.exact, "nothing was played as it was written"
     return done
 
 

@@ -5,12 +5,12 @@ whose time has come. So everything happens in one order, which depends on nothin
 """
 
 import asyncio
+import functools
 import heapq
 import itertools
-import logging
 import os
 import pickle
-import selectors
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,6 +34,11 @@ class Killed(BaseException):
     """The process is killed; raised where its threads sleep."""
 
 
+def never() -> bool:
+    """Wait for the time only."""
+    return False
+
+
 @dataclass(eq=False)
 class Thread:
     """A thread of a process.
@@ -41,14 +46,14 @@ class Thread:
     Attributes
     ----------
     turn : number of its latest sleep
-    event : that would wake it
+    awaited : what would wake it before its time, where that is true
     held : whether its process hangs
     due : whether it would run, did its process not hang
     """
 
     run: Any
     turn: int = 0
-    event: threading.Event | None = None
+    awaited: Callable[[], bool] = never
     held: bool = False
     due: bool = False
 
@@ -58,7 +63,6 @@ class VirtualClock:
 
     def __init__(self) -> None:
         self.time = 1000.0
-        self.interrupted = False
         self._events: list[tuple[float, int, Callable[[], object]]] = []
         self._numbers = itertools.count()
         self._threads: dict[Any, Thread] = {}
@@ -71,17 +75,22 @@ class VirtualClock:
         """Have something done later."""
         heapq.heappush(self._events, (self.time + seconds, next(self._numbers), work))
 
-    def advance(self, seconds: float, *, interruptible: bool = False) -> None:
-        """Let time pass, until the event loop is given something where it is interruptible."""
+    def advance(self, seconds: float, awaited: Callable[[], bool] = never) -> None:
+        """Let time pass, or less of it where what is awaited comes true."""
         end = self.time + seconds
-        while self._events and self._events[0][0] <= end:
+        self._wake()
+        while not awaited():
+            if not self._events or self._events[0][0] > end:
+                self.time = max(self.time, end)
+                return
             when, _, work = heapq.heappop(self._events)
             self.time = max(self.time, when)
             work()
             self._wake()
-            if interruptible and self.interrupted:
-                return
-        self.time = max(self.time, end)
+
+    def forget(self) -> None:
+        """Have nothing done later of what was to be done."""
+        self._events.clear()
 
     # What threads do
 
@@ -110,21 +119,28 @@ class VirtualClock:
             return
         turn = thread.turn = thread.turn + 1
         self.after(max(seconds, 0.0), lambda: self._go_on(thread, turn))
-        thread.run.parent.switch()
+        _switch(thread.run.parent.switch)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Let time pass, or less of it where an event is set."""
-        if event.is_set():
+        self.wait_for(event.is_set, seconds)
+
+    def wait_for(self, awaited: Callable[[], bool], seconds: float) -> None:
+        """Let time pass, or less of it where what is awaited comes true."""
+        if awaited():
             return
-        thread = self._threads[greenlet.getcurrent()]
-        thread.event = event
+        thread = self._threads.get(greenlet.getcurrent())
+        if thread is None:
+            self.advance(seconds, awaited)
+            return
+        thread.awaited = awaited
         self.sleep(seconds)
-        thread.event = None
+        thread.awaited = never
 
     def _wake(self) -> None:
         for thread in list(self._threads.values()):
-            if thread.event is not None and thread.event.is_set() and not thread.held:
-                thread.event = None
+            if not thread.held and thread.awaited():
+                thread.awaited = never
                 self._go_on(thread, thread.turn)
 
     def _go_on(self, thread: Thread, turn: int) -> None:
@@ -135,7 +151,7 @@ class VirtualClock:
             return
         thread.turn += 1  # what else would wake it is over
         thread.run.parent = greenlet.getcurrent()
-        thread.run.switch()
+        _switch(thread.run.switch)
 
     def hold(self, thread: Thread) -> None:
         """Let a thread stand still."""
@@ -156,11 +172,22 @@ class VirtualClock:
             thread.turn += 1
             if thread.run is not current and thread.run:
                 thread.run.parent = current
-                thread.run.throw(Killed)
+                _switch(functools.partial(thread.run.throw, Killed))
             elif thread.run is not current:
                 self._threads.pop(thread.run, None)
         if any(thread.run is current for thread in threads):
             raise Killed
+
+
+def _switch(go: Callable[[], object]) -> None:
+    """Go on in another thread; what asyncio remembers for a thread is this one's again after it."""
+    loop, hooks = asyncio._get_running_loop(), sys.get_asyncgen_hooks()
+    asyncio._set_running_loop(None)
+    try:
+        go()
+    finally:
+        asyncio._set_running_loop(loop)
+        sys.set_asyncgen_hooks(*hooks)
 
 
 class LinkTime:
@@ -185,46 +212,6 @@ class LinkTime:
         end = self.now() + seconds
         while self.now() < end and not event.is_set():
             self._bus._turn(min(end, self.now() + LOOK))
-
-
-class VirtualSelector(selectors.SelectSelector):
-    """Waits on the virtual clock; there are no files to wait for."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        super().__init__()
-        self._clock = clock
-
-    def select(self, timeout: float | None = None) -> list[Any]:
-        if timeout is None or timeout > 0:
-            self._clock.advance(60.0 if timeout is None else timeout, interruptible=True)
-        self._clock.interrupted = False
-        return []
-
-
-class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time is a virtual clock's."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self._virtual = clock
-        super().__init__(VirtualSelector(clock))
-
-    def time(self) -> float:
-        return self._virtual.now()
-
-
-class Errors(logging.Handler):
-    """Collects each exception that anything of a daemon logs, or leaves."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.ERROR)
-        self.all: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.exc_info:
-            self.all.append(f"{record.getMessage()}: {record.exc_info[1]!r}")
-
-    def of_loop(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        self.all.append(f"{context['message']}: {context.get('exception')!r}")
 
 
 class Process:
@@ -294,8 +281,8 @@ class Process:
     def _post(self, data: bytes | None) -> None:
         def arrive() -> None:
             if self.of_server:
-                self._loop.call_soon(self._heard, None if data is None else pickle.loads(data))
-                self.clock.interrupted = True
+                order = None if data is None else pickle.loads(data)
+                self._loop.call_soon_threadsafe(self._heard, order)
 
         self.clock.after(PIPE, arrive)
 

@@ -8,7 +8,6 @@ so that it can hang, or be killed, at any of them while the others go on.
 
 import asyncio
 import functools
-import inspect
 import itertools
 import logging
 import os
@@ -21,7 +20,8 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_clock import PIPE, Errors, LinkTime, Process, Thread, VirtualClock, VirtualLoop
+from virtual_clock import PIPE, LinkTime, Process, Thread, VirtualClock
+from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import Played
 from tactile.bus.base import RATE, Bus, Rig, Wiring
@@ -37,6 +37,7 @@ from tactile.daemon.latch import Latch, Writer
 from tactile.daemon.orders import Opened, Setup
 from tactile.daemon.playback_process import Program
 from tactile.daemon.player import Player, Samples
+from tactile.daemon.server import running
 from tactile.daemon.shared import Shared
 from tactile.display import Display, load_display
 from tactile.errors import TactileError
@@ -210,70 +211,73 @@ class World:
         self.models: dict[str, Model] = {}
         self.on_link: Callable[[Address, Model, int, Played], None] = lambda *_: None
         """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
-        self.loop: asyncio.AbstractEventLoop | None = None
+        self.server: LoopProcess | None = None
         self.host: Host | None = None
+        self.killed: list[LoopProcess] = []
         self.stalled: float | None = None
 
     # The server
 
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop | None:
+        """Event loop of the server that runs."""
+        return None if self.server is None else self.server.loop
+
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Run the server's event loop until something is done."""
-        assert self.loop is not None
-        return self.loop.run_until_complete(work)
+        assert self.server is not None
+        return self.server.run(work)
 
-    def start(self, config: Config) -> bool:
-        """Start a server; return whether it had what it needs."""
-        self.loop = VirtualLoop(self.clock)
-        self.loop.set_exception_handler(self.errors.of_loop)
+    def start(self, config: Config, *, listening: bool = False) -> bool:
+        """Start a server, which listens or does not; return whether it had what it needs."""
+        server = self.server = LoopProcess(self.clock, self.errors)
 
         async def started() -> Host:
             host = Host(config, clock=self.clock)
-            await host.start()
+            if listening:
+                await server.opened.enter_async_context(running(config, host=host))
+            else:
+                await host.start()
+                server.opened.push_async_callback(host.close)
             return host
 
         try:
             self.host = self.run(started())
         except TactileError:
-            self._forget_server()
+            server.end()
+            self.server = None
             return False
         return True
 
     def stop(self) -> None:
         """End the server in good order."""
-        assert self.host is not None
-        self.run(self.host.close())
-        self._forget_server()
+        assert self.server is not None
+        self.server.end()
+        self.server = self.host = None
 
     def kill(self) -> None:
         """Kill the server: nothing of it runs any more, its pipes and files are closed."""
         assert self.host is not None
+        assert self.server is not None
+        self.server.kill()
+        self.killed.append(self.server)
         for playing in self.host.playing.values():
             playing.latch._writer = Writer.PLAYBACK  # who is killed unlocks nothing: a child may
             playing.latch.close()  # have the file still
             playing.memory.close()
+            for one in (playing.latch, playing.memory):  # whose files' numbers others have soon
+                vars(one)["close"] = lambda: None
         for process in list(self.processes):
             process.hang_up()
-        self._forget_server()
-
-    def _forget_server(self) -> None:
-        loop, self.loop, self.host = self.loop, None, None
-        assert loop is not None
-        for task in asyncio.all_tasks(loop):
-            task._log_destroy_pending = False  # type: ignore[attr-defined]
-            work = task.get_coro()
-            if inspect.iscoroutine(work) and inspect.getcoroutinestate(work) == "CORO_CREATED":
-                work.close()
-        loop.close()
+        self.server = self.host = None
 
     def stall(self, seconds: float) -> None:
         """Let the server's event loop stand still, all other processes going on."""
-
-        async def stalled() -> None:
-            self.stalled = self.clock.now()
-            self.clock.advance(seconds)
-            self.stalled = None
-
-        self.run(stalled())
+        assert self.server is not None
+        self.stalled = self.clock.now()
+        self.server.hang(seconds)
+        self.clock.advance(seconds)
+        self.stalled = None
 
     # The amplifiers
 
@@ -325,6 +329,9 @@ class World:
             self.kill()
         for process in list(self.processes):
             process.kill()
+        self.clock.forget()
+        for one in self.killed:
+            one.bury()
 
 
 async def _inline(work: Callable[..., T], *words: Any) -> T:

@@ -7,21 +7,17 @@ import struct
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import pytest
-from c_amplifier_rig import SOURCE, compiler
 from numpy.typing import NDArray
 
-from tactile.bus import link_bus, peer, session
 from tactile.bus.base import Bus
-from tactile.daemon import bringup
 from tactile.daemon.bringup import Report
 from tactile.daemon.probe import TEST_VOLTAGE
-from tactile.devices import open_bus
 from tactile.display import Display
 
 Floats = NDArray[np.float64]
@@ -87,35 +83,8 @@ voltage_v = 60.0
 """
 
 
-@pytest.fixture
-def four(tmp_path: Path) -> Path:
-    path = tmp_path / "four.toml"
-    path.write_text(FOUR, encoding="utf-8")
-    return path
-
-
-@pytest.fixture
-def grid(tmp_path: Path) -> Path:
-    path = tmp_path / "six.toml"
-    path.write_text(GRID, encoding="utf-8")
-    return path
-
-
 def verdicts(report: Report) -> list[str]:
     return [one.verdict for one in report.channels]
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Directory of the virtual amplifier, built once for all files of a process."""
-    directory = tmp_path_factory.getbasetemp() / "amplifier-for-bringup"
-    directory.mkdir(exist_ok=True)
-    command = ["make", "-C", str(SOURCE), f"BUILD={directory}", f"CC={compiler()}"]
-    made = subprocess.run(
-        [*command, "virtual-amplifier"], capture_output=True, text=True, check=False
-    )
-    assert made.returncode == 0, made.stderr
-    return directory
 
 
 @dataclass
@@ -141,34 +110,24 @@ class Served:
         return rows["now"].astype(np.int64), rows["codes"].astype(np.float64) * CODE
 
 
-@pytest.fixture
-def serve(
-    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., Served]]:
-    """Start amplifiers with options, which a slow machine may hold up for longer than a link."""
-    monkeypatch.setattr(session, "SILENCE", 60.0)
-    monkeypatch.setattr(link_bus, "OPENING", 60.0)
-    monkeypatch.setattr(link_bus, "STARTING", 60.0)
-    monkeypatch.setattr(peer, "TRIES", 40)
+@contextmanager
+def serving(program: Path, out: Path) -> Iterator[Callable[..., Served]]:
+    """Give what starts amplifiers with options, and end them."""
     processes = []
 
     def start(*options: str) -> Served:
-        out = tmp_path / "out"
-        command = [built / "virtual-amplifier", "--pty", "--channels", str(CHANNELS)]
         process = subprocess.Popen(
-            [*map(str, command), "--out", str(out), *options],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            [program, "--pty", "--channels", str(CHANNELS), "--out", out, *options],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         processes.append(process)
         assert process.stdout is not None
-        return Served(f"serial://{process.stdout.readline().decode().strip()}", out)
+        return Served(f"serial://{process.stdout.readline().strip()}", out)
 
     yield start
     for process in processes:
         process.kill()
-        process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
+        process.communicate()
 
 
 def check_drive(volts: Floats, *, most: float = TEST_VOLTAGE) -> None:
@@ -188,16 +147,3 @@ def same(a: Display, b: Display) -> None:
     names = ("name", "opening", "projected", "bimorph", "load", "amplifier", "limits")
     assert [getattr(a, n) for n in names] == [getattr(b, n) for n in names]
     assert len(a.measured) == len(b.measured)
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bus]:
-    """Collect the buses that are opened."""
-    found: list[Bus] = []
-
-    def open_and_keep(*arguments: Any, **named: Any) -> Bus:
-        found.append(open_bus(*arguments, **named))
-        return found[-1]
-
-    monkeypatch.setattr(bringup, "open_bus", open_and_keep)
-    return found

@@ -20,7 +20,6 @@ from typing import IO, Any, Protocol, TypeVar, cast
 import numpy as np
 import pytest
 from bus_bridges import bridge, virtual_can
-from c_amplifier_rig import SOURCE, compiler
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import FULL_SCALE_CODE, State
@@ -121,16 +120,6 @@ class Bench:
 
 
 # In real time
-
-
-def built(directory: Path) -> Path:
-    """Build virtual-amplifier; skip where no compiler is, unless CI promises one."""
-    command = ["make", "-j2", "-C", str(SOURCE), f"BUILD={directory}", f"CC={compiler()}"]
-    made = subprocess.run(
-        [*command, "virtual-amplifier"], capture_output=True, text=True, check=False
-    )
-    assert made.returncode == 0, made.stderr
-    return directory / "virtual-amplifier"
 
 
 @dataclass
@@ -406,7 +395,7 @@ def bench_of(name: str, request: pytest.FixtureRequest) -> Iterator[Bench]:
     """Yield a bench by its name, and close what it opened; the body of a fixture."""
     if name in REAL:
         bench: Bench = RealBench(
-            name, request.getfixturevalue("program"), request.getfixturevalue("tmp_path")
+            name, request.getfixturevalue("virtual_amplifier"), request.getfixturevalue("tmp_path")
         )
     else:
         bench = Bench(name)

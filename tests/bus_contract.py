@@ -1,8 +1,7 @@
 """Displays, signals and comparisons of the tests that every bus passes."""
 
 import math
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,7 +10,7 @@ import pytest
 from bus_benches import PCM16, RATE, Bench, Floats, Test, steadied
 
 from tactile.bus.base import Bus, DriveBlock
-from tactile.display import Display, load_display
+from tactile.display import Display
 
 FADE = 160
 """Samples: 20 ms."""
@@ -68,26 +67,10 @@ def on(benches: Sequence[object]) -> Callable[[Test], Test]:
     def marked(cases: Test) -> Test:
         quiet = pytest.mark.filterwarnings("ignore:set(Daemon|Name).*:DeprecationWarning")
         each = pytest.mark.parametrize("bench", benches, indirect=True)
-        return each(quiet(steadied(cases)))
+        used = pytest.mark.usefixtures("plant", "unhurried_links")
+        return used(each(quiet(steadied(cases))))
 
     return marked
-
-
-def planted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Put the plant where it can be imported; the body of a fixture."""
-    folder = tmp_path_factory.mktemp("plants")
-    (folder / "plant_of_the_bus_contract.py").write_text(PLANT, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        yield
-    sys.modules.pop("plant_of_the_bus_contract", None)
-
-
-def three(tmp_path_factory: pytest.TempPathFactory) -> Display:
-    """Return the display of three contactors."""
-    path = tmp_path_factory.mktemp("displays") / "three.toml"
-    path.write_text(DISPLAY, encoding="utf-8")
-    return load_display(path)
 
 
 def limited(display: Display, **limits: float) -> Display:
@@ -181,5 +164,5 @@ def played(bench: Bench, bus: Bus, volts: Floats, cuts: list[int] | None = None)
 __all__ = [
     "FADE", "LONG", "RATE", "ROUNDING", "SLOW", "VOLTAGE", "Bench", "Floats", "assert_broken_off",
     "assert_linear_ramp", "assert_played", "assert_rests", "assert_slews", "climb", "level",
-    "limited", "noise", "planted", "play", "played", "three",
+    "limited", "noise", "play", "played",
 ]  # fmt: skip

@@ -42,15 +42,11 @@ def compiler() -> str:
     pytest.skip("no C compiler or no make on PATH")
 
 
-@pytest.fixture(scope="session")
-def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Directory of what `make sanitize` builds, once for all files of a process."""
-    directory = tmp_path_factory.getbasetemp() / "sanitized-amplifier"
-    directory.mkdir(exist_ok=True)
+def make(directory: Path, target: str) -> None:
+    """Build the amplifier in a directory."""
     command = ["make", "-j2", "-C", str(SOURCE), f"BUILD={directory}", f"CC={compiler()}"]
-    made = subprocess.run([*command, "sanitize"], capture_output=True, text=True, check=False)
+    made = subprocess.run([*command, target], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
-    return directory / "sanitize"
 
 
 # Packets and records, by hand

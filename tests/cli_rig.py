@@ -43,32 +43,15 @@ class Result(NamedTuple):
 Command = Callable[..., Result]
 
 
-def command_of(*words: str) -> Any:
-    """Return a fixture that runs ``tactile`` with these words first, in an empty folder."""
-
-    @pytest.fixture
-    def command(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ) -> Command:
-        return runner(tmp_path, monkeypatch, capsys, *words)
-
-    return command
-
-
-command = command_of()
-
-
 def runner(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    *words: str,
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Return what runs the command in this process, in a folder, with these words first."""
+    """Return what runs the command in this process, in a folder."""
     monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "100")
 
     def run(*arguments: object) -> Result:
-        monkeypatch.setattr(sys, "argv", ["tactile", *words, *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["tactile", *map(str, arguments)])
         monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # a script's
         capsys.readouterr()
         with pytest.raises(SystemExit) as left:

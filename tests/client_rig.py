@@ -17,13 +17,12 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec
-import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
 from websockets.typing import Subprotocol
 
 from tactile import client
-from tactile.client import aio, websocket
+from tactile.client import aio
 from tactile.daemon import messages as m
 
 PATIENCE = 60.0
@@ -274,33 +273,6 @@ class Twin:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
             self._loop.close()
-
-
-@pytest.fixture(params=["thread", "asyncio"])
-def twin(request: pytest.FixtureRequest) -> Iterator[Twin]:
-    twin = Twin(request.param)
-    yield twin
-    twin.close()
-
-
-@pytest.fixture
-def script() -> Script:
-    return Script()
-
-
-@pytest.fixture
-def daemon(script: Script, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
-    """Return a daemon that no client gives up because the machine stood still."""
-    monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
-    daemon = Daemon(script)
-    yield daemon
-    daemon.close()
-
-
-@pytest.fixture
-def display(twin: Twin, daemon: Daemon) -> Iterator[Any]:
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
-        yield display
 
 
 def samples_of(said: m.Append) -> tuple[float, ...]:

@@ -19,7 +19,6 @@ import pytest
 from websockets.asyncio import client
 from websockets.typing import Subprotocol
 
-from tactile.daemon import connection, listening, osc, requests, sockets
 from tactile.daemon.config import Config, OscConfig, ServerConfig, TokenConfig
 from tactile.daemon.messages import (
     JSON_PROTOCOL,
@@ -58,16 +57,6 @@ connect: Any = partial(client.connect, **PATIENT)
 unix_connect: Any = partial(client.unix_connect, **PATIENT)
 TEXTURE = "wood-oak"
 LARGE = Event(display="right", kind="fault", detail="x" * 20_000)
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a server give up nobody because the machine stood still."""
-    for module, name in [
-        (connection, "HELLO_WITHIN"), (connection, "READ_WITHIN"), (listening, "PONG_WITHIN"),
-        (osc, "SILENCE"), (requests, "FINISH_WITHIN"), (sockets, "REQUEST_WITHIN"),
-    ]:  # fmt: skip
-        monkeypatch.setattr(module, name, 10 * PATIENCE)
 
 
 def display(name: str) -> DisplayInfo:

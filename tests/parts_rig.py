@@ -1,12 +1,10 @@
 """DRV2667 and BOS1921 on models of their registers, on a virtual clock."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pytest
 from chip_models import (
     Bos1921Model,
     ChipModel,
@@ -112,13 +110,6 @@ def assert_steps(line: Floats, bound: float, drops: list[int] | None = None) -> 
     for at in drops or []:
         steps[max(at - 1, 0) : at + 1] = 0
     assert steps.max(initial=0.0) <= bound
-
-
-@pytest.fixture(params=KINDS)
-def one(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    built = rig(request.param)
-    yield built
-    built.bus.close()
 
 
 @dataclass

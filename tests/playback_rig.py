@@ -11,10 +11,10 @@ from tactile.bus.base import DriveBlock
 from tactile.bus.mock_bus import MockBus
 from tactile.daemon.playback import PlayedBlock, play
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
-from tactile.texture.surface import Texture, load_texture
+from tactile.texture.surface import Texture
 
 Floats = NDArray[np.float64]
 
@@ -25,16 +25,6 @@ SINGLE = 1e-6
 FIDELITY = 45.0
 """dB; 55 are measured, of which the finger's and beam's damping take most (see the plant)."""
 SLIDE = Path(__file__).parents[2] / "shared" / "data" / "paths" / "slide.csv"
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return load_display("reference-24")
-
-
-@pytest.fixture(scope="module")
-def oak() -> Texture:
-    return load_texture("wood-oak")
 
 
 def stroke(duration: float, begin: float = 0.0) -> Trajectory:
@@ -96,11 +86,3 @@ def played(display: Display, texture: Texture, trajectory: Trajectory) -> Played
         play(display, renderer, trajectory, bus, sample_rate=RATE, listen=blocks.append)
         assert bus.state == "idle"
     return Played(blocks, written, bus, renderer.delay)
-
-
-@pytest.fixture(scope="module", params=TRAJECTORIES)
-def case(
-    request: pytest.FixtureRequest, display: Display, oak: Texture
-) -> tuple[Trajectory, Played]:
-    trajectory = TRAJECTORIES[request.param]
-    return trajectory, played(display, oak, trajectory)

@@ -1,12 +1,9 @@
 """Displays, plants and drive for the simulated display."""
 
-import sys
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock
@@ -130,25 +127,10 @@ constant = 3.0
 '''
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _plants(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    folder = tmp_path_factory.mktemp("plants")
-    (folder / "plants_of_the_sim_test.py").write_text(PLANTS, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        yield
-    sys.modules.pop("plants_of_the_sim_test", None)
-
-
 def shuffled(folder: Path, rest: str) -> Display:
     path = folder / "shuffled.toml"
     path.write_text(DISPLAY + rest, encoding="utf-8")
     return load_display(path)
-
-
-@pytest.fixture
-def display(tmp_path: Path) -> Display:
-    return shuffled(tmp_path, LOW)
 
 
 def opened(display: Display, url: str = "sim:") -> SimulatedDisplay:

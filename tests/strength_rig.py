@@ -8,12 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from tactile.display import Display, load_display
-from tactile.rendering import strength
+from tactile.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Rendering, render
 from tactile.rendering.strength import SteadyStroke
@@ -54,26 +52,9 @@ def few(display: Display, *which: int, volts: float | None = None) -> Display:
     )
 
 
-@pytest.fixture(autouse=True)
-def brief(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Shorten the trial, for time; the full one is for CI."""
-    if request.node.get_closest_marker("ci") is None:
-        monkeypatch.setattr(strength, "PLACES", 4)
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return few(load_display("reference-24"), 0, 13)
-
-
-@pytest.fixture(scope="module")
-def suede() -> Texture:
-    return without_friction(load_texture("leather-suede", partials=128))
-
-
-@pytest.fixture(scope="module")
-def calf() -> Texture:
-    return without_friction(load_texture("leather-calf", partials=128))
+def smooth(name: str) -> Texture:
+    """Return a texture of few partials without what friction adds."""
+    return without_friction(load_texture(name, partials=128))
 
 
 def authored(folder: Path, parts: str) -> Texture:

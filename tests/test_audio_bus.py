@@ -44,7 +44,7 @@ from tactile.errors import BusError, BusStateError, InputError
 
 
 @pytest.fixture
-def display(tmp_path: Path) -> Display:
+def audio_display(tmp_path: Path) -> Display:
     return display_of(tmp_path)
 
 
@@ -58,9 +58,9 @@ def refused(display: Display, url: str = "audio:") -> str:
     return str(found.value)
 
 
-def test_without_accepting_what_nobody_knows_it_is_not_opened(display: Display) -> None:
+def test_without_accepting_what_nobody_knows_it_is_not_opened(audio_display: Display) -> None:
     with pytest.raises(InputError, match="when the host dies nobody knows"):
-        open_bus("audio:", display)
+        open_bus("audio:", audio_display)
 
 
 def test_a_display_that_is_not_calibrated_is_told_how(tmp_path: Path) -> None:
@@ -74,13 +74,13 @@ def test_what_the_card_would_clip_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["23", "0", "-1", "24.0", "all", ""])
-def test_channels_are_the_displays_at_least(display: Display, text: str) -> None:
-    assert "must be a number from 24 up" in refused(display, f"audio:?channels={text}")
+def test_channels_are_the_displays_at_least(audio_display: Display, text: str) -> None:
+    assert "must be a number from 24 up" in refused(audio_display, f"audio:?channels={text}")
 
 
-def test_an_unknown_option_is_one_line(display: Display) -> None:
+def test_an_unknown_option_is_one_line(audio_display: Display) -> None:
     assert "unknown option 'chanels'; did you mean 'channels'" in refused(
-        display, "audio:?chanels=24"
+        audio_display, "audio:?chanels=24"
     )
 
 
@@ -101,13 +101,13 @@ def without(monkeypatch: pytest.MonkeyPatch, folder: Path, text: str) -> None:
     ],
 )
 def test_a_missing_or_crashing_portaudio_is_one_line_and_nothing_is_found(
-    display: Display, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    audio_display: Display, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
     capfd: pytest.CaptureFixture[str], text: str, said: str,
 ) -> None:  # fmt: skip
     without(monkeypatch, tmp_path, text)
     monkeypatch.setattr(audio_process, "OPENING", 60.0)
     with pytest.raises(BusError, match=said) as error:
-        open_bus("audio:", display, accept_unsafe_hold=True)
+        open_bus("audio:", audio_display, accept_unsafe_hold=True)
     assert "\n" not in str(error.value)
     assert list(find()) == []
     assert capfd.readouterr() == ("", "")
@@ -115,11 +115,11 @@ def test_a_missing_or_crashing_portaudio_is_one_line_and_nothing_is_found(
 
 @pytest.mark.ci
 def test_a_portaudio_that_finds_no_end_is_given_up(
-    display: Display, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    audio_display: Display, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     without(monkeypatch, tmp_path, "import time; time.sleep(100)")
     monkeypatch.setattr(audio_process, "OPENING", 1.0)
-    assert "finds no end in 1 s" in refused(display)
+    assert "finds no end in 1 s" in refused(audio_display)
     assert list(find()) == []
 
 
@@ -136,8 +136,8 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 
 @pytest.fixture
-def bus(server: Server, display: Display) -> Iterator[AudioBus]:
-    found = opened(display)
+def bus(server: Server, audio_display: Display) -> Iterator[AudioBus]:
+    found = opened(audio_display)
     with found:
         server.record()
         yield found
@@ -304,7 +304,7 @@ for k in range(1000):
 @pytest.mark.realtime
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_when_the_host_dies_or_hangs_the_output_fades(
-    server: Server, display: Display, tmp_path: Path, how: signal.Signals
+    server: Server, audio_display: Display, tmp_path: Path, how: signal.Signals
 ) -> None:
     code = HOST.format(path=sys.path, file=str(tmp_path / "row.toml"))
     host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -392,7 +392,9 @@ def test_what_is_not_there_is_said_by_name(server: Server, tmp_path: Path) -> No
 
 
 @pytest.mark.realtime
-def test_outputs_are_found_under_urls_that_open_them(server: Server, display: Display) -> None:
+def test_outputs_are_found_under_urls_that_open_them(
+    server: Server, audio_display: Display
+) -> None:
     found = {f.url: f.about for f in find()}
     assert "24 channels, 48000 Hz" in found["audio:system"]
     for url in found:
@@ -411,16 +413,18 @@ def cycle(display: Display, times: int) -> None:
 
 
 @pytest.mark.realtime
-def test_nothing_is_left_after_close(server: Server, display: Display) -> None:
-    cycle(display, 8)
+def test_nothing_is_left_after_close(server: Server, audio_display: Display) -> None:
+    cycle(audio_display, 8)
 
 
 @pytest.mark.realtime
-def test_an_estop_ends_at_0_volts_and_how_soon_is_told(display: Display, tmp_path: Path) -> None:
+def test_an_estop_ends_at_0_volts_and_how_soon_is_told(
+    audio_display: Display, tmp_path: Path
+) -> None:
     """The median of nine is 10 ms or so, the card's buffers included (20 ms at most, promised)."""
     took = []
     with serving(BUFFER, tmp_path) as server:
-        bus = opened(display)
+        bus = opened(audio_display)
         for _ in range(9):
             server.record()
             bus.start()
@@ -437,10 +441,10 @@ def test_an_estop_ends_at_0_volts_and_how_soon_is_told(display: Display, tmp_pat
 
 
 @pytest.mark.realtime
-def test_a_sound_server_that_hangs_hangs_no_host(display: Display, tmp_path: Path) -> None:
+def test_a_sound_server_that_hangs_hangs_no_host(audio_display: Display, tmp_path: Path) -> None:
     """PortAudio itself never returns from closing such a stream."""
     with serving(LONG_BUFFER, tmp_path) as server:
-        bus = opened(display)
+        bus = opened(audio_display)
         bus.start()
         bus.write(DriveBlock(0, np.full((480, CHANNELS), 50.0)))
         server.process.send_signal(signal.SIGSTOP)
@@ -460,7 +464,7 @@ def test_a_sound_server_that_hangs_hangs_no_host(display: Display, tmp_path: Pat
 
 @pytest.mark.realtime
 def test_an_alsa_device_without_jack(
-    display: Display, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    audio_display: Display, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     needed()
     base = Path("/usr/share/alsa/alsa.conf")
@@ -473,7 +477,7 @@ def test_an_alsa_device_without_jack(
     monkeypatch.setenv("JACK_NO_START_SERVER", "1")
     monkeypatch.setenv("JACK_DEFAULT_SERVER", "none")
     volts = waves(256)
-    with opened(display, "audio:tactile_out", 48000.0) as bus:
+    with opened(audio_display, "audio:tactile_out", 48000.0) as bus:
         bus.start()
         bus.write(DriveBlock(0, volts))
         bus.stop()

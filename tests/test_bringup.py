@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import bringup_rig
 import numpy as np
 import pytest
 from bringup_rig import CHANNELS, FOUR, LOADS, PF, RATE, Floats, Served, check_drive, verdicts
@@ -25,10 +24,6 @@ from tactile.daemon.bringup import bring_up
 from tactile.daemon.probe import FREQUENCY, INTERVAL, Load, Signal, judge, load_of
 from tactile.devices import open_bus
 from tactile.display import load_display
-
-built = bringup_rig.built
-four = bringup_rig.four
-serve = bringup_rig.serve
 
 
 @pytest.mark.realtime
@@ -205,12 +200,12 @@ def test_an_amplifier_that_does_not_measure(serve: Callable[..., Served], four: 
     )
 
 
-def test_the_model_draws_c_dv_dt(built: Path, tmp_path: Path) -> None:
+def test_the_model_draws_c_dv_dt(virtual_amplifier: Path, tmp_path: Path) -> None:
     """A ramp of 305 mV in 125 µs, then a level: 24.4 µA into 10 nF, then none."""
     run = playing([100 * min(k, 160) for k in range(320)])
     run.feed(1 * MS, owned(SET, struct.pack("<HI", 3, 10)))
     run.feed(45 * MS)
-    run.run(built, tmp_path, "--load-pf", "10000,0,short", channels=3)
+    run.run(virtual_amplifier.parent, tmp_path, "--load-pf", "10000,0,short", channels=3)
     codes = {x.position: x.codes[0] for x in run.instants}
     told = [struct.unpack_from("<IBB6h", p) for _, _, p in run.packets(SENSE)]
     ramp = [t for t in told if 16 < t[0] <= 160]
@@ -224,14 +219,14 @@ def test_the_model_draws_c_dv_dt(built: Path, tmp_path: Path) -> None:
     one = playing([3000] * 300)
     one.feed(1 * MS, owned(SET, struct.pack("<HI", 3, 10)))
     one.feed(30 * MS)
-    one.run(built, tmp_path, "--load-pf", "short", channels=1)
+    one.run(virtual_amplifier.parent, tmp_path, "--load-pf", "short", channels=1)
     assert struct.unpack_from("<hh", one.packets(SENSE)[-1][2], 6) == (0, 32767)
 
 
 @pytest.mark.parametrize("text", ["", "12,", "x", "-5", "1000001", "shorty", "4294967296", "1 2"])
-def test_loads_that_are_none(built: Path, text: str) -> None:
+def test_loads_that_are_none(virtual_amplifier: Path, text: str) -> None:
     done = subprocess.run(
-        [built / "virtual-amplifier", "--pty", "--load-pf", text],
+        [virtual_amplifier, "--pty", "--load-pf", text],
         capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
     assert done.returncode == 1

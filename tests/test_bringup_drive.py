@@ -5,7 +5,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import bringup_rig
 import numpy as np
 import pytest
 from bringup_rig import FOUR, LOADS, Served, check_drive, put_out, same, verdicts
@@ -20,12 +19,6 @@ from tactile.daemon.bringup import Report, bring_up
 from tactile.daemon.probe import INTERVAL
 from tactile.devices import open_bus
 from tactile.display import load_display
-
-built = bringup_rig.built
-four = bringup_rig.four
-opened = bringup_rig.opened
-serve = bringup_rig.serve
-
 
 # What is put out, on any bus
 

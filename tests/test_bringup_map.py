@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import bringup_rig
 import numpy as np
 import pytest
 from bringup_rig import FOUR, GRID, put_out, same
@@ -14,11 +13,6 @@ from tactile.daemon.bringup import bring_up
 from tactile.display import load_display
 from tactile.display_map import Map, checked_target, write_map
 from tactile.errors import InputError
-
-four = bringup_rig.four
-grid = bringup_rig.grid
-opened = bringup_rig.opened
-
 
 # What a person tells
 

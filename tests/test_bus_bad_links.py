@@ -15,8 +15,8 @@ from typing import Any
 import can.interfaces.virtual
 import pytest
 import serial
-from bus_benches import Amplifier, RealBench, built
-from bus_contract import limited, three
+from bus_benches import Amplifier, RealBench
+from bus_contract import limited
 
 from firmware_protocol import messages as m
 from firmware_protocol.packet import Packet, encode_packet
@@ -29,11 +29,6 @@ from tactile.errors import BusError, InputError
 
 DEADLINE = 60.0
 """s in which anything must have happened that is waited for."""
-
-
-@pytest.fixture(scope="module")
-def display(tmp_path_factory: pytest.TempPathFactory) -> Display:
-    return three(tmp_path_factory)
 
 
 def open_files() -> set[tuple[str, str]]:
@@ -54,7 +49,7 @@ def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_opening(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for an answer, where there is none, for 0.5 s rather than 2."""
     monkeypatch.setattr("tactile.bus.link_bus.OPENING", 0.5)
 
@@ -89,8 +84,8 @@ def refused(kind: type[Exception], url: str, display: Display) -> str:
 # Ports that do not open
 
 
-def test_a_port_that_does_not_exist_is_named_with_those_that_do(display: Display) -> None:
-    said = refused(BusError, "serial:///dev/ttyNONE0", display)
+def test_a_port_that_does_not_exist_is_named_with_those_that_do(three: Display) -> None:
+    said = refused(BusError, "serial:///dev/ttyNONE0", three)
     assert said.startswith("serial: /dev/ttyNONE0: no such port; there are: ")
 
 
@@ -106,9 +101,9 @@ def terminal() -> Iterator[tuple[int, str]]:
         os.close(master)
 
 
-def test_a_port_that_another_program_holds_is_told_so(display: Display) -> None:
+def test_a_port_that_another_program_holds_is_told_so(three: Display) -> None:
     with terminal() as (_, path), serial.Serial(path, exclusive=True):
-        said = refused(BusError, f"serial://{path}", display)
+        said = refused(BusError, f"serial://{path}", three)
     assert said == f"serial: {path}: another program holds the port; close it"
 
 
@@ -117,30 +112,30 @@ def denied(path: str, *_: Any, **__: Any) -> int:
 
 
 def test_a_port_without_permission_names_the_group_that_has_it(
-    display: Display, monkeypatch: pytest.MonkeyPatch
+    three: Display, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import grp
 
     with terminal() as (_, path):
         group = grp.getgrgid(os.stat(path).st_gid).gr_name
         monkeypatch.setattr("serial.serialposix.os.open", denied)
-        said = refused(BusError, f"serial://{path}", display)
+        said = refused(BusError, f"serial://{path}", three)
         monkeypatch.undo()
     assert said == (
         f"serial: {path}: permission denied; sudo usermod -aG {group} $USER, then log in again"
     )
 
 
-def test_an_i2c_bus_that_does_not_exist_is_named_with_those_that_do(display: Display) -> None:
-    said = refused(BusError, "i2c:199?address=0x42", display)
+def test_an_i2c_bus_that_does_not_exist_is_named_with_those_that_do(three: Display) -> None:
+    said = refused(BusError, "i2c:199?address=0x42", three)
     assert said.startswith("i2c: /dev/i2c-199: no such bus; there are: ")
 
 
 def test_an_i2c_bus_without_permission_names_the_group(
-    display: Display, monkeypatch: pytest.MonkeyPatch
+    three: Display, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("smbus2.smbus2.os.open", denied)
-    said = refused(BusError, "i2c:1", display)
+    said = refused(BusError, "i2c:1", three)
     assert said.startswith("i2c: /dev/i2c-1: permission denied; sudo usermod -aG i2c $USER")
 
 
@@ -157,21 +152,19 @@ def test_an_i2c_bus_without_permission_names_the_group(
         ("can:socketcan/can0?fd=perhaps", "can: fd = 'perhaps': must be true or false"),
     ],
 )
-def test_an_option_that_cannot_be_is_the_users_mistake(
-    display: Display, url: str, why: str
-) -> None:
-    assert refused(InputError, url, display).startswith(why)
+def test_an_option_that_cannot_be_is_the_users_mistake(three: Display, url: str, why: str) -> None:
+    assert refused(InputError, url, three).startswith(why)
 
 
-def test_an_interface_that_python_can_does_not_know_is_told_so(display: Display) -> None:
-    said = refused(BusError, "can:socketkan/can0", display)
+def test_an_interface_that_python_can_does_not_know_is_told_so(three: Display) -> None:
+    said = refused(BusError, "can:socketkan/can0", three)
     assert said == "can: socketkan/can0: python-can has no interface 'socketkan'"
 
 
 def test_a_can_interface_that_does_not_exist_or_a_kernel_without_can_is_told_so(
-    display: Display,
+    three: Display,
 ) -> None:
-    said = refused(BusError, "can:socketcan/none0", display)
+    said = refused(BusError, "can:socketcan/none0", three)
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
         assert said.startswith("can: socketcan/none0: no such interface; there are: ")
@@ -203,22 +196,22 @@ def answering(answer: Callable[[bytes], bytes]) -> Iterator[str]:
             thread.join()
 
 
-@pytest.mark.usefixtures("impatient")
-def test_a_line_on_which_nothing_answers_is_told_so(display: Display) -> None:
+@pytest.mark.usefixtures("short_opening")
+def test_a_line_on_which_nothing_answers_is_told_so(three: Display) -> None:
     with answering(lambda data: b"") as path:
-        said = refused(BusError, f"serial://{path}", display)
+        said = refused(BusError, f"serial://{path}", three)
     assert said == "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
 
-@pytest.mark.usefixtures("impatient")
-def test_a_can_bus_on_which_nothing_answers_is_told_so(display: Display) -> None:
-    said = refused(BusError, "can:virtual/nobody", display)
+@pytest.mark.usefixtures("short_opening")
+def test_a_can_bus_on_which_nothing_answers_is_told_so(three: Display) -> None:
+    said = refused(BusError, "can:virtual/nobody", three)
     assert said == "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
 
 @pytest.mark.parametrize("noise", [bytes(range(1, 200)) + b"\0", b"\xff\x00" * 40, b"login: \0"])
 def test_noise_is_told_from_silence(
-    display: Display, noise: bytes, monkeypatch: pytest.MonkeyPatch
+    three: Display, noise: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wait = LinkBus._wait
 
@@ -228,18 +221,18 @@ def test_noise_is_told_from_silence(
 
     monkeypatch.setattr(LinkBus, "_wait", wait_for_noise)
     with answering(lambda data: noise) as path:
-        said = refused(BusError, f"serial://{path}?baud=115200&format=spectrum", display)
+        said = refused(BusError, f"serial://{path}?baud=115200&format=spectrum", three)
     assert said.startswith("what comes is no packet of the protocol (")
     assert said.endswith(" so far): another bit rate, or another device")
 
 
-@pytest.mark.usefixtures("impatient")
-def test_an_echo_is_no_amplifier(display: Display) -> None:
+@pytest.mark.usefixtures("short_opening")
+def test_an_echo_is_no_amplifier(three: Display) -> None:
     with answering(lambda data: data) as path:
-        refused(BusError, f"serial://{path}", display)
+        refused(BusError, f"serial://{path}", three)
 
 
-def test_an_amplifier_of_another_major_version_is_told_which(display: Display) -> None:
+def test_an_amplifier_of_another_major_version_is_told_which(three: Display) -> None:
     """Its packets have another version in their flags (SPEC.md, 4); their CRC-32 holds."""
     decoder = SerialDecoder()
 
@@ -250,7 +243,7 @@ def test_an_amplifier_of_another_major_version_is_told_which(display: Display) -
         )
 
     with answering(answer) as path:
-        said = refused(BusError, f"serial://{path}", display)
+        said = refused(BusError, f"serial://{path}", three)
     assert said == (
         "node 1 speaks version 2 of the protocol, this host 1; update the older of the two"
     )
@@ -259,14 +252,9 @@ def test_an_amplifier_of_another_major_version_is_told_which(display: Display) -
 # Amplifiers that can less than the display asks for
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("amplifier"))
-
-
 @pytest.fixture
-def bench(program: Path, tmp_path: Path) -> Iterator[RealBench]:
-    bench = RealBench("pty", program, tmp_path)
+def pty_bench(virtual_amplifier: Path, tmp_path: Path) -> Iterator[RealBench]:
+    bench = RealBench("pty", virtual_amplifier, tmp_path)
     yield bench
     bench.reset()
 
@@ -284,27 +272,27 @@ def bench(program: Path, tmp_path: Path) -> Iterator[RealBench]:
     ],
 )
 def test_a_display_that_asks_for_more_than_the_amplifier_has_is_refused(
-    display: Display, bench: RealBench, channels: int, options: tuple[str, ...], why: str
+    three: Display, pty_bench: RealBench, channels: int, options: tuple[str, ...], why: str
 ) -> None:
-    amplifier, path = bench.pty(channels, *options)
-    assert refused(InputError, f"serial://{path}", display) == why
+    amplifier, path = pty_bench.pty(channels, *options)
+    assert refused(InputError, f"serial://{path}", three) == why
     assert_disarmed(amplifier)
 
 
 def test_a_display_that_is_steeper_than_the_amplifier_is_refused(
-    display: Display, bench: RealBench
+    three: Display, pty_bench: RealBench
 ) -> None:
-    amplifier, path = bench.pty(3)  # with 1e8 V/s
-    said = refused(InputError, f"serial://{path}", limited(display, slew=1e9))
+    amplifier, path = pty_bench.pty(3)  # with 1e8 V/s
+    said = refused(InputError, f"serial://{path}", limited(three, slew=1e9))
     assert said.startswith("limits.slew_v_per_us: the display's 1e+09 V/s is more than")
     assert_disarmed(amplifier)
 
 
 def test_a_rate_or_format_that_the_line_cannot_carry_is_refused_with_what_it_can(
-    display: Display, bench: RealBench
+    three: Display, pty_bench: RealBench
 ) -> None:
-    amplifier, path = bench.pty(3)
-    said = refused(InputError, f"serial://{path}?baud=115200&format=pcm16", display)
+    amplifier, path = pty_bench.pty(3)
+    said = refused(InputError, f"serial://{path}?baud=115200&format=pcm16", three)
     assert "cannot carry 3 channels: PCM16 at" in said
     assert " fits" in said
     assert_disarmed(amplifier)
@@ -313,9 +301,9 @@ def test_a_rate_or_format_that_the_line_cannot_carry_is_refused_with_what_it_can
 @pytest.mark.realtime
 @pytest.mark.parametrize("end", ["close", "abort", "estop", "exception"])
 def test_the_amplifier_is_disarmed_and_free_after_the_end(
-    display: Display, bench: RealBench, end: str
+    three: Display, pty_bench: RealBench, end: str
 ) -> None:
-    amplifier, path = bench.pty(3)
+    amplifier, path = pty_bench.pty(3)
 
     def run(bus: Bus) -> None:
         bus.start()
@@ -326,10 +314,10 @@ def test_the_amplifier_is_disarmed_and_free_after_the_end(
         if end == "estop":
             bus.clear()
 
-    with suppress(KeyboardInterrupt), open_bus(f"serial://{path}", display) as bus:
+    with suppress(KeyboardInterrupt), open_bus(f"serial://{path}", three) as bus:
         run(bus)
     assert_disarmed(amplifier)
-    open_bus(f"serial://{path}", display).close()
+    open_bus(f"serial://{path}", three).close()
 
 
 def assert_disarmed(amplifier: Amplifier) -> None:
@@ -340,18 +328,18 @@ def assert_disarmed(amplifier: Amplifier) -> None:
 
 
 @pytest.mark.realtime
-def test_no_thread_and_no_descriptor_is_left_by_use(display: Display, bench: RealBench) -> None:
-    _, path = bench.pty(3)
+def test_no_thread_and_no_descriptor_is_left_by_use(three: Display, pty_bench: RealBench) -> None:
+    _, path = pty_bench.pty(3)
     threads, files = threading.active_count(), open_files()
     for _ in range(3):
-        with open_bus(f"serial://{path}", display) as bus:
+        with open_bus(f"serial://{path}", three) as bus:
             bus.start()
             assert threading.active_count() == threads + 1
         assert threading.active_count() <= threads
         assert open_files() <= files
 
 
-@pytest.mark.usefixtures("impatient")
-def test_a_can_bus_is_shut_down_where_opening_fails(display: Display) -> None:
-    refused(BusError, "can:virtual/shut", display)
+@pytest.mark.usefixtures("short_opening")
+def test_a_can_bus_is_shut_down_where_opening_fails(three: Display) -> None:
+    refused(BusError, "can:virtual/shut", three)
     assert "shut" not in can.interfaces.virtual.channels

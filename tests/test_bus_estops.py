@@ -5,9 +5,8 @@ call, from that thread or from another. Its model of an amplifier is as bad as a
 it was told last is what it does, latched or not.
 """
 
-import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ import pytest
 from firmware_protocol.messages import State
 from tactile.bus.base import Bus, DriveBlock, Wiring
 from tactile.bus.mock_bus import MockBus
-from tactile.bus.registry import open_bus
-from tactile.devices import KINDS
-from tactile.display import Display, load_display
+from tactile.devices import open_bus
+from tactile.display import Display
 from tactile.errors import BusError, BusStateError
 
 WIRING = Wiring(channels=2, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
@@ -298,21 +296,6 @@ def test_the_mock_ends_in_an_estop_as_well_and_is_not_stuck() -> None:
     bus.clear()
     bus.start()
     assert bus.boards[0].amplifier.state == State.RUNNING
-
-
-@pytest.fixture
-def impatient() -> Iterator[None]:
-    """Let threads have their turn at every other instruction."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(before)
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    assert KINDS
-    return load_display("reference-24")
 
 
 @pytest.mark.usefixtures("impatient")

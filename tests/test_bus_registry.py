@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import pytest
-from bus_contract import three
 
 from tactile.bus import registry
 from tactile.bus.base import Bus, HostDeath, Rig
@@ -15,53 +14,48 @@ from tactile.errors import BusError, InputError
 SCHEMES = ("mock", "sim")
 
 
-@pytest.fixture(scope="module")
-def display(tmp_path_factory: pytest.TempPathFactory) -> Display:
-    return three(tmp_path_factory)
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 class TestEveryScheme:
     """What holds for any kind of device URL."""
 
     def test_the_driver_says_of_host_death_what_its_buses_say(
-        self, scheme: str, display: Display
+        self, scheme: str, three: Display
     ) -> None:
-        with open_bus(f"{scheme}:", display) as bus:
+        with open_bus(f"{scheme}:", three) as bus:
             assert registry._drivers[scheme].on_host_death == bus.on_host_death
 
     def test_an_unknown_option_is_one_line_with_the_nearest(
-        self, scheme: str, display: Display
+        self, scheme: str, three: Display
     ) -> None:
         with pytest.raises(InputError, match=f"^{scheme}: unknown option 'kep'; .*'keep'") as found:
-            open_bus(f"{scheme}:?kep=all", display)
+            open_bus(f"{scheme}:?kep=all", three)
         assert "\n" not in str(found.value)
 
     @pytest.mark.parametrize("options", ["keep=all&bogus=1", "xyzzy=2", "KEEP=all"])
-    def test_every_option_is_looked_at(self, scheme: str, display: Display, options: str) -> None:
+    def test_every_option_is_looked_at(self, scheme: str, three: Display, options: str) -> None:
         with pytest.raises(InputError, match="unknown option"):
-            open_bus(f"{scheme}:?{options}", display)
+            open_bus(f"{scheme}:?{options}", three)
 
     def test_an_option_with_a_wrong_value_says_what_may_be(
-        self, scheme: str, display: Display
+        self, scheme: str, three: Display
     ) -> None:
         with pytest.raises(InputError, match=f"{scheme}: keep = 'al': must be 'second' or 'all'"):
-            open_bus(f"{scheme}:?keep=al", display)
+            open_bus(f"{scheme}:?keep=al", three)
 
     @pytest.mark.parametrize("query", ["keep", "keep=all&keep", "keep=all&&", "&"])
     def test_options_that_are_no_options_are_one_line(
-        self, scheme: str, display: Display, query: str
+        self, scheme: str, three: Display, query: str
     ) -> None:
         with pytest.raises(InputError, match="options are name=value") as found:
-            open_bus(f"{scheme}:?{query}", display)
+            open_bus(f"{scheme}:?{query}", three)
         assert "\n" not in str(found.value)
 
-    def test_a_path_that_means_nothing_is_refused(self, scheme: str, display: Display) -> None:
+    def test_a_path_that_means_nothing_is_refused(self, scheme: str, three: Display) -> None:
         with pytest.raises(InputError):
-            open_bus(f"{scheme}:keep=all", display)
+            open_bus(f"{scheme}:keep=all", three)
 
-    def test_the_scheme_is_read_in_any_case(self, scheme: str, display: Display) -> None:
-        with open_bus(f"{scheme.upper()}:", display) as bus:
+    def test_the_scheme_is_read_in_any_case(self, scheme: str, three: Display) -> None:
+        with open_bus(f"{scheme.upper()}:", three) as bus:
             assert bus.state == "idle"
 
 
@@ -70,27 +64,27 @@ class TestEveryScheme:
     [("moc:", "'mock:'"), ("mock", "'mock:'"), ("simm:?keep=all", "'sim:'"), ("sim", "'sim:'")],
 )
 def test_an_unknown_scheme_is_one_line_with_the_nearest(
-    display: Display, url: str, nearest: str
+    three: Display, url: str, nearest: str
 ) -> None:
     with pytest.raises(InputError, match=f"no such kind; did you mean {nearest}") as found:
-        open_bus(url, display)
+        open_bus(url, three)
     assert repr(url) in str(found.value)
     assert "\n" not in str(found.value)
 
 
 @pytest.mark.parametrize("url", ["", ":", "xyzzy:", "/dev/ttyUSB0", "c:\\here"])
 def test_a_url_that_resembles_nothing_is_one_line_with_what_there_is(
-    display: Display, url: str
+    three: Display, url: str
 ) -> None:
     with pytest.raises(InputError, match="no such kind") as found:
-        open_bus(url, display)
+        open_bus(url, three)
     assert "\n" not in str(found.value)
 
 
 @pytest.mark.parametrize("url", ["sim://[", "mock://[half?keep=all"])
-def test_a_malformed_url_is_an_input_error(display: Display, url: str) -> None:
+def test_a_malformed_url_is_an_input_error(three: Display, url: str) -> None:
     with pytest.raises(InputError):
-        open_bus(url, display)
+        open_bus(url, three)
 
 
 class TestRegisteredBus:
@@ -101,17 +95,17 @@ class TestRegisteredBus:
         monkeypatch.setattr(registry, "_drivers", dict(registry._drivers))
 
     def test_an_operating_system_error_becomes_a_bus_error_that_names_the_device(
-        self, display: Display
+        self, three: Display
     ) -> None:
         def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             raise FileNotFoundError(2, "No such file or directory", address.path)
 
         registry.register_bus("absent", absent)
         with pytest.raises(BusError, match=r"device 'absent:/dev/ttyX': .*No such file") as found:
-            open_bus("absent:/dev/ttyX", display)
+            open_bus("absent:/dev/ttyX", three)
         assert isinstance(found.value.__cause__, FileNotFoundError)
 
-    def test_a_bus_error_passes_as_it_is(self, display: Display) -> None:
+    def test_a_bus_error_passes_as_it_is(self, three: Display) -> None:
         error = BusError("the amplifier does not answer")
 
         def silent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
@@ -119,12 +113,12 @@ class TestRegisteredBus:
 
         registry.register_bus("silent", silent)
         with pytest.raises(BusError) as found:
-            open_bus("silent:", display)
+            open_bus("silent:", three)
         assert found.value is error
 
     @pytest.mark.parametrize("death", ["holds", "unknown"])
     def test_what_does_not_go_to_0_volts_by_itself_is_refused_unless_accepted(
-        self, display: Display, death: HostDeath
+        self, three: Display, death: HostDeath
     ) -> None:
         def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
             opened.append(address.scheme)
@@ -133,10 +127,10 @@ class TestRegisteredBus:
         opened: list[str] = []
         registry.register_bus("own", factory, on_host_death=death)
         with pytest.raises(InputError, match=r"when the host dies.*--accept-unsafe-hold") as found:
-            open_bus("own:", display)
+            open_bus("own:", three)
         assert "\n" not in str(found.value)
         assert opened == []
-        open_bus("own:", display, accept_unsafe_hold=True).close()
+        open_bus("own:", three, accept_unsafe_hold=True).close()
         assert opened == ["own"]
 
     def test_found_devices_are_those_of_every_kind(self) -> None:
@@ -148,7 +142,7 @@ class TestRegisteredBus:
         urls = [found.url for found in registry.find_devices()]
         assert [u for u in urls if u[:3] in ("one", "two")] == ["one:0", "one:1", "two:0", "two:1"]
 
-    def test_a_factory_is_given_path_options_display_and_rate(self, display: Display) -> None:
+    def test_a_factory_is_given_path_options_display_and_rate(self, three: Display) -> None:
         given: list[tuple[Address, Rig, float | None]] = []
 
         def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
@@ -156,6 +150,6 @@ class TestRegisteredBus:
             return open_bus("mock:", rig, sample_rate=sample_rate)
 
         registry.register_bus("own", factory)
-        open_bus("own://host:12/dev/x?a=1&b=%20", display, sample_rate=4000.0)
+        open_bus("own://host:12/dev/x?a=1&b=%20", three, sample_rate=4000.0)
         address = Address("own", "host:12/dev/x", {"a": "1", "b": " "})
-        assert given == [(address, display, 4000.0)]
+        assert given == [(address, three, 4000.0)]

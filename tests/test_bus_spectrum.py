@@ -16,7 +16,7 @@ from tactile.bus.base import Counters, DriveBlock, DriveFrame
 from tactile.bus.board import config_of
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display import Display
 from tactile.errors import BusStateError, InputError
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
@@ -26,11 +26,6 @@ Floats = NDArray[np.float64]
 
 FRAMES = 16
 TURN = 2**32
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return load_display("reference-24")
 
 
 def opened(url: str, display: Display) -> ModeledBus:

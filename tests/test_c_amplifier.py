@@ -7,7 +7,6 @@ import zlib
 from itertools import pairwise
 from pathlib import Path
 
-import c_amplifier_rig
 import pytest
 from c_amplifier_rig import (
     ACK,
@@ -54,8 +53,6 @@ from c_amplifier_rig import (
     playing,
     start,
 )
-
-build = c_amplifier_rig.build
 
 
 def test_self_test_of_the_core(build: Path) -> None:

@@ -3,7 +3,6 @@
 import struct
 from pathlib import Path
 
-import c_amplifier_rig
 import pytest
 from c_amplifier_rig import (
     ACK,
@@ -46,8 +45,6 @@ from c_amplifier_rig import (
     playing,
     uncobs,
 )
-
-build = c_amplifier_rig.build
 
 
 def test_checks_are_made_in_order_and_counted(build: Path, tmp_path: Path) -> None:

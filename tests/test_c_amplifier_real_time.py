@@ -12,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import IO
 
-import c_amplifier_rig
 import pytest
 from c_amplifier_rig import (
     ACK,
@@ -41,8 +40,6 @@ from c_amplifier_rig import (
     start,
     uncobs,
 )
-
-build = c_amplifier_rig.build
 
 
 def collect(stream: int, until: int) -> list[tuple[int, bytes]]:

@@ -4,7 +4,6 @@ import math
 import struct
 from pathlib import Path
 
-import c_amplifier_rig
 from c_amplifier_rig import (
     ARMED,
     CARRIERS,
@@ -34,8 +33,6 @@ from c_amplifier_rig import (
     playing,
     start,
 )
-
-build = c_amplifier_rig.build
 
 
 def test_a_short_gap_is_bridged_and_a_long_one_fades(build: Path, tmp_path: Path) -> None:

@@ -6,16 +6,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import cli_rig
 import numpy as np
 import pytest
 from cli_rig import Command, started
 
 import tactile
 from tactile import bench, cli
-
-command = cli_rig.command
-
 
 # The other commands
 

@@ -1,16 +1,23 @@
 """``tactile adjust`` reads measurements of finite elements and writes a display that has them."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_rig import Command, assert_mistake, command_of
+from cli_rig import Command, assert_mistake
 from numpy.typing import NDArray
 from reference_beam import LOW_FINGER, Beam, response
 
 from tactile.display import load_display
 
-command = command_of("adjust")
+
+@pytest.fixture
+def adjust(command: Command) -> Command:
+    """Return what runs this command."""
+    return partial(command, "adjust")
+
+
 FREQUENCY = np.concatenate([np.geomspace(10, 800, 25), np.linspace(850, 1050, 20)])
 
 
@@ -41,9 +48,9 @@ def in_air(tmp_path: Path) -> list[str]:
     ]  # fmt: skip
 
 
-def test_a_finger_is_fitted_and_written(tmp_path: Path, loaded: str, command: Command) -> None:
+def test_a_finger_is_fitted_and_written(tmp_path: Path, loaded: str, adjust: Command) -> None:
     out = tmp_path / "mine.toml"
-    code, said, _ = command("--load", loaded, "--out", out)
+    code, said, _ = adjust("--load", loaded, "--out", out)
     assert code == 0
     assert "k0_n_per_m" in said
     assert "loaded.csv" in said
@@ -53,21 +60,21 @@ def test_a_finger_is_fitted_and_written(tmp_path: Path, loaded: str, command: Co
 
 
 @pytest.mark.ci
-def test_a_fit_is_drawn(tmp_path: Path, in_air: list[str], command: Command) -> None:
+def test_a_fit_is_drawn(tmp_path: Path, in_air: list[str], adjust: Command) -> None:
     plot = tmp_path / "fit.png"
-    assert command(*in_air, "--plot", plot).code == 0
+    assert adjust(*in_air, "--plot", plot).code == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_bimorph_is_fitted_and_written(
-    tmp_path: Path, in_air: list[str], command: Command
+    tmp_path: Path, in_air: list[str], adjust: Command
 ) -> None:
     out = tmp_path / "mine.toml"
-    told = command(*in_air, "--out", out, "--json").json
+    told = adjust(*in_air, "--out", out, "--json").json
     assert told["constants"]["d31_pm_per_v"]["value"] == pytest.approx(-280, rel=0.005)
     assert set(told["misfit"]) == {"electrical.csv", "mechanical.csv"}
     assert load_display(out).bimorph.piezo.d31 == pytest.approx(-280e-12, rel=0.005)
-    again = command(*in_air, "--stiffness", "--out", out, "--force", "--json")
+    again = adjust(*in_air, "--stiffness", "--out", out, "--force", "--json")
     softer = again.json["constants"]["s11e_um2_per_n"]["value"]
     assert load_display(out).bimorph.piezo.s11E == pytest.approx(softer * 1e-12, rel=1e-5)
 
@@ -83,5 +90,5 @@ def test_a_bimorph_is_fitted_and_written(
         (["--load", "none.csv"], "none.csv: no such file"),
     ],
 )
-def test_a_mistake_is_one_line(words: list[str], said: str, command: Command) -> None:
-    assert_mistake(command(*words), said)
+def test_a_mistake_is_one_line(words: list[str], said: str, adjust: Command) -> None:
+    assert_mistake(adjust(*words), said)

@@ -1,12 +1,13 @@
 """The command ``fit``: files in, a texture that loads out, a report, and mistakes in one line."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from cli_rig import Command, runner
+from cli_rig import Command
 from scipy.io import wavfile
 from slides import Surface, slide
 
@@ -16,15 +17,13 @@ FULL_SCALE = 50.0
 
 
 @pytest.fixture
-def command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Command:
-    """Run the command in this process, in a folder with slides of ribs at four speeds."""
+def fit(tmp_path: Path, command: Command) -> Command:
+    """Return what runs this command, in a folder with slides of ribs at four speeds."""
     ribs = Surface(level_db=-20, wavelength_mm=2.6, harmonics_um=(4.0,))
     for k, speed in enumerate((0.02, 0.03, 0.05, 0.06)):
         signal = slide(ribs, speed, seed=k).signal / FULL_SCALE
         wavfile.write(tmp_path / f"{k}.wav", 10000, np.round(signal * 32767).astype(np.int16))
-    return runner(tmp_path, monkeypatch, capsys, "fit")
+    return partial(command, "fit")
 
 
 FILES = ["0.wav", "1.wav", "2.wav", "3.wav"]
@@ -32,8 +31,8 @@ SPEEDS = [word for v in (20, 30, 50, 60) for word in ("--speed-mm-s", v)]
 TOLD = [*FILES, *SPEEDS, "--full-scale", FULL_SCALE, "--category", "textile"]
 
 
-def test_a_fit_is_a_texture_that_loads_with_its_report(command: Command, tmp_path: Path) -> None:
-    code, out, err = command(*TOLD, "-o", "corduroy-blue.toml", "--source", "made up")
+def test_a_fit_is_a_texture_that_loads_with_its_report(fit: Command, tmp_path: Path) -> None:
+    code, out, err = fit(*TOLD, "-o", "corduroy-blue.toml", "--source", "made up")
     assert (code, err.strip()) == (0, "")
     texture = load(tmp_path / "corduroy-blue.toml")
     assert texture.texture.category == "textile"
@@ -47,8 +46,8 @@ def test_a_fit_is_a_texture_that_loads_with_its_report(command: Command, tmp_pat
 
 
 @pytest.mark.ci
-def test_json_and_a_picture(command: Command, tmp_path: Path) -> None:
-    code, out, _ = command(*TOLD, "-o", "ribs.toml", "--json", "--plot", "ribs.png")
+def test_json_and_a_picture(fit: Command, tmp_path: Path) -> None:
+    code, out, _ = fit(*TOLD, "-o", "ribs.toml", "--json", "--plot", "ribs.png")
     assert code == 0
 
     def refuse(name: str) -> Any:
@@ -82,20 +81,18 @@ def test_json_and_a_picture(command: Command, tmp_path: Path) -> None:
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
-    command: Command, tmp_path: Path, arguments: list[object], message: str
+    fit: Command, tmp_path: Path, arguments: list[object], message: str
 ) -> None:
-    code, out, err = command(*arguments)
+    code, out, err = fit(*arguments)
     assert (code, out) == (2, "")
     assert message in err
     assert err.count("\n") == 1
     assert list(tmp_path.glob("**/*.toml")) == []
 
 
-def test_a_file_that_is_there_is_kept_unless_told_otherwise(
-    command: Command, tmp_path: Path
-) -> None:
+def test_a_file_that_is_there_is_kept_unless_told_otherwise(fit: Command, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("mine")
-    code, _, err = command(*TOLD, "-o", "a.toml")
+    code, _, err = fit(*TOLD, "-o", "a.toml")
     assert code == 2
     assert "is there already; --force overwrites it" in err
     assert (tmp_path / "a.toml").read_text() == "mine"

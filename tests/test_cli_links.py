@@ -1,13 +1,11 @@
 """The command line on links: what fits them, what is there, what playing on them tells."""
 
 import json
-from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 import pytest
+from cli_rig import Command
 
-from tactile import cli
 from tactile.bus import registry
 from tactile.bus.base import DriveFrame
 from tactile.bus.modeled_bus import ModeledBus
@@ -17,29 +15,6 @@ from tactile.display import load_display
 from tactile.errors import InputError
 from tactile.rendering.contact import Trajectory
 from tactile.texture.surface import load_texture
-
-
-class Result(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Command = Callable[..., Result]
-
-
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    def call(*arguments: str) -> Result:
-        monkeypatch.setattr("sys.argv", ["tactile", *arguments])
-        monkeypatch.setenv("COLUMNS", "100")
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        captured = capsys.readouterr()
-        return Result(int(left.value.code or 0), captured.out, captured.err)
-
-    return call
-
 
 # Budget
 

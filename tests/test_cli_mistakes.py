@@ -4,7 +4,6 @@ import errno
 import sys
 from pathlib import Path
 
-import cli_rig
 import pytest
 from cli_rig import SHORT, Command, Floats, assert_mistake, started
 
@@ -15,9 +14,6 @@ from tactile.bus.registry import Address
 from tactile.errors import BusError
 from tactile.files import shipped
 from tactile.recording import Recorder
-
-command = cli_rig.command
-
 
 # Mistakes
 

@@ -1,18 +1,25 @@
 """The command ``optimize``: designs and a recommendation, files, and mistakes in one line."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
-from cli_rig import Command, command_of
+from cli_rig import Command
 
-command = command_of("optimize")
+
+@pytest.fixture
+def optimize(command: Command) -> Command:
+    """Return what runs this command."""
+    return partial(command, "optimize")
+
+
 QUICK = ["length_mm=8:40", "--objective", "attainable"]
 FRONT = [*QUICK, "width_mm=1:6", "--objective", "footprint"]
 
 
-def test_the_best_of_one_objective_is_told_in_words(command: Command) -> None:
-    code, out, err = command(*QUICK)
+def test_the_best_of_one_objective_is_told_in_words(optimize: Command) -> None:
+    code, out, err = optimize(*QUICK)
     assert (code, err.strip()) == (0, "")
     assert "attainable_um" in out
     assert "recommended" in out
@@ -20,20 +27,20 @@ def test_the_best_of_one_objective_is_told_in_words(command: Command) -> None:
 
 
 @pytest.mark.ci
-def test_a_displays_finger_and_limits_are_the_start(command: Command) -> None:
+def test_a_displays_finger_and_limits_are_the_start(optimize: Command) -> None:
     """The reference display's finger is the low one and its limit 100 V: as without a display."""
     alone, with_display = (
-        json.loads(command(*QUICK, *more, "--json")[1])["designs"]["attainable_um"]
+        json.loads(optimize(*QUICK, *more, "--json")[1])["designs"]["attainable_um"]
         for more in ((), ("--display", "reference-24"))
     )
     assert with_display == pytest.approx(alone)
-    halved = command(*QUICK, "--display", "reference-24", "--voltage", "50", "--json")[1]
+    halved = optimize(*QUICK, "--display", "reference-24", "--voltage", "50", "--json")[1]
     assert json.loads(halved)["designs"]["attainable_um"][0] == pytest.approx(alone[0] / 2)
 
 
 @pytest.mark.ci
-def test_fingers_limits_and_json(command: Command) -> None:
-    code, out, _ = command(
+def test_fingers_limits_and_json(optimize: Command) -> None:
+    code, out, _ = optimize(
         *QUICK, "--robust", "0.8", "--scenarios", "4", "--limit", "standing=25",
         "--limit", "first_resonance=300:", "--fix", "width_mm=3", "--json",
     )  # fmt: skip
@@ -48,10 +55,10 @@ def test_fingers_limits_and_json(command: Command) -> None:
 
 
 @pytest.mark.ci
-def test_a_front_is_printed_stored_and_drawn(command: Command, tmp_path: Path) -> None:
+def test_a_front_is_printed_stored_and_drawn(optimize: Command, tmp_path: Path) -> None:
     import xarray
 
-    code, out, _ = command(*FRONT, "--out", "front.nc", "--plot", "front.png")
+    code, out, _ = optimize(*FRONT, "--out", "front.nc", "--plot", "front.png")
     assert code == 0
     rows = [line for line in out.splitlines() if line.split()[:1] and line.lstrip()[0].isdigit()]
     assert 10 <= len(rows) <= 12
@@ -63,11 +70,11 @@ def test_a_front_is_printed_stored_and_drawn(command: Command, tmp_path: Path) -
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_store_that_is_there_is_refused_and_left(command: Command, tmp_path: Path) -> None:
+def test_a_store_that_is_there_is_refused_and_left(optimize: Command, tmp_path: Path) -> None:
     study = tmp_path / "study.zarr" / "zarr.json"
     study.parent.mkdir()
     study.write_text("{}")
-    code, out, err = command(*QUICK, "--out", "study.zarr")
+    code, out, err = optimize(*QUICK, "--out", "study.zarr")
     assert (code, out) == (2, "")
     assert "study.zarr: is there already; remove it, or name another" in err
     assert len(err.strip().splitlines()) == 1
@@ -93,9 +100,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("line", BAD)
-def test_a_mistake_is_one_line(command: Command, line: str) -> None:
+def test_a_mistake_is_one_line(optimize: Command, line: str) -> None:
     words = BAD[line]
-    code, out, err = command(*words, *([] if "--objective" in words else QUICK[1:]))
+    code, out, err = optimize(*words, *([] if "--objective" in words else QUICK[1:]))
     assert (code, out) == (2, "")
     assert line in err
     assert len(err.strip().splitlines()) == 1

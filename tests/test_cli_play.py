@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cli_rig
 import numpy as np
 import pytest
 from cli_rig import KEYS, SHORT, Command, recorded, started
@@ -14,9 +13,6 @@ from cli_rig import KEYS, SHORT, Command, recorded, started
 from tactile.bus import base
 from tactile.daemon.session import Summary
 from tactile.files import shipped
-
-command = cli_rig.command
-
 
 # Play
 

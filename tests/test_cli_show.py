@@ -2,17 +2,15 @@
 
 import json
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
+from cli_rig import Command
 from rich.console import Console
 from rich.segment import Segment
 
-from tactile import cli
 from tactile.display import load_display
 from tactile.gallery.terminal_view import (
     TextureScreen,
@@ -24,33 +22,6 @@ from tactile.gallery.terminal_view import (
 from tactile.gallery.views import PIXELS, View, view_texture
 from tactile.terminal import HEIGHTS, palette
 from tactile.texture.surface import load_texture
-
-
-class Result(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Command = Callable[..., Result]
-
-
-@pytest.fixture
-def command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Command:
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> Result:
-        monkeypatch.setattr("sys.argv", ["tactile", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "100")
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        captured = capsys.readouterr()
-        return Result(int(left.value.code or 0), captured.out, captured.err)
-
-    return call
 
 
 @cache

@@ -1,28 +1,33 @@
 """The command ``study``: the paper's answer by default, tables, JSON, and mistakes in one line."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_rig import Command, command_of
+from cli_rig import Command
 
 from tactile.study.asking import parse_values
 from tactile.study.storing import load_study
 
-command = command_of("study")
+
+@pytest.fixture
+def study(command: Command) -> Command:
+    """Return what runs this command."""
+    return partial(command, "study")
 
 
-def test_by_default_it_is_the_papers_question_and_answer(command: Command) -> None:
+def test_by_default_it_is_the_papers_question_and_answer(study: Command) -> None:
     """Ranges as of the paper with the documented surrogate: 17.7–27.7 and 9.4–20.1 mm."""
-    code, out, _ = command("length_mm=8:30:0.5", "load=low,high")
+    code, out, _ = study("length_mm=8:30:0.5", "load=low,high")
     assert code == 0
     for words in ("90 designs", "17.7 … 27.7", "9.45 … 20.1", "17.7 … 20.1", "smallest_displ"):
         assert words in out
 
 
-def test_figures_for_machines_are_those_of_the_data_set(command: Command) -> None:
-    code, out, _ = command(
+def test_figures_for_machines_are_those_of_the_data_set(study: Command) -> None:
+    code, out, _ = study(
         "length_mm=12:24:4", "width_mm=2,3", "load=low,high", "--criterion", "mean_force",
         "--criterion", "footprint", "--frequency", "0:1000:50", "--band", "100:900",
         "--fix", "shim_height_mm=0.25", "--keep", "velocity", "--within", "0.9",
@@ -50,8 +55,8 @@ def test_figures_for_machines_are_those_of_the_data_set(command: Command) -> Non
     assert told["figures"]["footprint_mm2"]["unit"] == "mm²"
 
 
-def test_curves_are_kept_beside_the_default_criterion(command: Command) -> None:
-    code, _, _ = command("length_mm=18,20", "--scenarios", 4, "--keep", "displacement",
+def test_curves_are_kept_beside_the_default_criterion(study: Command) -> None:
+    code, _, _ = study("length_mm=18,20", "--scenarios", 4, "--keep", "displacement",
                          "--out", "s.zarr")  # fmt: skip
     assert code == 0
     data = load_study("s.zarr")
@@ -59,19 +64,19 @@ def test_curves_are_kept_beside_the_default_criterion(command: Command) -> None:
     assert np.allclose(curves, data["smallest_displacement_um_per_v"])
 
 
-def test_what_is_neither_good_nor_bad_is_told_from_where_to_where(command: Command) -> None:
+def test_what_is_neither_good_nor_bad_is_told_from_where_to_where(study: Command) -> None:
     """A slender cantilever's resonance goes with 1/l²: 930.3 Hz at 20 mm (finite elements)."""
-    code, out, _ = command("length_mm=20,40", "--criterion", "first_resonance", "--json")
+    code, out, _ = study("length_mm=20,40", "--criterion", "first_resonance", "--json")
     assert code == 0
     (span,) = json.loads(out)["spans"]
     assert (span["low"], span["high"]) == pytest.approx((930.3 / 4, 930.3), rel=5e-3)
-    code, out, _ = command("length_mm=20,40", "--criterion", "first_resonance")
+    code, out, _ = study("length_mm=20,40", "--criterion", "first_resonance")
     assert code == 0
     assert "930.3" in out
 
 
-def test_a_picture_and_a_report_come_with_it(command: Command) -> None:
-    code, out, _ = command("length_mm=12:24:4", "load=low,high", "--plot", "s.svg", "--report",
+def test_a_picture_and_a_report_come_with_it(study: Command) -> None:
+    code, out, _ = study("length_mm=12:24:4", "load=low,high", "--plot", "s.svg", "--report",
                            "s.html")  # fmt: skip
     assert code == 0
     assert "written: s.html" in out
@@ -79,8 +84,8 @@ def test_a_picture_and_a_report_come_with_it(command: Command) -> None:
     assert "free length" in Path("s.html").read_text()
 
 
-def test_scenarios_count_by_what_all_but_the_worst_reach(command: Command) -> None:
-    code, out, _ = command("length_mm=16,20", "--scenarios", 16, "--seed", 3, "--out", "s.zarr",
+def test_scenarios_count_by_what_all_but_the_worst_reach(study: Command) -> None:
+    code, out, _ = study("length_mm=16,20", "--scenarios", 16, "--seed", 3, "--out", "s.zarr",
                            "--frequency", "0:1000:100", "--band", "0:1000", "--json",
                            "--criterion", "smallest_displacement")  # fmt: skip
     assert code == 0
@@ -91,17 +96,17 @@ def test_scenarios_count_by_what_all_but_the_worst_reach(command: Command) -> No
     assert told["scenarios"] == 16
 
 
-def test_a_displays_bender_finger_and_limits_are_the_start(command: Command) -> None:
+def test_a_displays_bender_finger_and_limits_are_the_start(study: Command) -> None:
     arguments = ("--display", "reference-24", "--criterion", "attainable", "--band", "10:1000")
-    code, out, _ = command("length_mm=20", *arguments, "--json")
+    code, out, _ = study("length_mm=20", *arguments, "--json")
     assert code == 0
-    half = command("length_mm=20", *arguments, "--voltage-v", 10, "--json")[1]
+    half = study("length_mm=20", *arguments, "--voltage-v", 10, "--json")[1]
     with_limit, with_ten = (json.loads(o)["best"][0]["value"] for o in (out, half))
     assert with_limit > with_ten > 0
 
 
-def test_a_displays_own_finger_is_kept_where_parts_are_drawn(command: Command) -> None:
-    code, out, _ = command("length_mm=18,20", "--display", "reference-24", "--scenarios", 8,
+def test_a_displays_own_finger_is_kept_where_parts_are_drawn(study: Command) -> None:
+    code, out, _ = study("length_mm=18,20", "--display", "reference-24", "--scenarios", 8,
                            "--json")  # fmt: skip
     assert code == 0
     assert json.loads(out)["axes"]["load"] == ["display"]
@@ -148,8 +153,8 @@ def test_ranges_have_their_stop_and_no_noise() -> None:
         (["length_mm=1:100:1e-9"], "has 9.9e+10 values, more than 1e+08"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_one_line(command: Command, arguments: list[str], words: str) -> None:
-    code, out, err = command(*arguments)
+def test_a_mistake_is_one_line(study: Command, arguments: list[str], words: str) -> None:
+    code, out, err = study(*arguments)
     assert (code, out) == (2, "")
     assert words in err
     assert err.startswith("tactile: ")

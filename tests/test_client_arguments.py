@@ -4,16 +4,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import PATIENCE, Daemon, Twin
 
 from tactile.daemon import messages as m
 from tactile.errors import InputError
-
-daemon = client_rig.daemon
-script = client_rig.script
-twin = client_rig.twin
 
 WAVE: Any = {"sample_rate": 8000, "amplitude": 1e-6}
 Call = Callable[[Any], Any]

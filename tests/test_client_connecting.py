@@ -10,7 +10,6 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, fill, until
 from websockets.exceptions import ConnectionClosed
@@ -22,10 +21,6 @@ from tactile.daemon import messages as m
 from tactile.daemon import paths
 from tactile.daemon.config import Config
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
-
-daemon = client_rig.daemon
-script = client_rig.script
-twin = client_rig.twin
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from array import array
 from collections.abc import Callable
 from typing import Any
 
-import client_rig
 import numpy as np
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, until
@@ -19,21 +18,16 @@ from tactile.clock import ModelClock
 from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
 
-daemon = client_rig.daemon
-display = client_rig.display
-script = client_rig.script
-twin = client_rig.twin
 
-
-def test_touch_does_not_wait_for_a_daemon_that_does_not_read(display: Any, daemon: Daemon) -> None:
+def test_touch_does_not_wait_for_a_daemon_that_does_not_read(remote: Any, daemon: Daemon) -> None:
     """More is said than all buffers between the two could hold; the newest arrives in the end."""
-    said = fill(daemon, display)
-    assert display.connected
+    said = fill(daemon, remote)
+    assert remote.connected
     daemon.reading.set()
     newest = pytest.approx(said * 1e-3)
     until(lambda: (heard := daemon.of(m.Contact)) and heard[-1].position_mm[0] == newest)
-    assert len(daemon.of(m.Contact)) + display.dropped_contacts == said
-    assert display.stats().display == "left"  # and the connection has lived through it
+    assert len(daemon.of(m.Contact)) + remote.dropped_contacts == said
+    assert remote.stats().display == "left"  # and the connection has lived through it
 
 
 def test_touch_from_several_threads(daemon: Daemon) -> None:
@@ -70,16 +64,16 @@ def test_contacts_keep_to_the_rate_that_the_daemon_takes(
 
 
 def test_a_refused_contact_is_an_event_and_not_at_its_rate(
-    display: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, daemon: Daemon
 ) -> None:
     script.answers[m.Contact] = lambda said: m.Failure(code="not_armed", message="arm it first")
-    clock = display.connection._session.clock = ModelClock()
+    clock = remote.connection._session.clock = ModelClock()
     events: list[client.Event] = []
-    display.on_event(events.append)
+    remote.on_event(events.append)
     for number in range(1, 5):
         clock.sleep(number // 4)  # the last one comes a second after the others
-        display.touch((0.0, 0.0))
-        until(lambda: display.connection.counters["refused_contacts"] == number)  # noqa: B023
+        remote.touch((0.0, 0.0))
+        until(lambda: remote.connection.counters["refused_contacts"] == number)  # noqa: B023
     until(lambda: len(events) >= 2)
     assert events == 2 * [client.Event("refused", "", "not_armed: arm it first")]
 
@@ -102,17 +96,17 @@ def test_samples_may_be_of_any_kind(daemon: Daemon, made: Callable[[list[float]]
     assert list(samples_of(said)) == values
 
 
-def test_append_sends_one_message_and_cuts_what_is_beyond(display: Any, daemon: Daemon) -> None:
-    appended = display.append([0.25] * 9000, sample_rate=8000, amplitude=1e-6)
+def test_append_sends_one_message_and_cuts_what_is_beyond(remote: Any, daemon: Daemon) -> None:
+    appended = remote.append([0.25] * 9000, sample_rate=8000, amplitude=1e-6)
     assert appended.samples_consumed == m.MOST_SAMPLES
     assert [count(said) for said in daemon.of(m.Append)] == [m.MOST_SAMPLES]
-    assert display.append([], sample_rate=8000, amplitude=1e-6).samples_consumed == 0
+    assert remote.append([], sample_rate=8000, amplitude=1e-6).samples_consumed == 0
     assert len(daemon.of(m.Append)) == 1
 
 
 @pytest.mark.parametrize("most", [1000, 3999, 4000])
 def test_play_hands_over_all_although_the_daemon_takes_only_part(
-    display: Any, script: Script, most: int
+    remote: Any, script: Script, most: int
 ) -> None:
     """Every third time it takes nothing at all."""
     taken: list[float] = []
@@ -127,7 +121,7 @@ def test_play_hands_over_all_although_the_daemon_takes_only_part(
 
     script.answers[m.Append] = some
     samples = np.sin(np.arange(10_001)).astype(np.float32)
-    assert display.play(samples, sample_rate=8000, amplitude=1e-6) == 10_001
+    assert remote.play(samples, sample_rate=8000, amplitude=1e-6) == 10_001
     assert taken == samples.tolist()
     assert replaced[:3] == [True, True, False], "until something was taken"
     assert not any(replaced[2:])
@@ -149,9 +143,9 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
     assert playback.taken(message, reply) == pytest.approx(pause)
 
 
-def test_play_gives_up_where_nothing_is_taken(display: Any, script: Script, daemon: Daemon) -> None:
+def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemon: Daemon) -> None:
     """By a clock that goes on by almost half of the timeout with each answer."""
-    clock = display.connection._session.clock = ModelClock()
+    clock = remote.connection._session.clock = ModelClock()
 
     def nothing(said: m.Append) -> m.Appended:
         clock.sleep(PATIENCE / 2 - 1)
@@ -159,7 +153,7 @@ def test_play_gives_up_where_nothing_is_taken(display: Any, script: Script, daem
 
     script.answers[m.Append] = nothing
     with pytest.raises(ClientTimeoutError, match=r"no sample was taken in 60 s"):
-        display.play([0.0] * 10, sample_rate=8000, amplitude=1e-6, timeout=PATIENCE)
+        remote.play([0.0] * 10, sample_rate=8000, amplitude=1e-6, timeout=PATIENCE)
     assert len(daemon.of(m.Append)) == 3
 
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, until
 
@@ -14,11 +13,6 @@ from tactile.client.session import Session
 from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError, InputError
-
-daemon = client_rig.daemon
-display = client_rig.display
-script = client_rig.script
-twin = client_rig.twin
 
 
 def said_since_hello(daemon: Daemon) -> list[m.Command]:
@@ -124,13 +118,13 @@ def test_what_makes_quieter_is_never_too_much() -> None:
 
 @pytest.mark.parametrize("timeout", ["soon", float("nan"), -1])
 def test_an_estop_is_sent_whatever_is_wrong_with_its_timeout(
-    display: Any, daemon: Daemon, timeout: Any
+    remote: Any, daemon: Daemon, timeout: Any
 ) -> None:
     with pytest.raises(InputError, match="timeout"):
-        display.estop(timeout=timeout)
+        remote.estop(timeout=timeout)
     with pytest.raises(InputError, match="timeout"):
-        display.arm(timeout=timeout)
-    display.stats()
+        remote.arm(timeout=timeout)
+    remote.stats()
     assert [type(said) for said in said_since_hello(daemon)] == [m.EStop, m.GetStats]
 
 
@@ -160,16 +154,16 @@ def test_clear_names_the_estop_that_was_reported(
 
 @pytest.mark.parametrize(("estop", "cleared"), [(0, []), (3, [3])])
 def test_clear_asks_where_no_estop_is_known(
-    display: Any, script: Script, daemon: Daemon, estop: int, cleared: list[int]
+    remote: Any, script: Script, daemon: Daemon, estop: int, cleared: list[int]
 ) -> None:
     script.estop = estop
-    display.clear()
+    remote.clear()
     assert [said.estop for said in daemon.of(m.Clear)] == cleared
     assert len(daemon.of(m.GetStats)) == 1
 
 
-def test_a_program_reads_its_roles(display: Any) -> None:
-    assert display.connection.roles == frozenset({"watch", "arm"})
+def test_a_program_reads_its_roles(remote: Any) -> None:
+    assert remote.connection.roles == frozenset({"watch", "arm"})
 
 
 # Signs of life

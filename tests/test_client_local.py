@@ -5,7 +5,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import MESSAGES, Script, Twin, plain
 
@@ -15,9 +14,6 @@ from tactile.client.transport import Receiver
 from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
-
-script = client_rig.script
-twin = client_rig.twin
 
 
 class LocalTransport:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import client_rig
 import msgspec
 import numpy as np
 import pytest
@@ -16,17 +15,12 @@ from tactile import client
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError, RequestError
 
-daemon = client_rig.daemon
-display = client_rig.display
-script = client_rig.script
-twin = client_rig.twin
-
 
 @pytest.mark.parametrize(("call", "message"), MESSAGES)
 def test_each_call_says_its_message(
-    display: Any, daemon: Daemon, call: Callable[[Any], Any], message: Any
+    remote: Any, daemon: Daemon, call: Callable[[Any], Any], message: Any
 ) -> None:
-    call(display)
+    call(remote)
     (said,) = until(lambda: daemon.of(type(message)))
     assert plain(said) == plain(message)
 
@@ -47,25 +41,25 @@ def test_hello_comes_first_and_says_who_it_is(twin: Twin, daemon: Daemon) -> Non
     assert plain(daemon.heard[0]) == plain(m.Hello(client="game", token="secret"))
 
 
-def test_lift_is_where_the_finger_was_last(display: Any, daemon: Daemon) -> None:
-    display.touch((0.001, 0.002))
+def test_lift_is_where_the_finger_was_last(remote: Any, daemon: Daemon) -> None:
+    remote.touch((0.001, 0.002))
     until(lambda: daemon.of(m.Contact))
-    display.lift()
+    remote.lift()
     _, lifted = until(lambda: len(daemon.of(m.Contact)) == 2 and daemon.of(m.Contact))
     assert (lifted.position_mm, lifted.normal_force_n) == ((1.0, 2.0), 0.0)
 
 
-def test_time_is_our_monotonic_clock_where_none_is_given(display: Any, daemon: Daemon) -> None:
+def test_time_is_our_monotonic_clock_where_none_is_given(remote: Any, daemon: Daemon) -> None:
     before = time.monotonic()
-    display.touch((0.0, 0.0))
+    remote.touch((0.0, 0.0))
     after = time.monotonic()
     (said,) = until(lambda: daemon.of(m.Contact))
     assert before - 1e-3 <= said.time_us * 1e-6 <= after + 1e-3
     assert said.velocity_mm_s is None
 
 
-def test_positions_may_be_arrays_of_numpy(display: Any, daemon: Daemon) -> None:
-    display.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
+def test_positions_may_be_arrays_of_numpy(remote: Any, daemon: Daemon) -> None:
+    remote.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
     (said,) = until(lambda: daemon.of(m.Contact))
     assert list(said.position_mm) == pytest.approx([1.0, 2.0], rel=1e-6)  # of float32
 
@@ -97,28 +91,28 @@ def test_positions_may_be_arrays_of_numpy(display: Any, daemon: Daemon) -> None:
     ],
 )
 def test_a_value_out_of_range_is_not_even_sent(
-    display: Any, daemon: Daemon, call: Callable[[Any], Any], text: str
+    remote: Any, daemon: Daemon, call: Callable[[Any], Any], text: str
 ) -> None:
     with pytest.raises(InputError, match=text):
-        call(display)
-    display.stats()
+        call(remote)
+    remote.stats()
     assert [type(said) for said in daemon.heard] == [m.Hello, m.GetStats]
 
 
 # Answers
 
 
-def test_what_the_daemon_tells_is_in_si(display: Any) -> None:
-    told = display.info
+def test_what_the_daemon_tells_is_in_si(remote: Any) -> None:
+    told = remote.info
     assert (told.name, told.waveforms, told.voltage_limit) == ("left", True, 100.0)
     assert told.contactors == ((-1e-3, 2e-3), (1e-3, 2e-3))
     assert told.shear_direction == pytest.approx((0.0, math.pi / 2))
     assert told.latency == pytest.approx(4e-3)
-    stats = display.stats()
+    stats = remote.stats()
     assert (stats.state, stats.latency, stats.counters) == ("armed", 0.004, {"underruns": 2})
-    appended = display.append([0.0] * 3, sample_rate=8000, amplitude=1e-6)
+    appended = remote.append([0.0] * 3, sample_rate=8000, amplitude=1e-6)
     assert (appended.samples_consumed, appended.buffered) == (3, 0.01)
-    assert [texture.name for texture in display.textures()] == ["wood-oak"]
+    assert [texture.name for texture in remote.textures()] == ["wood-oak"]
 
 
 def test_answers_out_of_order_find_their_questions(
@@ -159,7 +153,7 @@ def test_answers_out_of_order_find_their_questions(
     ],
 )
 def test_a_refusal_is_an_exception_with_code_and_field(
-    display: Any, script: Script, code: m.Code, kind: type[Exception]
+    remote: Any, script: Script, code: m.Code, kind: type[Exception]
 ) -> None:
     script.answers[m.Select] = lambda said: m.Failure(
         id=said.id,
@@ -168,36 +162,36 @@ def test_a_refusal_is_an_exception_with_code_and_field(
         field="layers[0].texture",
     )
     with pytest.raises(RequestError, match=r"layers\[0\].texture: no 'oak'; did") as caught:
-        display.select("oak")
+        remote.select("oak")
     assert isinstance(caught.value, kind)
     assert (caught.value.code, caught.value.field) == (code, "layers[0].texture")
 
 
-def test_an_answer_of_another_kind_is_an_error(display: Any, script: Script) -> None:
+def test_an_answer_of_another_kind_is_an_error(remote: Any, script: Script) -> None:
     script.answers[m.GetStats] = lambda said: m.Done(id=said.id)
     with pytest.raises(ClientError, match="answered Done, not Stats"):
-        display.stats()
+        remote.stats()
 
 
 def test_a_daemon_that_is_silent_is_a_timeout_and_may_answer_the_next(
-    display: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, daemon: Daemon
 ) -> None:
     asked: list[m.GetStats] = []
     script.answers[m.GetStats] = asked.append
 
     def ask() -> list[m.GetStats]:
         with pytest.raises(ClientTimeoutError, match=r"getstats: no answer in 0.05 s"):
-            display.stats(timeout=0.05)
+            remote.stats(timeout=0.05)
         return asked
 
     until(ask)  # once more where it was given up before it was even sent
     del script.answers[m.GetStats]
     daemon.say(stats(asked[0]))  # late: nobody waits for it
-    assert display.stats().display == "left"
+    assert remote.stats().display == "left"
 
 
 def test_an_answer_of_a_later_version_fails_only_its_request(
-    display: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, daemon: Daemon
 ) -> None:
     def later(said: m.GetStats) -> None:
         event = {"type": "event", "display": "left", "kind": "on fire", "detail": ""}
@@ -208,7 +202,7 @@ def test_an_answer_of_a_later_version_fails_only_its_request(
 
     script.answers[m.GetStats] = later
     with pytest.raises(RequestError, match="wait") as caught:
-        display.stats()
+        remote.stats()
     assert caught.value.code == "too_early"
-    display.gain(0.5)
-    assert display.connection.counters["ignored_messages"] == 1, "an event may be of any kind"
+    remote.gain(0.5)
+    assert remote.connection.counters["ignored_messages"] == 1, "an event may be of any kind"

@@ -4,7 +4,6 @@ import contextlib
 import threading
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, fill, plain, telemetry, until
 
@@ -13,11 +12,6 @@ from tactile.client import websocket
 from tactile.client.session import ClockOffset
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
-
-daemon = client_rig.daemon
-display = client_rig.display
-script = client_rig.script
-twin = client_rig.twin
 
 
 def connected_again(daemon: Daemon, hellos: int = 2) -> list[Any]:
@@ -109,14 +103,14 @@ def test_without_a_daemon_touch_is_counted_and_requests_fail_at_once(
 
 
 def test_a_request_that_waits_fails_when_the_connection_does(
-    display: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, daemon: Daemon
 ) -> None:
     def gone(said: m.GetStats) -> None:
         daemon.drop()
 
     script.answers[m.GetStats] = gone
     with pytest.raises(DisconnectedError):
-        display.stats()
+        remote.stats()
 
 
 def test_a_daemon_that_answers_no_ping_is_given_up(

@@ -9,31 +9,20 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import client_rig
-import daemon_rig
 import msgspec
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Twin, count, plain, samples_of, telemetry, until
 from daemon_rig import Hands
 
 from tactile import client
-from tactile.client import base, websocket
+from tactile.client import base
 from tactile.client.wire import from_telemetry
 from tactile.daemon import messages as m
 from tactile.daemon.config import Config, ServerConfig
 from tactile.daemon.server import running
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
 
-daemon = client_rig.daemon
-patient = daemon_rig.patient
-script = client_rig.script
-twin = client_rig.twin
-
-
-@pytest.fixture(autouse=True)
-def patient_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no client give up a server because the machine stood still."""
-    monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
+pytestmark = pytest.mark.usefixtures("patient")
 
 
 class RealServer:

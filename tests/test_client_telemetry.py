@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import client_rig
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, server_time_us, telemetry, until
 
@@ -13,11 +12,6 @@ from tactile import client
 from tactile.client import websocket
 from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
-
-daemon = client_rig.daemon
-display = client_rig.display
-script = client_rig.script
-twin = client_rig.twin
 
 
 def then_one(daemon: "Daemon") -> Callable[[m.Subscribe], m.Answer]:
@@ -30,9 +24,9 @@ def then_one(daemon: "Daemon") -> Callable[[m.Subscribe], m.Answer]:
     return answer
 
 
-def test_telemetry_comes_in_si_and_on_our_clock(display: Any, daemon: Daemon) -> None:
+def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, daemon: Daemon) -> None:
     daemon.script.answers[m.Subscribe] = lambda said: m.Done(id=said.id)
-    stream = display.telemetry(rate=20)
+    stream = remote.telemetry(rate=20)
     numbers = iter(stream)
 
     def say_when_asked() -> None:
@@ -117,7 +111,7 @@ def test_telemetry_ends_with_the_connection(twin: Twin, daemon: Daemon) -> None:
 
 
 def test_a_callback_may_ask_and_may_fail(
-    display: Any, daemon: Daemon, twin: Twin, caplog: pytest.LogCaptureFixture
+    remote: Any, daemon: Daemon, twin: Twin, caplog: pytest.LogCaptureFixture
 ) -> None:
     seen: list[str] = []
 
@@ -125,13 +119,13 @@ def test_a_callback_may_ask_and_may_fail(
         raise RuntimeError("a mistake of the program")
 
     def answer(event: client.Event) -> None:
-        seen.append(display.stats().state)
+        seen.append(remote.stats().state)
 
     async def aanswer(event: client.Event) -> None:
-        seen.append((await display._inner.stats()).state)
+        seen.append((await remote._inner.stats()).state)
 
-    display.on_event(fail)
-    display.on_event(aanswer if twin.name == "asyncio" else answer)
+    remote.on_event(fail)
+    remote.on_event(aanswer if twin.name == "asyncio" else answer)
     for _ in range(2):
         daemon.say(m.Event(display="left", kind="fault", detail="channel 3 open"))
     until(lambda: seen == ["armed", "armed"])

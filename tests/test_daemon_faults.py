@@ -22,7 +22,7 @@ import websockets.sync.client as websockets
 from websockets.typing import Subprotocol
 
 import tactile.client
-from tactile.bench.virtual import VirtualAmplifier, can_be_built
+from tactile.bench.virtual import VirtualAmplifier
 from tactile.daemon import messages
 from tactile.errors import TactileError
 
@@ -166,19 +166,11 @@ class Daemon:
             process.stdout.close()
 
 
-@pytest.fixture(scope="module")
-def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder in which the amplifier is built once for all tests."""
-    return tmp_path_factory.mktemp("amplifier")
-
-
 @pytest.fixture
-def amplifier(tmp_path: Path, build: Path) -> Iterator[VirtualAmplifier]:
-    if sys.platform != "linux" or not can_be_built():
-        if os.environ.get("CI") == "true":
-            pytest.fail("no C compiler")
-        pytest.skip("needs Linux, make and cc")
-    (tmp_path / "build").symlink_to(build)
+def amplifier(tmp_path: Path, virtual_amplifier: Path) -> Iterator[VirtualAmplifier]:
+    if sys.platform != "linux":
+        pytest.skip("needs Linux")
+    (tmp_path / "build").symlink_to(virtual_amplifier.parent)
     with closing(VirtualAmplifier(tmp_path, "--pty")) as amplifier:
         yield amplifier
 
@@ -189,7 +181,7 @@ def sound() -> str:
 
 
 @pytest.fixture
-def daemon(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[Daemon]:
+def served(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[Daemon]:
     daemon = Daemon(tmp_path, amplifier, sound=sound)
     yield daemon
     daemon.end()
@@ -200,80 +192,80 @@ either_sound = pytest.mark.parametrize("sound", ["stroke", "effect"])
 
 
 @either_sound
-def test_a_program_that_is_killed_is_silent_and_disarmed(daemon: Daemon) -> None:
-    daemon.play().kill()
-    daemon.falls_silent()
-    assert daemon.health()["status"] == "ok"
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+def test_a_program_that_is_killed_is_silent_and_disarmed(served: Daemon) -> None:
+    served.play().kill()
+    served.falls_silent()
+    assert served.health()["status"] == "ok"
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is disarmed", lambda: display.stats().state == "disarmed")
-    daemon.arms_and_plays()
+    served.arms_and_plays()
 
 
 @either_sound
-def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(daemon: Daemon) -> None:
-    app = daemon.play()
+def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Daemon) -> None:
+    app = served.play()
     app.send_signal(signal.SIGSTOP)
-    daemon.falls_silent()
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+    served.falls_silent()
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is disarmed", lambda: display.stats().state == "disarmed")
         app.send_signal(signal.SIGCONT)
-        daemon.stays_silent()
+        served.stays_silent()
         display.arm()
         wait_for("it is armed again", lambda: display.stats().state == "armed")
 
 
 @either_sound
-def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(daemon: Daemon) -> None:
-    daemon.play()
-    before = daemon.children
+def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Daemon) -> None:
+    served.play()
+    before = served.children
     assert {"playback_process", "drawing", "estop_process"} <= set(before)
-    daemon.server.kill()
-    daemon.falls_silent()
+    served.server.kill()
+    served.falls_silent()
     wait_for("its children are gone", lambda: not any(map(alive, before.values())))
-    daemon.start()
-    daemon.play()
+    served.start()
+    served.play()
 
 
-def test_a_server_that_hangs_leaves_0_volts_and_stays_disarmed(daemon: Daemon) -> None:
-    app = daemon.play()
-    daemon.server.send_signal(signal.SIGSTOP)
-    daemon.falls_silent()
-    daemon.server.send_signal(signal.SIGCONT)
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+def test_a_server_that_hangs_leaves_0_volts_and_stays_disarmed(served: Daemon) -> None:
+    app = served.play()
+    served.server.send_signal(signal.SIGSTOP)
+    served.falls_silent()
+    served.server.send_signal(signal.SIGCONT)
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is disarmed", lambda: display.stats().state == "disarmed")
-        daemon.stays_silent()
+        served.stays_silent()
     app.kill()
-    daemon.arms_and_plays()
+    served.arms_and_plays()
 
 
-def test_a_server_that_hangs_is_stopped_by_tactile_estop(daemon: Daemon) -> None:
-    daemon.play()
-    daemon.server.send_signal(signal.SIGSTOP)
+def test_a_server_that_hangs_is_stopped_by_tactile_estop(served: Daemon) -> None:
+    served.play()
+    served.server.send_signal(signal.SIGSTOP)
     words = [sys.executable, "-m", "tactile", "estop"]
     stopped = subprocess.run(words, stdout=subprocess.PIPE, text=True, timeout=WAIT, check=False)
     assert stopped.returncode == 0
     assert stopped.stdout == "right: e-stop 1 is latched; tactile clear ends it\n"
-    daemon.falls_silent()
-    daemon.server.send_signal(signal.SIGCONT)
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+    served.falls_silent()
+    served.server.send_signal(signal.SIGCONT)
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("the server knows of it", lambda: display.stats().estop == 1)
         with pytest.raises(TactileError, match="e-stop 1 holds"):
             display.arm()
         display.clear(estop=1)
-        daemon.stays_silent()
+        served.stays_silent()
         display.arm()
 
 
-def test_an_e_stop_while_playback_is_started_again_holds(daemon: Daemon) -> None:
-    daemon.play()
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
-        os.kill(daemon.children["playback_process"], signal.SIGKILL)
+def test_an_e_stop_while_playback_is_started_again_holds(served: Daemon) -> None:
+    served.play()
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
+        os.kill(served.children["playback_process"], signal.SIGKILL)
         display.estop()
-        daemon.falls_silent()
+        served.falls_silent()
         wait_for("it is back", lambda: display.stats().state == "estopped")
         with pytest.raises(TactileError, match="e-stop 1 holds"):
             display.arm()
-        daemon.stays_silent()
+        served.stays_silent()
         wait_for("it can be cleared", lambda: cleared(display))
         display.arm()
 
@@ -286,42 +278,42 @@ def cleared(display: tactile.client.Display) -> bool:
     return False
 
 
-def test_an_e_stop_holds_over_a_server_that_is_killed(daemon: Daemon) -> None:
+def test_an_e_stop_holds_over_a_server_that_is_killed(served: Daemon) -> None:
     """With ``arm_on_start``, and an amplifier that forgets: its power is switched off as well."""
-    daemon.config.write_text(daemon.config.read_text() + "arm_on_start = true\n")
-    daemon.play()
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+    served.config.write_text(served.config.read_text() + "arm_on_start = true\n")
+    served.play()
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         display.estop()
-        daemon.falls_silent()
-    daemon.server.kill()
-    daemon.server.wait()
-    daemon.start()
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+        served.falls_silent()
+    served.server.kill()
+    served.server.wait()
+    served.start()
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         assert display.stats().estop == 1
         with pytest.raises(TactileError, match="e-stop 1 holds"):
             display.arm()
-        daemon.stays_silent()
+        served.stays_silent()
         wait_for("it can be cleared", lambda: cleared(display))
 
 
-def test_playback_that_is_killed_is_started_again_and_not_armed(daemon: Daemon) -> None:
-    app = daemon.play()
-    os.kill(daemon.children["playback_process"], signal.SIGKILL)
-    daemon.falls_silent()
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+def test_playback_that_is_killed_is_started_again_and_not_armed(served: Daemon) -> None:
+    app = served.play()
+    os.kill(served.children["playback_process"], signal.SIGKILL)
+    served.falls_silent()
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is back", lambda: display.stats().state == "disarmed")
-        daemon.stays_silent()
+        served.stays_silent()
     app.kill()
-    daemon.arms_and_plays()
+    served.arms_and_plays()
 
 
-def test_playback_that_hangs_leaves_0_volts(daemon: Daemon) -> None:
-    daemon.play()
-    playback = daemon.children["playback_process"]
+def test_playback_that_hangs_leaves_0_volts(served: Daemon) -> None:
+    served.play()
+    playback = served.children["playback_process"]
     os.kill(playback, signal.SIGSTOP)
-    daemon.falls_silent()
+    served.falls_silent()
     os.kill(playback, signal.SIGCONT)
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
 
         def armed() -> bool:
             with suppress(TactileError):
@@ -332,16 +324,16 @@ def test_playback_that_hangs_leaves_0_volts(daemon: Daemon) -> None:
         wait_for("it can be armed again", armed)
 
 
-def test_playback_that_hangs_for_good_is_started_again_once(daemon: Daemon) -> None:
-    daemon.play().kill()
-    hung = daemon.children["playback_process"]
+def test_playback_that_hangs_for_good_is_started_again_once(served: Daemon) -> None:
+    served.play().kill()
+    hung = served.children["playback_process"]
     os.kill(hung, signal.SIGSTOP)
     wait_for("it is gone", lambda: not alive(hung))
-    with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+    with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is back", lambda: display.stats().state == "disarmed")
         display.select("wood-oak")
         display.arm()
-    log = (daemon.folder / "log").read_text()
+    log = (served.folder / "log").read_text()
     assert log.count("playback hangs") == 1
     assert "while it opened" not in log, "what was killed is not taken for what is opened"
 
@@ -357,28 +349,28 @@ def test_a_full_disk_for_logs_changes_nothing(tmp_path: Path, amplifier: Virtual
         daemon.end()
 
 
-def test_ended_by_a_signal_it_fades_and_disarms(daemon: Daemon) -> None:
-    daemon.play()
-    before = daemon.children
-    daemon.server.send_signal(signal.SIGTERM)
-    daemon.falls_silent()
-    assert daemon.server.wait(WAIT) == 0
+def test_ended_by_a_signal_it_fades_and_disarms(served: Daemon) -> None:
+    served.play()
+    before = served.children
+    served.server.send_signal(signal.SIGTERM)
+    served.falls_silent()
+    assert served.server.wait(WAIT) == 0
     assert not any(map(alive, before.values()))
 
 
 @either_sound
-def test_a_client_that_does_not_read_disturbs_no_other(daemon: Daemon) -> None:
-    daemon.play()
+def test_a_client_that_does_not_read_disturbs_no_other(served: Daemon) -> None:
+    served.play()
     hello = '{"type":"hello","client":"deaf"}'
     with websockets.connect(
-        daemon.url, subprotocols=[Subprotocol(messages.JSON_PROTOCOL)], max_queue=1
+        served.url, subprotocols=[Subprotocol(messages.JSON_PROTOCOL)], max_queue=1
     ) as deaf:
         deaf.send(hello)
         deaf.send('{"type":"subscribe","display":"right","rate_hz":100}')
-        with tactile.client.connect(daemon.url, timeout=WAIT) as display:
+        with tactile.client.connect(served.url, timeout=WAIT) as display:
             end = display.stats().counters["blocks"] + 1500
             wait_for("blocks are played", lambda: display.stats().counters["blocks"] >= end)
-            if daemon.sound == "stroke":
+            if served.sound == "stroke":
                 wait_for("the other's finger is felt", lambda: display.stats().touching)
-        daemon.amplifier.take()
-        wait_for("it plays on", lambda: daemon.amplifier.take().codes.any())
+        served.amplifier.take()
+        wait_for("it plays on", lambda: served.amplifier.take().codes.any())

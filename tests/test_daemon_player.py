@@ -19,7 +19,7 @@ from tactile.daemon.player import BLOCK, IN_AIR, Player, Samples
 from tactile.daemon.shared import Shared, Touch
 from tactile.daemon.waves import BLOCK_WORK, Curve, Singles, Voice
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.renderer import render
@@ -30,11 +30,6 @@ Floats = NDArray[np.float64]
 RATE = 8000.0
 SPEED = 0.08
 ME, YOU = 1, 2
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return load_display("reference-24")
 
 
 @pytest.fixture(scope="module")

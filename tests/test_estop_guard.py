@@ -13,8 +13,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import bringup_rig
-import cli_rig
 import numpy as np
 import pytest
 from bringup_rig import Served
@@ -42,16 +40,6 @@ MOCK = "mock:"
 HELD = r"mock:: e-stop 1 holds, by tactile estop.*tactile clear --device mock: ends it"
 PATIENCE = 60.0
 """s until a test gives up; nothing that is tested depends on it."""
-
-built = bringup_rig.built
-four = bringup_rig.four
-serve = bringup_rig.serve
-command = cli_rig.command
-
-
-@pytest.fixture
-def display() -> Display:
-    return load_display("reference-24")
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ SECONDS = "1.5"
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    """Its addresses: two hands, WebSocket and OSC."""
+def addresses(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """Yield those of a daemon of two hands, WebSocket and OSC."""
     import socket
 
     folder = tmp_path_factory.mktemp("daemon")
@@ -48,9 +48,9 @@ def run(name: str, *words: str) -> str:
 
 
 @pytest.mark.realtime
-def test_hand_tracking(daemon: dict[str, str]) -> None:
+def test_hand_tracking(addresses: dict[str, str]) -> None:
     said = run(
-        "hand_tracking.py", "--url", daemon["url"], "--display", "left", "--seconds", SECONDS
+        "hand_tracking.py", "--url", addresses["url"], "--display", "left", "--seconds", SECONDS
     )
     frames, touches = (int(word) for word in said.split()[0:3:2])
     most = 90 * float(SECONDS)
@@ -59,35 +59,41 @@ def test_hand_tracking(daemon: dict[str, str]) -> None:
 
 
 @pytest.mark.realtime
-def test_hand_tracking_of_a_recorded_path(daemon: dict[str, str], tmp_path: Path) -> None:
+def test_hand_tracking_of_a_recorded_path(addresses: dict[str, str], tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("time_s,x_m,y_m,z_m\n0,0,0.748,0\n1,0.08,0.748,0\n2,0.08,0.8,0\n")
     said = run(
-        "hand_tracking.py", str(path), "--url", daemon["url"], "--display", "left",
+        "hand_tracking.py", str(path), "--url", addresses["url"], "--display", "left",
         "--seconds", SECONDS,
     )  # fmt: skip
     assert int(said.split()[2]) > 0
 
 
 @pytest.mark.realtime
-def test_two_fingers(daemon: dict[str, str]) -> None:
-    assert run("two_fingers.py", "--url", daemon["url"], "--seconds", SECONDS)
+def test_two_fingers(addresses: dict[str, str]) -> None:
+    assert run("two_fingers.py", "--url", addresses["url"], "--seconds", SECONDS)
 
 
 @pytest.mark.realtime
-def test_waveform_streamer(daemon: dict[str, str]) -> None:
+def test_waveform_streamer(addresses: dict[str, str]) -> None:
     said = run(
-        "waveform_streamer.py", "--url", daemon["url"], "--display", "right", "--seconds", SECONDS
+        "waveform_streamer.py",
+        "--url",
+        addresses["url"],
+        "--display",
+        "right",
+        "--seconds",
+        SECONDS,
     )
     assert said.startswith("12000 samples at 8000 Hz in ")
 
 
 @pytest.mark.realtime
-def test_osc_sender(daemon: dict[str, str]) -> None:
+def test_osc_sender(addresses: dict[str, str]) -> None:
     pytest.importorskip("pythonosc")
-    url = f"osc.udp://127.0.0.1:{daemon['osc']}"
+    url = f"osc.udp://127.0.0.1:{addresses['osc']}"
     assert run("osc_sender.py", "--url", url, "--seconds", SECONDS)
-    where = daemon["url"].replace("ws://", "http://").replace("/v1", "/metrics")
+    where = addresses["url"].replace("ws://", "http://").replace("/v1", "/metrics")
     with urllib.request.urlopen(where, timeout=60) as answer:
         lines = answer.read().decode().splitlines()
     (came,) = [line for line in lines if line.startswith("tactile_messages_total") and "osc" in line

@@ -7,12 +7,11 @@ is in `contract`.
 import sys
 import threading
 import tracemalloc
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bus_benches import IDEAL, Bench, bench_of
+from bus_benches import IDEAL, Bench
 from bus_contract import (
     FADE,
     RATE,
@@ -24,9 +23,7 @@ from bus_contract import (
     level,
     limited,
     noise,
-    planted,
     play,
-    three,
 )
 
 from tactile.bus import base
@@ -37,28 +34,15 @@ from tactile.display import Display
 
 SECOND = 8000
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    yield from planted(tmp_path_factory)
-
-
-@pytest.fixture(scope="module")
-def display(tmp_path_factory: pytest.TempPathFactory) -> Display:
-    return three(tmp_path_factory)
-
-
-@pytest.fixture
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    yield from bench_of(request.param, request)
+pytestmark = pytest.mark.usefixtures("plant")
 
 
 @pytest.mark.parametrize("bench", IDEAL, indirect=True)
 class TestEveryIdealBus:
     """What holds for all of them."""
 
-    def test_what_was_written_has_been_played(self, bench: Bench, display: Display) -> None:
-        bus, volts = bench.open(display), noise(500)
+    def test_what_was_written_has_been_played(self, bench: Bench, three: Display) -> None:
+        bus, volts = bench.open(three), noise(500)
         bus.start()
         for k in range(0, 500, 50):
             bus.write(DriveBlock(k, volts[k : k + 50]))
@@ -66,9 +50,9 @@ class TestEveryIdealBus:
 
     @pytest.mark.parametrize("end", ["abort", "estop"])
     def test_it_breaks_off_after_the_last_sample(
-        self, bench: Bench, display: Display, end: str
+        self, bench: Bench, three: Display, end: str
     ) -> None:
-        bus, step = bench.open(limited(display, slew=SLOW)), SLOW / RATE
+        bus, step = bench.open(limited(three, slew=SLOW)), SLOW / RATE
         line = climb(np.array([80.0, -60, 10]), step, stay=1)
         bus.start()
         bus.write(DriveBlock(0, line))
@@ -77,9 +61,9 @@ class TestEveryIdealBus:
 
     @pytest.mark.parametrize("slew", [0.7e6, 0.05e6, 54321.0, 0.1e6 / 3])
     def test_abort_is_at_the_slew_limit_from_anywhere(
-        self, bench: Bench, display: Display, slew: float
+        self, bench: Bench, three: Display, slew: float
     ) -> None:
-        bus, step = bench.open(limited(display, slew=slew)), slew / RATE
+        bus, step = bench.open(limited(three, slew=slew)), slew / RATE
         multiples = step * np.array([[1, -2, 3], [4, -1, 0], [7, -9, 11]])
         for start in (*noise(30), *np.clip(multiples, -100, 100)):
             line = climb(start, step, stay=1)
@@ -90,8 +74,8 @@ class TestEveryIdealBus:
             begin = np.flatnonzero(np.all(np.abs(out - start) <= bench.wire, axis=1))[-1]
             assert_broken_off(out[begin:], line[-1:], step, bench.wire)
 
-    def test_a_gap_of_seconds_fades_out_and_in_again(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_a_gap_of_seconds_fades_out_and_in_again(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         bus.start()
         bus.write(DriveBlock(0, level(10, 20, -30)))
         bus.write(DriveBlock(3 * SECOND + 7, level(1, 2, 3, count=2 * FADE)))
@@ -108,9 +92,9 @@ class TestEveryIdealBus:
         assert not out[10 + FADE : -2 * FADE].any()
 
     def test_about_a_second_is_kept_or_with_keep_all_everything(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), noise(3 * SECOND)
+        bus, volts = bench.open(three), noise(3 * SECOND)
         bus.start()
         play(bus, volts, list(range(64, len(volts), 64)))
         out = bench.put_out(bus)
@@ -121,10 +105,10 @@ class TestEveryIdealBus:
         np.testing.assert_allclose(out, volts[-len(out) :], rtol=0, atol=bench.wire)
 
     @pytest.mark.ci
-    def test_memory_does_not_grow(self, bench: Bench, display: Display) -> None:
+    def test_memory_does_not_grow(self, bench: Bench, three: Display) -> None:
         if "keep=all" in bench.url:
             pytest.skip("keeps everything")
-        bus, block = bench.open(display), level(10, 20, 30, count=64)
+        bus, block = bench.open(three), level(10, 20, 30, count=64)
         bus.start()
         for k in range(200):
             bus.write(DriveBlock(64 * k, block))
@@ -142,22 +126,14 @@ class TestEveryIdealBus:
         assert grown < 0.05 * 400 * 64 * per_sample, "5 % of what was played"
 
 
-def test_the_plant_of_this_test_lies_outside_the_package(display: Display) -> None:
-    open_bus(IDEAL[3], display)
+def test_the_plant_of_this_test_lies_outside_the_package(three: Display) -> None:
+    open_bus(IDEAL[3], three)
     module = sys.modules["plant_of_the_bus_contract"]
     assert not Path(str(module.__file__)).is_relative_to(Path(base.__file__).parents[1])
 
 
-@pytest.fixture
-def impatient() -> Iterator[None]:
-    """Threads that let each other have their turn at every other instruction."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(before)
-
-
-def test_e_stops_from_other_threads_meet_whoever_writes(impatient: None) -> None:
+@pytest.mark.usefixtures("impatient")
+def test_e_stops_from_other_threads_meet_whoever_writes() -> None:
     wiring = Wiring(channels=4, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
     bus = MockBus(wiring)
     for _ in range(60):

@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import daemon_rig
 import pytest
 from daemon_rig import PATIENCE, Hands, daemon, figure, free_port, run, until
 from osc_faults import bundle, mutated, packet
@@ -27,7 +26,7 @@ from tactile.daemon.osc import read_estops, read_packet, to_command
 from tactile.daemon.server import Server
 from tactile.errors import InputError
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
 
 
 @asynccontextmanager

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import parts_rig
 import pytest
 from chip_models import Drv2667Model
 from parts_rig import (
@@ -30,9 +29,6 @@ from tactile.bus.parts.occupancy import RATES, Occupancy, measured_rates
 from tactile.bus.parts.pump import share
 from tactile.bus.registry import open_bus
 from tactile.errors import BusStateError, InputError
-
-one = parts_rig.one
-
 
 # Pure parts
 

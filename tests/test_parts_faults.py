@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import parts_rig
 import pytest
 from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel
 from parts_rig import ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
@@ -19,9 +18,6 @@ from tactile.bus.parts.chip_bus import START_WAIT
 from tactile.bus.parts.drv2667 import Drv2667
 from tactile.clock import ModelClock
 from tactile.errors import BusStateError
-
-one = parts_rig.one
-
 
 # What goes wrong
 

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import playback_rig
 import pytest
-from playback_rig import FADE, RATE, SINGLE, Played, played, stroke
+from playback_rig import FADE, RATE, SINGLE, TRAJECTORIES, Played, played, stroke
 
 from tactile.clock import ModelClock
 from tactile.daemon.playback import PlayedBlock, play
@@ -15,12 +14,15 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
 from tactile.texture.surface import Texture
 
-case = playback_rig.case
-display = playback_rig.display
-oak = playback_rig.oak
-
-
 # Blocks
+
+
+@pytest.fixture(scope="module", params=TRAJECTORIES)
+def case(
+    request: pytest.FixtureRequest, display: Display, oak: Texture
+) -> tuple[Trajectory, Played]:
+    trajectory = TRAJECTORIES[request.param]
+    return trajectory, played(display, oak, trajectory)
 
 
 def test_blocks_cover_exactly_the_duration(case: tuple[Trajectory, Played]) -> None:

@@ -22,7 +22,7 @@ from tactile.daemon.playback_process import SILENCE, WATCH, Program
 from tactile.daemon.player import BLOCK, Player
 from tactile.daemon.shared import Shared
 from tactile.daemon.waves import Curve
-from tactile.display import Display, load_display
+from tactile.display import Display
 
 RATE = 8000.0
 ME = 1
@@ -70,11 +70,6 @@ class Stage:
             stream=False,
         )
         assert not self.order(orders.Shape(ME, curve)).failure
-
-
-@pytest.fixture(scope="module")
-def display() -> Display:
-    return load_display("reference-24")
 
 
 @pytest.fixture

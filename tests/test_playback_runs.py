@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import playback_rig
 import pytest
 from playback_rig import FIDELITY, RATE, SLIDE, Floats, played, stroke, swing
 from scipy.signal import butter, sosfilt
@@ -29,10 +28,6 @@ from tactile.errors import BusError, InputError, TactileError
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture
-
-display = playback_rig.display
-oak = playback_rig.oak
-
 
 # What the skin did
 

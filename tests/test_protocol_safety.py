@@ -9,9 +9,6 @@ Time is virtual throughout. What a failure leaves behind is `rig.records`; `save
 for `virtual-amplifier --replay`.
 """
 
-import os
-import shutil
-import subprocess
 from pathlib import Path
 from random import Random
 
@@ -33,20 +30,6 @@ NAMES = list(CONFIGS)
 CHANCE = st.integers(0, 1 << 20).map(Random)
 STEPS = settings(stateful_step_count=40)
 C = SPEC.parent / "c"
-
-
-@pytest.fixture(scope="session")
-def virtual_amplifier(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    missing = [tool for tool in ("make", "cc") if shutil.which(tool) is None]
-    if missing:
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"CI has no {missing[0]}")
-        pytest.skip(f"no {missing[0]}: the amplifier in C is not compared")
-    build = tmp_path_factory.mktemp("virtual-amplifier")
-    make = ["make", "--silent", "-C", str(C), f"BUILD={build}", "virtual-amplifier"]
-    done = subprocess.run(make, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return build / "virtual-amplifier"
 
 
 def assert_same(rig: Rig, program: Path, at: Path) -> None:

@@ -1,7 +1,5 @@
 """The vectors of firmware_protocol, through the implementation in C."""
 
-import os
-import shutil
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
@@ -9,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from c_amplifier_rig import compiler
 from vectors_rig import (
     COUNTERS,
     OPTIONS,
@@ -34,15 +33,6 @@ from vectors_rig import (
 
 from firmware_protocol.messages import MESSAGES
 from firmware_protocol.packet import Packet, decode_packet, encode_packet
-
-
-def compiler() -> str:
-    found = shutil.which(os.environ.get("CC", "cc"))
-    if found is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail("CI has no C compiler")
-        pytest.skip("no C compiler")
-    return found
 
 
 def run(*command: str | Path, **options: Any) -> bytes:
@@ -275,18 +265,6 @@ def test_spectrum_in_c(vector: Vector, core: Core) -> None:
         numbers = [v["position"], len(v["codes"]), *v["increments"]]
         numbers += [x for pair in v["codes"] for x in pair]
         assert core("value " + " ".join(map(str, numbers))) == str(v["value"])
-
-
-@pytest.fixture(scope="session")
-def virtual_amplifier(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler()
-    if shutil.which("make") is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail("CI has no make")
-        pytest.skip("no make")
-    build = tmp_path_factory.mktemp("build")
-    run("make", "-C", PROTOCOL / "c", f"BUILD={build}", "virtual-amplifier")
-    return build / "virtual-amplifier"
 
 
 def records(vector: Vector) -> bytes:

@@ -126,11 +126,6 @@ def run(renderer: tactile.Renderer, place: Floats, force: Any, size: int) -> tup
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-@pytest.fixture(scope="module")
-def display() -> tactile.Display:
-    return tactile.load_display("reference-24")
-
-
 def test_shear_is_the_sum_over_waves_at_each_contactor(display: tactile.Display) -> None:
     texture = plain("wood-oak")
     r = tactile.render(

@@ -5,7 +5,6 @@ Figures are counts and orders, not times: what one client does must not show in 
 
 from typing import Any
 
-import daemon_rig
 import jsonschema  # type: ignore[import-untyped]
 import pytest
 from daemon_rig import (
@@ -35,7 +34,8 @@ from tactile.daemon.messages import (
     Select,
 )
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
+
 
 # Both encodings, every kind of message
 

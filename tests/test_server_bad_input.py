@@ -3,7 +3,6 @@
 import json
 from typing import Any
 
-import daemon_rig
 import msgspec
 import pytest
 from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, run, talking
@@ -14,7 +13,7 @@ from tactile.daemon.decoding import ENCODINGS, hint, read_estop
 from tactile.daemon.messages import JSON_PROTOCOL, LARGEST_MESSAGE, MSGPACK_PROTOCOL, Select
 from tactile.daemon.rates import TokenBucket
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
 
 
 @each_encoding

@@ -6,7 +6,6 @@ import random
 import socket
 from typing import Any
 
-import daemon_rig
 import msgspec
 import pytest
 from daemon_rig import (
@@ -32,7 +31,8 @@ from tactile.daemon.config import Config, OscConfig, ServerConfig
 from tactile.daemon.messages import MSGPACK_PROTOCOL, Arm
 from tactile.daemon.server import running
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
+
 
 CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"] + [CONTACT]
 """Nothing that arms: that nothing else does is what the fuzz shows."""

@@ -6,7 +6,6 @@ import time
 from contextlib import suppress
 from typing import Any
 
-import daemon_rig
 import pytest
 from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, run, talking, until
 
@@ -17,7 +16,8 @@ from tactile.daemon.metrics import Metrics
 from tactile.daemon.requests import Requests
 from tactile.daemon.server import Server
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
+
 
 KINDS = ["gain", "select", "arm", "disarm", "estop", "effect"]
 

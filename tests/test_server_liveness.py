@@ -1,13 +1,12 @@
 """Signs of life: how silence is counted, without a clock, and what a real connection gives."""
 
-import daemon_rig
 import pytest
 from daemon_rig import daemon, run, talking, until
 
 from tactile.daemon import listening, liveness
 from tactile.daemon.liveness import TICK, Due, SignsOfLife
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
 
 
 def steps(signs: SignsOfLife, count: int, *, passed: float = TICK) -> list[Due]:

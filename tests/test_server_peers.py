@@ -10,7 +10,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import daemon_rig
 import httpx
 import pytest
 from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, run, talking, unix_connect
@@ -26,8 +25,10 @@ from tactile.daemon.peers import OTHERS, Peer, local_peer, roles_of_user, tcp_pe
 from tactile.daemon.server import running
 from tactile.errors import InputError
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="users of peers are told by Linux")
-patient = daemon_rig.patient
+pytestmark = [
+    pytest.mark.usefixtures("patient"),
+    pytest.mark.skipif(sys.platform != "linux", reason="users of peers are told by Linux"),
+]
 PROTOCOL = Subprotocol(JSON_PROTOCOL)
 
 # Users

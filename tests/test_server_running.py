@@ -11,7 +11,6 @@ import sys
 import textwrap
 from pathlib import Path
 
-import daemon_rig
 import pytest
 from daemon_rig import (
     CONTACT,
@@ -37,7 +36,8 @@ from tactile.daemon.messages import JSON_PROTOCOL
 from tactile.daemon.server import running
 from tactile.errors import InputError
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
+
 
 # HTTP
 

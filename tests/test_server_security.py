@@ -10,7 +10,6 @@ from contextlib import AsyncExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import daemon_rig
 import httpx
 import pytest
 from daemon_rig import (
@@ -38,7 +37,9 @@ from tactile.daemon.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
 from tactile.daemon.security import Tokens, host_name, refusal
 from tactile.errors import InputError
 
-patient = daemon_rig.patient
+pytestmark = pytest.mark.usefixtures("patient")
+
+
 TOKEN = "correct horse battery staple"
 APP = "https://app.example"
 

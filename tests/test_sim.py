@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import sim_rig
 from sim_rig import (
     CHANNEL,
     HIGH,
@@ -29,8 +28,13 @@ from tactile.devices import open_bus
 from tactile.display import Display
 from tactile.errors import InputError
 
-_plants = sim_rig._plants
-display = sim_rig.display
+pytestmark = pytest.mark.usefixtures("plant")
+
+
+@pytest.fixture
+def low_finger(tmp_path: Path) -> Display:
+    """Return a display of shuffled lines on a finger that loads little."""
+    return shuffled(tmp_path, LOW)
 
 
 # Shear
@@ -73,12 +77,14 @@ def test_a_tone_on_a_line_shears_its_contactor_as_the_response_says(
         assert abs(np.degrees(np.angle(error))) < 0.8
 
 
-def test_the_shear_is_that_of_the_displays_plant_with_its_delay_taken_off(display: Display) -> None:
+def test_the_shear_is_that_of_the_displays_plant_with_its_delay_taken_off(
+    low_finger: Display,
+) -> None:
     volts = noise(1000)
-    plant = Plant(display.bimorph, display.load_at(1.0), RATE, contactors=4)
+    plant = Plant(low_finger.bimorph, low_finger.load_at(1.0), RATE, contactors=4)
     drive = np.concatenate([volts[:, CHANNEL], np.zeros((plant.delay, 4))])
     expected = plant.step(drive)[0][plant.delay :] * POLARITY
-    bus = opened(display)
+    bus = opened(low_finger)
     bus.start()
     first = play(bus, volts, [])
     assert len(first) == 1000 - plant.delay
@@ -88,11 +94,11 @@ def test_the_shear_is_that_of_the_displays_plant_with_its_delay_taken_off(displa
     np.testing.assert_allclose(shear, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_how_drive_is_cut_and_shear_is_taken_does_not_matter(display: Display) -> None:
+def test_how_drive_is_cut_and_shear_is_taken_does_not_matter(low_finger: Display) -> None:
     volts = noise(700)
     results = []
     for edges in ([], list(range(1, 60)), list(range(64, 700, 64)), [3, 3, 17, 18, 500]):
-        bus = opened(display)
+        bus = opened(low_finger)
         bus.start()
         shear = play(bus, volts, edges)
         bus.stop()
@@ -104,16 +110,16 @@ def test_how_drive_is_cut_and_shear_is_taken_does_not_matter(display: Display) -
         np.testing.assert_allclose(other, results[0], rtol=0, atol=1e-12 * np.abs(other).max())
 
 
-def test_shear_is_taken_once(display: Display) -> None:
-    bus = opened(display)
+def test_shear_is_taken_once(low_finger: Display) -> None:
+    bus = opened(low_finger)
     assert bus.take_shear().shape == (0, 4)
     bus.start()
     assert len(play(bus, noise(100), [])) > 0
     assert bus.take_shear().shape == (0, 4)
 
 
-def test_settling_brings_the_rest_and_the_skin_to_rest(display: Display) -> None:
-    bus = opened(display)
+def test_settling_brings_the_rest_and_the_skin_to_rest(low_finger: Display) -> None:
+    bus = opened(low_finger)
     bus.start()
     play(bus, noise(500), [])
     bus.stop()
@@ -122,8 +128,8 @@ def test_settling_brings_the_rest_and_the_skin_to_rest(display: Display) -> None
     assert bus.take_shear().shape == (0, 4)
 
 
-def test_a_second_stroke_after_settling_is_aligned_as_the_first(display: Display) -> None:
-    bus = opened(display, "sim:?plant=plants_of_the_sim_test:late")
+def test_a_second_stroke_after_settling_is_aligned_as_the_first(low_finger: Display) -> None:
+    bus = opened(low_finger, "sim:?plant=plants_of_the_sim_test:late")
     gain = 1e-9 * np.arange(1, 5) * POLARITY
     for seed in (1, 2):
         volts = noise(400, seed)
@@ -135,8 +141,8 @@ def test_a_second_stroke_after_settling_is_aligned_as_the_first(display: Display
         np.testing.assert_allclose(shear[:400], volts[:, CHANNEL] * gain, rtol=1e-12)
 
 
-def test_gaps_ramps_and_clipped_volts_are_felt_as_they_are_put_out(display: Display) -> None:
-    bus = opened(display, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
+def test_gaps_ramps_and_clipped_volts_are_felt_as_they_are_put_out(low_finger: Display) -> None:
+    bus = opened(low_finger, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
     volts = noise(100)
     volts[50:60] *= 4
     volts[70] = math.nan
@@ -150,8 +156,8 @@ def test_gaps_ramps_and_clipped_volts_are_felt_as_they_are_put_out(display: Disp
     np.testing.assert_allclose(bus.take_shear(), expected, rtol=1e-12, atol=0)
 
 
-def test_memory_is_flat_while_shear_is_taken(display: Display) -> None:
-    bus = opened(display)
+def test_memory_is_flat_while_shear_is_taken(low_finger: Display) -> None:
+    bus = opened(low_finger)
     block = noise(64)
     bus.start()
 
@@ -173,9 +179,9 @@ def test_memory_is_flat_while_shear_is_taken(display: Display) -> None:
 
 
 def test_of_shear_that_nobody_takes_the_last_second_is_kept_and_the_rest_counted(
-    display: Display,
+    low_finger: Display,
 ) -> None:
-    bus = opened(display, "sim:?plant=plants_of_the_sim_test:late")
+    bus = opened(low_finger, "sim:?plant=plants_of_the_sim_test:late")
     volts = noise(30000)
     bus.start()
     for start in range(0, len(volts), 100):
@@ -190,8 +196,8 @@ def test_of_shear_that_nobody_takes_the_last_second_is_kept_and_the_rest_counted
     assert len(bus.take_shear()) == 50
 
 
-def test_with_keep_all_no_shear_is_dropped(display: Display) -> None:
-    bus = opened(display, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
+def test_with_keep_all_no_shear_is_dropped(low_finger: Display) -> None:
+    bus = opened(low_finger, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
     bus.start()
     for start in range(0, 30000, 100):
         bus.write(DriveBlock(start, noise(100)))
@@ -212,12 +218,12 @@ def test_a_table_of_fingers_stands_at_its_middle_force(tmp_path: Path) -> None:
     np.testing.assert_allclose(shear, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_the_simulation_needs_a_display_not_only_its_wiring(display: Display) -> None:
+def test_the_simulation_needs_a_display_not_only_its_wiring(low_finger: Display) -> None:
     class Lines:
         channels = 6
         slew = 1e5
-        limits = display.limits
-        amplifier = display.amplifier
+        limits = low_finger.limits
+        amplifier = low_finger.amplifier
 
     assert Wiring.of(Lines(), RATE).channels == 6
     with pytest.raises(InputError, match="sim: needs a Display"):
@@ -227,9 +233,9 @@ def test_the_simulation_needs_a_display_not_only_its_wiring(display: Display) ->
 # Current
 
 
-def test_the_peak_current_is_the_largest_so_far_of_any_contactor(display: Display) -> None:
-    plant = Plant(display.bimorph, display.load_at(1.0), RATE, contactors=4)
-    bus = opened(display)
+def test_the_peak_current_is_the_largest_so_far_of_any_contactor(low_finger: Display) -> None:
+    plant = Plant(low_finger.bimorph, low_finger.load_at(1.0), RATE, contactors=4)
+    bus = opened(low_finger)
     assert bus.peak_current == 0
     bus.start()
     peak = 0.0
@@ -241,24 +247,28 @@ def test_the_peak_current_is_the_largest_so_far_of_any_contactor(display: Displa
         assert bus.peak_current == pytest.approx(peak, rel=1e-9)
 
 
-def test_at_low_frequency_the_peak_current_is_that_into_the_capacitance(display: Display) -> None:
+def test_at_low_frequency_the_peak_current_is_that_into_the_capacitance(
+    low_finger: Display,
+) -> None:
     """2πfC·V at 100 Hz; finger and beam change the capacitance by some per cent at most."""
     t = np.arange(4000) / RATE
     volts = np.zeros((4000, 6))
     volts[:, 3] = 50 * np.sin(2 * np.pi * 100 * t) * np.minimum(t / 0.1, 1)
-    bus = opened(display)
+    bus = opened(low_finger)
     bus.start()
     bus.write(DriveBlock(0, volts))
-    assert bus.peak_current == pytest.approx(2 * np.pi * 100 * display.capacitance * 50, rel=0.1)
+    assert bus.peak_current == pytest.approx(2 * np.pi * 100 * low_finger.capacitance * 50, rel=0.1)
 
 
 # Anyone's plant
 
 
 @pytest.mark.parametrize(("name", "delay"), [("late", 3), ("at_once", 0)])
-def test_anyones_plant_may_stand_behind_the_drive(display: Display, name: str, delay: int) -> None:
+def test_anyones_plant_may_stand_behind_the_drive(
+    low_finger: Display, name: str, delay: int
+) -> None:
     volts = noise(300)
-    bus = opened(display, f"sim:?plant=plants_of_the_sim_test:{name}")
+    bus = opened(low_finger, f"sim:?plant=plants_of_the_sim_test:{name}")
     bus.start()
     shear = play(bus, volts, [1, 2, 64, 200])
     assert len(shear) == 300 - delay
@@ -269,9 +279,9 @@ def test_anyones_plant_may_stand_behind_the_drive(display: Display, name: str, d
     assert bus.peak_current == pytest.approx(1e-6 * np.abs(volts[:, CHANNEL]).max())
 
 
-def test_a_factory_is_given_display_and_sample_rate(display: Display) -> None:
-    open_bus("sim:?plant=plants_of_the_sim_test:late", display, sample_rate=5000.0)
-    assert sys.modules["plants_of_the_sim_test"].given[-1] == (display, 5000.0)
+def test_a_factory_is_given_display_and_sample_rate(low_finger: Display) -> None:
+    open_bus("sim:?plant=plants_of_the_sim_test:late", low_finger, sample_rate=5000.0)
+    assert sys.modules["plants_of_the_sim_test"].given[-1] == (low_finger, 5000.0)
 
 
 @pytest.mark.parametrize(
@@ -294,8 +304,8 @@ def test_a_factory_is_given_display_and_sample_rate(display: Display) -> None:
         "plants_of_the_sim_test:with_negative_delay",
     ],
 )
-def test_what_is_no_plant_is_one_line_that_names_it(display: Display, spec: str) -> None:
+def test_what_is_no_plant_is_one_line_that_names_it(low_finger: Display, spec: str) -> None:
     with pytest.raises(InputError, match="sim: plant = ") as found:
-        open_bus(f"sim:?plant={spec}", display)
+        open_bus(f"sim:?plant={spec}", low_finger)
     assert repr(spec) in str(found.value)
     assert "\n" not in str(found.value)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import strength_rig
 from scipy.integrate import quad
 from strength_rig import STROKE, authored, felt, few, played, ribs, skin, spectrum
 
@@ -36,10 +35,7 @@ from tactile.rendering.strength import (
 from tactile.texture.perception import CENTERS, EDGES, band_sensation, detection_threshold
 from tactile.texture.surface import GOLDEN, Texture, load_texture, without_friction
 
-brief = strength_rig.brief
-calf = strength_rig.calf
-display = strength_rig.display
-suede = strength_rig.suede
+pytestmark = pytest.mark.usefixtures("brief")
 
 
 # Closed form
@@ -47,14 +43,14 @@ suede = strength_rig.suede
 
 @pytest.mark.parametrize("frequency", [30.0, 250.0, 700.0])
 def test_a_grating_has_exactly_its_peak_over_the_threshold(
-    tmp_path: Path, display: Display, frequency: float
+    tmp_path: Path, pair: Display, frequency: float
 ) -> None:
     """The display's filter adds its error: 0.04 dB at most."""
     texture = ribs(tmp_path, frequency, 5.0)
     lines = commanded_lines(texture, speed=0.08, normal_force=0.5)
     expected = 20 * np.log10(5e-6 / detection_threshold(np.array([frequency]))[0])
     assert band_sensation(lines.frequency, lines.power).max() == pytest.approx(expected, abs=1e-6)
-    assert texture_strength(display, texture).level.max() == pytest.approx(expected, abs=0.05)
+    assert texture_strength(pair, texture).level.max() == pytest.approx(expected, abs=0.05)
 
 
 def test_the_roll_off_above_1_khz_is_in_the_lines(tmp_path: Path) -> None:
@@ -151,18 +147,18 @@ def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_p
 
 
 def test_drive_is_predicted_from_the_lines(
-    display: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
+    pair: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(strength, "PLACES", 24)
-    found = texture_strength(display, calf)
+    found = texture_strength(pair, calf)
     assert found.predicted_rms == pytest.approx(found.drive_rms, rel=0.05)
 
 
 def test_where_the_inverse_is_bounded_less_than_asked_for_is_played(
-    tmp_path: Path, display: Display
+    tmp_path: Path, pair: Display
 ) -> None:
     """Full drive of 0.1 V attains half of the smallest shear that anyone feels."""
-    weak = few(display, 0, volts=0.1)
+    weak = few(pair, 0, volts=0.1)
     found = texture_strength(weak, ribs(tmp_path, 250.0, 0.01))
     band = int(np.argmax(found.commanded))
     assert found.attainable[band] == pytest.approx(0.0529e-6, rel=0.02)
@@ -171,40 +167,38 @@ def test_where_the_inverse_is_bounded_less_than_asked_for_is_played(
     assert found.lost_db[band] == pytest.approx(-20 * np.log10(share))
 
 
-def test_a_projecting_display_plays_the_cosine(tmp_path: Path, display: Display) -> None:
+def test_a_projecting_display_plays_the_cosine(tmp_path: Path, pair: Display) -> None:
     texture = ribs(tmp_path, 250.0, 1.0)
-    turned = replace(display, shear_direction=np.radians([60.0, 60.0]), projected=True)
+    turned = replace(pair, shear_direction=np.radians([60.0, 60.0]), projected=True)
     level = texture_strength(turned, texture).level.max()
-    assert level == pytest.approx(texture_strength(display, texture).level.max() - 6.02, abs=0.01)
+    assert level == pytest.approx(texture_strength(pair, texture).level.max() - 6.02, abs=0.01)
 
 
 # Limits
 
 
-def test_too_much_is_limited_and_the_automatic_gain_is_not(
-    display: Display, suede: Texture
-) -> None:
-    gain = automatic_gain(display, suede)
+def test_too_much_is_limited_and_the_automatic_gain_is_not(pair: Display, suede: Texture) -> None:
+    gain = automatic_gain(pair, suede)
     assert gain.limit == "voltage"
-    assert played(display, amplified(suede, gain.value), 0.6).limited_samples == 0
-    assert played(display, amplified(suede, 1.6 * gain.value), 0.6).limited_samples > 0
-    assert texture_strength(display, suede, gain=1.6 * gain.value).limited_share > 0
-    as_found = texture_strength(display, suede, gain=gain.value)
+    assert played(pair, amplified(suede, gain.value), 0.6).limited_samples == 0
+    assert played(pair, amplified(suede, 1.6 * gain.value), 0.6).limited_samples > 0
+    assert texture_strength(pair, suede, gain=1.6 * gain.value).limited_share > 0
+    as_found = texture_strength(pair, suede, gain=gain.value)
     assert as_found.limited_share == 0
     assert as_found.automatic == gain
     assert as_found.drive_peak == pytest.approx(gain.drive_peak)
-    assert gain.drive_peak == pytest.approx(HEADROOM * display.limits.voltage, rel=1e-6)
+    assert gain.drive_peak == pytest.approx(HEADROOM * pair.limits.voltage, rel=1e-6)
     assert 2 < gain.crest < 10
 
 
-def test_friction_has_its_share_of_the_drive_kept_free(display: Display, calf: Texture) -> None:
-    bare = automatic_gain(display, calf)
+def test_friction_has_its_share_of_the_drive_kept_free(pair: Display, calf: Texture) -> None:
+    bare = automatic_gain(pair, calf)
     dragging = load_texture("leather-calf", partials=128)
     assert dragging.descriptor.friction is not None
-    gain = automatic_gain(display, dragging)
+    gain = automatic_gain(pair, dragging)
     assert gain.value == pytest.approx((1 - STROKE_SHARE) * bare.value)
     assert gain.drive_peak == pytest.approx((1 - STROKE_SHARE) * bare.drive_peak)
-    assert played(display, amplified(dragging, gain.value), 0.6).limited_samples == 0
+    assert played(pair, amplified(dragging, gain.value), 0.6).limited_samples == 0
 
 
 @pytest.mark.ci
@@ -218,71 +212,69 @@ def test_half_a_minute_stays_within_the_limits_at_the_automatic_gain(name: str) 
 
 
 def test_the_automatic_gain_of_a_grating_is_what_the_limit_attains(
-    tmp_path: Path, display: Display
+    tmp_path: Path, pair: Display
 ) -> None:
     """Sampled peaks of a sinusoid at 250 Hz, 32 samples a period, come within 0.5 %."""
-    gain = automatic_gain(display, ribs(tmp_path, 250.0, 2.0))
-    able = reach(display, STROKE).least_attainable(np.array([250.0]))[0]
+    gain = automatic_gain(pair, ribs(tmp_path, 250.0, 2.0))
+    able = reach(pair, STROKE).least_attainable(np.array([250.0]))[0]
     assert gain.value == pytest.approx(HEADROOM * able / 2e-6, rel=0.01)
 
 
 @pytest.mark.parametrize("limit", ["slew", "current"])
-def test_what_limits_is_told(tmp_path: Path, display: Display, limit: str) -> None:
+def test_what_limits_is_told(tmp_path: Path, pair: Display, limit: str) -> None:
     """100 V at 700 Hz rise by 0.44 V/µs."""
-    slow = {"slew": 1e5} if limit == "slew" else {"current": 1e5 * display.capacitance}
-    limited = replace(display, limits=replace(display.limits, **slow))
+    slow = {"slew": 1e5} if limit == "slew" else {"current": 1e5 * pair.capacitance}
+    limited = replace(pair, limits=replace(pair.limits, **slow))
     gain = automatic_gain(limited, ribs(tmp_path, 700.0, 2.0))
     assert gain.limit == limit
     able = reach(limited, STROKE).least_attainable(np.array([700.0]))[0]
     assert gain.value == pytest.approx(HEADROOM * able / 2e-6, rel=0.01)
-    assert able < 0.3 * reach(display, STROKE).least_attainable(np.array([700.0]))[0]
+    assert able < 0.3 * reach(pair, STROKE).least_attainable(np.array([700.0]))[0]
 
 
-def test_an_asked_level_is_reached_where_the_limits_allow_it(
-    display: Display, calf: Texture
-) -> None:
+def test_an_asked_level_is_reached_where_the_limits_allow_it(pair: Display, calf: Texture) -> None:
     """A band that crosses its threshold begins to count: at 20 dB SL a step of 0.04 dB."""
-    most = automatic_gain(display, calf)
-    gain = automatic_gain(display, calf, level=20.0)
+    most = automatic_gain(pair, calf)
+    gain = automatic_gain(pair, calf, level=20.0)
     assert gain.limit == "level"
     assert gain.level == pytest.approx(20.0, abs=0.05)
     assert gain.value < most.value
-    channels = texture_strength(display, calf, gain=gain.value).channels
+    channels = texture_strength(pair, calf, gain=gain.value).channels
     assert max(channels.values()) == pytest.approx(20.0, abs=0.05)
-    assert automatic_gain(display, calf, level=90.0) == most
+    assert automatic_gain(pair, calf, level=90.0) == most
 
 
-def test_a_faint_trial_is_the_drive_of_the_whole(display: Display, calf: Texture) -> None:
+def test_a_faint_trial_is_the_drive_of_the_whole(pair: Display, calf: Texture) -> None:
     """`render` takes the delay off, the trial only what settles: 160 samples of the first place."""
-    whole, late = played(display, calf, 0.3).drive, Renderer(display, None).delay
-    found = trial(display, calf, STROKE).drive[0]
+    whole, late = played(pair, calf, 0.3).drive, Renderer(pair, None).delay
+    found = trial(pair, calf, STROKE).drive[0]
     np.testing.assert_allclose(found, whole[160 - late : 2160 - late], atol=1e-4)
 
 
-def test_a_trial_settles_at_every_place(display: Display, calf: Texture) -> None:
+def test_a_trial_settles_at_every_place(pair: Display, calf: Texture) -> None:
     """The third place's drive is that of a stroke that began there, less the time to settle."""
     start = strength.SPREAD * (2 * np.array([GOLDEN, GOLDEN**0.5]) % 1)
     line = Trajectory([0.0, 0.3], [start, start + np.array([0.024, 0.0])], 0.5)
-    whole, late = render(display, calf, line).drive, Renderer(display, None).delay
-    found = trial(display, calf, STROKE).drive[2]
+    whole, late = render(pair, calf, line).drive, Renderer(pair, None).delay
+    found = trial(pair, calf, STROKE).drive[2]
     np.testing.assert_allclose(found, whole[160 - late : 2160 - late], atol=2e-3)
 
 
 @pytest.mark.ci
 def test_two_displays_are_equally_strong_as_rendered(
-    display: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
+    pair: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One has a fifth of the voltage and a finger that loads it more; 4 s of stroke each.
 
     Equal within 0.1 dB; from the predicted level both may be off by what waves beat.
     """
     monkeypatch.setattr(strength, "PLACES", 24)
-    other = replace(few(display, 1, volts=20.0), name="weak", load=FingerLoad.high())
-    equal = equal_gain([display, other], calf)
+    other = replace(few(pair, 1, volts=20.0), name="weak", load=FingerLoad.high())
+    equal = equal_gain([pair, other], calf)
     assert equal.weakest == "weak"
     assert equal.gains[0].limit == "level"
     levels = []
-    for shown, gain in zip((few(display, 1), other), equal.gains, strict=True):
+    for shown, gain in zip((few(pair, 1), other), equal.gains, strict=True):
         stroke = played(shown, amplified(calf, gain.value), 4.0)
         assert stroke.limited_samples == 0
         levels.append(felt(*spectrum(skin(shown, stroke.drive)[800:-800], 8000)))
@@ -293,7 +285,7 @@ def test_two_displays_are_equally_strong_as_rendered(
 # Doors
 
 
-def test_a_gain_multiplies_all_that_a_texture_does(tmp_path: Path, display: Display) -> None:
+def test_a_gain_multiplies_all_that_a_texture_does(tmp_path: Path, pair: Display) -> None:
     """Waves (of calf), gratings and events alike."""
     mixed = authored(
         tmp_path,
@@ -302,13 +294,13 @@ def test_a_gain_multiplies_all_that_a_texture_does(tmp_path: Path, display: Disp
     )
     calf = load_texture("leather-calf")
     mixed = replace(mixed, wave_vector=calf.wave_vector, amplitude=calf.amplitude)
-    once, twice = (played(display, one, 0.2).shear for one in (mixed, amplified(mixed, 2.0)))
+    once, twice = (played(pair, one, 0.2).shear for one in (mixed, amplified(mixed, 2.0)))
     np.testing.assert_allclose(twice, 2 * once, atol=1e-5 * np.abs(once).max())
 
 
-def test_a_run_takes_a_gain_and_tells_it(display: Display, calf: Texture) -> None:
+def test_a_run_takes_a_gain_and_tells_it(pair: Display, calf: Texture) -> None:
     line = Trajectory.line(speed=0.08, duration=0.2)
-    one, three = (run(display, calf, line, device="mock:", gain=g) for g in (1.0, 3.0))
+    one, three = (run(pair, calf, line, device="mock:", gain=g) for g in (1.0, 3.0))
     assert (one.gain, three.gain) == (1.0, 3.0)
     assert three.peak_shear_um == pytest.approx(3 * one.peak_shear_um, rel=1e-4)
 
@@ -333,9 +325,9 @@ def test_a_negative_gain_and_no_display_are_refused(calf: Texture) -> None:
         equal_gain([], calf)
 
 
-def test_a_texture_that_is_silent_has_no_automatic_gain(tmp_path: Path, display: Display) -> None:
+def test_a_texture_that_is_silent_has_no_automatic_gain(tmp_path: Path, pair: Display) -> None:
     with pytest.raises(InputError, match="nothing to play"):
-        automatic_gain(display, ribs(tmp_path, 1300.0, 1.0))
+        automatic_gain(pair, ribs(tmp_path, 1300.0, 1.0))
 
 
 def printed(

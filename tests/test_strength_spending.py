@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import strength_rig
 from scipy.optimize import linprog
 from strength_rig import STROKE, authored, felt, few
 
@@ -14,10 +13,7 @@ from tactile.rendering.strength import automatic_gain, reach
 from tactile.texture.perception import band_sensation
 from tactile.texture.surface import Texture
 
-brief = strength_rig.brief
-calf = strength_rig.calf
-display = strength_rig.display
-suede = strength_rig.suede
+pytestmark = pytest.mark.usefixtures("brief")
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -41,17 +37,17 @@ def test_the_weights_solve_the_linear_program(seed: int) -> None:
     assert found @ value == pytest.approx(-best.fun, rel=1e-7)
 
 
-def test_nothing_changes_where_the_drive_suffices(display: Display, calf: Texture) -> None:
-    assert spending.spend(display, calf) is calf
+def test_nothing_changes_where_the_drive_suffices(pair: Display, calf: Texture) -> None:
+    assert spending.spend(pair, calf) is calf
     np.testing.assert_array_equal(spending.weights(np.ones(3), np.ones(3), np.zeros(3), 3.0), 1.0)
 
 
 @pytest.mark.parametrize("volts", [4.0, 1.0])
 def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
-    suede: Texture, display: Display, volts: float
+    suede: Texture, pair: Display, volts: float
 ) -> None:
     """Dropped is what a band has no more of: it lies below 0 dB SL at full strength already."""
-    weak = few(display, 0, volts=volts)
+    weak = few(pair, 0, volts=volts)
     spent = spending.spend(weak, suede)
     before, after = STROKE.lines(suede), STROKE.lines(spent)
     own, left = (band_sensation(one.frequency, one.power) for one in (before, after))
@@ -69,18 +65,18 @@ def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
 
 
 def test_a_part_that_is_felt_is_lowered_by_no_more_than_the_distance(
-    display: Display, calf: Texture
+    pair: Display, calf: Texture
 ) -> None:
     """At a gain at which everything between 20 and 640 Hz is felt."""
-    spent = spending.spend(display, calf, gain=60.0)
+    spent = spending.spend(pair, calf, gain=60.0)
     ratio = 20 * np.log10(spent.amplitude[calf.amplitude > 0] / calf.amplitude[calf.amplitude > 0])
     assert ratio.min() == pytest.approx(-spending.DISTANCE_DB)
     assert ratio.max() == pytest.approx(0, abs=1e-12)
 
 
-def test_an_isotropic_texture_stays_isotropic(display: Display, calf: Texture) -> None:
+def test_an_isotropic_texture_stays_isotropic(pair: Display, calf: Texture) -> None:
     """The weight of a wave goes with its wave number alone."""
-    spent = spending.spend(few(display, 0, volts=2.0), calf)
+    spent = spending.spend(few(pair, 0, volts=2.0), calf)
     size = np.linalg.norm(calf.wave_vector, axis=1)
     some = calf.amplitude > 0
     ratio, order = (spent.amplitude[some] / calf.amplitude[some]), np.argsort(size[some])
@@ -90,7 +86,7 @@ def test_an_isotropic_texture_stays_isotropic(display: Display, calf: Texture) -
 
 
 def test_harmonics_below_threshold_are_dropped_and_the_felt_one_is_kept(
-    tmp_path: Path, display: Display
+    tmp_path: Path, pair: Display
 ) -> None:
     """10 Hz of 1 µm is below threshold and takes most of the drive, 250 Hz of 0.5 µm is felt."""
     both = authored(
@@ -98,7 +94,7 @@ def test_harmonics_below_threshold_are_dropped_and_the_felt_one_is_kept(
         "[[periodic]]\nwavelength_mm = 8.0\nharmonics_um = [1.0]\n"
         "[[periodic]]\nwavelength_mm = 0.32\nharmonics_um = [0.5]\n",
     )
-    spent = spending.spend(few(display, 0, volts=1.0), both)
+    spent = spending.spend(few(pair, 0, volts=1.0), both)
     slow, fast = (part.harmonics_um[0] for part in spent.descriptor.periodic)
     assert slow == 0
     assert fast == 0.5

@@ -28,9 +28,9 @@ class TestBlocks:
     """What arrives, also where it is wrong."""
 
     def test_a_short_gap_is_counted_and_bridged_by_a_straight_line(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.start()
         bus.write(DriveBlock(0, level(10, 20, -30)))
         bus.write(DriveBlock(25, level(1, 2, 3)))
@@ -44,9 +44,9 @@ class TestBlocks:
         assert bus.counters.samples == 20
 
     def test_a_gap_at_the_beginning_is_silent_and_what_follows_fades_in(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.start(100)
         bus.write(DriveBlock(104, level(10, 20, -30, count=FADE + 10)))
         bus.stop()
@@ -56,8 +56,8 @@ class TestBlocks:
         assert_played(out[4:], rise, bench.wire)
         assert bus.counters.faults() == {"lost_samples": 4}
 
-    def test_a_long_gap_fades_out_and_in_again(self, bench: Bench, display: Display) -> None:
-        bus, gap = bench.open(display), 1600
+    def test_a_long_gap_fades_out_and_in_again(self, bench: Bench, three: Display) -> None:
+        bus, gap = bench.open(three), 1600
         bus.start()
         bus.write(DriveBlock(0, level(10, 20, -30)))
         bus.write(DriveBlock(gap, level(1, 2, 3, count=2 * FADE)))
@@ -71,10 +71,10 @@ class TestBlocks:
         assert_linear_ramp(out[gap + 2 * FADE :], np.array([1.0, 2, 3]), bench.wire)
 
     def test_a_resend_is_dropped_counted_and_otherwise_changes_nothing(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
         volts = noise(300)
-        once, twice = bench.open(display), bench.open(display)
+        once, twice = bench.open(three), bench.open(three)
         expected = played(bench, once, volts, [100, 200])
         twice.start()
         for start in (0, 100, 200):
@@ -87,9 +87,9 @@ class TestBlocks:
         assert twice.counters.samples == once.counters.samples
 
     def test_a_block_from_long_ago_does_not_turn_the_stream_back(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), noise(400)
+        bus, volts = bench.open(three), noise(400)
         bus.start()
         play(bus, volts[:300], [100, 200])
         bus.write(DriveBlock(0, volts[:50]))
@@ -101,9 +101,9 @@ class TestBlocks:
         assert bus.counters.samples == 400
 
     def test_of_an_overlapping_block_the_new_part_is_played(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), noise(150)
+        bus, volts = bench.open(three), noise(150)
         bus.start()
         bus.write(DriveBlock(0, volts[:100]))
         bus.write(DriveBlock(70, volts[70:]))
@@ -112,8 +112,8 @@ class TestBlocks:
         assert bus.counters.faults() == {"repeated_samples": 30}
         assert bus.counters.samples == 150
 
-    def test_what_lies_before_the_start_is_dropped(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_what_lies_before_the_start_is_dropped(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         bus.start(1000)
         bus.write(DriveBlock(990, level(50, 50, 50)))
         bus.write(DriveBlock(1000, level(1, 2, 3)))
@@ -122,18 +122,18 @@ class TestBlocks:
         assert bus.counters.faults() == {"repeated_samples": 10}
 
     def test_what_is_not_finite_is_counted_and_played_as_0_volts(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), level(10, 20, -30)
+        bus, volts = bench.open(three), level(10, 20, -30)
         volts[3, 1], volts[4, 1], volts[4, 2] = math.nan, math.inf, -math.inf
         expected = np.where(np.isfinite(volts), volts, 0.0)
         assert_played(played(bench, bus, volts), expected, bench.wire)
         assert bus.counters.faults() == {"invalid_samples": 3}
 
     def test_volts_over_the_limit_are_counted_and_never_put_out(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), level(VOLTAGE, -VOLTAGE, 0)
+        bus, volts = bench.open(three), level(VOLTAGE, -VOLTAGE, 0)
         volts[2] = 101, -250, 30
         volts[5] = np.nextafter(VOLTAGE, 200), -1e300, math.nan
         out = played(bench, bus, volts)
@@ -141,13 +141,13 @@ class TestBlocks:
         assert_played(out, np.clip(np.nan_to_num(volts), -VOLTAGE, VOLTAGE), bench.wire)
         assert bus.counters.faults() == {"clipped_samples": 4, "invalid_samples": 1}
 
-    def test_volts_at_the_limit_are_no_fault(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_volts_at_the_limit_are_no_fault(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         played(bench, bus, level(VOLTAGE, -VOLTAGE, 0))
         assert bus.counters.faults() == {}
 
-    def test_nothing_bad_survives_into_the_ramps(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_nothing_bad_survives_into_the_ramps(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         for end in (bus.stop, bus.abort):
             bus.start()
             bus.write(DriveBlock(0, level(math.nan, math.inf, 1e9)))
@@ -157,9 +157,9 @@ class TestBlocks:
             assert_rests(out)
 
     def test_a_block_without_a_column_per_channel_is_refused_and_nothing_played(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.start()
         for shape in [(10,), (10, 2), (10, 4), (3, 10), (1, 10, 3), ()]:
             with pytest.raises(InputError, match=r"write: block of shape .*, needs \(S, 3\)"):
@@ -172,9 +172,9 @@ class TestBlocks:
 
     @pytest.mark.parametrize("cuts", ["1", "64", "random", "whole"])
     def test_how_the_stream_is_cut_does_not_matter(
-        self, bench: Bench, display: Display, cuts: str
+        self, bench: Bench, three: Display, cuts: str
     ) -> None:
-        bus, volts = bench.open(display), noise(500)
+        bus, volts = bench.open(three), noise(500)
         volts[100:110] = math.nan
         volts[200:220] *= 3
         edges = {
@@ -191,8 +191,8 @@ class TestBlocks:
         assert bus.counters.faults() == {"invalid_samples": 30, "clipped_samples": over}
         assert bus.counters.samples == 500
 
-    def test_an_empty_block_is_no_fault(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_an_empty_block_is_no_fault(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         bus.start()
         bus.write(DriveBlock(0, np.zeros((0, 3))))
         bus.write(DriveBlock(0, level(1, 2, 3)))
@@ -201,9 +201,9 @@ class TestBlocks:
         assert bus.counters.faults() == {}
 
     def test_the_callers_array_is_neither_changed_nor_kept(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus, volts = bench.open(display), level(150, math.nan, 3)
+        bus, volts = bench.open(three), level(150, math.nan, 3)
         same = volts.copy()
         bus.start()
         bus.write(DriveBlock(0, volts))
@@ -215,8 +215,8 @@ class TestBlocks:
         expected = np.concatenate([level(100, 0, 3), level(9, 9, 9)])
         assert_played(bench.put_out(bus), expected, bench.wire)
 
-    def test_positions_begin_where_start_says(self, bench: Bench, display: Display) -> None:
-        bus, volts = bench.open(display), noise(30)
+    def test_positions_begin_where_start_says(self, bench: Bench, three: Display) -> None:
+        bus, volts = bench.open(three), noise(30)
         for begin in (10**12, 0, 5):
             before = len(bench.put_out(bus))
             bus.start(begin)

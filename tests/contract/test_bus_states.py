@@ -28,20 +28,20 @@ class TestStates:
     """Which calls are allowed, and what ends."""
 
     def test_opens_idle_for_its_display_and_declares_what_host_death_does(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         assert bus.state == "idle"
         assert bus.status == base.Status("idle")
-        assert bus.wiring == Wiring.of(display, RATE)
+        assert bus.wiring == Wiring.of(three, RATE)
         assert bus.on_host_death in get_args(HostDeath)
         assert bus.counters == base.Counters()
         assert not bench.put_out(bus).any()
 
     def test_start_is_refused_while_running_and_after_close(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.start()
         with pytest.raises(BusStateError, match="start: the bus is running"):
             bus.start()
@@ -50,8 +50,8 @@ class TestStates:
         with pytest.raises(BusStateError, match="start: the bus is closed"):
             bus.start()
 
-    def test_write_is_refused_unless_running(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_write_is_refused_unless_running(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         block = DriveBlock(0, level(1, 2, 3))
         for kind in (BusStateError, BusError, OSError, RuntimeError):
             with pytest.raises(kind, match="write: the bus is idle"):
@@ -86,9 +86,9 @@ class TestStates:
 
     @pytest.mark.parametrize("first", ["stop", "abort"])
     def test_stop_abort_and_close_are_idempotent(
-        self, bench: Bench, display: Display, first: str
+        self, bench: Bench, three: Display, first: str
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.stop()
         bus.abort()
         assert not bench.put_out(bus).any()
@@ -103,15 +103,15 @@ class TestStates:
         assert bus.state == "closed"
         assert np.array_equal(bench.put_out(bus), ended)
 
-    def test_close_stops_first(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_close_stops_first(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         bus.start()
         bus.write(DriveBlock(0, level(80, -60, 10)))
         bus.close()
         assert_linear_ramp(bench.put_out(bus)[10:], np.array([80.0, -60, 10]), bench.wire)
 
-    def test_leaving_the_with_block_stops_and_closes(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_leaving_the_with_block_stops_and_closes(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         with bus as entered:
             assert entered is bus
             bus.start()
@@ -164,9 +164,9 @@ class TestStates:
         assert_played(played(bench, bus, level(1, 2, 3)), level(1, 2, 3), bench.wire)
 
     def test_positions_are_due_one_after_another_at_the_sample_rate(
-        self, bench: Bench, display: Display
+        self, bench: Bench, three: Display
     ) -> None:
-        bus = bench.open(display)
+        bus = bench.open(three)
         bus.start(1000)
         bus.write(DriveBlock(1000, level(1, 2, 3)))
         steps = np.diff([bus.due(1000 + k) for k in (0, 16, 8000)])
@@ -175,8 +175,8 @@ class TestStates:
         assert bus.ahead >= 0
         bus.stop()
 
-    def test_estop_holds_where_nothing_played(self, bench: Bench, display: Display) -> None:
-        bus = bench.open(display)
+    def test_estop_holds_where_nothing_played(self, bench: Bench, three: Display) -> None:
+        bus = bench.open(three)
         bus.estop()
         with pytest.raises(BusStateError, match="start: the bus is estopped"):
             bus.start()

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from daemon_rig import run, until
+from daemon_rig import until
 
 from tactile.daemon import logs, watchdog
 from tactile.daemon.config import (
@@ -301,7 +301,7 @@ def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
         yield listening
 
 
-def test_systemd_is_told_that_we_live_only_while_playback_does(
+async def test_systemd_is_told_that_we_live_only_while_playback_does(
     systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "2000")
@@ -311,12 +311,9 @@ def test_systemd_is_told_that_we_live_only_while_playback_does(
         asked.append(len(asked) < 3)
         return asked[-1]
 
-    async def story() -> None:
-        task = asyncio.create_task(watchdog.keep_alive(beat))
-        await until(lambda: len(asked) > 6)
-        task.cancel()
-
-    run(story)
+    task = asyncio.create_task(watchdog.keep_alive(beat))
+    await until(lambda: len(asked) > 6)
+    task.cancel()
     systemd.setblocking(False)
     assert [systemd.recv(100) for _ in range(3)] == [b"WATCHDOG=1"] * 3
     with pytest.raises(BlockingIOError):

@@ -12,7 +12,9 @@ from tactile.daemon.estop_desk import EstopDesk
 from tactile.daemon.latch import Latch
 
 
-def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_process_that_cannot_be_started_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     refused: list[str] = []
 
     def started(module: str, *words: Any) -> Child:
@@ -24,16 +26,12 @@ def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.Mon
     monkeypatch.setattr(estop_desk, "Child", started)
     monkeypatch.setattr(estop_desk, "RETRY", 0.0)
     latch = Latch.open("sim:", Path())
-
-    async def story() -> None:
-        desk = EstopDesk()
-        await desk.start({"right": latch})
-        async with asyncio.timeout(60):
-            while not desk.address:
-                await asyncio.sleep(0.01)
-        assert len(refused) == 2
-        await desk.close()
-        assert not desk.address
-
-    asyncio.run(story())
+    desk = EstopDesk()
+    await desk.start({"right": latch})
+    async with asyncio.timeout(60):
+        while not desk.address:
+            await asyncio.sleep(0.01)
+    assert len(refused) == 2
+    await desk.close()
+    assert not desk.address
     latch.close()

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, run, talking
+from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, talking
 
 from tactile.clock import ModelClock
 from tactile.daemon import connection, decoding, listening
@@ -17,56 +17,47 @@ pytestmark = pytest.mark.usefixtures("patient")
 
 
 @each_encoding
-def test_what_is_wrong_is_told_with_code_field_and_id_and_the_stream_goes_on(protocol: str) -> None:
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there, protocol) as talker:
-            for bad in BAD:
-                data: Any = json.dumps(bad.content)
-                if protocol == MSGPACK_PROTOCOL:
-                    data = msgspec.msgpack.encode(bad.content)
-                await talker.link.send(data)
-                found = await talker.receive()
-                assert (found["type"], found["code"]) == ("failure", bad.code), bad
-                assert found.get("field", "") == bad.field, bad
-                asked = bad.content.get("id") if isinstance(bad.content, dict) else None
-                assert found.get("id") == (asked if asked == 7 else None), bad
-                assert len(found["message"]) <= 200
-                assert "\n" not in found["message"]
-            await talker.send(**CONTACT)
-            assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
-            assert len(hands.clients[0].contacts) == 1
-            assert hands.clients[0].commands == []
-
-    run(story)
+async def test_what_is_wrong_is_told_with_code_field_and_id_and_the_stream_goes_on(
+    protocol: str,
+) -> None:
+    async with daemon() as (there, hands), talking(there, protocol) as talker:
+        for bad in BAD:
+            data: Any = json.dumps(bad.content)
+            if protocol == MSGPACK_PROTOCOL:
+                data = msgspec.msgpack.encode(bad.content)
+            await talker.link.send(data)
+            found = await talker.receive()
+            assert (found["type"], found["code"]) == ("failure", bad.code), bad
+            assert found.get("field", "") == bad.field, bad
+            asked = bad.content.get("id") if isinstance(bad.content, dict) else None
+            assert found.get("id") == (asked if asked == 7 else None), bad
+            assert len(found["message"]) <= 200
+            assert "\n" not in found["message"]
+        await talker.send(**CONTACT)
+        assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
+        assert len(hands.clients[0].contacts) == 1
+        assert hands.clients[0].commands == []
 
 
 @pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity", "1e999"])
-def test_json_that_is_no_number_is_refused(value: str) -> None:
+async def test_json_that_is_no_number_is_refused(value: str) -> None:
     text = json.dumps(CONTACT).replace("0.5", value)
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as talker:
-            await talker.link.send(text)
-            found = await talker.receive()
-            assert found["code"] == ("invalid_field" if value == "1e999" else "malformed")
-            assert hands.clients[0].contacts == []
-
-    run(story)
+    async with daemon() as (there, hands), talking(there) as talker:
+        await talker.link.send(text)
+        found = await talker.receive()
+        assert found["code"] == ("invalid_field" if value == "1e999" else "malformed")
+        assert hands.clients[0].contacts == []
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("name", ["normal_force_n", "position_mm", "velocity_mm_s"])
-def test_messagepack_that_is_no_number_is_refused(value: float, name: str) -> None:
+async def test_messagepack_that_is_no_number_is_refused(value: float, name: str) -> None:
     message = dict(CONTACT, **{name: value if name == "normal_force_n" else [0.0, value]})
     field = name if name == "normal_force_n" else f"{name}[1]"
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there, MSGPACK_PROTOCOL) as talker:
-            found = await talker.ask(**message)
-            assert (found["code"], found["field"]) == ("invalid_field", field)
-            assert hands.clients[0].contacts == []
-
-    run(story)
+    async with daemon() as (there, hands), talking(there, MSGPACK_PROTOCOL) as talker:
+        found = await talker.ask(**message)
+        assert (found["code"], found["field"]) == ("invalid_field", field)
+        assert hands.clients[0].contacts == []
 
 
 MALFORMED: dict[str, tuple[str, str | bytes]] = {
@@ -86,62 +77,47 @@ MALFORMED: dict[str, tuple[str, str | bytes]] = {
 
 
 @pytest.mark.parametrize("name", MALFORMED)
-def test_what_is_no_message_is_malformed(name: str) -> None:
+async def test_what_is_no_message_is_malformed(name: str) -> None:
     protocol, data = MALFORMED[name]
-
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there, protocol) as talker:
-            await talker.link.send(data)
-            assert (await talker.receive())["code"] == "malformed"
-            assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
-
-    run(story)
+    async with daemon() as (there, _), talking(there, protocol) as talker:
+        await talker.link.send(data)
+        assert (await talker.receive())["code"] == "malformed"
+        assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
 
 
 @pytest.mark.parametrize("letter", ["x", "µ", "𝄞"])
-def test_the_largest_message_is_taken_and_one_byte_more_is_too_large(letter: str) -> None:
+async def test_the_largest_message_is_taken_and_one_byte_more_is_too_large(letter: str) -> None:
     head, tail = '{"type":"ping","time_us":1,"x":"', '"}'
     room = LARGEST_MESSAGE - len(head) - len(tail)
     count = room // len(letter.encode())
     pad = "y" * (room - count * len(letter.encode()))
-
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there) as talker:
-            await talker.link.send(head + letter * count + pad + tail)
-            assert (await talker.receive())["type"] == "pong"
-            await talker.link.send(head + letter * count + pad + "y" + tail)
-            assert (await talker.receive())["code"] == "too_large"
-            assert (await talker.closed())[0] == 1009
-
-    run(story)
+    async with daemon() as (there, _), talking(there) as talker:
+        await talker.link.send(head + letter * count + pad + tail)
+        assert (await talker.receive())["type"] == "pong"
+        await talker.link.send(head + letter * count + pad + "y" + tail)
+        assert (await talker.receive())["code"] == "too_large"
+        assert (await talker.closed())[0] == 1009
 
 
-def test_what_is_far_too_large_is_not_even_read() -> None:
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there, MSGPACK_PROTOCOL) as talker:
-            await talker.link.send(b"x" * (listening.LARGEST_READ + 1))
-            assert (await talker.closed())[0] == 1009
-
-    run(story)
+async def test_what_is_far_too_large_is_not_even_read() -> None:
+    async with daemon() as (there, _), talking(there, MSGPACK_PROTOCOL) as talker:
+        await talker.link.send(b"x" * (listening.LARGEST_READ + 1))
+        assert (await talker.closed())[0] == 1009
 
 
-def test_the_hosts_failures_and_its_breaking_are_answers() -> None:
+async def test_the_hosts_failures_and_its_breaking_are_answers() -> None:
     """A code that the host gives comes back as it is; an exception is `internal`."""
     codes = ["not_armed", "estopped", "busy", "unavailable", "unknown_texture", "unsupported"]
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as talker:
-            for code in codes:
-                hands.codes[Select] = code
-                found = await talker.ask(**SELECT, id=4)
-                assert (found["code"], found["id"], found["field"]) == (code, 4, "display")
-            hands.broken = True
-            assert (await talker.ask(**SELECT, id=4))["code"] == "internal"
-            assert (await talker.ask(**CONTACT))["code"] == "internal"
-            hands.broken = False
-            assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
-
-    run(story)
+    async with daemon() as (there, hands), talking(there) as talker:
+        for code in codes:
+            hands.codes[Select] = code
+            found = await talker.ask(**SELECT, id=4)
+            assert (found["code"], found["id"], found["field"]) == (code, 4, "display")
+        hands.broken = True
+        assert (await talker.ask(**SELECT, id=4))["code"] == "internal"
+        assert (await talker.ask(**CONTACT))["code"] == "internal"
+        hands.broken = False
+        assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
 
 
 ESTOP = {"type": "estop", "id": 7}
@@ -169,24 +145,21 @@ def test_an_estop_is_known_by_its_type_and_by_nothing_else(
     assert read_estop(b"" if isinstance(data, str) else "", ENCODINGS[protocol]) is None
 
 
-def test_of_messages_that_are_too_many_only_an_estop_is_used(
+async def test_of_messages_that_are_too_many_only_an_estop_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as talker:
-            monkeypatch.setattr(TokenBucket, "take", lambda *_: False)
-            for _ in range(20):
-                await talker.send(**CONTACT, x="estop")
-                await talker.send(type="bogus", x="estop")
-            await talker.send(**ESTOP)
-            while (found := await talker.receive())["type"] != "done":
-                assert found["code"] == "too_fast"
-            assert found["id"] == 7
-            assert hands.clients[0].contacts == []
-            reason = {"transport": "websocket", "reason": "too_fast"}
-            assert figure(there, "tactile_dropped_messages_total", **reason) == 40
-
-    run(story)
+    async with daemon() as (there, hands), talking(there) as talker:
+        monkeypatch.setattr(TokenBucket, "take", lambda *_: False)
+        for _ in range(20):
+            await talker.send(**CONTACT, x="estop")
+            await talker.send(type="bogus", x="estop")
+        await talker.send(**ESTOP)
+        while (found := await talker.receive())["type"] != "done":
+            assert found["code"] == "too_fast"
+        assert found["id"] == 7
+        assert hands.clients[0].contacts == []
+        reason = {"transport": "websocket", "reason": "too_fast"}
+        assert figure(there, "tactile_dropped_messages_total", **reason) == 40
 
 
 def test_similar_names_are_looked_for_so_often_and_no_more(
@@ -199,15 +172,12 @@ def test_similar_names_are_looked_for_so_often_and_no_more(
     assert set(found[20:]) == {"similar names are looked for 20 times a second at most"}
 
 
-def test_nothing_but_failures_ends_the_connection_and_one_good_message_does_not() -> None:
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there) as talker:
-            for _ in range(connection.MOST_FAILURES):
-                await talker.ask(type="bogus")
-            await talker.send(**CONTACT)
-            for _ in range(connection.MOST_FAILURES):
-                await talker.ask(type="bogus")
-            await talker.send(type="bogus")
-            assert await talker.closed() == tuple(connection.FLOOD)
-
-    run(story)
+async def test_nothing_but_failures_ends_the_connection_and_one_good_message_does_not() -> None:
+    async with daemon() as (there, _), talking(there) as talker:
+        for _ in range(connection.MOST_FAILURES):
+            await talker.ask(type="bogus")
+        await talker.send(**CONTACT)
+        for _ in range(connection.MOST_FAILURES):
+            await talker.ask(type="bogus")
+        await talker.send(type="bogus")
+        assert await talker.closed() == tuple(connection.FLOOD)

@@ -18,7 +18,6 @@ from daemon_rig import (
     figure,
     free_port,
     get,
-    run,
     talking,
     unread,
     until,
@@ -69,22 +68,10 @@ def mutated(rng: random.Random, protocol: str, display: str = "right") -> str | 
 
 @pytest.mark.parametrize("count", [2000, pytest.param(often(100_000), marks=pytest.mark.ci)])
 @each_encoding
-def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(protocol: str, count: int) -> None:
+async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
+    protocol: str, count: int
+) -> None:
     rng = random.Random(f"{protocol} {count}")
-
-    async def story() -> None:
-        sent = 0
-        async with daemon(messages_per_second=100_000) as (there, hands):
-            while sent < count:
-                async with talking(there, protocol) as talker:
-                    sent += await batch(talker, min(count - sent, 50))
-            async with talking(there, protocol) as talker:
-                assert (await talker.ask(type="ping", time_us=1, id=5))["id"] == 5
-            assert not hands.armed
-            assert all(not isinstance(c, Arm) for hand in hands.clients for c in hand.commands)
-            assert figure(there, "tactile_failures_total", code="internal") == 0
-            assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
-            assert figure(there, "tactile_failures_total", code="malformed") > count / 20
 
     async def batch(talker: Talker, most: int) -> int:
         for _ in range(most):
@@ -94,7 +81,18 @@ def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(protocol: str, cou
             assert found["type"] in ("failure", "done", "textures", "appended", "stats", "pong")
         return most
 
-    run(story, within=900)
+    sent = 0
+    async with daemon(messages_per_second=100_000) as (there, hands):
+        while sent < count:
+            async with talking(there, protocol) as talker:
+                sent += await batch(talker, min(count - sent, 50))
+        async with talking(there, protocol) as talker:
+            assert (await talker.ask(type="ping", time_us=1, id=5))["id"] == 5
+        assert not hands.armed
+        assert all(not isinstance(c, Arm) for hand in hands.clients for c in hand.commands)
+        assert figure(there, "tactile_failures_total", code="internal") == 0
+        assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
+        assert figure(there, "tactile_failures_total", code="malformed") > count / 20
 
 
 async def disturb(talker: Talker, link: socket.socket, rng: random.Random) -> None:
@@ -130,7 +128,7 @@ async def arm_and_touch(talker: Talker) -> None:
 
 
 @pytest.mark.realtime
-def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
+async def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Also by OSC; then it still does what it should, down to its drive."""
@@ -142,45 +140,37 @@ def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
         server=ServerConfig(port=0, socket="", messages_per_second=100_000),
         osc=OscConfig(port=port),
     )
-
-    async def story() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            link.connect(("127.0.0.1", port))
-            async with running(config) as there:
-                for protocol in 100 * BOTH:
-                    async with talking(there, protocol) as talker:
-                        await disturb(talker, link, rng)
-                await until(lambda: figure(there, "tactile_clients", transport="osc") == 0)
-                async with talking(there) as talker:
-                    before = await talker.asked(type="get_stats", display="default")
-                    assert before["state"] in ("estopped", "disarmed")
-                    assert figure(there, "tactile_failures_total", code="internal") == 0
-                    await arm_and_touch(talker)
-                assert (await get(there, "/healthz")).status_code == 200
-
-    run(story, within=900)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", port))
+        async with running(config) as there:
+            for protocol in 100 * BOTH:
+                async with talking(there, protocol) as talker:
+                    await disturb(talker, link, rng)
+            await until(lambda: figure(there, "tactile_clients", transport="osc") == 0)
+            async with talking(there) as talker:
+                before = await talker.asked(type="get_stats", display="default")
+                assert before["state"] in ("estopped", "disarmed")
+                assert figure(there, "tactile_failures_total", code="internal") == 0
+                await arm_and_touch(talker)
+            assert (await get(there, "/healthz")).status_code == 200
 
 
-def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
+async def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
     rng = random.Random(1)
-
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there) as other:
-            for number in range(100):
-                if number % 2:
-                    link = await unread(there)
-                    link.setblocking(False)
-                    head = b""
-                else:
-                    link = socket.socket()
-                    link.setblocking(False)
-                    loop = asyncio.get_running_loop()
-                    await loop.sock_connect(link, ("127.0.0.1", there.port))
-                    head = rng.choice([b"GET /v1 HTTP/1.1\r\n", b"", b"GET http://[ HTTP/1.1\r\n"])
-                with link:
-                    noise = rng.randbytes(rng.randrange(1, 300))
-                    await asyncio.get_running_loop().sock_sendall(link, head + noise)
-                assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
-            await until(lambda: there.site.clients == 1)
-
-    run(story)
+    async with daemon() as (there, _), talking(there) as other:
+        for number in range(100):
+            if number % 2:
+                link = await unread(there)
+                link.setblocking(False)
+                head = b""
+            else:
+                link = socket.socket()
+                link.setblocking(False)
+                loop = asyncio.get_running_loop()
+                await loop.sock_connect(link, ("127.0.0.1", there.port))
+                head = rng.choice([b"GET /v1 HTTP/1.1\r\n", b"", b"GET http://[ HTTP/1.1\r\n"])
+            with link:
+                noise = rng.randbytes(rng.randrange(1, 300))
+                await asyncio.get_running_loop().sock_sendall(link, head + noise)
+            assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
+        await until(lambda: there.site.clients == 1)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, run, talking, until
+from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, talking, until
 
 from tactile.daemon import requests
 from tactile.daemon.connection import Connection
@@ -61,57 +61,49 @@ def nobody_is_left(there: Server, hands: Hands) -> bool:
 
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.ci)])
-def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
+async def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
     rng = random.Random(count)
-
-    async def story() -> None:
-        async with daemon(most_clients=8) as (there, hands):
-            hands.pause = Hesitation(rng)
-            before = asyncio.all_tasks()
-            while len(hands.clients) < count:
-                # A place is free only once its client's requests have ended: four must be left.
-                await until(lambda: there.site.clients <= 4)
-                await asyncio.gather(*(hang_up(there, rng) for _ in range(4)))
-            await until(lambda: nobody_is_left(there, hands))
-            await until(lambda: asyncio.all_tasks() <= before)
-            assert [hand.closed for hand in hands.clients] == [1] * len(hands.clients)
-            for _ in range(8):
-                async with talking(there) as talker:
-                    assert (await talker.ask(**SELECT))["type"] == "done"
-            assert "arm" in hands.clients[-1].roles
-
-    run(story, within=900)
+    async with daemon(most_clients=8) as (there, hands):
+        hands.pause = Hesitation(rng)
+        before = asyncio.all_tasks()
+        while len(hands.clients) < count:
+            # A place is free only once its client's requests have ended: four must be left.
+            await until(lambda: there.site.clients <= 4)
+            await asyncio.gather(*(hang_up(there, rng) for _ in range(4)))
+        await until(lambda: nobody_is_left(there, hands))
+        await until(lambda: asyncio.all_tasks() <= before)
+        assert [hand.closed for hand in hands.clients] == [1] * len(hands.clients)
+        for _ in range(8):
+            async with talking(there) as talker:
+                assert (await talker.ask(**SELECT))["type"] == "done"
+        assert "arm" in hands.clients[-1].roles
 
 
-def test_a_request_that_never_ends_keeps_no_place(
+async def test_a_request_that_never_ends_keeps_no_place(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Nor one that does not let itself be cancelled, nor an e-stop that hangs."""
     monkeypatch.setattr(requests, "FINISH_WITHIN", 0.05)
+    async with daemon(most_clients=2) as (there, hands):
+        end = asyncio.Event()
 
-    async def story() -> None:
-        async with daemon(most_clients=2) as (there, hands):
-            end = asyncio.Event()
+        async def hang() -> None:
+            while not end.is_set():
+                try:
+                    await end.wait()
+                except asyncio.CancelledError:
+                    continue
 
-            async def hang() -> None:
-                while not end.is_set():
-                    try:
-                        await end.wait()
-                    except asyncio.CancelledError:
-                        continue
-
-            hands.pause = hang
-            for _ in range(6):
-                async with talking(there) as talker:
-                    await talker.send(**SELECT)
-                    await talker.send(type="disarm", display="right")
-                    await talker.send(type="estop")
-                    talker.link.transport.abort()
-                await until(lambda: nobody_is_left(there, hands))
-            assert all("arm" in hand.roles for hand in hands.clients), "a full place each time"
-            end.set()
-
-    run(story)
+        hands.pause = hang
+        for _ in range(6):
+            async with talking(there) as talker:
+                await talker.send(**SELECT)
+                await talker.send(type="disarm", display="right")
+                await talker.send(type="estop")
+                talker.link.transport.abort()
+            await until(lambda: nobody_is_left(there, hands))
+        assert all("arm" in hand.roles for hand in hands.clients), "a full place each time"
+        end.set()
     assert "requests of a client that is gone did not end" in caplog.text
 
 
@@ -133,58 +125,49 @@ class Slow:
 
 
 @pytest.mark.parametrize("in_the_same_turn", [False, True])
-def test_a_cancellation_that_is_lost_carries_out_no_more(in_the_same_turn: bool) -> None:
+async def test_a_cancellation_that_is_lost_carries_out_no_more(in_the_same_turn: bool) -> None:
     """The worker goes on after the request, and finds that it has ended."""
-
-    async def story() -> None:
-        slow = Slow()
-        waiting = Requests(slow, Metrics(Hands()).of("test"), lambda answer: None)  # type: ignore[arg-type]
-        commands: list[Command] = [
-            Select(display="a", layers=()),
-            Arm(display="a"),
-            Disarm(display="a"),
-        ]
-        for command in commands:
-            waiting.offer(command)
-        await slow.begun.wait()
-        waiting.offer(EStop(display="a"))
-        if in_the_same_turn:
-            slow.go_on.set()
-        await waiting.finish()
-        await asyncio.wait({waiting._worker})
-        kinds = [type(command) for command in slow.carried_out]
-        assert Arm not in kinds
-        assert kinds.count(Disarm) == kinds.count(EStop) == 1
-
-    run(story)
+    slow = Slow()
+    waiting = Requests(slow, Metrics(Hands()).of("test"), lambda answer: None)  # type: ignore[arg-type]
+    commands: list[Command] = [
+        Select(display="a", layers=()),
+        Arm(display="a"),
+        Disarm(display="a"),
+    ]
+    for command in commands:
+        waiting.offer(command)
+    await slow.begun.wait()
+    waiting.offer(EStop(display="a"))
+    if in_the_same_turn:
+        slow.go_on.set()
+    await waiting.finish()
+    await asyncio.wait({waiting._worker})
+    kinds = [type(command) for command in slow.carried_out]
+    assert Arm not in kinds
+    assert kinds.count(Disarm) == kinds.count(EStop) == 1
 
 
-def test_a_part_of_a_connection_that_fails_ends_it_and_is_logged(
+async def test_a_part_of_a_connection_that_fails_ends_it_and_is_logged(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def fail(*_: Any) -> Any:
         raise ZeroDivisionError("on purpose")
 
     monkeypatch.setattr(Connection, "_receive", fail)
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as talker:
-            assert (await talker.closed())[0] == 1011
-            await until(lambda: nobody_is_left(there, hands))
-
-    run(story)
+    async with daemon() as (there, hands), talking(there) as talker:
+        assert (await talker.closed())[0] == 1011
+        await until(lambda: nobody_is_left(there, hands))
     assert any("on purpose" in str(record.exc_info) for record in caplog.records)
 
 
-def test_a_client_that_cannot_be_closed_keeps_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_cannot_be_closed_keeps_no_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def fail(self: Any) -> None:
         raise ZeroDivisionError("on purpose")
 
-    async def story() -> None:
-        async with daemon() as (there, hands):
-            async with talking(there) as talker:
-                await talker.ask(type="ping", time_us=time.monotonic_ns() // 1000)
-                monkeypatch.setattr(type(hands.clients[0]), "close", fail)
-            await until(lambda: there.site.clients == 0)
-
-    run(story)
+    async with daemon() as (there, hands):
+        async with talking(there) as talker:
+            await talker.ask(type="ping", time_us=time.monotonic_ns() // 1000)
+            monkeypatch.setattr(type(hands.clients[0]), "close", fail)
+        await until(lambda: there.site.clients == 0)

@@ -1,7 +1,7 @@
 """Signs of life: how silence is counted, without a clock, and what a real connection gives."""
 
 import pytest
-from daemon_rig import daemon, run, talking, until
+from daemon_rig import daemon, talking, until
 
 from tactile.daemon import listening, liveness
 from tactile.daemon.liveness import TICK, Due, SignsOfLife
@@ -70,42 +70,37 @@ def test_time_in_which_the_loop_stood_still_counts_as_two_ticks(stall: float) ->
     assert first(found, "quiet") == [1], "150 ms are three times two ticks"
 
 
-def test_a_real_client_answers_pings_and_one_that_reads_nothing_is_given_up() -> None:
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as talker:
-            (one,) = there.site.places
-            before = one._link.received
-            hands.clients[0].sounds = hands.clients[0].holds_voltage = True
-            await until(lambda: one._link.received > before + 10)  # pongs: it says nothing
-            hands.clients[0].sounds = hands.clients[0].holds_voltage = True
-            gave_up = hands.clients[0].gave_up
-            talker.link.transport.pause_reading()
-            await until(lambda: hands.clients[0].gave_up > gave_up)
-            assert hands.clients[0].quieted >= hands.clients[0].gave_up, "quiet first"
-            talker.link.transport.resume_reading()
-            assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
-            assert hands.clients[0].closed == 0
-
-    run(story)
+async def test_a_real_client_answers_pings_and_one_that_reads_nothing_is_given_up() -> None:
+    async with daemon() as (there, hands), talking(there) as talker:
+        (one,) = there.site.places
+        before = one._link.received
+        hands.clients[0].sounds = hands.clients[0].holds_voltage = True
+        await until(lambda: one._link.received > before + 10)  # pongs: it says nothing
+        hands.clients[0].sounds = hands.clients[0].holds_voltage = True
+        gave_up = hands.clients[0].gave_up
+        talker.link.transport.pause_reading()
+        await until(lambda: hands.clients[0].gave_up > gave_up)
+        assert hands.clients[0].quieted >= hands.clients[0].gave_up, "quiet first"
+        talker.link.transport.resume_reading()
+        assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
+        assert hands.clients[0].closed == 0
 
 
-def test_a_client_with_nothing_at_stake_is_not_pinged(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_with_nothing_at_stake_is_not_pinged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(listening, "PING_EVERY", 3600.0)
     monkeypatch.setattr(liveness, "QUIET_AFTER", 3600.0)
     monkeypatch.setattr(liveness, "GIVE_UP_AFTER", 3600.0)
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there) as calm, talking(there) as other:
-            await calm.ask(type="ping", time_us=1)
-            await other.ask(type="ping", time_us=1)
-            calm_link, other_link = (one._link for one in there.site.places)
-            names = [hand.name for hand in hands.clients]
-            assert names == ["test", "test"]
-            before = calm_link.received, other_link.received
-            hands.clients[0].sounds = True
-            await until(lambda: calm_link.received + other_link.received > sum(before) + 10)
-            grown = sorted([calm_link.received - before[0], other_link.received - before[1]])
-            assert grown[0] == 0
-            assert grown[1] > 10
-
-    run(story)
+    async with daemon() as (there, hands), talking(there) as calm, talking(there) as other:
+        await calm.ask(type="ping", time_us=1)
+        await other.ask(type="ping", time_us=1)
+        calm_link, other_link = (one._link for one in there.site.places)
+        names = [hand.name for hand in hands.clients]
+        assert names == ["test", "test"]
+        before = calm_link.received, other_link.received
+        hands.clients[0].sounds = True
+        await until(lambda: calm_link.received + other_link.received > sum(before) + 10)
+        grown = sorted([calm_link.received - before[0], other_link.received - before[1]])
+        assert grown[0] == 0
+        assert grown[1] > 10

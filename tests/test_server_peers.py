@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
-from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, run, talking, unix_connect
+from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, talking, unix_connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
@@ -101,19 +101,15 @@ def test_this_user_and_root_may_do_all_and_others_watch_and_stop() -> None:
     assert roles_of_user(None) == OTHERS == {"watch", "stop"}
 
 
-def test_another_user_who_comes_by_tcp_may_watch_and_stop(
+async def test_another_user_who_comes_by_tcp_may_watch_and_stop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(peers, "tcp_peer", lambda _: Peer(os.geteuid() + 1))
-
-    async def story() -> None:
-        async with daemon() as (there, hands), talking(there, hello=False) as talker:
-            welcome = await talker.ask(type="hello", client="other")
-            assert welcome["roles"] == ["stop", "watch"]
-            assert welcome["may_arm"] is False
-            assert hands.clients[0].roles == OTHERS
-
-    run(story)
+    async with daemon() as (there, hands), talking(there, hello=False) as talker:
+        welcome = await talker.ask(type="hello", client="other")
+        assert welcome["roles"] == ["stop", "watch"]
+        assert welcome["may_arm"] is False
+        assert hands.clients[0].roles == OTHERS
 
 
 # Tokens
@@ -126,30 +122,26 @@ def token(folder: Path, name: str, *roles: Any) -> TokenConfig:
     return TokenConfig(file=str(path), roles=roles or tuple(sorted(ALL_ROLES)))
 
 
-def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(
+async def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connection, "PENALTY", 0.0)
     kinds: list[tuple[str, ...]] = [("all",), ("game", "play"), ("w", "watch")]
     tokens = tuple(token(tmp_path, *kind) for kind in kinds)
-
-    async def story() -> None:
-        async with daemon(token=tokens) as (there, _):
-            for name, roles in [
-                ("all", ["arm", "play", "stop", "watch"]), ("game", ["play"]), ("w", ["watch"]),
-            ]:  # fmt: skip
-                said = f"{name}-nobody-guesses"
-                async with talking(there, hello=False) as talker:
-                    welcome = await talker.ask(type="hello", client="a", token=said)
-                    assert welcome["roles"] == roles
-                    assert welcome["may_arm"] is ("arm" in roles)
-                found = await get(there, "/metrics", authorization=f"Bearer {said}")
-                assert found.status_code == (200 if "watch" in roles else 401)
+    async with daemon(token=tokens) as (there, _):
+        for name, roles in [
+            ("all", ["arm", "play", "stop", "watch"]), ("game", ["play"]), ("w", ["watch"]),
+        ]:  # fmt: skip
+            said = f"{name}-nobody-guesses"
             async with talking(there, hello=False) as talker:
-                refused = await talker.ask(type="hello", client="a")
-                assert "server.token_file or [[token]]" in refused["message"]
-
-    run(story)
+                welcome = await talker.ask(type="hello", client="a", token=said)
+                assert welcome["roles"] == roles
+                assert welcome["may_arm"] is ("arm" in roles)
+            found = await get(there, "/metrics", authorization=f"Bearer {said}")
+            assert found.status_code == (200 if "watch" in roles else 401)
+        async with talking(there, hello=False) as talker:
+            refused = await talker.ask(type="hello", client="a")
+            assert "server.token_file or [[token]]" in refused["message"]
 
 
 # The Unix socket
@@ -161,36 +153,30 @@ async def talking_locally(path: Path) -> AsyncIterator[Talker]:
         yield Talker(link, JSON_PROTOCOL)
 
 
-def test_who_may_open_the_socket_may_do_all_without_a_token(tmp_path: Path) -> None:
+async def test_who_may_open_the_socket_may_do_all_without_a_token(tmp_path: Path) -> None:
     path = tmp_path / "new" / "socket"
-
-    async def story() -> None:
-        options: Any = {"token": (token(tmp_path, "t", "watch"),), "socket": str(path)}
-        async with daemon(**options) as (there, hands):
-            assert stat.S_IMODE(path.stat().st_mode) == 0o600
-            assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-            async with talking_locally(path) as talker:
-                welcome = await talker.ask(type="hello", client="local")
-                assert set(welcome["roles"]) == ALL_ROLES
-                assert (await talker.ask(type="estop"))["type"] == "done"
-            async with talking_locally(path) as talker:  # a token that is said decides
-                welcome = await talker.ask(type="hello", client="a", token="t-nobody-guesses")
-                assert welcome["roles"] == ["watch"]
-            async with talking_locally(path) as talker:
-                refused = await talker.ask(type="hello", client="a", token="wrong")
-                assert refused["code"] == "unauthorized"
-            transport = httpx.AsyncHTTPTransport(uds=str(path))
-            async with httpx.AsyncClient(transport=transport, timeout=PATIENCE) as client:
-                assert (await client.get("http://localhost/metrics")).status_code == 200
-                evil = await client.get(
-                    "http://localhost/metrics", headers={"host": "evil.example"}
-                )
-                assert evil.status_code == 403
-            assert (await get(there, "/metrics")).status_code == 401
-            assert len(hands.clients) == 2
-        assert not path.exists()
-
-    run(story)
+    options: Any = {"token": (token(tmp_path, "t", "watch"),), "socket": str(path)}
+    async with daemon(**options) as (there, hands):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+        async with talking_locally(path) as talker:
+            welcome = await talker.ask(type="hello", client="local")
+            assert set(welcome["roles"]) == ALL_ROLES
+            assert (await talker.ask(type="estop"))["type"] == "done"
+        async with talking_locally(path) as talker:  # a token that is said decides
+            welcome = await talker.ask(type="hello", client="a", token="t-nobody-guesses")
+            assert welcome["roles"] == ["watch"]
+        async with talking_locally(path) as talker:
+            refused = await talker.ask(type="hello", client="a", token="wrong")
+            assert refused["code"] == "unauthorized"
+        transport = httpx.AsyncHTTPTransport(uds=str(path))
+        async with httpx.AsyncClient(transport=transport, timeout=PATIENCE) as client:
+            assert (await client.get("http://localhost/metrics")).status_code == 200
+            evil = await client.get("http://localhost/metrics", headers={"host": "evil.example"})
+            assert evil.status_code == 403
+        assert (await get(there, "/metrics")).status_code == 401
+        assert len(hands.clients) == 2
+    assert not path.exists()
 
 
 def test_a_group_may_be_let_in(tmp_path: Path) -> None:
@@ -220,43 +206,35 @@ def test_a_socket_that_nobody_listens_at_is_replaced_and_one_in_use_is_not(tmp_p
         listen_locally(tmp_path / ("x" * 200))
 
 
-def test_a_second_daemon_goes_on_without_the_usual_socket_and_leaves_it_alone(
+async def test_a_second_daemon_goes_on_without_the_usual_socket_and_leaves_it_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     config = Config(server=ServerConfig(port=0))
-
-    async def story() -> None:
-        async with running(config, host=Hands()):
-            assert "no Unix socket" not in caplog.text
-            async with running(config, host=Hands()) as second, talking(second):
-                assert "no Unix socket; TCP only" in caplog.text
-            async with talking_locally(tmp_path / API_SOCKET) as talker:
-                assert (await talker.ask(type="hello", client="a"))["type"] == "welcome"
-            named = Config(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
-            with pytest.raises(InputError, match="a daemon listens there"):
-                async with running(named, host=Hands()):
-                    pass
-        assert not (tmp_path / API_SOCKET).exists()
-
-    run(story)
+    async with running(config, host=Hands()):
+        assert "no Unix socket" not in caplog.text
+        async with running(config, host=Hands()) as second, talking(second):
+            assert "no Unix socket; TCP only" in caplog.text
+        async with talking_locally(tmp_path / API_SOCKET) as talker:
+            assert (await talker.ask(type="hello", client="a"))["type"] == "welcome"
+        named = Config(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
+        with pytest.raises(InputError, match="a daemon listens there"):
+            async with running(named, host=Hands()):
+                pass
+    assert not (tmp_path / API_SOCKET).exists()
 
 
 # Pages that are not invited
 
 
-def test_an_origin_that_is_refused_is_logged_once_with_the_line_that_invites_it(
+async def test_an_origin_that_is_refused_is_logged_once_with_the_line_that_invites_it(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.WARNING, "tactile.server")
-
-    async def story() -> None:
-        async with daemon(origins=("https://a.example",)) as (there, _):
-            for origin in 3 * ["https://b.example"] + ["null"]:
-                with pytest.raises(InvalidStatus, match="403"):
-                    await connect(there.url, subprotocols=[PROTOCOL], origin=Origin(origin))
-
-    run(story)
+    async with daemon(origins=("https://a.example",)) as (there, _):
+        for origin in 3 * ["https://b.example"] + ["null"]:
+            with pytest.raises(InvalidStatus, match="403"):
+                await connect(there.url, subprotocols=[PROTOCOL], origin=Origin(origin))
     found = [r.__dict__["fields"] for r in caplog.records if r.message == "a page was refused"]
     line = '[server] origins = ["https://a.example", "https://b.example"]'
     assert found == [{"origin": "https://b.example", "invite": line}, {"origin": "null"}]

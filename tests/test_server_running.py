@@ -42,128 +42,101 @@ pytestmark = pytest.mark.usefixtures("patient")
 # HTTP
 
 
-def test_health_is_what_the_host_says() -> None:
-    async def story() -> None:
-        async with daemon() as (there, hands):
-            good = await get(there, "/healthz")
-            assert (good.status_code, good.json()["status"]) == (200, "ok")
-            hands.alive = False
-            bad = await get(there, "/healthz")
-            assert (bad.status_code, bad.json()["status"]) == (503, "failing")
-            assert "WebSocket at /v1" in (await get(there, "/")).text
-
-    run(story)
+async def test_health_is_what_the_host_says() -> None:
+    async with daemon() as (there, hands):
+        good = await get(there, "/healthz")
+        assert (good.status_code, good.json()["status"]) == (200, "ok")
+        hands.alive = False
+        bad = await get(there, "/healthz")
+        assert (bad.status_code, bad.json()["status"]) == (503, "failing")
+        assert "WebSocket at /v1" in (await get(there, "/")).text
 
 
-def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clients() -> None:
-    async def story() -> None:
-        async with daemon() as (there, _), talking(there) as talker:
-            await talker.send(**CONTACT)
-            await talker.ask(type="bogus")
-            text = (await get(there, "/metrics")).text
-            samples = {
-                (sample.name, *sorted(sample.labels.values())): sample.value
-                for family in text_string_to_metric_families(text)
-                for sample in family.samples
-            }
-            assert samples["tactile_underruns_total", "right"] == 3
-            assert samples["tactile_latency_s", "left"] == 0.009
-            assert samples["tactile_clients", "websocket"] == 1
-            assert samples["tactile_messages_total", "contact", "websocket"] == 1
-            assert samples["tactile_failures_total", "unknown_type", "websocket"] == 1
-            assert samples["tactile_message_seconds_count", "contact", "websocket"] == 1
-            assert samples["tactile_log_dropped_total",] == 0
-            assert samples["tactile_healthy",] == 1
-
-    run(story)
+async def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clients() -> None:
+    async with daemon() as (there, _), talking(there) as talker:
+        await talker.send(**CONTACT)
+        await talker.ask(type="bogus")
+        text = (await get(there, "/metrics")).text
+        samples = {
+            (sample.name, *sorted(sample.labels.values())): sample.value
+            for family in text_string_to_metric_families(text)
+            for sample in family.samples
+        }
+        assert samples["tactile_underruns_total", "right"] == 3
+        assert samples["tactile_latency_s", "left"] == 0.009
+        assert samples["tactile_clients", "websocket"] == 1
+        assert samples["tactile_messages_total", "contact", "websocket"] == 1
+        assert samples["tactile_failures_total", "unknown_type", "websocket"] == 1
+        assert samples["tactile_message_seconds_count", "contact", "websocket"] == 1
+        assert samples["tactile_log_dropped_total",] == 0
+        assert samples["tactile_healthy",] == 1
 
 
 @pytest.mark.parametrize("path", ["/nope", "/v1/", "/v1/schema/x", "/../../etc/passwd"])
-def test_what_is_not_there_is_404(path: str) -> None:
-    async def story() -> None:
-        async with daemon() as (there, _):
-            assert (await get(there, path)).status_code == 404
-
-    run(story)
+async def test_what_is_not_there_is_404(path: str) -> None:
+    async with daemon() as (there, _):
+        assert (await get(there, path)).status_code == 404
 
 
-def test_an_error_shows_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_error_shows_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     def break_down(self: Hands) -> bool:
         raise ZeroDivisionError("secret")
 
     monkeypatch.setattr(Hands, "healthy", break_down)
-
-    async def story() -> None:
-        async with daemon() as (there, _):
-            found = await get(there, "/healthz")
-            assert found.status_code == 500
-            assert found.text == "Internal Server Error"
-
-    run(story)
+    async with daemon() as (there, _):
+        found = await get(there, "/healthz")
+        assert found.status_code == 500
+        assert found.text == "Internal Server Error"
 
 
-def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "REQUEST_WITHIN", 0.05)
-
-    async def story() -> None:
-        async with daemon() as (there, _):
-            reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
-            writer.write(b"GET / HT")
-            with contextlib.suppress(ConnectionError):
-                assert await asyncio.wait_for(reader.read(), PATIENCE) == b""
-            writer.close()
-
-    run(story)
+    async with daemon() as (there, _):
+        reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
+        writer.write(b"GET / HT")
+        with contextlib.suppress(ConnectionError):
+            assert await asyncio.wait_for(reader.read(), PATIENCE) == b""
+        writer.close()
 
 
 # Beginning and end
 
 
-def test_each_connection_has_no_delay_and_no_compression() -> None:
-    async def story() -> None:
-        (bound,) = listen(ServerConfig(port=0), guarded=False)
-        assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
-        bound.close()
-        async with daemon() as (there, _), talking(there) as talker:
-            assert talker.link.protocol.extensions == []
-
-    run(story)
+async def test_each_connection_has_no_delay_and_no_compression() -> None:
+    (bound,) = listen(ServerConfig(port=0), guarded=False)
+    assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
+    bound.close()
+    async with daemon() as (there, _), talking(there) as talker:
+        assert talker.link.protocol.extensions == []
 
 
-def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
-    async def story() -> None:
-        async with daemon() as (there, _):
-            hands = Hands()
-            config = Config(server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0))
-            with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
-                async with running(config, host=hands):
-                    pass
-            assert hands.started == 0
-
-    run(story)
+async def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
+    async with daemon() as (there, _):
+        hands = Hands()
+        config = Config(server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0))
+        with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
+            async with running(config, host=hands):
+                pass
+        assert hands.started == 0
 
 
-def test_at_the_end_clients_are_told_and_displays_are_closed_before_connections_are(
+async def test_at_the_end_clients_are_told_and_displays_are_closed_before_connections_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(listening, "CLOSE_WITHIN", PATIENCE)
-
-    async def story() -> None:
-        async with daemon() as (there, hands):
-            talker = await connect(there.url, subprotocols=[Subprotocol(JSON_PROTOCOL)])
-            await talker.send('{"type":"hello","client":"a"}')
-            await talker.recv()
-            hands.armed = True
-        with pytest.raises(ConnectionClosed):
-            await talker.recv()
-        assert (talker.close_code, talker.close_reason) == (1001, "the daemon ends")
-        assert hands.closings >= 1
-        assert not hands.armed
-        assert hands.clients[0].closed == 1
-        with pytest.raises(OSError, match="Connect call failed"):
-            await connect(there.url)
-
-    run(story)
+    async with daemon() as (there, hands):
+        talker = await connect(there.url, subprotocols=[Subprotocol(JSON_PROTOCOL)])
+        await talker.send('{"type":"hello","client":"a"}')
+        await talker.recv()
+        hands.armed = True
+    with pytest.raises(ConnectionClosed):
+        await talker.recv()
+    assert (talker.close_code, talker.close_reason) == (1001, "the daemon ends")
+    assert hands.closings >= 1
+    assert not hands.armed
+    assert hands.clients[0].closed == 1
+    with pytest.raises(OSError, match="Connect call failed"):
+        await connect(there.url)
 
 
 @pytest.mark.parametrize("turns", range(8))
@@ -197,23 +170,20 @@ def test_a_connection_that_comes_as_the_server_ends_is_closed(
     links[0].close()
 
 
-def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None:
+async def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -> None:
     class Broken(Hands):
         async def start(self) -> None:
             raise InputError("no such device")
 
-    async def story() -> None:
-        hands = Broken()
-        port = free_port(socket.SOCK_STREAM)
-        config = Config(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
-        with pytest.raises(InputError, match="no such device"):
-            async with running(config, host=hands):
-                pass
-        assert hands.closings == 1
-        async with running(config, host=Hands()):
+    hands = Broken()
+    port = free_port(socket.SOCK_STREAM)
+    config = Config(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
+    with pytest.raises(InputError, match="no such device"):
+        async with running(config, host=hands):
             pass
-
-    run(story)
+    assert hands.closings == 1
+    async with running(config, host=Hands()):
+        pass
 
 
 PROCESS = """

@@ -4,7 +4,6 @@ import asyncio
 import logging
 
 import pytest
-from daemon_rig import run
 
 from tactile.daemon.tasks import watched
 
@@ -13,32 +12,26 @@ async def fail() -> None:
     raise ZeroDivisionError("on purpose")
 
 
-def test_a_task_that_fails_is_logged_and_acted_upon_once(
+async def test_a_task_that_fails_is_logged_and_acted_upon_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     failures: list[BaseException] = []
-
-    async def story() -> None:
-        await asyncio.wait({watched(asyncio.create_task(fail()), failures.append)})
-        await asyncio.wait({watched(asyncio.create_task(fail()))})
-
-    run(story)
+    await asyncio.wait({watched(asyncio.create_task(fail()), failures.append)})
+    await asyncio.wait({watched(asyncio.create_task(fail()))})
     assert [type(error) for error in failures] == [ZeroDivisionError]
     logged = [record for record in caplog.records if record.levelno == logging.ERROR]
     assert len(logged) == 2
     assert all(record.exc_info and "on purpose" in str(record.exc_info[1]) for record in logged)
 
 
-def test_a_task_that_ends_or_is_cancelled_did_not_fail(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_task_that_ends_or_is_cancelled_did_not_fail(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     failures: list[BaseException] = []
-
-    async def story() -> None:
-        ends = watched(asyncio.create_task(asyncio.sleep(0, "value")), failures.append)
-        waits = watched(asyncio.create_task(asyncio.Event().wait()), failures.append)
-        assert await ends == "value"
-        waits.cancel()
-        await asyncio.wait({waits})
-
-    run(story)
+    ends = watched(asyncio.create_task(asyncio.sleep(0, "value")), failures.append)
+    waits = watched(asyncio.create_task(asyncio.Event().wait()), failures.append)
+    assert await ends == "value"
+    waits.cancel()
+    await asyncio.wait({waits})
     assert failures == []
     assert caplog.records == []

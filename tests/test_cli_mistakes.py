@@ -171,64 +171,49 @@ def content(folder: Path) -> dict[str, bytes | None]:
     }
 
 
-@pytest.mark.parametrize("target", ["new.npz", "old.npz"])
-@pytest.mark.parametrize("case", PLAY)
+MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
+    **{
+        f"{case}, {target}": (["play", *arguments, "--record", target], (said,))
+        for case, (arguments, said) in PLAY.items()
+        for target in ("new.npz", "old.npz")
+    },
+    **{
+        f"path {name}": (
+            ["play", "wood-oak", "--path", name, "--record", "new.npz"], (f"{name}: ", said)
+        )
+        for name, said in PATHS.items()
+    },
+    **{
+        f"display {name}": (
+            ["play", "wood-oak", *SHORT, "--display", name, "--record", "new.npz"],
+            (f"{name}: ", said),
+        )
+        for name, said in DISPLAYS.items()
+    },
+    **{
+        f"response {name}": (["response", "--display", name, "--json"], (said,))
+        for name, said in DISPLAYS.items()
+    },
+    **{
+        f"recording {case}": (["play", "wood-oak", *SHORT, "--record", target], (said,))
+        for case, (target, said) in RECORDS.items()
+    },
+    **{
+        f"no file's name, {option}": (["play", "wood-oak", option, f"{'long' * 100}.toml"], ())
+        for option in ("--display", "--path")
+    },
+    **{case: (arguments, (said,)) for case, (arguments, said) in OTHERS.items()},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line_and_nothing_is_written(
-    command: Command, folder: Path, case: str, target: str
-) -> None:
-    arguments, said = PLAY[case]
-    before = content(folder)
-    assert_mistake(command("play", *arguments, "--record", target), said)
-    assert content(folder) == before
-
-
-@pytest.mark.parametrize("name", PATHS)
-def test_a_path_that_cannot_be_followed_is_one_line_that_names_it(
-    command: Command, folder: Path, name: str
-) -> None:
-    before = content(folder)
-    result = command("play", "wood-oak", "--path", name, "--record", "new.npz")
-    assert_mistake(result, f"{name}: ", PATHS[name])
-    assert content(folder) == before
-
-
-@pytest.mark.parametrize("name", DISPLAYS)
-def test_a_display_that_cannot_be_is_one_line_that_names_it(
-    command: Command, folder: Path, name: str
-) -> None:
-    before = content(folder)
-    result = command("play", "wood-oak", *SHORT, "--display", name, "--record", "new.npz")
-    assert_mistake(result, f"{name}: ", DISPLAYS[name])
-    assert content(folder) == before
-    assert_mistake(command("response", "--display", name, "--json"), DISPLAYS[name])
-
-
-@pytest.mark.parametrize("case", RECORDS)
-def test_a_recording_that_cannot_be_written_is_one_line(
     command: Command, folder: Path, case: str
 ) -> None:
-    target, said = RECORDS[case]
+    """Where a file is at fault the line names it."""
+    arguments, said = MISTAKES[case]
     before = content(folder)
-    assert_mistake(command("play", "wood-oak", *SHORT, "--record", target), said)
-    assert content(folder) == before
-
-
-@pytest.mark.parametrize("option", ["--display", "--path"])
-def test_a_name_that_no_file_can_have_is_one_line(
-    command: Command, folder: Path, option: str
-) -> None:
-    before = content(folder)
-    assert_mistake(command("play", "wood-oak", option, f"{'long' * 100}.toml"))
-    assert content(folder) == before
-
-
-@pytest.mark.parametrize("case", OTHERS)
-def test_a_mistake_in_another_command_is_one_line(
-    command: Command, folder: Path, case: str
-) -> None:
-    arguments, said = OTHERS[case]
-    before = content(folder)
-    assert_mistake(command(*arguments), said)
+    assert_mistake(command(*arguments), *said)
     assert content(folder) == before
 
 

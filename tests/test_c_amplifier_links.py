@@ -9,19 +9,13 @@ from c_amplifier_rig import (
     ARMED,
     CAN,
     CAPS,
-    ESTOP,
     ESTOPPED,
-    FAULTY,
-    GET,
     HEARTBEAT,
     I2C_READ,
     I2C_WRITE,
     MS,
-    NAK,
     NOTHING,
-    PERIOD,
     POLL,
-    PULSE,
     RUNNING,
     SENSE,
     SERIAL,
@@ -31,7 +25,6 @@ from c_amplifier_rig import (
     SMBUS_WRITE,
     START,
     STATUS,
-    VALUE,
     Run,
     arm,
     cobs,
@@ -45,45 +38,6 @@ from c_amplifier_rig import (
     playing,
     uncobs,
 )
-
-
-def test_checks_are_made_in_order_and_counted(build: Path, tmp_path: Path) -> None:
-    broken = bytearray(hello())
-    broken[5] ^= 1
-    run = Run()
-    run.feed(0, bytes(broken))
-    run.feed(0, packet(POLL, node=2))
-    run.feed(0, packet(0x33, flags=0xB8))  # version before flags before type
-    run.feed(0, packet(0x33, flags=0x78))
-    run.feed(0, packet(0x33))
-    run.feed(0, packet(0x33, flags=0x40))  # no answer asked for
-    run.feed(0, packet(0x33, node=0))  # never refused
-    run.feed(0, owned(SET, struct.pack("<HI", 99, 0), session=0))
-    run.feed(0, packet(GET, struct.pack("<H", 99)))
-    run.feed(0, hello())
-    run.feed(0, owned(SET, struct.pack("<HI", 5, 0)))
-    run.feed(0, owned(SET, struct.pack("<HI", 2, 101)))
-    run.feed(0, packet(GET, struct.pack("<H", 2)))
-    run.feed(0, packet(POLL))
-    run.run(build, tmp_path)
-    naks = [(n[2], struct.unpack("<I", n[4:])[0]) for _, _, n in run.packets(NAK)]
-    assert naks == [(2, 1), (3, 0x78), (1, 0), (5, 0), (14, 99), (15, 5), (11, 2)]
-    assert run.packets(VALUE)[0][2] == struct.pack("<HI", 2, 10)
-    counters = {k: v for k, v in run.status().items() if v}
-    assert counters == {
-        "packets": 13, "crc_errors": 1, "wrong_version": 1, "unsupported": 1, "unknown_type": 3,
-        "foreign_session": 1, "refused": 3,
-    }  # fmt: skip
-
-
-def test_pulse_comes_at_once_and_then_each_10_ms(build: Path, tmp_path: Path) -> None:
-    run = Run()
-    run.feed(1, hello())
-    run.feed(50 * MS, kind=NOTHING)
-    run.run(build, tmp_path)
-    pulses = run.packets(PULSE)
-    assert [p[0] for p in pulses] == [PERIOD + 10 * MS * k for k in range(5)]
-    assert [struct.unpack_from("<I", p[2])[0] for p in pulses] == [80 * k + 1024 for k in range(5)]
 
 
 def test_sense_tells_what_was_put_out(build: Path, tmp_path: Path) -> None:
@@ -101,16 +55,6 @@ def test_sense_tells_what_was_put_out(build: Path, tmp_path: Path) -> None:
     ]
     put_out = next(x for x in run.instants if x.tick == 21000)
     assert senses[2][2][:10] == struct.pack("<IBBhh", put_out.position, 0, 30, 3000, 0)
-
-
-def test_nothing_is_told_before_a_session(build: Path, tmp_path: Path) -> None:
-    run = Run()
-    run.feed(1 * MS, packet(ESTOP, b"\1", flags=0x40))
-    run.feed(2 * MS, b"\1", FAULTY)
-    run.feed(50 * MS, packet(POLL))
-    run.run(build, tmp_path)
-    assert [kind for _, kind, _ in run.packets()] == [STATUS]
-    assert run.packets(STATUS)[0][2][:4] == bytes([ESTOPPED, 0, 1, 1])
 
 
 def test_serial_finds_its_way_back(build: Path, tmp_path: Path) -> None:

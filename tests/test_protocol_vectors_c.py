@@ -292,7 +292,7 @@ def split_sent(data: bytes) -> Iterator[tuple[int, Packet]]:
 
 
 @vectors("behavior")
-def test_behavior_in_c(vector: Vector, virtual_amplifier: Path, tmp_path: Path) -> None:
+def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
     config = config_of(vector)
     options = [
         word
@@ -301,8 +301,8 @@ def test_behavior_in_c(vector: Vector, virtual_amplifier: Path, tmp_path: Path) 
     ]
     out, sent_file = tmp_path / "out", tmp_path / "sent"
     run(
-        virtual_amplifier, "--replay", "--link", "packet", "--out", out, "--sent", sent_file,
-        *options, input=records(vector),
+        build / "virtual-amplifier", "--replay", "--link", "packet", "--out", out,
+        "--sent", sent_file, *options, input=records(vector),
     )  # fmt: skip
     row = struct.Struct(f"<QIBB{config['channels']}h")
     rows = list(row.iter_unpack(out.read_bytes()))

@@ -151,21 +151,6 @@ def test_errors_are_within_their_closed_forms(codes: Codes) -> None:
         assert np.all(error[k : k + 32] <= clamped)
 
 
-@pytest.mark.parametrize("kind", [SampleFormat.PCM16, SampleFormat.PCM12])
-@drawn(codes=code_arrays())
-def test_codes_that_were_sent_once_are_sent_on_unchanged(kind: SampleFormat, codes: Codes) -> None:
-    once = samples.decode(kind, samples.encode(kind, codes), *codes.shape)
-    assert np.array_equal(samples.decode(kind, samples.encode(kind, once), *codes.shape), once)
-
-
-def test_what_no_encoder_makes_reads_as_the_largest() -> None:
-    """−32768 as −32767, −2048 as −2047; −128 × 2⁸ is clamped, exponents above 8 read as 8."""
-    assert samples.decode(SampleFormat.PCM16, b"\x00\x80", 1, 1).tolist() == [[-32767]]
-    assert samples.decode(SampleFormat.PCM12, b"\x00\x08", 1, 1).tolist() == [[-2047 * 16]]
-    assert samples.decode(SampleFormat.BFP8, b"\x08\x80", 1, 1).tolist() == [[-32767]]
-    assert samples.decode(SampleFormat.BFP8, b"\xff\x03", 1, 1).tolist() == [[3 * 256]]
-
-
 def test_a_format_that_is_none_has_no_size() -> None:
     assert [samples.size(kind, 3, 3) for kind in (3, 4, 255)] == [-1, -1, -1]
 

@@ -4,7 +4,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from protocol_judge import BUSY, STATE, STATES, TURN, Limits, distance, ramp_bound
+from protocol_judge import STATE, STATES, TURN, Limits, distance, ramp_bound
 from protocol_story import NOBODY
 from protocol_traces import CONFIGS, PACKET, Record, Rig, packet, play
 
@@ -108,20 +108,6 @@ def test_what_bounds_the_fall_is_reached(fade_us: int, step: int, fade: int, ins
     assert (fall[-2] > 0, fall[-1]) == (True, 0)
 
 
-@pytest.mark.parametrize(("delay_ms", "fade"), [(0, 50), (1, 1)])
-def test_who_is_late_for_its_start_fades_in(delay_ms: int, fade: int) -> None:
-    """Samples sent right after START are in time for a delay, else late by an instant."""
-    rig = Rig(CONFIGS["as shipped"])
-    for name, fields in (("HELLO", (1, 0, 0)), ("ARM", (0, 2500)), ("START", (0, delay_ms, 0))):
-        rig.packet(packet(name, OWNER, *fields))
-    stream(rig, 40, beating=OWNER)
-    rows = np.concatenate(rig.rows)
-    first = int(rows["codes"][:, 0].nonzero()[0][0])
-    assert rows["position"][first] == (1 if fade > 1 else 0)
-    rise = [32767 * min(k, fade) // fade for k in range(1, 61)]
-    assert rows["codes"][first : first + 60, 0].tolist() == rise
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
     """And are the least: "low slew" could not be armed at all rates with 1 V/s less."""
@@ -147,16 +133,6 @@ def test_limits_are_taken_in_codes_at_the_rate(rate: int) -> None:
         assert refusal(rig) == ((11, 2) if wrong else None)
         rig.packet(packet("ARM", OWNER, 0, rate, node=127))
         assert refusal(rig) is None
-
-
-def test_a_rate_at_which_the_limits_take_too_long_is_not_armed() -> None:
-    """At 1600 Hz the fall may have 32 instants, at 1599 Hz it has 31."""
-    rig = Rig(CONFIGS["low slew"])
-    for name, *fields in (("HELLO", 1, 0, 0), ("ARM", 0, 1600), ("LIMITS", 0, 3_050, 0)):
-        rig.packet(packet(str(name), OWNER, *map(int, fields), node=127))
-    for rate, refused in ((1599, (11, 2)), (1049, (11, 2)), (1600, None)):
-        rig.packet(packet("ARM", OWNER, 0, rate, node=127))
-        assert refusal(rig) == refused
 
 
 def refusal(rig: Rig) -> tuple[int, int] | None:
@@ -188,79 +164,6 @@ def test_estop_brings_0_volt_in_20_ms_and_stays_until_its_owner_clears_it(name: 
     assert rig.amplifier.state.name == "IDLE"
 
 
-def test_a_clear_fault_from_before_a_second_estop_does_not_end_it() -> None:
-    """Late, sent again, or on its way while the second came: it names what its host knew of."""
-    rig = loud(Rig(CONFIGS["as shipped"]), 8000)
-    clear = packet("CLEAR_FAULT", OWNER, 1)
-    rig.packet(packet("ESTOP", 1, node=0))
-    rig.run(rig.now + 30_000)
-    rig.packet(packet("ESTOP", 2, node=0))
-    for _ in range(3):
-        rig.packet(clear)
-        assert refusal(rig) == (STATE, 2)
-        rig.run(rig.now + 50_000)
-    rig.packet(packet("CLEAR_FAULT", OWNER, 2))
-    assert rig.amplifier.state.name == "IDLE"
-    rig.packet(packet("ESTOP", 3, node=0))
-    for late in (clear, packet("CLEAR_FAULT", OWNER, 2)):
-        rig.packet(late)
-        assert refusal(rig) == (STATE, 3)
-    rig.fault(4)
-    rig.packet(packet("CLEAR_FAULT", OWNER, 3))
-    assert refusal(rig) == (STATE, 4)
-    rig.packet(packet("CLEAR_FAULT", OWNER, 4))
-    assert refusal(rig) == (9, 4)
-    rig.fault(0)
-    rig.packet(packet("CLEAR_FAULT", OWNER, 4))
-    assert rig.amplifier.state.name == "IDLE"
-
-
-@pytest.mark.parametrize("flags", [0x00, 0x47, 0x58, 0x80, 0xFF])
-def test_estop_is_taken_of_any_version(flags: int) -> None:
-    """Its flags keep nothing else from being refused."""
-    rig = loud(Rig(CONFIGS["as shipped"]), 8000)
-    rig.packet(packet("STOP", OWNER, 1, flags=flags))
-    assert (rig.amplifier.state.name == "RUNNING") == (flags != 0x47)
-    rig.packet(packet("ESTOP", 5, flags=flags))
-    assert rig.amplifier.state.name == "ESTOP"
-
-
-def test_a_second_host_that_presses_estop_cannot_take_over_while_the_owner_lives() -> None:
-    """The table lets HELLO in ESTOP: the owner's heartbeat and the output that falls do not."""
-    rig = loud(Rig(CONFIGS["as shipped"]), 8000)
-    second = packet("HELLO", NOBODY, 1, 0, 0)
-    rig.packet(packet("ESTOP", 1))
-    for _ in range(20):
-        rig.packet(second)
-        assert refusal(rig) == (BUSY, 0)
-        rig.packet(packet("HEARTBEAT", OWNER))
-        rig.run(rig.now + 50_000)
-    assert rig.judge is not None
-    rig.run(rig.judge.heard + 149_999)
-    rig.packet(second)
-    assert (refusal(rig), rig.amplifier.session) == ((BUSY, 0), OWNER)
-    rig.run(rig.now + 1)
-    rig.packet(second)
-    assert (refusal(rig), rig.amplifier.session) == (None, NOBODY)
-    rig.packet(packet("HELLO", OWNER, 1, 0, 0))
-    assert rig.amplifier.session == OWNER
-
-
-def test_a_second_host_does_not_take_over_an_output_that_falls() -> None:
-    """With its owner dead for 150 ms, an ESTOP or not: its limits would change on the way."""
-    rig = lowered(CONFIGS["as shipped"], 16_000, (50_000_000, 2_540, 0))
-    assert rig.judge is not None
-    stream(rig, 148, beating=NOBODY)
-    rig.packet(packet("ESTOP", 1))
-    rig.run(rig.judge.heard + 151_000)
-    assert any(rig.judge.codes)
-    rig.packet(packet("HELLO", NOBODY, 1, 0, 0))
-    assert refusal(rig) == (BUSY, 0)
-    rig.run(rig.now + 20_000)
-    rig.packet(packet("HELLO", NOBODY, 1, 0, 0))
-    assert rig.amplifier.session == NOBODY
-
-
 @pytest.mark.parametrize("state", STATES)
 def test_the_address_changes_in_idle_and_safe_only(state: str) -> None:
     rig = Rig(CONFIGS["as shipped"])
@@ -284,18 +187,6 @@ def test_the_address_changes_in_idle_and_safe_only(state: str) -> None:
     rig.packet(packet("SET", OWNER, 1, 9))
     settled = state in ("IDLE", "SAFE")
     assert (rig.amplifier.node, refusal(rig)) == ((9, None) if settled else (1, (STATE, 0)))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_limits_cannot_be_lowered_under_an_output_that_falls(name: str) -> None:
-    """A slew of 1 V/s, taken in ESTOP, would leave the output where it is."""
-    config = CONFIGS[name]
-    rig = loud(Rig(config), config.rate_max_hz)
-    rig.packet(packet("ESTOP", 1, node=0))
-    begin = rig.now
-    rig.packet(packet("LIMITS", OWNER, 1, 1, 0, node=config.node))
-    assert rig.sent[-1][4:8] == bytes([0x0B, 0, 7, 6])
-    assert zero_after(rig) - begin <= config.tick_hz * 23 // 1000
 
 
 def test_a_second_host_changes_no_code_that_is_put_out() -> None:
@@ -355,35 +246,6 @@ def test_frames_without_end_cost_no_memory() -> None:
         memory.append(rig.memory())
     assert max(memory) == pytest.approx(memory[10], rel=0.05)
     assert rig.amplifier.counters.future_samples == 2 * (900 - 4)
-
-
-@pytest.mark.parametrize(("name", "refused"), [("as shipped", None), ("slow ticks", (13, 3))])
-def test_frames_are_played_by_what_says_so_in_caps(
-    name: str, refused: tuple[int, int] | None
-) -> None:
-    rig = Rig(CONFIGS[name])
-    rig.packet(packet("HELLO", OWNER, 1, 0, 0))
-    rig.packet(packet("ARM", OWNER, 1, rig.config.rate_max_hz))
-    rig.packet(packet("CARRIERS", OWNER, 1, body=bytes([0, 0, 0, 8])))
-    rig.packet(packet("START", OWNER, 0, 0, 0))
-    rig.packet(packet("SPECTRUM", 20, OWNER, 60, 0, 1, 3, 1, body=b"\xff\0"))
-    assert refusal(rig) == refused
-    rig.run(rig.now + rig.config.tick_hz // 20)
-    assert np.concatenate(rig.rows)["codes"].any() == (refused is None)
-
-
-def test_nothing_is_armed_before_a_session_is_taken() -> None:
-    """Token 0 is nobody's: requests with it, before and after there is an owner."""
-    rig = Rig(CONFIGS["as shipped"])
-    for _ in range(2):
-        for name, *fields in (("ARM", 0, 8000), ("START", 0, 0, 0), ("LIMITS", 1, 1, 1),
-                              ("SET", 1, 9), ("HEARTBEAT",), ("HELLO", 1, 0, 0)):  # fmt: skip
-            rig.packet(packet(str(name), 0, *map(int, fields)))
-        rig.run(rig.now + 50_000)
-        assert rig.amplifier.state.name == "IDLE"
-        assert not rig.amplifier.high_voltage
-        rig.packet(packet("HELLO", OWNER, 1, 0, 0))
-    assert rig.amplifier.counters.foreign_session == 10
 
 
 @pytest.mark.parametrize("rate", [1_000, 1_049])

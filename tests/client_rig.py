@@ -14,6 +14,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any
 
 import msgspec
@@ -23,6 +24,8 @@ from websockets.typing import Subprotocol
 
 from tactile import client
 from tactile.client import aio
+from tactile.client.session import Session
+from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 
 PATIENCE = 60.0
@@ -273,6 +276,21 @@ class Twin:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
             self._loop.close()
+
+
+def opened_session() -> tuple[Session, list[Any]]:
+    """Return a session that is connected to nothing, and what it hands over."""
+    kept: list[Any] = []
+
+    class Nowhere:
+        open: Any = None
+        close: Any = Future
+        send = staticmethod(kept.append)
+
+    session = Session(Nowhere(), m.Hello(client="test"), clock=MONOTONIC)
+    session.opened()
+    session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
+    return session, kept
 
 
 def samples_of(said: m.Append) -> tuple[float, ...]:

@@ -414,8 +414,8 @@ def test_the_rendering_room_loads_no_drawing_and_no_command_line() -> None:
 
 def test_a_client_loads_neither_rendering_nor_drivers() -> None:
     loaded = loaded_after("import tactile; tactile.connect")
-    heavy = {"numpy", "scipy", "serial", "can", "smbus2", "sounddevice", "starlette", "uvicorn"}
-    assert loaded & heavy == set()
+    servers, drivers = {"starlette", "uvicorn"}, {"serial", "can", "smbus2", "sounddevice"}
+    assert loaded & {"numpy", "scipy", "matplotlib", "rich", "typer", *servers, *drivers} == set()
 
 
 def test_the_command_line_loads_no_plots_until_they_are_drawn() -> None:

@@ -25,6 +25,20 @@ WRONG: dict[str, list[Call]] = {
         lambda d: d.touch((10**400, 0)),
     ],
     r"position_mm\[1\]: -inf": [lambda d: d.touch((0, -math.inf))],
+    r"position_mm\[0\]: nan: Expected `float`": [lambda d: d.touch((math.nan, 0.0))],
+    r"position_mm\[1\]: 101000.0: .* <= 100000.0": [lambda d: d.touch((0.0, 101.0))],
+    r"velocity_mm_s\[1\]: inf": [lambda d: d.touch((0.0, 0.0), velocity=(0.0, math.inf))],
+    "normal_force_n: -0.1: .* >= 0": [lambda d: d.touch((0.0, 0.0), normal_force=-0.1)],
+    "gain: 1.5: .* <= 1": [lambda d: d.gain(1.5)],
+    r"layers\[1\].gain: 2.0: .* <= 1": [lambda d: d.select(["a", ("b", 2.0)])],
+    "layers: 3 is no texture": [lambda d: d.select([3])],
+    "layers: .*length <= 4": [lambda d: d.select(["a"] * 5)],
+    "amplitude_um: 1000000.0: .* <= 500": [lambda d: d.effect(1.0)],
+    r"samples\[1\]: 1.5 is outside −1 … 1": [lambda d: d.append([0.0, 1.5], **WAVE)],
+    r"samples\[0\]: nan is outside": [lambda d: d.append([math.nan], **WAVE)],
+    "samples: must be real": [lambda d: d.append(["a"], **WAVE)],
+    "sample_rate_hz: 8.0: ": [lambda d: d.append([0.0], sample_rate=8, amplitude=1e-6)],
+    "rate: 0 Hz is not above 0": [lambda d: d.telemetry(rate=0)],
     r"velocity \[m/s\]: .* is not two numbers": [
         lambda d: d.touch((0, 0), velocity=(0, 0, 0)),
         lambda d: d.touch((0, 0), velocity=0.08),
@@ -39,6 +53,7 @@ WRONG: dict[str, list[Call]] = {
     "time: .* is not a finite time": [
         lambda d: d.touch((0, 0), time="now"),
         lambda d: d.touch((0, 0), time=1e308),
+        lambda d: d.touch((0, 0), time=math.nan),
         lambda d: d.lift(time=math.inf),
     ],
     "layers: .* is n": [lambda d: d.select(5), lambda d: d.select(None), lambda d: d.select([3])],
@@ -135,4 +150,5 @@ def test_lift_is_where_the_finger_was_although_the_position_is_gone(
         place[:] = ["lost"]  # type: ignore[list-item]
         display.lift()
         display.stats()
-        assert daemon.of(m.Contact)[-1].position_mm == (1.0, 2.0)
+        lifted = daemon.of(m.Contact)[-1]
+        assert (lifted.position_mm, lifted.normal_force_n) == ((1.0, 2.0), 0.0)

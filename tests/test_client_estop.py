@@ -6,11 +6,9 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from client_rig import PATIENCE, Daemon, Script, Twin, until
+from client_rig import PATIENCE, Daemon, Script, Twin, opened_session, until
 
 from tactile.client import aio, base, websocket
-from tactile.client.session import Session
-from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError, InputError
 
@@ -88,21 +86,6 @@ def test_a_display_whose_estop_was_cleared_meanwhile_is_not_armed_again(
         until(lambda: len(said_since_hello(daemon)) == 1)
         display.stats()
         assert [type(said) for said in said_since_hello(daemon)] == [m.Arm, m.GetStats]
-
-
-def opened_session() -> tuple[Session, list[Any]]:
-    """Return a session that is connected to nothing, and what it hands over."""
-    kept: list[Any] = []
-
-    class Nowhere:
-        open: Any = None
-        close: Any = None
-        send = staticmethod(kept.append)
-
-    session = Session(Nowhere(), m.Hello(client="test"), clock=MONOTONIC)
-    session.opened()
-    session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
-    return session, kept
 
 
 def test_what_makes_quieter_is_never_too_much() -> None:

@@ -6,14 +6,12 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from client_rig import MESSAGES, Script, Twin, plain
+from client_rig import MESSAGES, Script, Twin, opened_session, plain
 
 from tactile.client.outbox import Outbox
-from tactile.client.session import Session
 from tactile.client.transport import Receiver
-from tactile.clock import MONOTONIC
 from tactile.daemon import messages as m
-from tactile.errors import ClientError, DisconnectedError
+from tactile.errors import DisconnectedError
 
 
 class LocalTransport:
@@ -66,47 +64,15 @@ def test_closing_ends_though_the_transports_end_never_comes(twin: Twin, script: 
     assert not closing.is_alive()
 
 
-class Nowhere:
-    """A transport that keeps what it is to carry."""
-
-    def __init__(self) -> None:
-        self.kept: list[Any] = []
-
-    def open(self, receiver: Receiver) -> None:
-        receiver.opened()
-
-    def send(self, command: m.Command) -> None:
-        self.kept.append(command)
-
-    def close(self) -> "Future[None]":
-        return Future()
-
-
 def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> None:
-    transport, script = Nowhere(), Script()
-    session = Session(transport, m.Hello(client="test"), clock=MONOTONIC)
-    session.opened()
-    welcome = script.answer(transport.kept.pop())
-    assert welcome is not None
-    session.received(welcome)
+    session, kept = opened_session()
     for request in (m.Arm(display="left"), m.EStop(display="left"), m.Stop(display="left")):
         session.ask(request).cancel()
-    assert [session.wanted(command) for command in transport.kept] == [False, True, True]
+    assert [session.wanted(command) for command in kept] == [False, True, True]
     waiting = session.ask(m.Arm(display="left"))
-    assert session.wanted(transport.kept[-1])
+    assert session.wanted(kept[-1])
     session.close()
     assert isinstance(waiting.exception(), DisconnectedError)
-
-
-def test_requests_that_wait_have_a_limit() -> None:
-    transport, script = Nowhere(), Script()
-    session = Session(transport, m.Hello(client="test"), clock=MONOTONIC)
-    session.opened()
-    session.received(script.answer(transport.kept.pop()))  # type: ignore[arg-type]
-    for _ in range(256):
-        session.ask(m.Play(display="left"))
-    with pytest.raises(ClientError, match="256 requests wait"):
-        session.ask(m.Play(display="left"))
 
 
 def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:

@@ -111,24 +111,6 @@ def test_telemetry_of_the_wire_in_si() -> None:
     assert from_telemetry(telemetry(7_000_000), 5.0).time == pytest.approx(2.0)
 
 
-def test_import_is_light() -> None:
-    code = "import sys, tactile.client; print(*{n.partition('.')[0] for n in sys.modules})"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    heavy = {
-        "numpy",
-        "scipy",
-        "serial",
-        "can",
-        "sounddevice",
-        "smbus2",
-        "matplotlib",
-        "rich",
-        "typer",
-    }
-    assert set(run.stdout.split()) & heavy == set()
-    assert "tactile" in run.stdout
-
-
 def test_a_session_of_the_sdk_never_needs_numpy(daemon: Daemon) -> None:
     code = (
         "import sys\nfrom tactile import client\nfrom tactile.client import websocket\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile.daemon.waves import ENDING, HOLD, LONGEST, PERIODS, PLAIN, Curve, Effect, Queue
+from tactile.daemon.waves import ENDING, HOLD, LONGEST, Curve, Effect, Queue
 
 RATE = 8000.0
 N = 3
@@ -76,16 +76,6 @@ def test_what_does_not_fit_is_not_taken_and_fits_when_some_was_played(rate: floa
     assert queue.append(one, rate, ()) == pytest.approx(room, abs=2)
 
 
-def test_memory_does_not_grow_with_what_was_played() -> None:
-    queue = Queue(RATE, N)
-    for _ in range(500):
-        queue.append(np.zeros(160, np.float32), RATE, ())
-        for _ in range(10):
-            queue.take(BLOCK)
-    assert len(queue._segments) == 1
-    assert len(queue._segments[0]._data) < 4000
-
-
 def test_what_is_replaced_fades_within_its_time_and_without_a_step() -> None:
     queue = Queue(RATE, N)
     queue.append(np.ones(4000, np.float32), RATE, ())
@@ -121,23 +111,6 @@ def played(effect: Effect, seconds: float) -> Floats:
     return np.concatenate([zero if p is None else p for p in parts])[:, 0].astype(np.float64)
 
 
-def test_an_effect_has_its_amplitude_and_frequency() -> None:
-    effect = Effect(RATE)
-    effect.begin(curve([(0, 1), (0.5, 1)], [(0, 200), (0.5, 200)]))
-    wave = played(effect, 0.5)[800:3200]
-    assert np.abs(wave).max() == pytest.approx(2e-6, rel=0.01)
-    spectrum = np.abs(np.fft.rfft(wave * np.hanning(len(wave))))
-    assert np.argmax(spectrum) * RATE / len(wave) == pytest.approx(200, abs=4)
-
-
-def test_without_a_frequency_it_is_the_plain_one() -> None:
-    effect = Effect(RATE)
-    effect.begin(curve([(0, 1), (0.5, 1)]))
-    wave = played(effect, 0.5)[800:3200]
-    spectrum = np.abs(np.fft.rfft(wave * np.hanning(len(wave))))
-    assert np.argmax(spectrum) * RATE / len(wave) == pytest.approx(PLAIN, abs=4)
-
-
 @pytest.mark.parametrize("stream", [False, True])
 def test_it_ends_with_its_last_point_or_is_held_where_it_streams(stream: bool) -> None:
     effect = Effect(RATE)
@@ -156,16 +129,3 @@ def test_a_stream_goes_on_without_a_step_in_amplitude_or_phase() -> None:
     effect.begin(curve([(0, 0.2), (0.05, 0.2)], [(0, 300), (0.05, 300)], stream=True))
     both = np.concatenate([first, played(effect, 0.03)])
     assert np.abs(np.diff(both)).max() < 2e-6 * 2 * np.pi * 300 / RATE
-
-
-def test_a_tap_is_two_periods_and_falls() -> None:
-    effect = Effect(RATE)
-    effect.begin(curve([], transients=[(0.01, 0.5, 100)]))
-    wave = played(effect, 0.1)
-    where = np.flatnonzero(np.abs(wave) > 1e-9) / RATE
-    assert where[0] == pytest.approx(0.01, abs=1e-3)
-    assert where[-1] == pytest.approx(0.01 + PERIODS / 100, abs=1e-3)
-    first, second = (
-        np.abs(wave[int(a * RATE) : int(b * RATE)]).max() for a, b in ((0.01, 0.02), (0.02, 0.03))
-    )
-    assert second < first <= 1e-6

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import bringup_rig
     import cli_rig
     import client_rig
+    import link_rig
     import parts_rig
     from bus_benches import Bench
 
@@ -150,6 +151,24 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     from bus_benches import bench_of
 
     yield from bench_of(request.param, request)
+
+
+@pytest.fixture
+def linked() -> Iterator[link_rig.Linked]:
+    """Yield what makes benches of modeled links, and close those, which end at 0 V."""
+    from link_rig import LINKS, Bench
+
+    made: list[Bench] = []
+
+    def make(link: str, extra: str = "&rearm=true", **named: Any) -> Bench:
+        made.append(Bench(LINKS[link] + extra, **named))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.bus.close()
+        one.check_limits()
+        assert one.silent
 
 
 @pytest.fixture(scope="module")

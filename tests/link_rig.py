@@ -6,7 +6,7 @@ the true time at which it is.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -155,6 +155,11 @@ class Bench:
         peer = self.bus._session.peers[0]
         self.zero = self.model.time_of(0, peer.begun)
 
+    def begin(self, seconds: float) -> None:
+        """Play from position 0 on, for a while."""
+        self.start()
+        self.play(seconds)
+
     def write(self, count: int) -> None:
         """Write the samples that come next."""
         at = np.arange(self.position, self.position + count)
@@ -260,19 +265,8 @@ class Bench:
         return total
 
 
-def benches() -> Iterator[Callable[..., Bench]]:
-    """Give what makes benches, and closes them."""
-    made: list[Bench] = []
-
-    def make(link: str, extra: str = "&rearm=true", **named: object) -> Bench:
-        made.append(Bench(LINKS[link] + extra, **named))  # type: ignore[arg-type]
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.bus.close()
-        one.check_limits()
-        assert one.silent
+Linked = Callable[..., Bench]
+"""Makes benches of a link by its name, and options of its URL."""
 
 
 def recover(rig: Bench, reconnects: int, random: np.random.Generator) -> None:

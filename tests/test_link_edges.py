@@ -1,12 +1,12 @@
 """What the host's side of a link does in moments that seldom come: halts, last words, back-off."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from link_rig import LEVEL, RATE, SAMPLE, Bench, Panel, benches, fade_in, overheard, recover
+from link_rig import LEVEL, RATE, SAMPLE, Bench, Linked, Panel, fade_in, overheard, recover
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import State
@@ -19,8 +19,6 @@ from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Unlimited
 from tactile.devices import open_bus
 from tactile.errors import BusError
-
-bench = pytest.fixture(benches)
 
 WATCHDOG = 0.15
 """s without a heartbeat after which an amplifier ramps to 0 V (SPEC.md, 14)."""
@@ -39,10 +37,10 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
 
 
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
-    bench: Callable[..., Bench],
+    linked: Linked,
 ) -> None:
     """Fewer samples than a packet has: they wait for others to fill it."""
-    rig = bench("serial")
+    rig = linked("serial")
     rig.start()
     rig.write(3)
     rig.bus.estop()
@@ -54,10 +52,8 @@ def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
 
 
 @pytest.mark.parametrize("end", ["abort", "stop"])
-def test_what_waits_when_playing_is_ended_is_not_counted_as_lost(
-    bench: Callable[..., Bench], end: str
-) -> None:
-    rig = bench("serial")
+def test_what_waits_when_playing_is_ended_is_not_counted_as_lost(linked: Linked, end: str) -> None:
+    rig = linked("serial")
     for count in (3, 1003):
         rig.start()
         rig.write(count)
@@ -66,11 +62,10 @@ def test_what_waits_when_playing_is_ended_is_not_counted_as_lost(
     assert rig.bus.counters.faults() == {}
 
 
-def test_samples_that_come_too_late_are_counted_in_blocks(bench: Callable[..., Bench]) -> None:
+def test_samples_that_come_too_late_are_counted_in_blocks(linked: Linked) -> None:
     """The amplifier counts samples: no fewer blocks than those fill, and no more than there are."""
-    rig = bench("serial")
-    rig.start()
-    rig.play(0.2)
+    rig = linked("serial")
+    rig.begin(0.2)
     rig.model.stall(0.03)
     rig.play(0.6)
     late = rig.faults()["late_samples"]
@@ -80,13 +75,12 @@ def test_samples_that_come_too_late_are_counted_in_blocks(bench: Callable[..., B
 
 @pytest.mark.parametrize("quick", [True, False])
 def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, quick: bool
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, quick: bool
 ) -> None:
     """What they played was ended while the link was down; they have not noticed yet."""
     heard = overheard(monkeypatch)
-    rig = bench("serial", extra="&lead_ms=100&fifo_ms=200")
-    rig.start()
-    rig.play(0.2)
+    rig = linked("serial", extra="&lead_ms=100&fifo_ms=200")
+    rig.begin(0.2)
     rig.model.unplug(0.02)
     lost = rig.clock.now()
     rig.play(0.01)
@@ -100,19 +94,17 @@ def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
     assert first[m.Stop.TYPE] < at_rest <= first[m.Limits.TYPE]
     assert at_rest < lost + 0.06, "before the samples that it had run out"
     assert (rig.bus.status.state, rig.bus.status.link) == ("idle", "up")
-    rig.start()
-    rig.play(0.1)
+    rig.begin(0.1)
     assert rig.misplaced(since=rig.zero)[0] < SAMPLE
 
 
 @pytest.mark.parametrize("away", np.arange(0.02, 0.26, 0.01).round(3).tolist())
 def test_however_long_the_link_was_away_all_play_again_in_place(
-    bench: Callable[..., Bench], away: float
+    linked: Linked, away: float
 ) -> None:
     """At 0.15 to 0.17 s the amplifier is in the middle of its watchdog's ramp."""
-    rig = bench("serial")
-    rig.start()
-    rig.play(0.2)
+    rig = linked("serial")
+    rig.begin(0.2)
     rig.model.unplug(away)
     recover(rig, 0, np.random.default_rng(1))
     back = rig.clock.now()
@@ -125,11 +117,11 @@ def test_however_long_the_link_was_away_all_play_again_in_place(
 
 @pytest.mark.parametrize("block", [7, 16, 500])
 def test_every_sample_reaches_the_amplifier_once_in_its_place_or_is_counted_as_dropped(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, block: int
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
     """Also those written before the position at which it fades in again."""
     heard = overheard(monkeypatch)
-    rig = bench("serial")
+    rig = linked("serial")
     rig.start()
     rig.play(0.2, block=block)
     rig.idle(1e-3)  # nothing is on the wire
@@ -148,9 +140,9 @@ def test_every_sample_reaches_the_amplifier_once_in_its_place_or_is_counted_as_d
     assert count > 0.2 * RATE
 
 
-def test_a_wire_that_stays_away_is_tried_less_and_less_often(bench: Callable[..., Bench]) -> None:
+def test_a_wire_that_stays_away_is_tried_less_and_less_often(linked: Linked) -> None:
     """50 ms at first, twice as long each time, and each second in the end."""
-    rig = bench("serial")
+    rig = linked("serial")
     tries: list[float] = []
     usual = rig.model.open
 
@@ -159,8 +151,7 @@ def test_a_wire_that_stays_away_is_tried_less_and_less_often(bench: Callable[...
         usual()
 
     rig.model.open = counted  # type: ignore[method-assign]
-    rig.start()
-    rig.play(0.1)
+    rig.begin(0.1)
     rig.model.unplug(6.0)
     lost = rig.clock.now()
     rig.idle(5.5)
@@ -216,7 +207,7 @@ def test_a_fault_in_the_links_own_thread_is_told_and_lets_go_of_the_wire() -> No
     assert wire.closed
 
 
-def test_boards_that_follow_are_handed_their_samples_earlier(bench: Callable[..., Bench]) -> None:
+def test_boards_that_follow_are_handed_their_samples_earlier(linked: Linked) -> None:
     """By eight samples, half of those that a value between two samples is made of."""
     one = Bench("mock:?link=can&format=pcm16", Panel(channels=4))
     two = Bench("mock:?link=can&boards=2&format=pcm16", Panel(channels=4))

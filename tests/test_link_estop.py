@@ -1,10 +1,9 @@
 """E-stops over links: in time, remembered, told, and ended by a person alone."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from link_rig import LEVEL, MOST, SAMPLE, Bench, Panel, benches, overheard
+from link_rig import LEVEL, MOST, SAMPLE, Bench, Linked, Panel, overheard
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Fault, State
@@ -13,8 +12,6 @@ from tactile.errors import BusError
 
 EVERY = pytest.mark.parametrize("link", MOST)
 TO_ESTOP = 20e-3
-
-bench = pytest.fixture(benches)
 
 
 SATURATED = {
@@ -67,12 +64,11 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
 
 @EVERY
 def test_an_estop_while_the_link_is_down_is_the_first_thing_said_when_it_is_back(
-    bench: Callable[..., Bench], link: str, monkeypatch: pytest.MonkeyPatch
+    linked: Linked, link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     heard = overheard(monkeypatch)
-    rig = bench(link)
-    rig.start()
-    rig.play(0.2)
+    rig = linked(link)
+    rig.begin(0.2)
     rig.model.unplug(0.08)
     rig.play(0.03)
     assert rig.bus.status.link == "down"
@@ -87,17 +83,16 @@ def test_an_estop_while_the_link_is_down_is_the_first_thing_said_when_it_is_back
     assert rig.bus.counters.disconnects == 1
     rig.bus.clear()
     assert rig.bus.status.state == "idle"
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert rig.misplaced(since=rig.zero)[0] < SAMPLE
 
 
 @EVERY
 @pytest.mark.parametrize(("extra", "running"), [("", True), ("&rearm=true", True), ("", False)])
 def test_anothers_estop_holds_until_it_is_cleared_and_is_told(
-    bench: Callable[..., Bench], link: str, extra: str, running: bool
+    linked: Linked, link: str, extra: str, running: bool
 ) -> None:
-    rig = bench(link, extra)
+    rig = linked(link, extra)
     if running:
         rig.start()
         rig.play(0.2)
@@ -114,19 +109,17 @@ def test_anothers_estop_holds_until_it_is_cleared_and_is_told(
     assert amplifier.state == State.ESTOP
     rig.bus.clear()
     assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert rig.misplaced(since=rig.zero)[0] < SAMPLE
     assert rig.misplaced(since=rig.zero)[1] > 100
 
 
 @EVERY
 def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
-    bench: Callable[..., Bench], link: str
+    linked: Linked, link: str
 ) -> None:
-    rig = bench(link)
-    rig.start()
-    rig.play(0.1)
+    rig = linked(link)
+    rig.begin(0.1)
     rig.model.amplifiers[0].fault(Fault.OVERTEMPERATURE, rig.model.tick(0))
     rig.idle(0.05)
     assert rig.bus.status.state == "estopped"
@@ -148,10 +141,10 @@ def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
 @EVERY
 @pytest.mark.parametrize("playing", [True, False])
 def test_an_open_estop_input_asks_for_its_release_and_then_for_a_clear(
-    bench: Callable[..., Bench], link: str, playing: bool
+    linked: Linked, link: str, playing: bool
 ) -> None:
     """Its release alone ends nothing, nor does a clear that was refused act once it is released."""
-    rig = bench(link)
+    rig = linked(link)
     if playing:
         rig.start()
         rig.play(0.2)
@@ -173,18 +166,16 @@ def test_an_open_estop_input_asks_for_its_release_and_then_for_a_clear(
     assert rig.bus.status.detail == "node 1 was e-stopped by its e-stop input"
     rig.bus.clear()
     assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert rig.misplaced(since=rig.zero)[1] > 100
 
 
 @EVERY
 def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
-    bench: Callable[..., Bench], link: str
+    linked: Linked, link: str
 ) -> None:
-    rig = bench(link)
-    rig.start()
-    rig.play(0.1)
+    rig = linked(link)
+    rig.begin(0.1)
     rig.model.amplifiers[0].estop_input(True, rig.model.tick(0))
     rig.bus.estop()
     rig.idle(0.4)
@@ -195,28 +186,26 @@ def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
 
 
 def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As one of version 1.0 is, on which this host plays all the same."""
     with caplog.at_level("WARNING", "tactile.bus"):
-        bench("serial")
+        linked("serial")
         assert caplog.messages == []
         pack = m.Caps.pack
         monkeypatch.setattr(
             m.Caps, "pack", lambda c: pack(replace(c, minor=0, schema=1, features=0))
         )
-        rig = bench("serial")
+        rig = linked("serial")
     assert caplog.messages == ["node 1 can put out 100 V and has no e-stop input (SPEC.md, 6.3)"]
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert rig.bus.status.state == "running"
 
 
 @EVERY
-def test_close_disarms_in_an_estop_as_well(bench: Callable[..., Bench], link: str) -> None:
-    rig = bench(link)
-    rig.start()
-    rig.play(0.1)
+def test_close_disarms_in_an_estop_as_well(linked: Linked, link: str) -> None:
+    rig = linked(link)
+    rig.begin(0.1)
     rig.bus.estop()
     before = rig.clock.now()
     rig.bus.close()

@@ -6,7 +6,6 @@ Real wires run over modeled ones, in virtual time; the amplifiers are those of `
 import gc
 import os
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +19,8 @@ from link_rig import (
     SAMPLE,
     VOLTAGE,
     Bench,
+    Linked,
     Panel,
-    benches,
     disturb,
     fade_in,
     overheard,
@@ -47,8 +46,6 @@ FEW_OR_MANY = pytest.mark.parametrize(
 DEATH = 220e-3
 """s within which all is at 0 V when a host has died (SPEC.md, 14)."""
 
-bench = pytest.fixture(benches)
-
 
 # A thousand times
 
@@ -63,13 +60,12 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 @FEW_OR_MANY
 @pytest.mark.usefixtures("coarse")
 def test_each_disconnect_is_survived_in_step_and_counted(
-    bench: Callable[..., Bench], link: str, times: int
+    linked: Linked, link: str, times: int
 ) -> None:
-    rig, random = bench(link), np.random.default_rng(times)
+    rig, random = linked(link), np.random.default_rng(times)
     gc.collect()  # what earlier tests left
     threads, files = threading.active_count(), len(os.listdir("/proc/self/fd"))
-    rig.start()
-    rig.play(0.1)
+    rig.begin(0.1)
     jumped = rig.faults()["limited_samples"]
     for k in range(times):
         away = random.choice([0.0, 0.01, 0.04, 0.2], p=[0.35, 0.3, 0.3, 0.05])
@@ -111,11 +107,10 @@ BURSTS = {
 @FEW_OR_MANY
 @pytest.mark.usefixtures("coarse")
 def test_each_burst_of_errors_is_survived_in_step_and_counted(
-    bench: Callable[..., Bench], link: str, times: int
+    linked: Linked, link: str, times: int
 ) -> None:
-    rig, random = bench(link), np.random.default_rng(times)
-    rig.start()
-    rig.play(0.1)
+    rig, random = linked(link), np.random.default_rng(times)
+    rig.begin(0.1)
     for _ in range(times):
         disturb(rig, BURSTS[link])
         rig.play(float(random.uniform(0.005, 0.025)), 5)
@@ -137,9 +132,9 @@ def test_each_burst_of_errors_is_survived_in_step_and_counted(
 
 
 def test_no_one_reads_of_a_link_that_is_down_but_not_why(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig, read = bench("serial"), []
+    rig, read = linked("serial"), []
     other = threading.Thread(target=lambda: read.append(rig.bus.status))
     wire = rig.bus._wire
     assert wire is not None
@@ -151,8 +146,7 @@ def test_no_one_reads_of_a_link_that_is_down_but_not_why(
         close()
 
     monkeypatch.setattr(wire, "close", read_meanwhile)
-    rig.start()
-    rig.play(0.1)
+    rig.begin(0.1)
     rig.model.unplug(0.4)
     rig.play(0.2)
     other.join()  # it is down until this goes on, however late the other gets to read
@@ -164,42 +158,11 @@ def test_no_one_reads_of_a_link_that_is_down_but_not_why(
 
 
 @EVERY
-def test_without_rearm_it_stays_at_0_volts_says_so_and_starts_again_after_stop(
-    bench: Callable[..., Bench], link: str
-) -> None:
-    rig = bench(link, "")
-    rig.start()
-    rig.play(0.1)
-    rig.model.unplug(0.4)
-    rig.play(0.2)
-    assert rig.bus.status.link == "down"
-    assert rig.bus.status.detail
-    rig.play(0.8)
-    before = rig.bus.counters.dropped_samples
-    rig.play(0.2)
-    assert rig.bus.counters.dropped_samples == before + round(0.2 * RATE)
-    assert rig.silent
-    assert not any(a.high_voltage for a in rig.model.amplifiers)
-    status = rig.bus.status
-    assert (status.state, status.link, status.playing) == ("idle", "up", False)
-    assert "not armed again" in status.detail
-    assert "start again, or rearm=true" in status.detail
-    assert (rig.bus.counters.disconnects, rig.bus.counters.reconnects) == (1, 1)
-    rig.bus.stop()
-    rig.start()
-    rig.play(0.2)
-    assert rig.bus.status.detail == ""
-    assert rig.misplaced(since=rig.zero)[1] > 100
-    assert rig.misplaced(since=rig.zero)[0] < SAMPLE
-
-
-@EVERY
 def test_a_short_disconnect_that_the_amplifier_plays_through_needs_no_arming(
-    bench: Callable[..., Bench], link: str
+    linked: Linked, link: str
 ) -> None:
-    rig = bench(link, "")
-    rig.start()
-    rig.play(0.1)
+    rig = linked(link, "")
+    rig.begin(0.1)
     rig.model.unplug(0.01)
     recover(rig, 0, np.random.default_rng(0))
     since = rig.clock.now()
@@ -214,7 +177,7 @@ def test_a_short_disconnect_that_the_amplifier_plays_through_needs_no_arming(
 
 @EVERY
 def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
-    bench: Callable[..., Bench],
+    linked: Linked,
     link: str,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -226,7 +189,7 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
     usual = config_of
     monkeypatch.setattr(modeled_bus, "config_of", stronger)
     heard = overheard(monkeypatch)
-    rig = bench(link)
+    rig = linked(link)
     rig.full_scale = 1.5 * VOLTAGE
     rig.start()
     for cycle in range(2):
@@ -255,9 +218,9 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
 
 
 def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = bench("serial")
+    rig = linked("serial")
     sent: list[float] = []
     tell = rig.bus._session._to_all
 
@@ -267,8 +230,7 @@ def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
         return tell(message)
 
     monkeypatch.setattr(rig.bus._session, "_to_all", spy)
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     began = rig.clock.now()
     rig.model.stall(0.5)
     rig.play(0.45)
@@ -285,12 +247,9 @@ def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
 
 
 @EVERY
-def test_when_the_host_dies_all_is_at_0_volts_in_time(
-    bench: Callable[..., Bench], link: str
-) -> None:
-    rig = bench(link)
-    rig.start()
-    rig.play(0.2)
+def test_when_the_host_dies_all_is_at_0_volts_in_time(linked: Linked, link: str) -> None:
+    rig = linked(link)
+    rig.begin(0.2)
     died = rig.clock.now()
     rig.model.run_away(died + DEATH)
     assert rig.silent
@@ -305,11 +264,10 @@ def test_when_the_host_dies_all_is_at_0_volts_in_time(
 
 @pytest.mark.parametrize(("link", "direction"), [("can", "out"), ("can", "back"), ("canfd", "out")])
 def test_reordered_frames_cost_packets_never_a_wrong_one_and_are_told(
-    bench: Callable[..., Bench], link: str, direction: str
+    linked: Linked, link: str, direction: str
 ) -> None:
-    rig = bench(link, panel=Panel(channels=2 if link == "can" else 12))
-    rig.start()
-    rig.play(0.2)
+    rig = linked(link, panel=Panel(channels=2 if link == "can" else 12))
+    rig.begin(0.2)
     assert rig.bus.status.detail == ""
     getattr(rig.model, direction)._faults = Faults(reorder=0.2)
     rig.play(1.0)
@@ -320,11 +278,10 @@ def test_reordered_frames_cost_packets_never_a_wrong_one_and_are_told(
 
 
 def test_the_lead_rises_by_half_at_an_underrun_to_24_ms_and_falls_to_6(
-    bench: Callable[..., Bench],
+    linked: Linked,
 ) -> None:
-    rig = bench("serial")
-    rig.start()
-    rig.play(0.1)
+    rig = linked("serial")
+    rig.begin(0.1)
     stream, peer = rig.bus._session.stream, rig.bus._session.peers[0]
     assert stream is not None
     now, lead = rig.clock.now(), stream.lead
@@ -342,11 +299,10 @@ def test_the_lead_rises_by_half_at_an_underrun_to_24_ms_and_falls_to_6(
 
 
 def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
-    bench: Callable[..., Bench],
+    linked: Linked,
 ) -> None:
-    rig = bench("serial")
-    rig.start()
-    rig.play(0.2)
+    rig = linked("serial")
+    rig.begin(0.2)
     for _ in range(12):
         rig.model.stall(0.018)
         rig.play(0.1)
@@ -362,12 +318,11 @@ def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
 )
 @pytest.mark.parametrize(("lead", "is_whole"), [("&lead_ms=50", True), ("", False)])
 def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
-    bench: Callable[..., Bench], link: str, lead: str, is_whole: bool
+    linked: Linked, link: str, lead: str, is_whole: bool
 ) -> None:
     """For who knows what comes: nothing is lost where the lead that adapts loses samples."""
-    rig = bench(link, f"&rearm=true{lead}")
-    rig.start()
-    rig.play(0.6)
+    rig = linked(link, f"&rearm=true{lead}")
+    rig.begin(0.6)
     for _ in range(4):
         rig.model.stall(0.04)
         rig.play(0.6)
@@ -379,10 +334,8 @@ def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
 
 @EVERY
 @pytest.mark.parametrize("fifo", [64, 14])
-def test_nothing_is_sent_beyond_the_credit(
-    bench: Callable[..., Bench], link: str, fifo: int
-) -> None:
-    rig = bench(link, f"&rearm=true&fifo_ms={fifo}", rate=8000.0)
+def test_nothing_is_sent_beyond_the_credit(linked: Linked, link: str, fifo: int) -> None:
+    rig = linked(link, f"&rearm=true&fifo_ms={fifo}", rate=8000.0)
     rig.start()
     stream = rig.bus._session.stream
     assert stream is not None
@@ -397,8 +350,8 @@ def test_nothing_is_sent_beyond_the_credit(
 # Several boards
 
 
-def test_boards_start_at_one_instant_whatever_their_clocks(bench: Callable[..., Bench]) -> None:
-    rig = bench("canfd", "&boards=3&drift_ppm=33", panel=Panel(channels=6), rate=8000.0)
+def test_boards_start_at_one_instant_whatever_their_clocks(linked: Linked) -> None:
+    rig = linked("canfd", "&boards=3&drift_ppm=33", panel=Panel(channels=6), rate=8000.0)
     for _ in range(3):
         rig.start()
         rig.play(0.05)
@@ -453,10 +406,10 @@ def test_whatever_happens_limits_hold_time_is_kept_and_the_end_is_0_volts(
 
 
 def test_a_host_that_was_held_up_between_arm_and_start_arms_again(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The watchdog had made the amplifier SAFE meanwhile; `start` is still under way."""
-    bus = bench("serial").bus
+    bus = linked("serial").bus
     starting = Session._starting
     held: list[float] = []
 

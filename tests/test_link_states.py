@@ -7,7 +7,7 @@ amplifier's own rule where it heard no heartbeat for 150 ms, was reset, or is in
 from collections.abc import Callable
 
 import pytest
-from link_rig import MOST, SAMPLE, Bench, Panel, benches, overheard
+from link_rig import MOST, SAMPLE, Bench, Linked, Panel, overheard
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Fault, NakCode, State
@@ -24,15 +24,18 @@ TOLD = 0.1
 HELD_UP = 0.4
 """s for which a host does nothing."""
 
-bench = pytest.fixture(benches)
-
 
 def playing(rig: Bench) -> Bench:
     """Return a link that has played for a while, and is known to."""
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert (rig.bus.state, rig.bus.status.playing) == ("running", True)
     return rig
+
+
+def hold_up(rig: Bench) -> None:
+    """Let the host do nothing for longer than the watchdog waits."""
+    rig.model.run_away(rig.clock.now() + HELD_UP)
+    rig.position += round(HELD_UP * rig.rate)
 
 
 def until(rig: Bench, reached: Callable[[], bool], within: float = 2.0) -> float:
@@ -58,8 +61,7 @@ def assert_over(rig: Bench) -> None:
     rig.bus.stop()
     with pytest.raises(BusStateError, match="write: the bus is idle"):
         rig.write(16)
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert (rig.bus.status.state, rig.bus.status.detail) == ("running", "")
     assert rig.bus.status.playing
     assert rig.misplaced(since=rig.zero)[1] > 100
@@ -67,22 +69,18 @@ def assert_over(rig: Bench) -> None:
 
 
 @EVERY
-def test_after_the_watchdog_the_bus_is_idle(bench: Callable[..., Bench], link: str) -> None:
-    rig = playing(bench(link, PLAIN))
-    rig.model.run_away(rig.clock.now() + HELD_UP)
-    rig.position += round(HELD_UP * rig.rate)
+def test_after_the_watchdog_the_bus_is_idle(linked: Linked, link: str) -> None:
+    rig = playing(linked(link, PLAIN))
+    hold_up(rig)
     assert rig.model.amplifiers[0].state == State.SAFE
     assert until(rig, lambda: rig.bus.state != "running") <= TOLD
     assert_over(rig)
 
 
 @EVERY
-def test_with_rearm_the_status_tells_when_it_plays_again(
-    bench: Callable[..., Bench], link: str
-) -> None:
-    rig = playing(bench(link, REARM))
-    rig.model.run_away(rig.clock.now() + HELD_UP)
-    rig.position += round(HELD_UP * rig.rate)
+def test_with_rearm_the_status_tells_when_it_plays_again(linked: Linked, link: str) -> None:
+    rig = playing(linked(link, REARM))
+    hold_up(rig)
     assert (rig.bus.status.state, rig.bus.status.playing) == ("running", False)
     until(rig, lambda: rig.bus.status.playing)
     assert rig.playing
@@ -90,21 +88,25 @@ def test_with_rearm_the_status_tells_when_it_plays_again(
 
 
 @EVERY
-def test_over_a_link_that_is_lost_the_bus_is_idle(bench: Callable[..., Bench], link: str) -> None:
-    rig = playing(bench(link, PLAIN))
+def test_over_a_link_that_is_lost_the_bus_is_idle(linked: Linked, link: str) -> None:
+    rig = playing(linked(link, PLAIN))
     rig.model.unplug(1.0)
     until(rig, lambda: rig.bus.status.link == "down")
+    assert rig.bus.status.detail
     assert not rig.bus.status.playing
     assert until(rig, lambda: rig.bus.state != "running") <= TOLD
     until(rig, lambda: "is back" in rig.bus.status.detail)
+    assert "not armed again" in rig.bus.status.detail
+    assert rig.bus.status.link == "up"
+    assert (rig.bus.counters.disconnects, rig.bus.counters.reconnects) == (1, 1)
     assert_over(rig)
 
 
 @EVERY
 def test_over_a_link_that_is_lost_it_does_not_play_with_rearm_until_it_is_back(
-    bench: Callable[..., Bench], link: str
+    linked: Linked, link: str
 ) -> None:
-    rig = playing(bench(link, REARM))
+    rig = playing(linked(link, REARM))
     rig.model.unplug(1.0)
     rig.play(0.5)
     assert (rig.bus.state, rig.bus.status.playing) == ("running", False)
@@ -112,9 +114,9 @@ def test_over_a_link_that_is_lost_it_does_not_play_with_rearm_until_it_is_back(
     assert rig.playing
 
 
-def test_a_link_that_goes_silent_does_not_play_and_is_lost(bench: Callable[..., Bench]) -> None:
+def test_a_link_that_goes_silent_does_not_play_and_is_lost(linked: Linked) -> None:
     """Nothing comes back, though the device is there and takes what is sent."""
-    rig = playing(bench("serial", PLAIN))
+    rig = playing(linked("serial", PLAIN))
     rig.model.back.hold(10.0, rig.clock.now())
     assert until(rig, lambda: not rig.bus.status.playing) <= TOLD + STEP
     rest = until(rig, lambda: rig.bus.state != "running")
@@ -125,10 +127,8 @@ def test_a_link_that_goes_silent_does_not_play_and_is_lost(bench: Callable[..., 
 
 
 @EVERY
-def test_after_a_reset_of_the_amplifier_the_bus_is_idle(
-    bench: Callable[..., Bench], link: str
-) -> None:
-    rig = playing(bench(link, PLAIN))
+def test_after_a_reset_of_the_amplifier_the_bus_is_idle(linked: Linked, link: str) -> None:
+    rig = playing(linked(link, PLAIN))
     rig.model.power_cycle()
     assert until(rig, lambda: not rig.bus.status.playing) <= TOLD
     assert until(rig, lambda: rig.bus.state != "running") <= TOLD
@@ -139,11 +139,11 @@ def test_after_a_reset_of_the_amplifier_the_bus_is_idle(
 @EVERY
 @pytest.mark.parametrize("extra", [PLAIN, REARM])
 def test_anothers_estop_or_a_fault_is_one_of_the_bus_while_one_writes(
-    bench: Callable[..., Bench], link: str, extra: str
+    linked: Linked, link: str, extra: str
 ) -> None:
     boards = 1 if link == "serial" else 2
     for what in ("estop", "fault"):
-        rig = playing(bench(link, f"{extra}&boards={boards}", panel=Panel(channels=2 * boards)))
+        rig = playing(linked(link, f"{extra}&boards={boards}", panel=Panel(channels=2 * boards)))
         model, amplifier = rig.model, rig.model.amplifiers[-1]
         if what == "estop":
             amplifier.receive(Packet.of(m.Estop(7), node=0, seq=0), model.tick(boards - 1))
@@ -171,9 +171,9 @@ def test_anothers_estop_or_a_fault_is_one_of_the_bus_while_one_writes(
 
 
 def test_an_arming_that_is_refused_ends_the_wish_to_play(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = playing(bench("serial", REARM))
+    rig = playing(linked("serial", REARM))
     amplifier = rig.model.amplifiers[0]
     usual = amplifier.receive
 
@@ -184,8 +184,7 @@ def test_an_arming_that_is_refused_ends_the_wish_to_play(
             usual(packet, now)
 
     monkeypatch.setattr(amplifier, "receive", refuse)
-    rig.model.run_away(rig.clock.now() + HELD_UP)
-    rig.position += round(HELD_UP * rig.rate)
+    hold_up(rig)
     until(rig, lambda: rig.bus.state == "idle")
     rig.play(0.1)
     assert rig.silent
@@ -198,9 +197,9 @@ def test_an_arming_that_is_refused_ends_the_wish_to_play(
 @pytest.mark.parametrize("pressed", ["here", "there"])
 @pytest.mark.parametrize("away", [0.0, 0.3])
 def test_an_estop_is_cleared_also_where_the_amplifier_has_forgotten_it(
-    bench: Callable[..., Bench], link: str, pressed: str, away: float
+    linked: Linked, link: str, pressed: str, away: float
 ) -> None:
-    rig = playing(bench(link, PLAIN))
+    rig = playing(linked(link, PLAIN))
     if pressed == "here":
         rig.bus.estop()
     else:
@@ -217,18 +216,15 @@ def test_an_estop_is_cleared_also_where_the_amplifier_has_forgotten_it(
     rig.bus.clear()
     assert (rig.bus.status.state, rig.bus.status.link) == ("idle", "up")
     rig.bus.stop()
-    rig.start()
-    rig.play(0.2)
+    rig.begin(0.2)
     assert rig.bus.status.playing
     assert rig.misplaced(since=rig.zero)[1] > 100
 
 
 @EVERY
-def test_an_estop_at_once_after_a_reset_is_cleared_as_well(
-    bench: Callable[..., Bench], link: str
-) -> None:
+def test_an_estop_at_once_after_a_reset_is_cleared_as_well(linked: Linked, link: str) -> None:
     """The host does not know yet that its session is gone."""
-    rig = playing(bench(link, PLAIN))
+    rig = playing(linked(link, PLAIN))
     rig.model.power_cycle()
     rig.bus.estop()
     rig.idle(0.5)
@@ -242,9 +238,9 @@ def test_an_estop_at_once_after_a_reset_is_cleared_as_well(
 @EVERY
 @pytest.mark.parametrize("call", ["start", "stop", "clear"])
 def test_an_estop_in_the_middle_of_a_call_holds_on_the_amplifier(
-    bench: Callable[..., Bench], link: str, call: str, monkeypatch: pytest.MonkeyPatch
+    linked: Linked, link: str, call: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = bench(link, PLAIN)
+    rig = linked(link, PLAIN)
     if call == "stop":
         playing(rig)
     if call == "clear":
@@ -271,15 +267,14 @@ def test_an_estop_in_the_middle_of_a_call_holds_on_the_amplifier(
     assert m.Estop.TYPE in [packet.type for packet, _ in heard]
     rig.bus.clear()
     rig.bus.stop()
-    rig.start()
-    rig.play(0.1)
+    rig.begin(0.1)
     assert rig.bus.status.playing
 
 
 def test_an_estop_without_a_link_is_not_forgotten_for_a_stop_after_it(
-    bench: Callable[..., Bench],
+    linked: Linked,
 ) -> None:
-    rig = playing(bench("serial", REARM))
+    rig = playing(linked("serial", REARM))
     rig.model.unplug(0.3)
     rig.play(2 * GIVEN_UP)
     stop = rig.bus._stop

@@ -157,83 +157,109 @@ def test_the_files_that_the_faults_are_put_into_are_good(tmp_path: Path) -> None
     assert load_display(tmp_path / "sample.toml").channels == 2
 
 
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "field", "near"),
-    [
-        ("textures", "[laws]", "[lews]", "lews", "'laws'"),
-        ("textures", "[[events]]", "[[event]]", "event", "'events'"),
-        ("textures", "am_depth", "am_dept", "stochastic.am_dept", "'am_depth'"),
-        ("textures", "speed_mm_s", "speed", "reference.speed", "'speed_mm_s'"),
-        ("textures", "phases_deg", "phase_deg", "periodic[1].phase_deg", "'phases_deg'"),
-        ("textures", "width_mm", "width_um", "events[0].width_um", "'width_mm'"),
-        ("textures", "am_depth", "zzz", "stochastic.zzz", "am_corner_per_mm"),
-        ("displays", "[limits]", "[limit]", "limit", "'limits'"),
-        ("displays", "voltage_v", "voltage_V", "limits.voltage_V", "'voltage_v'"),
-        ("displays", "polarity", "polarty", "contactor[1].polarty", "'polarity'"),
-        ("displays", "k0_n_per_m", "k_n_per_m", "finger.table[0].k_n_per_m", "'k0_n_per_m'"),
+FAULTS: dict[str, list[tuple[str, ...]]] = {
+    "an unknown key is named with its place and the nearest known": [
+        ("textures", "[laws]", "[lews]", "lews: unknown key", "'laws'"),
+        ("textures", "[[events]]", "[[event]]", "event: unknown key", "'events'"),
+        ("textures", "am_depth", "am_dept", "stochastic.am_dept: unknown key", "'am_depth'"),
+        ("textures", "speed_mm_s", "speed", "reference.speed: unknown key", "'speed_mm_s'"),
+        ("textures", "phases_deg", "phase_deg",
+         "periodic[1].phase_deg: unknown key", "'phases_deg'"),
+        ("textures", "width_mm", "width_um", "events[0].width_um: unknown key", "'width_mm'"),
+        ("textures", "am_depth", "zzz", "stochastic.zzz: unknown key", "am_corner_per_mm"),
+        ("displays", "[limits]", "[limit]", "limit: unknown key", "'limits'"),
+        ("displays", "voltage_v", "voltage_V", "limits.voltage_V: unknown key", "'voltage_v'"),
+        ("displays", "polarity", "polarty", "contactor[1].polarty: unknown key", "'polarity'"),
+        ("displays", "k0_n_per_m", "k_n_per_m",
+         "finger.table[0].k_n_per_m: unknown key", "'k0_n_per_m'"),
     ],
-)
-def test_an_unknown_key_is_named_with_its_place_and_the_nearest_known(
-    tmp_path: Path, kind: str, old: str, new: str, field: str, near: str
-) -> None:
-    has(with_fault(tmp_path, kind, old, new), f"{field}: unknown key", near)
+    "a wrong type names field value and both types": [
+        ("textures", "= 0.1\n", '= "much"\n',
+         "stochastic.am_depth = 'much'", "expected float", "got str"),
+        ("textures", "= 0.1\n", "= true\n",
+         "stochastic.am_depth = True", "expected float", "got bool"),
+        ("textures", "= 0.1\n", "= 2020-01-01\n",
+         "stochastic.am_depth", "expected float", "got date"),
+        ("textures", "= 0.1\n", "= [0.1]\n", "stochastic.am_depth", "expected float", "got array"),
+        ("textures", "-3,", '"-3",', "stochastic.level_db[3] = '-3'", "expected float", "got str"),
+        ("textures", "[2.0, 0.25]", "2.0",
+         "periodic[1].harmonics_um = 2.0", "expected array", "got float"),
+        ("textures", "[laws]", "[[laws]]", "laws", "expected object", "got array"),
+        ("textures", "[[events]]", "[events]", "events", "expected array", "got object"),
+        ("displays", "= 1\n", "= 1.5\n", "contactor[1].channel = 1.5", "expected int", "got float"),
+        ("displays", "5000.0, 2.0", '5000.0, "a"',
+         "finger.table[1].branches[0][1]", "expected float", "got str"),
+    ],
+    "out of range names field value and limit": [
+        ("textures", "= 0.1\n", "= 1.01\n", "stochastic.am_depth = 1.01: ", "<= 1"),
+        ("textures", "= 0.1\n", "= -0.01\n", "stochastic.am_depth = -0.01: ", ">= 0"),
+        ("textures", "= 40.0", "= 0", "reference.speed_mm_s = 0: ", "> 0"),
+        ("textures", "-3,", "-130,", "stochastic.level_db[3] = -130: ", ">= -120"),
+        ("textures", "[0.0, 90.0]", "[0.0, 361.0]",
+         "periodic[1].phases_deg[1] = 361.0: ", "<= 360"),
+        ("textures", "= 2.5", "= 501", "events[0].amplitude_um = 501: ", "<= 500"),
+        ("displays", "= 100.0", "= 1e6", "limits.voltage_v = 1000000.0: ", "<= 1000"),
+        ("displays", "fade_ms = 20.0", "fade_ms = 0.02", "limits.fade_ms = 0.02: ", ">= 1"),
+        ("displays", "channel = 1", "channel = -1", "contactor[1].channel = -1: ", ">= 0"),
+        ("displays", "[2.5, 0.0]", "[2.5, 501]", "contactor[1].position_mm[1] = 501: ", "<= 500"),
+        ("displays", "force_n = 0.5", "force_n = 51",
+         "finger.table[1].normal_force_n = 51: ", "<= 50"),
+    ],
+    "a wrong number of values names how many and how many there must be": [
+        ("textures", "[0, -1,", "[0,", "level_db", "15", "16"),
+        ("textures", ", 8]", ", 8, 10]", "frequency_per_mm", "17", "16"),
+        ("textures", "am_depth = 0.1", "level_sd_db = [1.0]", "level_sd_db", "1 values", "16"),
+        ("textures", "[0.0, 90.0]", "[0.0]", "periodic[1]", "phases_deg", "1 values", "2"),
+        ("textures", "[1.0, 0.5]", "[]", "periodic[0].harmonics_um", ">= 1"),
+        ("textures", "[20.0, 60.0]", "[20.0]", "laws.speed_range_mm_s", "2", "1"),
+        ("displays", "[2.5, 0.0]", "[2.5, 0, 0]", "contactor[1].position_mm", "2", "3"),
+        ("displays", "[2.0, 3.0]", "[2.0]", "display.opening_mm", "2", "1"),
+        ("displays", "[[5000.0, 2.0]]", "[[5000.0]]", "finger.table[1].branches[0]", "2", "1"),
+    ],
+    "a missing key is named with the table that needs it": [
+        ("textures", 'source = "a test"\n', "", "texture: Object missing required field source"),
+        ("textures", "normal_force_n = 0.5\n", "",
+         "reference: Object missing required field normal_force_n"),
+        ("textures", "wavelength_mm = 3.0\n", "",
+         "periodic[1]: Object missing required field wavelength_mm"),
+        ("textures", "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5\n", "",
+         "Object missing required field reference"),
+        ("displays", "channel = 1\n", "", "contactor[1]: Object missing required field channel"),
+        ("displays", "d0_n_s_per_m = 0.55\n", "",
+         "finger.table[1]: Object missing required field d0_n_s_per_m"),
+        ("displays", "[limits]\nvoltage_v = 100.0\nfade_ms = 20.0\n", "",
+         "Object missing required field limits"),
+    ],
+    "a length in meters is out of the range of a key in millimeters": [
+        ("textures", "wavelength_mm = 2.0", "wavelength_mm = 0.002", "periodic[0].wavelength_mm"),
+        ("textures", "width_mm = 0.4", "width_mm = 0.0004", "events[0].width_mm"),
+        ("textures", "length_mm = 1.5", "length_mm = 0.0015", "laws.contact_length_mm"),
+        ("displays", "width_mm = 2.1", "width_mm = 0.0021", "bimorph.width_mm"),
+        ("displays", "length_mm = 20.0", "length_mm = 0.02", "bimorph.length_mm"),
+        ("displays", "piezo_height_mm = 0.26", "piezo_height_mm = 0.00026", "bimorph.piezo_height"),
+        ("displays", "clamped_length_mm = 5.0", "clamped_length_mm = 0.005", "clamped_length_mm"),
+        ("displays", "shim_height_mm = 0.20", "shim_height_mm = 0.0002", "bimorph.shim_height_mm"),
+        ("displays", "[2.0, 3.0]", "[0.002, 0.003]", "display.opening_mm"),
+    ],
+    "an unknown option is named with the nearest known": [
+        ("textures", '"test"', '"wod"', "texture.category = 'wod'", "'wood'"),
+        ("textures", '"pulse"', '"puls"', "events[0].shape = 'puls'", "'pulse'"),
+        ("displays", "polarity = 1", "polarity = 2", "contactor[1].polarity = 2", "-1"),
+        ("displays", '"none"\n[l', '"zho"\n[l', "amplifier.hold = 'zho'", "'zoh'"),
+        ("displays", '"none"\n[[', '"motoin"\n[[', "display.shear_projection", "'motion'"),
+    ],
+}  # fmt: skip
+"""By what is said: file, what is changed to what, and words of the line that refuses it."""
 
 
 @pytest.mark.parametrize(
-    ("kind", "old", "new", "field", "wants", "got"),
-    [
-        ("textures", "= 0.1\n", '= "much"\n', "stochastic.am_depth = 'much'", "float", "str"),
-        ("textures", "= 0.1\n", "= true\n", "stochastic.am_depth = True", "float", "bool"),
-        ("textures", "= 0.1\n", "= 2020-01-01\n", "stochastic.am_depth", "float", "date"),
-        ("textures", "= 0.1\n", "= [0.1]\n", "stochastic.am_depth", "float", "array"),
-        ("textures", "-3,", '"-3",', "stochastic.level_db[3] = '-3'", "float", "str"),
-        ("textures", "[2.0, 0.25]", "2.0", "periodic[1].harmonics_um = 2.0", "array", "float"),
-        ("textures", "[laws]", "[[laws]]", "laws", "object", "array"),
-        ("textures", "[[events]]", "[events]", "events", "array", "object"),
-        ("displays", "= 1\n", "= 1.5\n", "contactor[1].channel = 1.5", "int", "float"),
-        (
-            "displays",
-            "5000.0, 2.0",
-            '5000.0, "a"',
-            "finger.table[1].branches[0][1]",
-            "float",
-            "str",
-        ),
-    ],
+    "fault", [pytest.param(fault, id=rule) for rule, faults in FAULTS.items() for fault in faults]
 )
-def test_a_wrong_type_names_field_value_and_both_types(
-    tmp_path: Path, kind: str, old: str, new: str, field: str, wants: str, got: str
+def test_a_fault_in_a_file_is_refused_in_a_line_that_says(
+    tmp_path: Path, fault: tuple[str, ...]
 ) -> None:
-    message = with_fault(tmp_path, kind, old, new)
-    has(message, f"{field}", f"expected {wants}", f"got {got}")
-
-
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "field", "limit"),
-    [
-        ("textures", "= 0.1\n", "= 1.01\n", "stochastic.am_depth = 1.01", "<= 1"),
-        ("textures", "= 0.1\n", "= -0.01\n", "stochastic.am_depth = -0.01", ">= 0"),
-        ("textures", "= 40.0", "= 0", "reference.speed_mm_s = 0", "> 0"),
-        ("textures", "-3,", "-130,", "stochastic.level_db[3] = -130", ">= -120"),
-        ("textures", "[0.0, 90.0]", "[0.0, 361.0]", "periodic[1].phases_deg[1] = 361.0", "<= 360"),
-        ("textures", "= 2.5", "= 501", "events[0].amplitude_um = 501", "<= 500"),
-        ("displays", "= 100.0", "= 1e6", "limits.voltage_v = 1000000.0", "<= 1000"),
-        ("displays", "fade_ms = 20.0", "fade_ms = 0.02", "limits.fade_ms = 0.02", ">= 1"),
-        ("displays", "channel = 1", "channel = -1", "contactor[1].channel = -1", ">= 0"),
-        ("displays", "[2.5, 0.0]", "[2.5, 501]", "contactor[1].position_mm[1] = 501", "<= 500"),
-        (
-            "displays",
-            "force_n = 0.5",
-            "force_n = 51",
-            "finger.table[1].normal_force_n = 51",
-            "<= 50",
-        ),
-    ],
-)
-def test_out_of_range_names_field_value_and_limit(
-    tmp_path: Path, kind: str, old: str, new: str, field: str, limit: str
-) -> None:
-    has(with_fault(tmp_path, kind, old, new), f"{field}: ", limit)
+    kind, old, new, *words = fault
+    has(with_fault(tmp_path, kind, old, new), *words)
 
 
 @pytest.mark.parametrize("number", ["nan", "-nan", "inf", "-inf", "1e999"])
@@ -253,85 +279,6 @@ def test_a_number_that_is_not_finite_is_refused_anywhere(
 ) -> None:
     message = with_fault(tmp_path, kind, old, new.format(number))
     has(message, f"{field} = {float(number)}: ", "finite")
-
-
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "words"),
-    [
-        ("textures", "[0, -1,", "[0,", ("level_db", "15", "16")),
-        ("textures", ", 8]", ", 8, 10]", ("frequency_per_mm", "17", "16")),
-        ("textures", "am_depth = 0.1", "level_sd_db = [1.0]", ("level_sd_db", "1 values", "16")),
-        ("textures", "[0.0, 90.0]", "[0.0]", ("periodic[1]", "phases_deg", "1 values", "2")),
-        ("textures", "[1.0, 0.5]", "[]", ("periodic[0].harmonics_um", ">= 1")),
-        ("textures", "[20.0, 60.0]", "[20.0]", ("laws.speed_range_mm_s", "2", "1")),
-        ("displays", "[2.5, 0.0]", "[2.5, 0, 0]", ("contactor[1].position_mm", "2", "3")),
-        ("displays", "[2.0, 3.0]", "[2.0]", ("display.opening_mm", "2", "1")),
-        ("displays", "[[5000.0, 2.0]]", "[[5000.0]]", ("finger.table[1].branches[0]", "2", "1")),
-    ],
-)
-def test_a_wrong_number_of_values_names_how_many_and_how_many_there_must_be(
-    tmp_path: Path, kind: str, old: str, new: str, words: tuple[str, ...]
-) -> None:
-    has(with_fault(tmp_path, kind, old, new), *words)
-
-
-@pytest.mark.parametrize(
-    ("kind", "old", "where", "key"),
-    [
-        ("textures", 'source = "a test"\n', "texture: ", "source"),
-        ("textures", "normal_force_n = 0.5\n", "reference: ", "normal_force_n"),
-        ("textures", "wavelength_mm = 3.0\n", "periodic[1]: ", "wavelength_mm"),
-        ("textures", "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5\n", "", "reference"),
-        ("displays", "channel = 1\n", "contactor[1]: ", "channel"),
-        ("displays", "d0_n_s_per_m = 0.55\n", "finger.table[1]: ", "d0_n_s_per_m"),
-        ("displays", "[limits]\nvoltage_v = 100.0\nfade_ms = 20.0\n", "", "limits"),
-    ],
-)
-def test_a_missing_key_is_named_with_the_table_that_needs_it(
-    tmp_path: Path, kind: str, old: str, where: str, key: str
-) -> None:
-    has(with_fault(tmp_path, kind, old, ""), f"{where}Object missing required field {key}")
-
-
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "field"),
-    [
-        ("textures", "wavelength_mm = 2.0", "wavelength_mm = 0.002", "periodic[0].wavelength_mm"),
-        ("textures", "width_mm = 0.4", "width_mm = 0.0004", "events[0].width_mm"),
-        ("textures", "length_mm = 1.5", "length_mm = 0.0015", "laws.contact_length_mm"),
-        ("displays", "width_mm = 2.1", "width_mm = 0.0021", "bimorph.width_mm"),
-        ("displays", "length_mm = 20.0", "length_mm = 0.02", "bimorph.length_mm"),
-        ("displays", "piezo_height_mm = 0.26", "piezo_height_mm = 0.00026", "bimorph.piezo_height"),
-        ("displays", "clamped_length_mm = 5.0", "clamped_length_mm = 0.005", "clamped_length_mm"),
-        ("displays", "shim_height_mm = 0.20", "shim_height_mm = 0.0002", "bimorph.shim_height_mm"),
-        ("displays", "[2.0, 3.0]", "[0.002, 0.003]", "display.opening_mm"),
-    ],
-)
-def test_a_length_in_meters_is_out_of_the_range_of_a_key_in_millimeters(
-    tmp_path: Path, kind: str, old: str, new: str, field: str
-) -> None:
-    (tmp_path / kind).mkdir()
-    path, text = tmp_path / kind / "sample.toml", TEXTURE if kind == "textures" else DISPLAY
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError, match=field.replace("[", "\\[")):
-        load_display(path) if kind == "displays" else descriptor.load(path)
-
-
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "field", "allowed"),
-    [
-        ("textures", '"test"', '"wod"', "texture.category = 'wod'", "'wood'"),
-        ("textures", '"pulse"', '"puls"', "events[0].shape = 'puls'", "'pulse'"),
-        ("displays", "polarity = 1", "polarity = 2", "contactor[1].polarity = 2", "-1"),
-        ("displays", '"none"\n[l', '"zho"\n[l', "amplifier.hold = 'zho'", "'zoh'"),
-        ("displays", '"none"\n[[', '"motoin"\n[[', "display.shear_projection", "'motion'"),
-    ],
-)
-def test_an_unknown_option_is_named_with_the_nearest_known(
-    tmp_path: Path, kind: str, old: str, new: str, field: str, allowed: str
-) -> None:
-    has(with_fault(tmp_path, kind, old, new), field, allowed)
 
 
 @pytest.mark.parametrize(

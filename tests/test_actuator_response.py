@@ -164,17 +164,6 @@ def test_measuring_point_is_that_of_the_finite_elements(name: str, place: float)
     assert distance(found.admittance, alone.admittance) < 1e-10
 
 
-def test_splitting_a_beam_changes_nothing() -> None:
-    """Three parts multiplied are the whole; the clamped length's current is not a chain's."""
-    design = Bimorph(clamped_length=0.0)
-    first, rest = active_segment(design).cut(0.3)
-    parts = [first, *rest.cut(0.5)]
-    whole = tip_response(design, FingerLoad.high(), FREQUENCIES, measuring_point=6e-3)
-    chain = chain_response(parts, FingerLoad.high(), FREQUENCIES, point_after=1)
-    for name, value in figures(chain).items():
-        assert distance(value, figures(whole)[name]) < 1e-10
-
-
 def test_chain_is_that_of_the_finite_elements() -> None:
     """A thin passive root, the driven bimorph and a stiff passive tip, pressed upon."""
     parts = [(5e-3, 0.15e-3, False), (12e-3, 0.26e-3, True), (6e-3, 0.4e-3, False)]
@@ -273,15 +262,6 @@ def test_blocked_force_and_tip_stiffness_are_those_of_the_finite_elements() -> N
     expected = 2000 * held / (free - held)
     assert distance(stiffness, expected) < 1e-8
     assert distance(force, expected * free) < 1e-8
-
-
-@each_load
-def test_blocked_force_and_stiffness_tell_every_loaded_displacement(name: str) -> None:
-    """A linear one-port has no more than two numbers: u = F/(S + jωZ_L), to rounding."""
-    load = LOADS[name][1]
-    force, stiffness = blocked_force(Bimorph(), FREQUENCIES)
-    moved = tip_response(Bimorph(), load, FREQUENCIES).displacement
-    assert distance(force / (stiffness + load.stiffness(FREQUENCIES)), moved) < 1e-10
 
 
 @each_load
@@ -453,9 +433,3 @@ def test_bad_input_is_named(field: str) -> None:
 def test_frequencies_are_finite_and_in_one_row(frequency: Any) -> None:
     with pytest.raises(ValueError, match="frequency"):
         tip_response(Bimorph(), FingerLoad.low(), frequency)
-
-
-def test_negative_quality_factor_is_refused() -> None:
-    """A beam of Q = −60 would give power away."""
-    with pytest.raises(ValueError, match="quality_factor"):
-        replace(PIEZO_3203HD, quality_factor=-60.0)

@@ -161,14 +161,6 @@ def test_any_type_of_number_is_limited(kind: type[np.float32], most: float) -> N
     assert_within(limiter(channels=2)(volts), 100.0, 40.0)
 
 
-def test_an_empty_block_is_an_empty_block_at_any_time() -> None:
-    """At rest, and while the gain is down."""
-    device, nothing = limiter(channels=2), np.zeros((0, 2))
-    assert device(nothing).shape == (0, 2)
-    device(np.full((50, 2), 300.0))
-    assert device(nothing).shape == (0, 2)
-
-
 def test_what_its_caller_does_to_a_block_changes_neither_limits_nor_what_follows() -> None:
     """A block that was handed out is the caller's: scaled, cleared or used again."""
     for size in (60.0, 15.0):

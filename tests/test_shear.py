@@ -280,11 +280,6 @@ def test_one_event_is_read_within_the_error_of_a_bilinear_reading(width: float, 
     assert worst > 0.3 * bend(width, shape)
 
 
-@pytest.mark.parametrize(("width", "stated"), [(0.1, 0.022), (0.25, 0.004)])
-def test_a_pulse_is_read_as_closely_as_the_class_states(width: float, stated: float) -> None:
-    assert worst_reading(width, "pulse") <= stated
-
-
 def worst_reading(width: float, shape: str) -> float:
     """Return the largest error of reading an event, of its peak, over offsets of both."""
     rng, worst = np.random.default_rng(1), 0.0
@@ -326,40 +321,6 @@ def test_an_event_on_the_edge_of_the_tile_goes_on_at_the_other(corner: tuple[flo
         np.testing.assert_allclose(
             read(field, place + around + np.array(tiles) * TILE), shapes[0], atol=1e-11
         )
-
-
-@pytest.mark.parametrize("degrees", [0.0, 30.0, -90.0])
-def test_an_edge_pushes_and_pulls_along_its_direction(degrees: float) -> None:
-    """Antisymmetric about its middle, even across, its peaks of the stated height a σ away."""
-    edge = Events(
-        density_per_mm2=1.0, amplitude_um=1.0, width_mm=1.0, shape="edge", direction_deg=degrees
-    )
-    place = np.array([[812, 1033]]) * PITCH
-    one = surface(place, np.full(1, 3e-6), np.zeros(1, np.intp))
-    field = EventField(one, (edge,), np.zeros((1, 2)))
-    axis = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
-    across = np.array([-axis[1], axis[0]])
-    steps = np.linspace(-1.5e-3, 1.5e-3, 301)[:, None]
-    along = read(field, place + steps * axis)[:, 0]
-    np.testing.assert_allclose(along, -along[::-1], atol=1e-11)
-    assert np.abs(read(field, place + steps * across)).max() < 1e-9
-    aside = read(field, place + steps * axis + 3e-4 * across)[:, 0]
-    other = read(field, place + steps * axis - 3e-4 * across)[:, 0]
-    np.testing.assert_allclose(aside, other, atol=3e-6 * bend(1.0, "edge"))
-    sigma = 1e-3 / math.sqrt(8 * math.log(2))
-    assert along.max() == pytest.approx(3e-6, rel=2e-3)
-    assert steps[np.argmax(along), 0] == pytest.approx(sigma, abs=2e-5)
-
-
-def test_a_pulse_is_round_and_of_one_sign() -> None:
-    place = np.array([[812, 1033]]) * PITCH
-    one = surface(place, np.full(1, -3e-6), np.zeros(1, np.intp))
-    field = EventField(one, (KINDS[2],), np.zeros((1, 2)))
-    turn = np.linspace(0, 2 * np.pi, 50)[:, None]
-    ring = read(field, place + 2e-3 * np.concatenate([np.cos(turn), np.sin(turn)], axis=1))[:, 0]
-    np.testing.assert_allclose(ring, ring[0], rtol=1e-4)
-    assert read(field, place)[0, 0] == pytest.approx(-3e-6, rel=1e-6)
-    assert ring[0] == pytest.approx(-3e-6 * 0.5 ** (2 * 2 / 5) ** 2, rel=1e-3)
 
 
 def test_every_contactor_reads_at_its_own_place() -> None:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from relief_rig import Image, along, field, plane_wave
 
 import tactile.cli.commands  # noqa: F401  # what `app` knows
-from tactile.cli import main
 from tactile.cli.app import app
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor as descriptors
@@ -169,18 +168,3 @@ def test_the_command_writes_a_texture_that_can_be_played_and_tells_what_it_found
     shown = f"every {written.periodic[0].wavelength_mm:.4g} mm across"
     for word in (shown, "known within a factor of 2", "Bands along a stroke"):
         assert word in " ".join(told.split())
-
-
-def test_a_mistake_on_the_command_line_is_one_line_and_exit_code_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    picture, output = save(tmp_path / "a.png", RAMP.astype(np.uint8)), tmp_path / "a.toml"
-    command = ["tactile", "relief", str(picture), "-o", str(output), "--category", "wood"]
-    monkeypatch.setattr(sys, "argv", command)
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    told = capsys.readouterr().err
-    assert told.startswith("tactile: --um-per-level is needed")
-    assert told.count("\n") == 1
-    assert not output.exists()

@@ -16,7 +16,7 @@ from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import CFRP, PIEZO_3203HD
 from tactile.display import Limits, load_display
-from tactile.errors import InputError, NotFoundError
+from tactile.errors import InputError
 
 # What is shipped
 
@@ -56,11 +56,6 @@ def test_the_reference_bender_has_the_capacitance_that_its_file_states() -> None
     assert display.capacitance == pytest.approx(12.8e-9, abs=0.05e-9)
     assert 10e-3 / display.capacitance == pytest.approx(0.78e6, abs=0.005e6)
     assert display.limits.step(8000.0, display.capacitance) == pytest.approx(87.5)
-
-
-def test_a_missing_display_is_answered_with_the_nearest() -> None:
-    with pytest.raises(NotFoundError, match="did you mean 'reference-64'"):
-        load_display("refrence-64")
 
 
 def test_another_finger_may_be_given_when_loading() -> None:

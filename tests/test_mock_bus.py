@@ -5,7 +5,6 @@ is in `contract`.
 """
 
 import sys
-import threading
 import tracemalloc
 from pathlib import Path
 
@@ -27,8 +26,7 @@ from bus_contract import (
 )
 
 from tactile.bus import base
-from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.base import DriveBlock
 from tactile.devices import open_bus
 from tactile.display import Display
 
@@ -130,34 +128,3 @@ def test_the_plant_of_this_test_lies_outside_the_package(three: Display) -> None
     open_bus(IDEAL[3], three)
     module = sys.modules["plant_of_the_bus_contract"]
     assert not Path(str(module.__file__)).is_relative_to(Path(base.__file__).parents[1])
-
-
-@pytest.mark.usefixtures("impatient")
-def test_e_stops_from_other_threads_meet_whoever_writes() -> None:
-    wiring = Wiring(channels=4, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)
-    bus = MockBus(wiring)
-    for _ in range(60):
-        bus.start()
-        failed: list[BaseException] = []
-
-        def stop(failed: list[BaseException] = failed) -> None:
-            try:
-                bus.estop()
-            except BaseException as error:
-                failed.append(error)
-
-        threads = [threading.Thread(target=stop) for _ in range(3)]
-        position = 0
-        for thread in threads:
-            thread.start()
-        while bus.state == "running":
-            bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
-            position += 16
-        bus.write(DriveBlock(position, np.full((16, 4), 5.0)))
-        for thread in threads:
-            thread.join()
-        assert failed == []
-        assert bus.state == "estopped"
-        assert not bus.output[-1].any()
-        bus.clear()
-    bus.close()

@@ -24,7 +24,7 @@ from texture_rig import (
     write,
 )
 
-from tactile.errors import InputError, NotFoundError
+from tactile.errors import InputError
 from tactile.texture import descriptor
 from tactile.texture.surface import Partials, load_texture
 
@@ -40,11 +40,6 @@ def test_shipped_descriptors_load_and_are_realized() -> None:
         assert texture.band_error_db.shape == texture.band_frequency.shape == (16,)
         places = np.random.default_rng(1).uniform(-1, 1, (1000, 2))
         assert 0.2e-6 < rms(texture.partials.at(places)) < 3e-6  # its README: 0.46 … 1.75 µm
-
-
-def test_a_missing_texture_is_answered_with_the_nearest() -> None:
-    with pytest.raises(NotFoundError, match="did you mean 'leather-suede'"):
-        load_texture("leather-swede")
 
 
 def test_a_texture_of_nothing_is_refused(tmp_path: Path) -> None:

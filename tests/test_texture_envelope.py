@@ -190,34 +190,3 @@ def test_event_amplitudes_are_log_normal_with_the_stated_median_and_spread(
 def displacement(field: EventField, place: Floats) -> Floats:
     """Return what a single contactor is moved by at places (S, 2) [m]."""
     return np.asarray(field.at(place.T)[:, 0], np.float64)
-
-
-@pytest.mark.parametrize("width", [0.2, 0.4, 2.0])
-def test_a_pulse_has_the_stated_height_and_width_at_half_maximum(
-    tmp_path: Path, width: float
-) -> None:
-    """Read every µm along a line through it; 1 % for the 12.5 µm pixels it is drawn on."""
-    pulse = PORES | {"width_mm": width, "density_per_mm2": 0.002}
-    texture = load_texture(write(tmp_path / "pores.toml", events=[pulse]))
-    surfaces = (texture.realize(seed) for seed in range(100))
-    surface = next(s for s in surfaces if len(s.event_peak) == 1)
-    field = EventField(surface, texture.descriptor.events, np.zeros((1, 2)))
-    offset = np.arange(-3e-3, 3e-3, 1e-6)
-    for axis in (0, 1):
-        line = np.repeat(surface.event_place, len(offset), axis=0)
-        line[:, axis] += offset
-        shear = displacement(field, line) / surface.event_peak[0]
-        assert shear.max() == pytest.approx(1, abs=0.01)
-        assert np.ptp(offset[shear > 0.5]) * 1e3 == pytest.approx(width, rel=0.01)
-
-
-def test_the_tile_of_events_repeats_over_the_whole_plane(tmp_path: Path) -> None:
-    texture = load_texture(write(tmp_path / "pores.toml", events=[PORES, GRIT]))
-    field = EventField(texture.realize(1), texture.descriptor.events, np.zeros((1, 2)))
-    place = np.random.default_rng(0).uniform(0, TILE * 1e-3, (500, 2))
-    here = displacement(field, place)
-    assert rms(here) > 1e-7
-    for tiles in ((1, 0), (0, -1), (-3, 7), (40, -40)):
-        there = displacement(field, place + np.array(tiles) * TILE * 1e-3)
-        np.testing.assert_allclose(there, here, atol=1e-11)  # float32 of 10 µm
-    assert rms(displacement(field, place + np.array([TILE * 0.5e-3, 0])) - here) > 1e-7

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bringup_rig import FOUR, LOADS, Served, check_drive, put_out, same, verdicts
+from cli_rig import Command
 
 from firmware_protocol import messages as m
-from tactile import cli
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.inspection import amplifiers, identify, measuring, readings
 from tactile.bus.link_bus import LinkBus
@@ -147,62 +147,53 @@ def test_a_bus_without_amplifiers_of_ours_tells_nothing(four: Path) -> None:
 # The command
 
 
-def run(capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch, *arguments: object) -> int:
-    patch.setattr(sys, "argv", ["tactile", "check", *map(str, arguments)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert isinstance(left.value.code, int)
-    return left.value.code
-
-
 @pytest.mark.ci
-def test_the_command_finds_no_fault(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
-) -> None:
-    assert run(capsys, monkeypatch, "mock:?link=serial", "--display", four) == 0
-    out = " ".join(capsys.readouterr().out.split())
+def test_the_command_finds_no_fault(command: Command, four: Path) -> None:
+    said = command("check", "mock:?link=serial", "--display", four)
+    out = " ".join(said.out.split())
+    assert said.code == 0
     assert "four at mock:?link=serial, tried with 5 V at most" in out
     assert "node 1: 'virtual', firmware 0x00010000, channels 0 … 4" in out
     assert "no fault found in what was looked at" in out
-    assert run(capsys, monkeypatch, "mock:?link=serial", "--display", four, "--json") == 0
-    told = json.loads(capsys.readouterr().out)
+    said = command("check", "mock:?link=serial", "--display", four, "--json")
+    told = json.loads(said.out)
+    assert said.code == 0
     assert set(told) == set(Report.__dataclass_fields__)
     assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum8"]
 
 
-def test_the_command_says_2_for_what_cannot_be(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
-) -> None:
-    assert run(capsys, monkeypatch, "serial:///dev/nothing", "--display", four) == 2
-    assert "no such port" in capsys.readouterr().err
+def test_the_command_says_2_for_what_cannot_be(command: Command, four: Path) -> None:
+    said = command("check", "serial:///dev/nothing", "--display", four)
+    assert said.code == 2
+    assert "no such port" in said.err
     target = four.with_name("new.toml")
-    assert run(capsys, monkeypatch, "mock:", "--display", four, "--write", target) == 2
-    assert "--write: needs a person at a terminal" in capsys.readouterr().err
+    said = command("check", "mock:", "--display", four, "--write", target)
+    assert said.code == 2
+    assert "--write: needs a person at a terminal" in said.err
     assert not target.exists()
 
 
 @pytest.mark.realtime
 def test_the_command_says_1_for_faults(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path,
-    serve: Callable[..., Served],
-) -> None:  # fmt: skip
-    url = serve("--load-pf", LOADS).url
-    assert run(capsys, monkeypatch, url, "--display", four) == 1
-    out = capsys.readouterr().out
-    assert "fault: channel 1, contactor 1: open" in " ".join(out.split())
+    command: Command, four: Path, serve: Callable[..., Served]
+) -> None:
+    said = command("check", serve("--load-pf", LOADS).url, "--display", four)
+    assert said.code == 1
+    assert "fault: channel 1, contactor 1: open" in " ".join(said.out.split())
 
 
 @pytest.mark.ci
 def test_the_command_asks_at_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, four: Path
+    command: Command, monkeypatch: pytest.MonkeyPatch, four: Path
 ) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: "")
     target = four.with_name("new.toml")
-    assert run(capsys, monkeypatch, "mock:", "--display", four, "--write", target) == 0
-    assert "written:" in capsys.readouterr().out
+    arguments = ("check", "mock:", "--display", four, "--write", target)
+    said = command(*arguments)
+    assert said.code == 0
+    assert "written:" in said.out
     same(load_display(target), load_display(four))
-    arguments = ("mock:", "--display", four, "--write", target)
-    assert run(capsys, monkeypatch, *arguments) == 2
-    assert run(capsys, monkeypatch, *arguments, "--json", "--force") == 2
-    assert run(capsys, monkeypatch, *arguments, "--force") == 0
+    assert command(*arguments).code == 2
+    assert command(*arguments, "--json", "--force").code == 2
+    assert command(*arguments, "--force").code == 0

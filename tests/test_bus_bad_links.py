@@ -84,11 +84,6 @@ def refused(kind: type[Exception], url: str, display: Display) -> str:
 # Ports that do not open
 
 
-def test_a_port_that_does_not_exist_is_named_with_those_that_do(three: Display) -> None:
-    said = refused(BusError, "serial:///dev/ttyNONE0", three)
-    assert said.startswith("serial: /dev/ttyNONE0: no such port; there are: ")
-
-
 @contextmanager
 def terminal() -> Iterator[tuple[int, str]]:
     """Yield the far end and the path of a terminal."""
@@ -126,9 +121,19 @@ def test_a_port_without_permission_names_the_group_that_has_it(
     )
 
 
-def test_an_i2c_bus_that_does_not_exist_is_named_with_those_that_do(three: Display) -> None:
-    said = refused(BusError, "i2c:199?address=0x42", three)
-    assert said.startswith("i2c: /dev/i2c-199: no such bus; there are: ")
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("serial:///dev/ttyNONE0", "serial: /dev/ttyNONE0: no such port; there are: "),
+        ("i2c:199?address=0x42", "i2c: /dev/i2c-199: no such bus; there are: "),
+        (
+            "can:socketkan/can0",
+            "can: socketkan/can0: python-can has no interface 'socketkan'",
+        ),
+    ],
+)
+def test_what_does_not_exist_is_named_with_what_does(three: Display, url: str, why: str) -> None:
+    assert refused(BusError, url, three).startswith(why)
 
 
 def test_an_i2c_bus_without_permission_names_the_group(
@@ -154,11 +159,6 @@ def test_an_i2c_bus_without_permission_names_the_group(
 )
 def test_an_option_that_cannot_be_is_the_users_mistake(three: Display, url: str, why: str) -> None:
     assert refused(InputError, url, three).startswith(why)
-
-
-def test_an_interface_that_python_can_does_not_know_is_told_so(three: Display) -> None:
-    said = refused(BusError, "can:socketkan/can0", three)
-    assert said == "can: socketkan/can0: python-can has no interface 'socketkan'"
 
 
 def test_a_can_interface_that_does_not_exist_or_a_kernel_without_can_is_told_so(

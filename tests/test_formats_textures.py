@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_rig import Command
 from format_samples import sample
 from numpy.typing import NDArray
 from scipy.io import wavfile
 from scipy.signal import freqz, welch
 
 import tactile
-from tactile.cli import main
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.formats import load_effect, surface_effect, synthesize
@@ -336,13 +336,6 @@ def test_openxr_is_given_buffers_of_4000_that_are_appended(tmp_path: Path) -> No
 # The command
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr("sys.argv", ["tactile", "convert", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
-
-
 def clip(path: Path) -> Path:
     path.write_text(
         '{"version":{"major":1},"metadata":{"author":"me"},"signals":{"continuous":{"envelopes":'
@@ -351,37 +344,36 @@ def clip(path: Path) -> Path:
     return path
 
 
-def test_the_command_tells_a_line_for_each_loss(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_tells_a_line_for_each_loss(command: Command, tmp_path: Path) -> None:
     source, target = clip(tmp_path / "x.haptic"), tmp_path / "x.hjif"
-    assert run(monkeypatch, source, target) == 0
+    said = command("convert", source, target)
+    assert said.code == 0
     lost = ["ignored: more", ".hjif has no place for author"]
     want = [f"{target}: an effect, channels: 1, 0.5 s", *(f"  {line}" for line in lost)]
-    assert capsys.readouterr().out.splitlines() == want
-    assert run(monkeypatch, source, target, "--force", "--json") == 0
+    assert said.out.splitlines() == want
+    said = command("convert", source, target, "--force", "--json")
+    assert said.code == 0
     facts = {"target": str(target), "became": "effect", "lost": lost, "channels": 1, "seconds": 0.5}
-    assert json.loads(capsys.readouterr().out) == facts
+    assert json.loads(said.out) == facts
 
 
-def test_the_command_overwrites_only_when_told_to(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_overwrites_only_when_told_to(command: Command, tmp_path: Path) -> None:
     source, target = clip(tmp_path / "x.haptic"), tmp_path / "x.wav"
     target.write_text("mine")
-    assert run(monkeypatch, source, target) == 2
-    assert (
-        capsys.readouterr().err == f"tactile: {target}: is there already; --force overwrites it\n"
-    )
+    said = command("convert", source, target)
+    assert said.code == 2
+    assert said.err == f"tactile: {target}: is there already; --force overwrites it\n"
     assert target.read_text() == "mine"
     for bad, reason in (
         (tmp_path / "x.mp3", "cannot be written; there is: .haptic, .ahap"),
         (tmp_path / "no" / "x.wav", f"no folder {tmp_path / 'no'}"),
     ):
-        assert run(monkeypatch, source, bad) == 2
-        assert reason in capsys.readouterr().err
-    assert run(monkeypatch, "wood-oak", tmp_path / "y.wav", "--speed-mm-s", 0) == 2
-    assert "--speed-mm-s 0: must be 1 … 1000" in capsys.readouterr().err
+        said = command("convert", source, bad)
+        assert said.code == 2
+        assert reason in said.err
+    said = command("convert", "wood-oak", tmp_path / "y.wav", "--speed-mm-s", 0)
+    assert said.code == 2
+    assert "--speed-mm-s 0: must be 1 … 1000" in said.err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x.haptic", "x.wav"]
-    assert run(monkeypatch, source, target, "--force") == 0
+    assert command("convert", source, target, "--force").code == 0
     assert target.read_bytes()[:4] == b"RIFF"

@@ -1,17 +1,16 @@
 """How strong a texture is on a display: closed forms against strokes, gains against limits."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cli_rig import Command
 from scipy.integrate import quad
 from strength_rig import STROKE, authored, felt, few, played, ribs, skin, spectrum
 
-from tactile import cli
 from tactile.actuator.finger import FingerLoad
 from tactile.daemon.session import run
 from tactile.display import Display, load_display
@@ -330,24 +329,10 @@ def test_a_texture_that_is_silent_has_no_automatic_gain(tmp_path: Path, pair: Di
         automatic_gain(pair, ribs(tmp_path, 1300.0, 1.0))
 
 
-def printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> tuple[int, str, str]:
-    """Return code, output and complaint of the command line."""
-    monkeypatch.setattr(sys, "argv", ["tactile", *map(str, arguments)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    out, err = capsys.readouterr()
-    assert isinstance(left.value.code, int)
-    return left.value.code, out, err
-
-
-def test_the_command_tells_bands_channels_and_gains(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_tells_bands_channels_and_gains(tmp_path: Path, command: Command) -> None:
     ribs(tmp_path, 250.0, 0.5)
     told = ["strength", tmp_path / "authored.toml", "--display", "reference-24"]
-    code, out, _ = printed(monkeypatch, capsys, *told, "--display", "reference-64", "--json")
+    code, out, _ = command(*told, "--display", "reference-64", "--json")
     facts: Any = json.loads(out)
     assert code == 0
     (band,) = (b for b in facts["displays"][0]["bands"] if b["level_db_sl"] is not None)
@@ -356,24 +341,22 @@ def test_the_command_tells_bands_channels_and_gains(
     assert band["level_db_sl"] == pytest.approx(20 * np.log10(0.5 / 0.045), abs=0.05)
     assert facts["displays"][0]["felt_by"] == ["P"]
     assert facts["equal"]["displays"] == ["reference-24", "reference-64"]
-    code, out, _ = printed(monkeypatch, capsys, *told)
+    code, out, _ = command(*told)
     assert code == 0
     assert "P, Pacini" in out
     assert "automatic gain" in out
 
 
-def test_play_takes_the_automatic_gain(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_play_takes_the_automatic_gain(tmp_path: Path, command: Command) -> None:
     ribs(tmp_path, 250.0, 0.5)
     play = ["play", tmp_path / "authored.toml", "--device", "mock:", "--seconds", "0.2"]
-    code, out, _ = printed(monkeypatch, capsys, *play, "--gain", "auto", "--json")
+    code, out, _ = command(*play, "--gain", "auto", "--json")
     summary = json.loads(out)
     assert code == 0
     assert summary["limited_samples"] == 0
     assert summary["peak_drive_v"] == pytest.approx(HEADROOM * 100, rel=0.02)
-    code, _, err = printed(monkeypatch, capsys, *play, "--gain", "loud")
+    code, _, err = command(*play, "--gain", "loud")
     assert (code, err) == (2, "tactile: --gain loud: must be auto or a number 0 … 1000\n")
     path = ["play", "wood-oak", "--path", "none.csv", "--gain", "auto"]
-    code, _, err = printed(monkeypatch, capsys, *path)
+    code, _, err = command(*path)
     assert code == 2

@@ -21,7 +21,6 @@ LIMITS, GET, SET, IDENTIFY, POLL, PCM, CARRIERS, SPECTRUM = range(11, 19)
 ACK, NAK, CAPS, TIME_REPLY, VALUE, PULSE, STATUS, SENSE, LOG = range(0x40, 0x49)
 IDLE, ARMED, RUNNING, RAMPDOWN, SAFE, FAULT, ESTOPPED = range(7)
 SERIAL, CAN, I2C_WRITE, PACKET, NOTHING, FAULTY, I2C_READ, SMBUS_WRITE, SMBUS_READ = range(9)
-INPUT = 9
 COUNTERS = (
     "packets", "crc_errors", "malformed", "oversized", "fragments_dropped", "wrong_version",
     "unsupported", "unknown_type", "foreign_session", "refused", "ignored", "wrong_channel",

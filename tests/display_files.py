@@ -2,14 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tactile.display import Display, load_display
 from tactile.errors import InputError
-
-Floats = NDArray[np.float64]
 
 HEAD = '[display]\nid = "sample"\ndescription = "written by a test"\nopening_mm = [2.0, 3.0]\n'
 GRID = "[grid]\ncolumns = 3\nrows = 2\npitch_mm = [2.5, 3.5]\n"

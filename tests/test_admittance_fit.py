@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from reference_beam import LOW_FINGER, VACUUM_PERMITTIVITY, Beam, Response, electric, response
 from scipy.stats import binom
 
@@ -13,8 +12,6 @@ from tactile.actuator.finger import FingerLoad
 from tactile.errors import InputError
 from tactile.study.admittance_fit import ADJUSTED, CONSTANTS, BimorphFit, fit_bimorph
 from tactile.study.measurement import Kind, Measurement
-
-Complex = NDArray[np.complex128]
 
 FREQUENCY = np.unique(
     np.concatenate([np.geomspace(100, 700, 12), np.linspace(800, 1050, 30), [1500, 2000, 3000]])

@@ -41,7 +41,6 @@ LINKS = [
 each_link = pytest.mark.parametrize("link", LINKS, ids=lambda link: link.name)
 any_link = st.sampled_from(LINKS)
 EVERYTHING = Ability()
-IDENTIFIERS = st.integers(0, 0x7FF) | st.integers(0x800, 2**29 - 1)
 CODINGS = [Coding(kind, rate) for rate in (8000, 5000, 4000, 2500) for kind in (PCM16, PCM12, BFP8)]
 CODINGS += [Coding(SPECTRUM8, 8000, 16, 50.0), Coding(SPECTRUM8, 8000, 8, 100.0)]
 

@@ -28,7 +28,6 @@ from tactile.daemon.playing import Playing, hangs
 from tactile.errors import BusError, InputError
 
 T = TypeVar("T")
-Run = Callable[[Coroutine[Any, Any, T]], T]
 NAME = "right"
 PATIENCE = 60.0
 """s until a test gives up; nothing that is tested depends on it."""

@@ -87,8 +87,6 @@ voltage_v = 100.0
 fade_ms = 20.0
 """
 
-Case = tuple[str, str, tuple[str, ...]]
-
 
 def refused(path: Path, text: str | bytes) -> str:
     """Write a file, load it, and return the one line that it is refused with, less its path."""

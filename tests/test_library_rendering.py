@@ -12,14 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 
 from tactile.bench import library
 from tactile.display import load_display
 from tactile.texture.descriptor import Laws, textures
 from tactile.texture.surface import Partials, Texture, load_texture
-
-Floats = NDArray[np.float64]
 
 FEW = ["plastic-acrylic-ribbed", "wood-oak"]
 """A grating on an isotropic ground, and a grain with events under a strong envelope."""

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_rig import recorded
 from playback_rig import FIDELITY, RATE, SLIDE, Floats, played, stroke, swing
 from scipy.signal import butter, sosfilt
 
@@ -43,11 +44,6 @@ def signal_to_error(target: Floats, skin: Floats) -> float:
     return float(
         10 * np.log10(np.sum(heard(target) ** 2) / np.sum(heard(skin - target) ** 2))
     )  # fmt: skip
-
-
-def recorded(path: Path) -> dict[str, Floats]:
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
 
 
 @pytest.mark.parametrize("trajectory", [stroke(1.0), swing(1.5)], ids=["stroke", "swing"])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import recorded
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
@@ -17,11 +18,6 @@ from tactile.recording import Recorder
 Floats = NDArray[np.float64]
 
 TROUBLE = [0.0, -0.0, math.nan, math.inf, -math.inf, 5e-324, -1.7976931348623157e308, 1 / 3]
-
-
-def loaded(path: Path) -> dict[str, Floats]:
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
 
 
 def assert_same(found: Floats, expected: Floats) -> None:
@@ -58,7 +54,7 @@ def test_arrays_come_back_bit_for_bit_however_they_are_cut(
         edges = [0, *cuts, 500]
         for start, end in pairwise(edges):
             recorder.add(**{name: array[start:end] for name, array in whole.items()})
-    found = loaded(target)
+    found = recorded(target)
     assert list(found) == list(whole)
     for name, array in whole.items():
         assert_same(found[name], array)
@@ -69,7 +65,7 @@ def test_constants_come_back_and_keep_their_shape(tmp_path: Path) -> None:
     table = np.asfortranarray(np.random.default_rng(0).normal(size=(24, 2)))
     with Recorder(target, sample_rate_hz=8000.0, contactors_mm=table, empty=np.zeros((0, 3))):
         pass
-    found = loaded(target)
+    found = recorded(target)
     assert set(found) == {"sample_rate_hz", "contactors_mm", "empty"}
     assert_same(found["sample_rate_hz"], np.array(8000.0))
     assert_same(found["contactors_mm"], table)
@@ -87,7 +83,7 @@ def test_whatever_its_layout_an_array_is_recorded_row_by_row(tmp_path: Path) -> 
             big=base.astype(">f8"),
             single=base.astype(np.float32),
         )
-    found = loaded(target)
+    found = recorded(target)
     assert_same(found["turned"], base)
     assert_same(found["reversed"], base[::-1])
     assert_same(found["strided"], base[::2, 1::2])
@@ -101,7 +97,7 @@ def test_what_was_added_may_be_used_again(tmp_path: Path) -> None:
         for k in range(5):
             buffer[:] = k
             recorder.add(values=buffer)
-    assert_same(loaded(target)["values"], np.repeat(np.arange(5.0), 10)[:, None] * np.ones(2))
+    assert_same(recorded(target)["values"], np.repeat(np.arange(5.0), 10)[:, None] * np.ones(2))
 
 
 def test_a_name_without_folder_is_written_where_one_is(
@@ -170,7 +166,7 @@ def test_an_existing_target_is_replaced_when_a_run_succeeds(tmp_path: Path) -> N
     with Recorder(target) as recorder:
         recorder.add(values=np.ones(3))
         assert target.read_text(encoding="utf-8") == "something else"
-    assert_same(loaded(target)["values"], np.ones(3))
+    assert_same(recorded(target)["values"], np.ones(3))
     assert only(tmp_path, "old.npz")
 
 

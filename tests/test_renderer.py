@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
+from strength_rig import few
 
 import tactile
 from tactile.actuator.amplifier import Amplifier
@@ -21,6 +22,7 @@ from tactile.daemon.session import run as play
 from tactile.rendering.shear import Law
 from tactile.sim import Fidelity
 from tactile.texture.descriptor import Laws
+from tactile.texture.surface import without_friction
 
 Floats = NDArray[np.float64]
 RATE = 8000.0
@@ -72,24 +74,6 @@ def plain(name: str) -> tactile.Texture:
     even = changed(texture.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
     bare = changed(texture.descriptor, stochastic=even, events=(), laws=Laws(), friction=None)
     return replace(texture, descriptor=bare)
-
-
-def without_friction(name: str) -> tactile.Texture:
-    """Return a shipped texture without friction, so that shear is a function of place."""
-    texture = tactile.load_texture(name)
-    return replace(texture, descriptor=changed(texture.descriptor, friction=None))
-
-
-def one(display: tactile.Display) -> tactile.Display:
-    """Return the display's first contactor alone."""
-    return replace(
-        display,
-        contactors=display.contactors[:1],
-        shear_direction=display.shear_direction[:1],
-        polarity=display.polarity[:1],
-        channel=np.zeros(1, np.intp),
-        kind=display.kind[:1],
-    )
 
 
 def swing(duration: float = 2.0, peak: float = 1.0) -> tactile.Trajectory:
@@ -173,7 +157,8 @@ def test_nothing_depends_on_how_the_stream_is_cut(display: tactile.Display, size
 def test_a_grating_is_played_within_a_tenth_of_a_decibel_and_a_degree(
     tmp_path: Path, finger: str, tone: float
 ) -> None:
-    display = one(tactile.load_display("reference-24", load=getattr(tactile.FingerLoad, finger)()))
+    load = getattr(tactile.FingerLoad, finger)()
+    display = few(tactile.load_display("reference-24", load=load), 0)
     path = tactile.Trajectory.line(speed=tone * 1e-3, duration=0.3 + 4 / tone)
     r = tactile.render(display, grating(tmp_path), path)
     played = felt(display, r.drive)[:, 0]
@@ -225,7 +210,7 @@ def test_the_equalizer_inverts_the_amplifier_too(amplifier: Amplifier) -> None:
 def test_out_and_back_the_same_place_gives_the_same_shear(display: tactile.Display) -> None:
     n = np.arange(8001)
     x = 0.08 / RATE * np.minimum(n, 8000 - n)
-    renderer = tactile.Renderer(display, without_friction("wood-oak"))
+    renderer = tactile.Renderer(display, without_friction(tactile.load_texture("wood-oak")))
     _, shear = run(renderer, np.column_stack([x, 0 * x]), 0.5, 64)
     at_place = shear[renderer.delay :]  # of sample k, as far as they have come out
     k = np.arange(20, 3980)
@@ -239,7 +224,7 @@ def test_out_and_back_the_same_place_gives_the_same_shear(display: tactile.Displ
 def test_out_and_back_through_a_smooth_turn_too(display: tactile.Display) -> None:
     n = np.arange(8001)
     x = 0.0127 * np.cos(2 * np.pi * n / RATE)
-    renderer = tactile.Renderer(display, without_friction("wood-oak"))
+    renderer = tactile.Renderer(display, without_friction(tactile.load_texture("wood-oak")))
     _, shear = run(renderer, np.column_stack([x, 0 * x]), 0.5, 64)
     at_place = shear[renderer.delay :]
     k = np.arange(20, 3980)
@@ -275,7 +260,7 @@ def test_a_lifted_finger_gets_no_drive(display: tactile.Display) -> None:
 
 
 def test_laws_scale_shear_with_speed_and_force(display: tactile.Display) -> None:
-    texture = without_friction("leather-calf")
+    texture = without_friction(tactile.load_texture("leather-calf"))
     bare = replace(texture, descriptor=changed(texture.descriptor, laws=Laws()))
     path = tactile.Trajectory.line(speed=0.03, duration=0.2, normal_force=1.1)
     scaled, unscaled = (tactile.render(display, t, path).shear for t in (texture, bare))
@@ -310,7 +295,7 @@ def test_polarity_turns_the_drive_and_not_the_skin(display: tactile.Display) -> 
 
 
 def test_projected_shear_follows_the_cosine_of_the_motion(display: tactile.Display) -> None:
-    texture = without_friction("leather-calf")
+    texture = without_friction(tactile.load_texture("leather-calf"))
     path = tactile.Trajectory.line(speed=0.08, angle=np.radians(60), duration=0.2)
     whole = tactile.render(display, texture, path).shear
     part = tactile.render(replace(display, projected=True), texture, path).shear

@@ -29,7 +29,7 @@ from tactile.rendering.spectrum import (
     shares,
 )
 from tactile.texture.perception import detection_threshold
-from tactile.texture.surface import Texture, load_texture
+from tactile.texture.surface import Texture, load_texture, without_friction
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -42,11 +42,6 @@ def without_envelope(name: str) -> Texture:
     assert texture.descriptor.stochastic is not None
     even = changed(texture.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
     return replace(texture, descriptor=changed(texture.descriptor, stochastic=even, events=()))
-
-
-def without_friction(name: str) -> Texture:
-    texture = load_texture(name)
-    return replace(texture, descriptor=changed(texture.descriptor, friction=None))
 
 
 def straight(values: Complex, samples: int) -> Complex:
@@ -227,7 +222,7 @@ def test_a_reversal_changes_the_drive_as_little_as_the_velocity() -> None:
 @pytest.mark.parametrize(("speed", "least"), [(0.04, 18.0), (0.1, 14.0)])
 def test_frames_play_nearly_the_samples(speed: float, least: float) -> None:
     """16 at 100 Hz, up to 40 × speed Hz; envelope, polarity and all, without the wire's codes."""
-    display, texture = load_display("reference-24"), without_friction("leather-suede")
+    display, texture = load_display("reference-24"), without_friction(load_texture("leather-suede"))
     display = replace(display, polarity=np.where(np.arange(24) % 2, 1.0, -1.0))
     samples = render(display, texture, Trajectory.line(speed=speed, duration=0.6)).drive
     r = SpectrumRenderer(display, texture, carriers=16, frame_rate=100.0)
@@ -241,7 +236,7 @@ def test_sidebands_of_the_envelope_are_played_at_their_own_place() -> None:
 
     21 dB; without sidebands of their own 14 dB, on the wrong sides 9.
     """
-    display, oak = load_display("reference-24"), without_friction("wood-oak")
+    display, oak = load_display("reference-24"), without_friction(load_texture("wood-oak"))
     nearest = np.argmin(np.abs(oak.wave_vector[:, 0] * 0.12 / (2 * np.pi) - 250))
     alone = np.where(np.arange(len(oak.amplitude)) == nearest, 1e-6, 0.0)
     texture = replace(oak, descriptor=changed(oak.descriptor, events=()), amplitude=alone)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from strength_rig import few
 from stretch_rig import (
     DISPLAY,
     RATE,
@@ -26,7 +27,7 @@ from stretch_rig import (
 
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.plant import Plant
-from tactile.display import Display, load_display
+from tactile.display import load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import AVERAGED, GIVE, NODE_TIME, SLIP, STROKE_SHARE, Bristles
 from tactile.sim import Fidelity
@@ -285,7 +286,7 @@ def test_a_slip_is_smooth_and_within_a_kilohertz() -> None:
 def test_the_skin_follows_slow_stretch_within_a_percent(finger: str) -> None:
     """Through the time-domain plant, reversals at 1 Hz and slips, down to 0 Hz; 40 dB above."""
     load = getattr(FingerLoad, finger)()
-    display = one(load_display("reference-24", load=load))
+    display = few(load_display("reference-24", load=load), 0)
     n = np.arange(16000)
     x = 2.5e-3 * np.sin(2 * np.pi * n / RATE)
     renderer = Renderer(display, rubbed(stick_slip=1.0))
@@ -298,15 +299,3 @@ def test_the_skin_follows_slow_stretch_within_a_percent(finger: str) -> None:
     judge.add(wanted[800:], played[800:])
     assert judge.signal_to_error_db > 40
     assert np.abs(drive).max() < (STROKE_SHARE + 0.05) * display.limits.voltage
-
-
-def one(display: Display) -> Display:
-    """Return the display's first contactor alone."""
-    return replace(
-        display,
-        contactors=display.contactors[:1],
-        shear_direction=display.shear_direction[:1],
-        polarity=display.polarity[:1],
-        channel=np.zeros(1, np.intp),
-        kind=display.kind[:1],
-    )

@@ -13,7 +13,6 @@ import pytest
 from scipy.special import i0
 from texture_rig import FALLING, Floats, bands, rms, write
 
-from tactile.rendering.shear import EventField
 from tactile.texture.surface import Surface, load_texture
 
 # Envelope
@@ -185,8 +184,3 @@ def test_event_amplitudes_are_log_normal_with_the_stated_median_and_spread(
     )
     grit = np.concatenate([s.event_peak[s.event_kind == 1] for s in surfaces])
     np.testing.assert_allclose(np.abs(grit), 9e-6, rtol=1e-12)
-
-
-def displacement(field: EventField, place: Floats) -> Floats:
-    """Return what a single contactor is moved by at places (S, 2) [m]."""
-    return np.asarray(field.at(place.T)[:, 0], np.float64)

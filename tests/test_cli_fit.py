@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_rig import Command
+from cli_rig import Command, assert_mistake
 from scipy.io import wavfile
 from slides import Surface, slide
 
@@ -83,10 +83,7 @@ def test_json_and_a_picture(fit: Command, tmp_path: Path) -> None:
 def test_a_mistake_is_one_line_and_writes_nothing(
     fit: Command, tmp_path: Path, arguments: list[object], message: str
 ) -> None:
-    code, out, err = fit(*arguments)
-    assert (code, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
+    assert_mistake(fit(*arguments), message)
     assert list(tmp_path.glob("**/*.toml")) == []
 
 

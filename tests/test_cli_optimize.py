@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from cli_rig import Command
+from cli_rig import Command, assert_mistake
 
 
 @pytest.fixture
@@ -74,10 +74,8 @@ def test_a_store_that_is_there_is_refused_and_left(optimize: Command, tmp_path: 
     study = tmp_path / "study.zarr" / "zarr.json"
     study.parent.mkdir()
     study.write_text("{}")
-    code, out, err = optimize(*QUICK, "--out", "study.zarr")
-    assert (code, out) == (2, "")
-    assert "study.zarr: is there already; remove it, or name another" in err
-    assert len(err.strip().splitlines()) == 1
+    refused = optimize(*QUICK, "--out", "study.zarr")
+    assert_mistake(refused, "study.zarr: is there already; remove it, or name another")
     assert study.read_text() == "{}"
 
 
@@ -102,7 +100,4 @@ BAD = {
 @pytest.mark.parametrize("line", BAD)
 def test_a_mistake_is_one_line(optimize: Command, line: str) -> None:
     words = BAD[line]
-    code, out, err = optimize(*words, *([] if "--objective" in words else QUICK[1:]))
-    assert (code, out) == (2, "")
-    assert line in err
-    assert len(err.strip().splitlines()) == 1
+    assert_mistake(optimize(*words, *([] if "--objective" in words else QUICK[1:])), line)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_rig import Command
+from cli_rig import Command, assert_mistake
 from rich.console import Console
 from rich.segment import Segment
 
@@ -180,10 +180,7 @@ def test_a_sheet_of_one_category_is_written(command: Command) -> None:
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_line(arguments: list[str], said: str, command: Command) -> None:
-    result = command(*arguments)
-    assert (result.code, result.out) == (2, "")
-    assert len(result.err.splitlines()) == 1
-    assert said in result.err
+    assert_mistake(command(*arguments), said)
     assert not list(Path().iterdir())
 
 
@@ -211,10 +208,3 @@ def test_in_a_terminal_it_needs_no_matplotlib(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert command("show", "wood-oak").code == 0
-
-
-@pytest.mark.parametrize("name", ["show", "sheet"])
-def test_help_has_an_example(name: str, command: Command) -> None:
-    result = command(name, "--help")
-    assert result.code == 0
-    assert f"Example: tactile {name} " in " ".join(result.out.split())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_rig import Command
+from cli_rig import Command, assert_mistake
 
 from tactile.study.asking import parse_values
 from tactile.study.storing import load_study
@@ -154,8 +154,4 @@ def test_ranges_have_their_stop_and_no_noise() -> None:
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_line(study: Command, arguments: list[str], words: str) -> None:
-    code, out, err = study(*arguments)
-    assert (code, out) == (2, "")
-    assert words in err
-    assert err.startswith("tactile: ")
-    assert len(err.splitlines()) == 1
+    assert_mistake(study(*arguments), words)

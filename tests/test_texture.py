@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 from texture_rig import (
-    BETWEEN,
     CENTERS,
     EDGES,
     WITH_BANDS,
@@ -68,23 +67,6 @@ def test_a_range_that_does_not_ascend_is_refused(tmp_path: Path, name: str) -> N
 
 
 # Spectra
-
-
-@pytest.mark.parametrize("name", ["leather-calf", "plastic-abs-vdi27", "plastic-acrylic-ribbed"])
-def test_an_isotropic_surface_meets_its_bands_in_every_direction(name: str) -> None:
-    """The design asks for rms 1 dB (a JND of amplitude is 2.2 dB) and 2.5 dB at worst."""
-    miss = misses(load_texture(name), BETWEEN)
-    assert max(rms(row) for row in miss) <= 1.0
-    assert np.abs(miss).max() <= 2.5
-
-
-@pytest.mark.parametrize("name", ["leather-suede", "wood-oak", "wood-pine-sanded"])
-def test_a_grained_surface_meets_its_bands_along_its_direction(name: str) -> None:
-    texture = load_texture(name)
-    assert texture.descriptor.stochastic is not None
-    miss = misses(texture, np.array([texture.descriptor.stochastic.direction_deg]))
-    assert rms(miss) <= 1.0
-    assert np.abs(miss).max() <= 2.5
 
 
 @pytest.mark.parametrize("degrees", [-70.0, 25.0, 90.0])

@@ -18,9 +18,10 @@ from typing import IO, Any
 
 import numpy as np
 import pytest
+from display_files import load
 from numpy.typing import NDArray
 
-from tactile.display import Display, load_display
+from tactile.display import Display
 
 Floats = NDArray[np.float64]
 Block = tuple[float, Floats]
@@ -40,27 +41,13 @@ WIRE = 0.51 * CODE
 BUFFER, LONG_BUFFER = 256, 1024
 """Frames of JACK's dummy card: for times, and for what must not be disturbed by other programs."""
 
-DISPLAY = """
-[display]
-id = "row"
-description = "Contactors in a row"
-opening_mm = [2.0, 3.0]
-[grid]
-columns = 24
-rows = 1
-pitch_mm = [3.0, 3.0]
-[finger]
-preset = "low"
-[limits]
-voltage_v = 100.0
-"""
+ROW = "[grid]\ncolumns = 24\nrows = 1\npitch_mm = [3.0, 3.0]\n"
 CALIBRATED = "[amplifier]\naudio_full_scale_v = 125.0\n"
 
 
 def display_of(folder: Path, amplifier: str = CALIBRATED) -> Display:
-    path = folder / "row.toml"
-    path.write_text(DISPLAY + amplifier, encoding="utf-8")
-    return load_display(path)
+    """Return a display of contactors in a row, sample.toml in a folder."""
+    return load(folder, ROW, amplifier)
 
 
 NUMBERS = itertools.count()

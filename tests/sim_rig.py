@@ -4,22 +4,18 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from display_files import load
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display import Display
 from tactile.sim import SimulatedDisplay
 
 Floats = NDArray[np.float64]
 
 RATE = 8000.0
-DISPLAY = """
-[display]
-id = "shuffled"
-description = "Four contactors on shuffled lines, two of them mounted the other way round"
-opening_mm = [2.0, 3.0]
-[[contactor]]
+SHUFFLED = """[[contactor]]
 position_mm = [0.0, 0.0]
 channel = 5
 [[contactor]]
@@ -33,13 +29,11 @@ polarity = -1
 [[contactor]]
 position_mm = [9.0, 0.0]
 channel = 1
-[limits]
-voltage_v = 100.0
 """
+"""Four contactors on shuffled lines, two of them mounted the other way round."""
 LOW = '[finger]\npreset = "low"\n'
 HIGH = '[finger]\npreset = "high"\n'
-THREE_FORCES = """
-[finger]
+THREE_FORCES = """[finger]
 [[finger.table]]
 normal_force_n = 0.2
 k0_n_per_m = 200.0
@@ -128,9 +122,7 @@ constant = 3.0
 
 
 def shuffled(folder: Path, rest: str) -> Display:
-    path = folder / "shuffled.toml"
-    path.write_text(DISPLAY + rest, encoding="utf-8")
-    return load_display(path)
+    return load(folder, SHUFFLED, rest)
 
 
 def opened(display: Display, url: str = "sim:") -> SimulatedDisplay:

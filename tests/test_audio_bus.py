@@ -306,7 +306,7 @@ for k in range(1000):
 def test_when_the_host_dies_or_hangs_the_output_fades(
     server: Server, audio_display: Display, tmp_path: Path, how: signal.Signals
 ) -> None:
-    code = HOST.format(path=sys.path, file=str(tmp_path / "row.toml"))
+    code = HOST.format(path=sys.path, file=str(tmp_path / "sample.toml"))
     host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert host.stdout is not None
     assert host.stdout.readline() == "open\n"

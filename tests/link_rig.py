@@ -152,7 +152,7 @@ class Bench:
         """Play from position 0 on."""
         self.bus.start()
         self.position = 0
-        peer = self.bus._session.peers[0]
+        peer = self.bus.peers[0]
         self.zero = self.model.time_of(0, peer.begun)
 
     def begin(self, seconds: float) -> None:

@@ -15,7 +15,7 @@ from firmware_protocol import samples
 from firmware_protocol.amplifier import Amplifier
 from firmware_protocol.can_link import FD_SIZES, CanDecoder, CanEncoder
 from firmware_protocol.config import Config, LimitsInForce
-from firmware_protocol.fragments import TRANSFERS, Cutter, Reassembler
+from firmware_protocol.fragments import Cutter, Reassembler
 from firmware_protocol.host import Host, refusal
 from firmware_protocol.i2c_link import (
     SMBUS_BLOCK,
@@ -117,7 +117,7 @@ def i2c(data: bytes) -> None:
 def _bounded(reassembler: Reassembler, limit: int) -> None:
     """Nothing longer than a packet is kept, and the frame that may have ended it."""
     transfers = reassembler._transfers.values()
-    assert len(transfers) <= TRANSFERS
+    assert len(transfers) <= 4  # SPEC.md, 3.2
     assert all(len(t.data) <= limit + 63 for t in transfers)
 
 

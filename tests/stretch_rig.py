@@ -12,7 +12,7 @@ from tactile.actuator.finger import FingerLoad
 from tactile.bench.friction import STICKY, friction_only
 from tactile.display import Display, load_display
 from tactile.rendering.renderer import Renderer
-from tactile.rendering.skin_stretch import STROKE_SHARE, FrictionLaw
+from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.texture.descriptor import Friction
 from tactile.texture.surface import Texture
 
@@ -22,6 +22,12 @@ DISPLAY = load_display("reference-24")
 STICKY_ONLY = friction_only(STICKY)
 VS = 10e-3
 """m/s, Stribeck speed of the shipped textures and of those here."""
+STROKE_SHARE = 0.3
+"""Of the shear that full drive attains at rest, for friction; the rest is the texture's."""
+GIVE = 1e-3
+"""m of stretch per unit of friction coefficient: a pad as stiff as 1 N/mm at 1 N."""
+NODE_TIME = 2e-3
+"""s from node to node."""
 
 
 def rubbed(**friction: Any) -> Texture:

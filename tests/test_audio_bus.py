@@ -42,6 +42,9 @@ from tactile.bus.registry import open_bus, parse
 from tactile.display import Display
 from tactile.errors import BusError, BusStateError, InputError
 
+PIECE = 256
+"""Samples that are handed to the card at once."""
+
 
 @pytest.fixture
 def audio_display(tmp_path: Path) -> Display:
@@ -205,8 +208,8 @@ def test_writing_is_held_back_to_the_pace_of_the_card(bus: AudioBus) -> None:
     told = bus.told
     assert told is not None
     assert told.lead <= RATE * 8 // 1000 + 2 * LONG_BUFFER
-    assert took >= 1 - (told.lead + audio_bus.PIECE + LONG_BUFFER) / RATE - 0.02
-    assert len(volts) - told.position <= told.lead + audio_bus.PIECE + LONG_BUFFER
+    assert took >= 1 - (told.lead + PIECE + LONG_BUFFER) / RATE - 0.02
+    assert len(volts) - told.position <= told.lead + PIECE + LONG_BUFFER
 
 
 @pytest.mark.realtime

@@ -19,6 +19,8 @@ RATE = 48000.0
 WIRING = Wiring(channels=1, sample_rate=RATE, voltage=100.0, slew=0.7e6, fade=20e-3)
 ORDER = Order(device="", channels=1, sample_rate=RATE, wiring=WIRING, full_scale=100.0)
 BLOCK = np.full((64, 1), 5.0)
+PIECE = 256
+"""Samples of a block that are handed to the card at once, 5 ms; an e-stop comes between them."""
 
 
 class Card:
@@ -105,11 +107,11 @@ def test_where_the_card_is_lost_the_bus_is_idle_and_a_start_plays_on(bus: AudioB
 def test_an_estop_between_pieces_of_a_block_drops_the_rest(bus: AudioBus) -> None:
     bus.start()
     made[0].hook = lambda kind: bus.estop() if kind == "samples" else None
-    bus.write(DriveBlock(0, np.full((3 * audio_bus.PIECE, 1), 5.0)))
+    bus.write(DriveBlock(0, np.full((3 * PIECE, 1), 5.0)))
     assert {bus.state} == {"estopped"}
-    assert bus.counters.dropped_samples == 2 * audio_bus.PIECE
-    bus.write(DriveBlock(3 * audio_bus.PIECE, BLOCK))
-    assert bus.counters.dropped_samples == 2 * audio_bus.PIECE + 64
+    assert bus.counters.dropped_samples == 2 * PIECE
+    bus.write(DriveBlock(3 * PIECE, BLOCK))
+    assert bus.counters.dropped_samples == 2 * PIECE + 64
     assert made[0].heard.count("samples") == 1
     bus.clear()
     assert bus.state == "idle"

@@ -21,9 +21,14 @@ from tactile.bus.inspection import identify, measuring, readings
 from tactile.bus.link_bus import LinkBus
 from tactile.daemon import bringup, probe
 from tactile.daemon.bringup import bring_up
-from tactile.daemon.probe import FREQUENCY, INTERVAL, Load, Signal, judge, load_of
+from tactile.daemon.probe import Load, Signal, judge, load_of
 from tactile.devices import open_bus
 from tactile.display import load_display
+
+INTERVAL = 10e-3
+"""s between readings: the shortest that SENSE_MS has (SPEC.md, 4)."""
+FREQUENCY = 161.8
+"""Hz of the tone: 1.618 turns from reading to reading, the golden ratio."""
 
 
 @pytest.mark.realtime
@@ -274,6 +279,7 @@ def test_the_stated_error_is_that_of_noise() -> None:
 
 def test_readings_meet_ever_other_phases() -> None:
     """No gap between the phases of any 12 readings is twice as wide as if they were even."""
+    assert (probe.FREQUENCY, probe.INTERVAL) == (FREQUENCY, INTERVAL)
     turns = np.sort(np.arange(12) * FREQUENCY * INTERVAL % 1)
     assert np.diff([*turns, turns[0] + 1]).max() < 2 / 12
 

@@ -6,6 +6,7 @@ import pytest
 
 from tactile.bus import registry
 from tactile.bus.base import Bus, HostDeath, Rig
+from tactile.bus.mock_bus import open_mock
 from tactile.bus.registry import Address
 from tactile.devices import open_bus
 from tactile.display import Display
@@ -138,7 +139,7 @@ class TestRegisteredBus:
             return lambda: [registry.Found(f"{scheme}:{k}", "a device") for k in range(2)]
 
         for scheme in ("one", "two"):
-            registry.register_bus(scheme, registry._drivers["mock"].factory, find=finder(scheme))
+            registry.register_bus(scheme, open_mock, find=finder(scheme))
         urls = [found.url for found in registry.find_devices()]
         assert [u for u in urls if u[:3] in ("one", "two")] == ["one:0", "one:1", "two:0", "two:1"]
 

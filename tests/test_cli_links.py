@@ -8,6 +8,7 @@ from cli_rig import Command, assert_mistake
 
 from tactile.bus import registry
 from tactile.bus.base import DriveFrame
+from tactile.bus.mock_bus import open_mock
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.daemon.session import run
 from tactile.devices import link_at, open_bus
@@ -60,13 +61,12 @@ def test_devices_lists_what_every_driver_finds(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = [registry.Found("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
-    drivers = {"serial": registry.Driver(registry._drivers["mock"].factory, "ramps", lambda: found)}
-    monkeypatch.setattr(registry, "_drivers", drivers)
+    monkeypatch.setattr(registry, "_drivers", {})
+    assert command("devices").out == "no device found; sim: and mock: are always there\n"
+    registry.register_bus("serial", open_mock, find=lambda: found)
     assert "serial:///dev/ttyACM7  an amplifier, USB 1209:0001" in command("devices").out
     listed = json.loads(command("devices", "--json").out)
     assert listed == [{"url": found[0].url, "about": found[0].about}]
-    monkeypatch.setattr(registry, "_drivers", {})
-    assert command("devices").out == "no device found; sim: and mock: are always there\n"
 
 
 # Playing

@@ -19,8 +19,8 @@ from tactile.gallery.terminal_view import (
     screen_lines,
     surface_lines,
 )
-from tactile.gallery.views import PIXELS, View, view_texture
-from tactile.terminal import HEIGHTS, palette
+from tactile.gallery.views import View, view_texture
+from tactile.terminal import palette
 from tactile.texture.surface import load_texture
 
 
@@ -46,7 +46,7 @@ def test_without_color_the_surface_is_height_and_the_spectrum_bars(command: Comm
     assert lines[3].startswith("surface, 8 × 8 mm, stroke →")
     assert "spectrum at 80 mm/s, µm peak per third octave" in lines[3]
     surface = [line[:40] for line in lines[4:24]]
-    assert {sign for line in surface for sign in line} <= set(HEIGHTS)
+    assert {sign for line in surface for sign in line} <= set(" ▁▂▃▄▅▆▇█")
     assert lines[24].startswith("−5 µm ▁")
     (felt,) = [line for line in lines if line[43:].startswith("   251 ")]
     micro, decibels = felt.split()[-4], felt.split()[-2]
@@ -57,10 +57,10 @@ def test_without_color_the_surface_is_height_and_the_spectrum_bars(command: Comm
 
 
 def test_heights_and_colors_are_the_means_of_the_surface() -> None:
-    y, x = np.meshgrid(*[(np.arange(PIXELS) + 0.5) / PIXELS] * 2, indexing="ij")
+    y, x = np.meshgrid(*[(np.arange(240) + 0.5) / 240] * 2, indexing="ij")
     ramp = (x + 2 * y - 1.5) * 2e-6
     plain = text(surface_lines(ramp, 40, color=False))
-    level = np.array([[HEIGHTS.index(sign) for sign in line] for line in plain[:20]])
+    level = np.array([[" ▁▂▃▄▅▆▇█".index(sign) for sign in line] for line in plain[:20]])
     cells = ramp[::-1].reshape(20, 12, 40, 6).mean(axis=(1, 3)) / 3e-6
     np.testing.assert_array_equal(level, np.rint((cells + 1) / 2 * 7) + 1)
     assert plain[-1].startswith("−3 µm ")

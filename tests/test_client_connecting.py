@@ -196,7 +196,7 @@ def test_the_way_out_is_bounded_where_the_daemon_does_not_read(twin: Twin, daemo
 def test_who_gives_up_waiting_for_the_end_does_not_take_it_away() -> None:
     """A cancelled future would be the end of the thread that says that it has ended."""
     over_the_wire = websocket.ThreadTransport("ws://127.0.0.1:1/v1", timeout=1.0)
-    assert not over_the_wire._closed.cancel()
+    assert not over_the_wire.close().cancel()
     assert not local.LocalTransport(Config())._closed.cancel()
 
 

@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_s
 from repeating import often
 
 from tactile.client.outbox import Outbox
-from tactile.client.session import RAISING, Session
+from tactile.client.session import Session
 from tactile.client.transport import Receiver
 from tactile.clock import ModelClock
 from tactile.daemon import messages as m
@@ -189,7 +189,7 @@ class Schedule(RuleBasedStateMachine):
 
     @rule(display=all_or_one)
     def estop(self, display: str | None) -> None:
-        self.withdraw(of(display), RAISING)
+        self.withdraw(of(display), m.Arm | m.Clear | m.Play)
         self.owed[display] = len(self.handed)
         assert self.ask(m.EStop(display=display)) == self.session.connected
 

@@ -27,7 +27,7 @@ from tactile.daemon.config import (
     read_tokens,
 )
 from tactile.daemon.logs import Logs
-from tactile.daemon.messages import ALL_ROLES
+from tactile.daemon.messages import Role
 from tactile.errors import InputError
 
 PACKAGING = Path(__file__).parents[1] / "packaging"
@@ -153,7 +153,7 @@ def test_tokens_have_their_roles_and_one_may_be_a_credential(
         )
     )
     assert read_tokens(config) == [
-        (b"file-with-all-of-it", ALL_ROLES),
+        (b"file-with-all-of-it", frozenset[Role]({"watch", "play", "arm", "stop"})),
         (b"file-with-a-few-roles", {"watch", "stop"}),
         (b"credential-of-16", {"play"}),
     ]
@@ -280,8 +280,8 @@ def test_many_alike_are_cut_short_and_the_next_second_is_new(
             quiet.info("packet %d", i)
         quiet.info("something else")
     written.close()
-    assert len(file.read_text().splitlines()) == 2 * (logs.MOST_ALIKE + 1)
-    assert written.dropped == 2 * (100 - logs.MOST_ALIKE)
+    assert len(file.read_text().splitlines()) == 2 * (10 + 1), "ten a second of one kind"
+    assert written.dropped == 2 * (100 - 10)
 
 
 def test_a_log_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

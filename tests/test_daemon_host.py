@@ -21,10 +21,10 @@ from tactile.daemon import children as child_processes
 from tactile.daemon import client as client_module
 from tactile.daemon import messages as m
 from tactile.daemon import playing as playing_module
-from tactile.daemon.client import OUTBOX, Client
+from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig, load_config
 from tactile.daemon.host import Host
-from tactile.daemon.playing import Playing, hangs
+from tactile.daemon.playing import Playing
 from tactile.errors import BusError, InputError
 
 T = TypeVar("T")
@@ -250,7 +250,7 @@ def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
     runner: Loop, host: Host, program: Program
 ) -> None:
     other = Program(runner, host)
-    now, silence = time.monotonic(), m.SILENCE
+    now, silence = time.monotonic(), 0.1  # s, as README says
     program.touch(arrival=now)
     other.touch(arrival=now + 0.9 * silence)
     assert (program.stats().owner, other.stats().owner) == (True, False)
@@ -309,15 +309,6 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
     asyncio.run(opened())
 
 
-def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None:
-    """One that was opened a moment ago has reported nothing yet: its last report is of time 0."""
-    assert not hangs(100.0, 0.0, 99.9)
-    still = playing_module.STILL
-    assert not hangs(100.0 + still, 100.0, 50.0)
-    assert hangs(100.0 + still + 0.1, 0.0, 100.0)
-    assert hangs(100.0 + still + 0.1, 100.0, 50.0)
-
-
 def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     runner: Loop, program: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -331,12 +322,13 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     timeless = SimpleNamespace(sleep=sleep, create_task=asyncio.create_task)
     monkeypatch.setattr(client_module, "asyncio", timeless)
     program.ask(m.Subscribe(display=NAME, rate_hz=100.0))
-    program.until(lambda _: len(between) > OUTBOX)
+    outbox = 64  # messages: 0.6 s of telemetry at 100 Hz, for a client that does not read
+    program.until(lambda _: len(between) > outbox)
     assert set(between) == {0.01}
-    assert runner.call(program.client.outbox.qsize) == OUTBOX
+    assert runner.call(program.client.outbox.qsize) == outbox
     runner.call(lambda: program.client.post(m.Event(display=NAME, kind="fault")))
     program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
-    found = [program.client.outbox.get_nowait() for _ in range(OUTBOX)]
+    found = [program.client.outbox.get_nowait() for _ in range(outbox)]
     assert any(isinstance(one, m.Event) and one.kind == "fault" for one in found)
     told = next(one for one in found if isinstance(one, m.Telemetry))
     assert len(told.shear_um) == len(told.drive_v) == 24

@@ -1,6 +1,6 @@
 """To whom high voltage belongs, and when it belongs to nobody."""
 
-from tactile.daemon.owners import OWNERLESS, Owners
+from tactile.daemon.owners import Owners
 
 ME, YOU = 1, 2
 
@@ -36,7 +36,7 @@ def test_who_arms_at_present_is_an_owner_before_it_runs() -> None:
 
 def test_what_belongs_to_nobody_is_told_once_each_time_that_it_lasts() -> None:
     owners = Owners()
-    step = OWNERLESS / 8  # a power of two, so that nothing is rounded
+    step = 0.5 / 8  # of half a second; a power of two, so that nothing is rounded
     told = [owners.look(k * step, running=True, armed=True) for k in range(20)]
     assert [k for k, one in enumerate(told) if one] == [9, 18]
     assert not owners.look(20 * step, running=True, armed=False)

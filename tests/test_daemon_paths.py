@@ -65,22 +65,27 @@ def test_the_users_own_socket_comes_before_the_systems(
     run: Path, listening: list[socket.socket]
 ) -> None:
     assert paths.find_sockets() == []
-    system = listen(paths.SYSTEM_FOLDER / paths.API_SOCKET, listening)
+    system = listen(paths.SYSTEM_FOLDER / "tactile.sock", listening)
     assert paths.find_sockets() == [system]
-    own = listen(paths.runtime_folder() / paths.API_SOCKET, listening)
+    own = listen(paths.runtime_folder() / "tactile.sock", listening)
     assert paths.find_sockets() == [own, system]
     assert paths.find_sockets("estop.sock") == []
 
 
+def test_the_systems_socket_is_where_the_packaged_configuration_has_it() -> None:
+    text = (Path(__file__).parents[1] / "packaging" / "tactile.toml").read_text("utf-8")
+    assert f'socket = "{(paths.SYSTEM_FOLDER / paths.API_SOCKET).as_posix()}"' in text
+
+
 def test_what_is_no_socket_is_left_out(run: Path) -> None:
-    (paths.SYSTEM_FOLDER / paths.API_SOCKET).write_text("")
+    (paths.SYSTEM_FOLDER / "tactile.sock").write_text("")
     assert paths.find_sockets() == []
 
 
 def test_a_socket_in_another_users_folder_is_left_out(
     run: Path, listening: list[socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own = listen(paths.runtime_folder() / paths.API_SOCKET, listening)
+    own = listen(paths.runtime_folder() / "tactile.sock", listening)
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(own.parent))
     assert paths.find_sockets() == [own]
     real = os.geteuid()

@@ -14,6 +14,7 @@ from tactile.daemon import playback_process
 from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.daemon.orders import Setup
+from tactile.daemon.playing import hangs
 
 NAME = "left"
 BACK = 2.0
@@ -41,6 +42,15 @@ def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
         return world.host.connect("app", roles=m.ALL_ROLES)
 
     return start
+
+
+def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None:
+    """One that was opened a moment ago has reported nothing yet: its last report is of time 0."""
+    assert not hangs(100.0, 0.0, 99.9)
+    still = 4.0  # s, many times what README's machine ever stood still for
+    assert not hangs(100.0 + still, 100.0, 50.0)
+    assert hangs(100.0 + still + 0.1, 0.0, 100.0)
+    assert hangs(100.0 + still + 0.1, 100.0, 50.0)
 
 
 def health_of(world: World) -> tuple[bool, bool, float]:

@@ -9,25 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.daemon.waves import (
-    BLOCK_WORK,
-    ENDING,
-    HOLD,
-    LONGEST,
-    MOST_SEGMENTS,
-    MOST_TRANSIENTS,
-    PERIODS,
-    PLAIN,
-    Curve,
-    Effect,
-    Queue,
-    Voice,
-    affordable,
-)
+from tactile.daemon.waves import Curve, Effect, Queue, Voice, affordable
 
 RATE = 8000.0
 N = 3
 BLOCK = 16
+ENDING, HOLD = 5e-3, 50e-3
+"""s in which an effect that is replaced or ends falls to nothing, and for which a streamed one is
+held after its last point (messages.py)."""
+PLAIN, PERIODS = 160.0, 2.0
+"""Hz of an effect without a frequency, and periods that a transient lasts."""
+MOST_TRANSIENTS, MOST_SEGMENTS = 16, 128
+"""That sound at once, 1280 taps a second of 160 Hz, and that wait, one each 8 ms of a second."""
+BLOCK_WORK = 12_000
+"""Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 Floats = NDArray[np.float64]
 Take = tuple[int, Curve | None]
 
@@ -228,7 +223,7 @@ def test_memory_is_bounded_by_what_waits() -> None:
         queue.append(np.zeros(4000, np.float32), 48_000.0, ())
         queue.take(BLOCK)
         (segment,) = queue._segments
-        assert len(segment._data) <= 2 * (LONGEST * 48_000 + 4000) + 3 * segment._reach
+        assert len(segment._data) <= 2 * (48_000 + 4000) + 3 * segment._reach
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300))

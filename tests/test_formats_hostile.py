@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 from tactile.errors import InputError, NotFoundError
 from tactile.texture.formats import load_effect, save_effect, synthesize
 from tactile.texture.formats.hatt import load_model
-from tactile.texture.formats.reading import LARGEST_FILE
 
 CLIP = '{"version":{"major":1},"signals":{"continuous":{"envelopes":{"amplitude":[%s]}}}}'
 POINT = '{"time":0,"amplitude":0.5}'
+LARGEST_FILE = 8 * 1024 * 1024
+"""Bytes, as the refusal says: minutes of effects, as Python objects some 200 MB at worst."""
 
 
 def refusal(path: Path) -> str:

@@ -16,19 +16,16 @@ from hypothesis import strategies as st
 
 from tactile.clock import ModelClock
 from tactile.daemon import latch as module
-from tactile.daemon.latch import (
-    CLEARED,
-    LOCK_WITHIN,
-    SIZE,
-    Latch,
-    Writer,
-    file_name,
-    inherit_estops,
-)
+from tactile.daemon.latch import CLEARED, Latch, Writer, file_name, inherit_estops
 from tactile.errors import BusError, InputError
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
 WRITERS = list(Writer)
+SIZE = 8 * 8 + 3 * 256
+"""Bytes of a file: eight words, and a time and a note for each of three writers. One of another
+size is damaged, and so an e-stop: a file of an earlier version would be one."""
+LOCK_WITHIN = 3.0
+"""s that what is left of a killed daemon has to let go of its file."""
 
 
 def opened(folder: Path, device: str = DEVICE) -> AbstractContextManager[Latch]:

@@ -36,7 +36,6 @@ from tactile.bus.base import Wiring
 from tactile.bus.board import config_of
 from tactile.bus.line_model import Faults
 from tactile.bus.session import Session
-from tactile.bus.stream import LEAST_LEAD, MOST_LEAD
 from tactile.errors import BusError
 
 EVERY = pytest.mark.parametrize("link", MOST)
@@ -203,7 +202,7 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
         kinds = [packet.type for packet, _ in heard]
         assert kinds.index(m.Limits.TYPE) < kinds.index(m.Arm.TYPE)
         rig.play(0.3)
-        status = rig.bus._session.peers[0].host.status
+        status = rig.bus.peers[0].host.status
         assert status is not None
         assert status.voltage_limit_uv == VOLTAGE * 1e6
         assert status.slew_limit_v_per_s == rig.panel.slew
@@ -282,19 +281,19 @@ def test_the_lead_rises_by_half_at_an_underrun_to_24_ms_and_falls_to_6(
 ) -> None:
     rig = linked("serial")
     rig.begin(0.1)
-    stream, peer = rig.bus._session.stream, rig.bus._session.peers[0]
+    stream, peer = rig.bus._session.stream, rig.bus.peers[0]
     assert stream is not None
     now, lead = rig.clock.now(), stream.lead
     for k in range(1, 5):
         peer.underruns += 1
         stream.control(now + k, running=True)
-        lead = min(1.5 * lead, MOST_LEAD)
+        lead = min(1.5 * lead, 24e-3)
         assert stream.lead == pytest.approx(lead)
-    assert stream.lead == MOST_LEAD
+    assert stream.lead == 24e-3
     for k in range(1, 200):
         stream.control(now + 4 + k, running=True)
-        assert stream.lead == pytest.approx(max(MOST_LEAD - 1e-4 * k, LEAST_LEAD))
-    assert stream.lead == LEAST_LEAD
+        assert stream.lead == pytest.approx(max(24e-3 - 1e-4 * k, 6e-3))
+    assert stream.lead == 6e-3
     assert rig.bus.counters.underruns == 4
 
 
@@ -309,7 +308,7 @@ def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
     told = rig.faults()["underruns"]
     assert 0 < told < 5
     assert rig.bus.counters.underruns == told
-    assert 18e-3 < rig.bus.lead <= MOST_LEAD
+    assert 18e-3 < rig.bus.lead <= 24e-3
     assert rig.misplaced()[0] < SAMPLE
 
 
@@ -355,7 +354,7 @@ def test_boards_start_at_one_instant_whatever_their_clocks(linked: Linked) -> No
     for _ in range(3):
         rig.start()
         rig.play(0.05)
-        begun = [rig.model.time_of(k, peer.begun) for k, peer in enumerate(rig.bus._session.peers)]
+        begun = [rig.model.time_of(k, peer.begun) for k, peer in enumerate(rig.bus.peers)]
         assert max(begun) - min(begun) < 1 / 8000
         for board in range(3):
             late, compared = rig.misplaced(board, since=rig.zero)

@@ -28,6 +28,11 @@ from tactile.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("patient")
 
+MOST_SENDERS = 16
+"""Senders that are told apart at a time; each takes a client's place."""
+MOST_USED = 32
+"""Packets that are used before anything else gets its turn."""
+
 
 @asynccontextmanager
 async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.socket]]:
@@ -101,9 +106,11 @@ def test_what_is_no_osc_is_refused_and_comes_to_an_end(name: str) -> None:
 
 def test_bundles_nested_as_deep_as_a_packet_holds_are_read() -> None:
     data = packet("/a")
-    while len(data) + 20 <= osc.LARGEST_PACKET:
+    while len(data) + 20 <= 4096:
         data = bundle(data)
     assert read_packet(data) == [("/a", [])]
+    with pytest.raises(InputError, match="4097 bytes: at most 4096"):
+        read_packet(bytes(4097))
 
 
 # What it means
@@ -250,20 +257,20 @@ async def test_senders_are_bounded_and_those_that_are_silent_make_room(
     monkeypatch.setattr(osc, "SILENCE", 1e6)
     async with sending() as (there, hands, link):
         links = []
-        for _ in range(osc.MOST_SENDERS + 1):
+        for _ in range(MOST_SENDERS + 1):
             other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             other.connect(link.getpeername())
             other.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
             links.append(other)
         code = "too_many_clients"
         await until(lambda: figure(there, "tactile_failures_total", code=code) == 1)
-        assert len(hands.clients) == 1 + osc.MOST_SENDERS
+        assert len(hands.clients) == 1 + MOST_SENDERS
         monkeypatch.setattr(osc, "YIELDS_AFTER", 0.0)
         for other in links[1:]:
             other.send(packet("/tactile/contact", 1.0, 2.0, 0.5))
-        await until(lambda: len(hands.clients) == 1 + osc.MOST_SENDERS + 1)
+        await until(lambda: len(hands.clients) == 1 + MOST_SENDERS + 1)
         closed = [hand.closed for hand in hands.clients[1:]]
-        assert closed == [1] + [0] * osc.MOST_SENDERS, "the one that was silent longest"
+        assert closed == [1] + [0] * MOST_SENDERS, "the one that was silent longest"
         for other in links:
             other.close()
 
@@ -339,19 +346,19 @@ async def test_an_estop_is_carried_out_for_a_sender_too_many_and_behind_a_sender
 ):
     async with sending(messages_per_second=10) as (there, hands, link):
         links = []
-        for _ in range(osc.MOST_SENDERS):
+        for _ in range(MOST_SENDERS):
             other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             other.connect(link.getpeername())
             other.send(CONTACT)
             links.append(other)
-        await until(lambda: len(hands.clients) == 1 + osc.MOST_SENDERS)
+        await until(lambda: len(hands.clients) == 1 + MOST_SENDERS)
         link.send(STOP)
         await until(lambda: len(hands.clients[0].commands) == 1)
         for _ in range(50):
             links[0].send(CONTACT)
         links[0].send(bundle(CONTACT, STOP))
         await until(lambda: len(hands.clients[0].commands) == 2)
-        assert len(hands.clients) == 1 + osc.MOST_SENDERS
+        assert len(hands.clients) == 1 + MOST_SENDERS
         assert figure(there, "tactile_failures_total", transport="osc") == 0
         for other in links:
             other.close()
@@ -365,14 +372,14 @@ async def test_an_estop_comes_before_the_packets_that_wait_before_it(
         for _ in range(100):
             link.send(CONTACT)
         link.send(STOP)
-        await until(lambda: len(hands.log) > osc.MOST_USED)
+        await until(lambda: len(hands.log) > MOST_USED)
         assert isinstance(hands.clients[0].commands[0], EStop)
         await asyncio.sleep(0)
         contacts = [command for _, command in hands.log if isinstance(command, Contact)]
-        assert len(contacts) == osc.MOST_USED, "the rest of what was read is dropped"
+        assert len(contacts) == MOST_USED, "the rest of what was read is dropped"
         reason = {"transport": "osc", "reason": "too_fast"}
         dropped = figure(there, "tactile_dropped_messages_total", **reason)
-        assert dropped == 100 + 1 - osc.MOST_USED
+        assert dropped == 100 + 1 - MOST_USED
 
 
 async def test_estops_of_displays_that_there_are_not_keep_no_real_one_waiting() -> None:

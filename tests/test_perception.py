@@ -9,10 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile.texture.perception import (
-    CENTERS,
     EDGES,
-    TANGENTIAL,
-    TANGENTIAL_RANGE,
     TOUCH_CHANNELS,
     band_of,
     band_sensation,
@@ -26,6 +23,8 @@ Floats = NDArray[np.float64]
 TABLE = Path(__file__).parents[2] / "shared" / "data" / "perception_thresholds.csv"
 ROUNDED = 5e-3
 """Relative: the table has three digits."""
+CENTERS = 10 ** (np.arange(32) / 10)
+"""Hz: the third octaves from 1 Hz to 1 kHz, and one above (IEC 61260-1)."""
 
 
 def line(frequency: float, db_above: float) -> tuple[Floats, Floats]:
@@ -71,8 +70,7 @@ def test_below_1_hz_it_is_held_and_above_1_khz_it_goes_on_rising() -> None:
 
 def test_tangential_motion_is_felt_at_a_part_of_the_normal() -> None:
     ratio = detection_threshold(CENTERS) / detection_threshold(CENTERS, factor=1.0)
-    np.testing.assert_allclose(ratio, TANGENTIAL)
-    assert TANGENTIAL_RANGE[0] < TANGENTIAL < TANGENTIAL_RANGE[1]
+    np.testing.assert_allclose(ratio, (0.3 + 0.6) / 2)  # 0.3 … 0.6: Biggs & Srinivasan 2002
 
 
 @pytest.mark.parametrize("frequency", [1.3, 20.0, 79.0, 250.0, 900.0])

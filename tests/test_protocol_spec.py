@@ -67,7 +67,12 @@ def messages_of_spec() -> dict[int, tuple[str, str, list[list[str]], str | None]
 
 def test_the_message_tables_of_the_spec_are_the_schema() -> None:
     schema = {
-        d["id"]: (generate._upper(d["name"]), d["from"], d["fields"], d.get("body"))
+        d["id"]: (
+            re.sub(r"\B([A-Z])", r"_\1", d["name"]).upper(),
+            d["from"],
+            d["fields"],
+            d.get("body"),
+        )
         for d in SCHEMA["message"]
     }
     assert messages_of_spec() == schema

@@ -4,9 +4,12 @@ import pytest
 from daemon_rig import daemon, talking, until
 
 from tactile.daemon import listening, liveness
-from tactile.daemon.liveness import TICK, Due, SignsOfLife
+from tactile.daemon.liveness import Due, SignsOfLife
 
 pytestmark = pytest.mark.usefixtures("patient")
+
+TICK = 0.025
+"""s between looks; README's ping each 50 ms is every second one."""
 
 
 def steps(signs: SignsOfLife, count: int, *, passed: float = TICK) -> list[Due]:

@@ -19,9 +19,9 @@ from websockets.typing import Origin, Subprotocol
 from tactile.daemon import connection, peers
 from tactile.daemon.config import Config, ServerConfig, TokenConfig
 from tactile.daemon.listening import listen_locally
-from tactile.daemon.messages import ALL_ROLES, JSON_PROTOCOL
+from tactile.daemon.messages import JSON_PROTOCOL, Role
 from tactile.daemon.paths import API_SOCKET
-from tactile.daemon.peers import OTHERS, Peer, local_peer, roles_of_user, tcp_peer, user_in
+from tactile.daemon.peers import Peer, local_peer, roles_of_user, tcp_peer, user_in
 from tactile.daemon.server import running
 from tactile.errors import InputError
 
@@ -30,6 +30,8 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="users of peers are told by Linux"),
 ]
 PROTOCOL = Subprotocol(JSON_PROTOCOL)
+ALL_ROLES: frozenset[Role] = frozenset({"watch", "play", "arm", "stop"})
+"""Those that README names."""
 
 # Users
 
@@ -97,8 +99,8 @@ def test_the_kernel_knows_user_and_process_of_a_local_peer() -> None:
 def test_this_user_and_root_may_do_all_and_others_watch_and_stop() -> None:
     assert roles_of_user(Peer(os.geteuid())) == ALL_ROLES
     assert roles_of_user(Peer(0)) == ALL_ROLES
-    assert roles_of_user(Peer(os.geteuid() + 1)) == OTHERS
-    assert roles_of_user(None) == OTHERS == {"watch", "stop"}
+    assert roles_of_user(Peer(os.geteuid() + 1)) == {"watch", "stop"}
+    assert roles_of_user(None) == {"watch", "stop"}
 
 
 async def test_another_user_who_comes_by_tcp_may_watch_and_stop(
@@ -109,7 +111,7 @@ async def test_another_user_who_comes_by_tcp_may_watch_and_stop(
         welcome = await talker.ask(type="hello", client="other")
         assert welcome["roles"] == ["stop", "watch"]
         assert welcome["may_arm"] is False
-        assert hands.clients[0].roles == OTHERS
+        assert hands.clients[0].roles == {"watch", "stop"}
 
 
 # Tokens

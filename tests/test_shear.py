@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.rendering.shear import CONTACT_FORCE, EventField, Law, held_power_law
+from tactile.rendering.shear import EventField, Law, held_power_law
 from tactile.texture.descriptor import About, Descriptor, Events, Laws, Reference
 from tactile.texture.surface import Partials, Surface
 
@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 EXPONENTS = [-4.0, -1.0, -0.5, 0.4, 1.0, 3.0]
 RANGE = (10.0, 1000.0)
 MIDDLE = 100.0
+CONTACT_FORCE = 0.05
+"""N, below which the finger is leaving."""
 
 
 # The law

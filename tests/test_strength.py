@@ -20,9 +20,7 @@ from tactile.rendering.commanded import EVENT_EDGES, commanded_lines
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import roll_off
 from tactile.rendering.renderer import Renderer, render
-from tactile.rendering.skin_stretch import STROKE_SHARE
 from tactile.rendering.strength import (
-    HEADROOM,
     SteadyStroke,
     amplified,
     automatic_gain,
@@ -32,9 +30,14 @@ from tactile.rendering.strength import (
     trial,
 )
 from tactile.texture.perception import CENTERS, EDGES, band_sensation, detection_threshold
-from tactile.texture.surface import GOLDEN, Texture, load_texture, without_friction
+from tactile.texture.surface import Texture, load_texture, without_friction
 
 pytestmark = pytest.mark.usefixtures("brief")
+
+HEADROOM = 10 ** (-3.5 / 20)
+"""By which a trial stays below the limit: that of half a minute is up to 3.1 dB above it."""
+STROKE_SHARE = 0.3
+"""Of full drive, that friction takes at most."""
 
 
 # Closed form
@@ -252,7 +255,8 @@ def test_a_faint_trial_is_the_drive_of_the_whole(pair: Display, calf: Texture) -
 
 def test_a_trial_settles_at_every_place(pair: Display, calf: Texture) -> None:
     """The third place's drive is that of a stroke that began there, less the time to settle."""
-    start = strength.SPREAD * (2 * np.array([GOLDEN, GOLDEN**0.5]) % 1)
+    golden = (5**0.5 - 1) / 2  # places are spread over 10 m by its powers
+    start = 10.0 * (2 * np.array([golden, golden**0.5]) % 1)
     line = Trajectory([0.0, 0.3], [start, start + np.array([0.024, 0.0])], 0.5)
     whole, late = render(pair, calf, line).drive, Renderer(pair, None).delay
     found = trial(pair, calf, STROKE).drive[2]

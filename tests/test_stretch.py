@@ -14,7 +14,10 @@ from scipy.integrate import solve_ivp
 from strength_rig import few
 from stretch_rig import (
     DISPLAY,
+    GIVE,
+    NODE_TIME,
     RATE,
+    STROKE_SHARE,
     VS,
     Floats,
     expected_stretch,
@@ -29,8 +32,11 @@ from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.plant import Plant
 from tactile.display import load_display
 from tactile.rendering.renderer import Renderer
-from tactile.rendering.skin_stretch import AVERAGED, GIVE, NODE_TIME, SLIP, STROKE_SHARE, Bristles
+from tactile.rendering.skin_stretch import Bristles
 from tactile.sim import Fidelity
+
+SLIP = 2
+"""Nodes that a slip takes: the steep half of a spline's step."""
 
 # Stribeck
 
@@ -133,7 +139,7 @@ def test_a_swing_draws_dahls_loop() -> None:
 
 
 def test_a_swing_through_the_renderer_is_the_ode_read_late() -> None:
-    """LuGre after a first-order mean of the motion, by scipy; two nodes and 4 ms late.
+    """LuGre after a first-order mean of the motion over 5 ms, by scipy; two nodes and 4 ms late.
 
     Nodes take the mean velocity of 2 ms, half a node late; the spline's own width and the mean's
     steps leave 2 % of a swing of 2 Hz.
@@ -146,7 +152,7 @@ def test_a_swing_through_the_renderer_is_the_ode_read_late() -> None:
 
     def slope(t: float, state: Floats) -> Floats:
         v, q = state
-        change = (amplitude * rate * math.cos(rate * t) - v) / AVERAGED
+        change = (amplitude * rate * math.cos(rate * t) - v) / 5e-3
         return np.array([change, (v - q * abs(v) / 0.6) / GIVE])
 
     times = n / RATE
@@ -277,6 +283,15 @@ def test_a_slip_is_smooth_and_within_a_kilohertz() -> None:
     power = np.abs(np.fft.rfft(np.diff(found) * np.hanning(len(found) - 1))) ** 2
     frequency = np.fft.rfftfreq(len(found) - 1, 1 / RATE)
     assert power[frequency > 1000].sum() < 1e-5 * power.sum()
+
+
+def test_nodes_are_2_ms_apart() -> None:
+    """Of a cubic the fourth difference is nothing: what is left of it is at nodes alone."""
+    found = shear_of(rubbed(stick_slip=1.0), stroke(3e-3, 1.0))[2000:, 0].astype(np.float64)
+    bend = np.abs(np.diff(found, 4))
+    at = np.flatnonzero(bend > 0.3 * bend.max())
+    assert len(at) > 8
+    assert len(set(at % round(NODE_TIME * RATE))) == 1
 
 
 # On the skin

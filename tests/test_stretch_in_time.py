@@ -10,16 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace as changed
 from scipy.interpolate import BSpline
-from stretch_rig import DISPLAY, RATE, expected_stretch, law, rubbed, shear_of, static_shear, stroke
+from stretch_rig import (
+    DISPLAY,
+    GIVE,
+    NODE_TIME,
+    RATE,
+    STROKE_SHARE,
+    expected_stretch,
+    law,
+    rubbed,
+    shear_of,
+    static_shear,
+    stroke,
+)
 
 from tactile.actuator.finger import FingerLoad
 from tactile.bench.rendering import grating_texture
 from tactile.rendering.layer import Layer
 from tactile.rendering.renderer import Ramp, Renderer
 from tactile.rendering.skin_stretch import (
-    GIVE,
-    NODE_TIME,
-    STROKE_SHARE,
     Bristles,
     Stretch,
     spline_weights,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from tactile import plots
 from tactile.errors import InputError
-from tactile.plots.style import COLORS
 
 LENGTH = np.arange(2.0, 21.0)
 FREQUENCY = np.linspace(0.0, 1000.0, 21)
@@ -192,7 +191,7 @@ def test_a_third_objective_is_color() -> None:
 def test_the_fingers_keep_their_colors() -> None:
     data = study(**{SMALLEST: criterion(tents())}).isel(load=[1])
     (line,) = plots.criterion_figure(data, SMALLEST).axes[0].lines
-    assert line.get_color() == COLORS[1]
+    assert line.get_color() == "#D55E00", "the second of Okabe and Ito's"
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ def stroked(stretch_um: float, millimeters: int, *, force: float = 0.5) -> Pictu
 def test_a_stretch_of_all_contactors_changes_no_cell(stretch_um: float) -> None:
     evenly, stretched = stroked(0.0, 60), stroked(stretch_um, 60)
     colors = pixels(drawn(evenly))
-    scale = terminal.SMALLEST_SCALE
+    scale = 0.1  # µm, what skin feels at best
     for picture in (evenly, stretched):  # what the first ways showed has decayed
         picture.state = replace(
             picture.state, peak_um=max(abs(picture.state.image_um).max(), scale)
@@ -348,7 +348,7 @@ def test_without_color_height_tells_shear_and_nothing_is_colored() -> None:
     for y, line in enumerate(text(filled)):
         for x, sign in enumerate(line):
             if raster.member[y, x] >= 0:
-                size[raster.member[y, x]] += terminal.HEIGHTS.index(sign)
+                size[raster.member[y, x]] += " ▁▂▃▄▅▆▇█".index(sign)
     by_contactor = [size[k] for k in raster.group]
     assert by_contactor == sorted(by_contactor)
     assert by_contactor[0] < 0.1 * by_contactor[-1]

@@ -9,44 +9,49 @@ from tracking_rig import BLOCK, LATENCY, RATE, ROUNDING, Run, needs_slide, speed
 from tactile.bench import tracking as bench
 from tactile.bench.tracking import Client, Held, misses, rms, tracked
 from tactile.rendering.finger_motion import MotionFilter, Noise
-from tactile.rendering.tracking import (
-    BRAKING,
-    CLEARING,
-    FALL,
-    FORCE_SETTLING,
-    HORIZON,
-    ONSET,
-    SETTLING,
-    Path,
-)
+from tactile.rendering.tracking import Path
+
+GOAL = 0.3
+"""mm by which a tracked place may be off, rms: README's goal."""
+HORIZON, BRAKING = 0.060, 0.020
+"""s for which a course is trusted beyond its newest sample, two periods of 90 Hz, a delay and the
+latency of 12 ms; and s in which a finger that says nothing more is brought to rest after that."""
+SETTLING, FORCE_SETTLING = 0.003, 0.005
+"""1/ω of the place at speed and of the force [s]: as short as noise allows, by measurement."""
+CLEARING = 8 / 2500
+"""s from a jump of the place to the force's rise: the 8 samples that the renderer reads its
+velocity from, at the slowest rate of an amplifier (2.5 kHz)."""
+ONSET, FALL = 0.010, 0.018
+"""s in which a touch rises to its whole force, and in which it falls: a lift is over in 20 ms."""
 
 # What is reached
 
 
 @pytest.mark.parametrize("delay", ["jitter", "even"])
 def test_a_swing_of_200_mm_s_is_met_within_300_um(delay: str) -> None:
+    assert bench.GOAL == GOAL, "the benchmark's figure is judged by README's goal"
     found = misses(bench.sine(3.0), Client(delay=delay), 2)
-    assert rms(found) <= bench.GOAL
+    assert rms(found) <= GOAL
     assert found.max() <= 1.2
 
 
 @needs_slide
 def test_the_recorded_slide_is_met_within_300_um() -> None:
     found = misses(bench.recorded(), Client(), 2)
-    assert rms(found) <= bench.GOAL
-    assert rms(misses(bench.recorded(), Client(delay="heavy"), 2)) <= bench.GOAL
+    assert rms(found) <= GOAL
+    assert rms(misses(bench.recorded(), Client(delay="heavy"), 2)) <= GOAL
 
 
 @needs_slide
 def test_at_five_times_its_speed_nobody_meets_the_slide_within_300_um() -> None:
     """What is reached is held, as a regression; 0.34 mm are blind, see the benchmark."""
     slide = bench.recorded(5.0)
-    assert rms(bench.blind(slide, Client(), 20)) > bench.GOAL
+    assert rms(bench.blind(slide, Client(), 20)) > GOAL
     assert rms(misses(slide, Client(), 10)) <= 1.0
 
 
 def test_prediction_is_what_reaches_it() -> None:
-    assert rms(misses(bench.sine(2.0), Client(), 1, Held)) > 10 * bench.GOAL
+    assert rms(misses(bench.sine(2.0), Client(), 1, Held)) > 10 * GOAL
 
 
 def test_a_given_velocity_makes_it_better() -> None:
@@ -182,6 +187,8 @@ def test_a_correction_keeps_place_and_velocity_and_bends_no_more_than_it_says() 
     before = path.now(0.02)
     path.bend(0.02, 0.01, [0.003, 0.001, 0.3, -0.1, 0.0, 0.0])
     assert np.ravel(path.now(0.02)) == pytest.approx(np.ravel(before), abs=ROUNDING)
+    pace = 0.4 / 0.03  # 4 mm within 10 ms; at 30 mm/s 1/ω is between 3 and 20 ms
+    assert path.settling == pytest.approx(SETTLING + 0.017 / (1 + pace**2))
     omega = 1 / path.settling
     times = 0.02 + np.arange(400) / 1e5
     place = path.at(times)

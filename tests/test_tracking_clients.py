@@ -12,10 +12,8 @@ from tracking_rig import Floats, Run, speeds, stroke
 
 from tactile.bench import tracking as bench
 from tactile.bench.tracking import Client
-from tactile.rendering import clock_map
 from tactile.rendering.clock_map import ClockMap
-from tactile.rendering.contact import LARGEST_FORCE
-from tactile.rendering.tracking import FARTHEST_MISS, MOST_WAITING, SETTLING, ContactTracker
+from tactile.rendering.tracking import ContactTracker
 
 # What clients may send
 
@@ -87,10 +85,9 @@ def test_nonsense_is_counted_and_changes_nothing(sample: tuple[Any, ...]) -> Non
 
 def test_what_nobody_asks_for_does_not_pile_up() -> None:
     tracker = ContactTracker()
-    for k in range(10 * MOST_WAITING):
+    for k in range(2560):
         tracker.add(k * 1e-3, (0.0, 0.0), 0.5)
-    assert len(tracker._waiting) == MOST_WAITING
-    assert tracker.dropped == 9 * MOST_WAITING
+    assert tracker.dropped == 2560 - 256, "256 wait: a quarter of a second of 1000 a second"
 
 
 anything = st.floats() | st.floats(-1, 1)
@@ -116,9 +113,10 @@ def test_whatever_comes_what_goes_out_is_a_finger(rows: list[tuple[Any, ...]], b
     run.block()
     assert np.all(np.isfinite(run.place))
     assert run.force.min() >= -1e-12
-    assert run.force.max() <= LARGEST_FORCE * 1.05
+    assert run.force.max() <= 50 * 1.05  # N, more than a finger that slides has
     heard = np.minimum(run.force[1:], run.force[:-1]) > 0
-    assert np.all(speeds(run.place)[heard] < FARTHEST_MISS / SETTLING + 30)
+    # what is left to correct, 20 mm at most, goes within 3 ms; 30 m/s for the course's own speed
+    assert np.all(speeds(run.place)[heard] < 20e-3 / 3e-3 + 30)
 
 
 def test_times_that_make_no_sense_do_not_stop_it() -> None:
@@ -170,7 +168,7 @@ def test_mapped_time_runs_within_2_percent_of_the_clients() -> None:
     for seed in range(5):
         _, client, ours = mapped(3e-4, seed=seed, seconds=5)
         pace = np.diff(ours) / np.diff(client)
-        assert np.abs(pace - 1).max() <= clock_map.SLEW * (1 + 1e-6)
+        assert np.abs(pace - 1).max() <= 0.02 * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("jump", [10.0, -10.0, 3600.0])
@@ -188,7 +186,7 @@ def test_a_stall_is_taken_in_without_running_backward() -> None:
     arrivals = np.where((times > 2) & (times < 4), 4.0, times)
     ours = [clock(t, a) for t, a in zip(times.tolist(), arrivals.tolist(), strict=True)]
     assert np.all(np.diff(ours) >= 0)
-    assert np.abs(np.array(ours) - times)[times > 4].max() <= clock_map.TOO_LATE + 1e-9
+    assert np.abs(np.array(ours) - times)[times > 4].max() <= 0.05 + 1e-9, "more begins anew"
     assert np.abs(np.array(ours) - times)[times > 8].max() < 1e-9
 
 
@@ -218,13 +216,13 @@ def test_the_clock_map_remembers_no_more_than_its_window() -> None:
     clock = ClockMap()
     for k in range(20000):
         clock(k * 1e-3, k * 1e-3 + 1e-3)
-    assert len(clock._least) <= clock_map.BUCKETS + 1
+    assert len(clock._least) <= 8 + 1, "of each quarter of a second of the last 2 s one"
 
 
 def test_a_client_of_another_rate_is_a_client() -> None:
     """The bench's streams are what they say."""
     lossy = bench.sampled(bench.line(0.1, 5.0), replace(Client(), loss=0.3), 0)
-    assert len(lossy.time) == pytest.approx(0.7 * 90 * (5 + bench.LEAD), rel=0.1)
+    assert len(lossy.time) == pytest.approx(0.7 * 90 * (1.5 + 5), rel=0.1)  # s
     assert np.all(np.diff(lossy.arrival) >= 0)
     assert np.all(lossy.arrival >= lossy.time)
 

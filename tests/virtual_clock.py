@@ -35,7 +35,7 @@ class Killed(BaseException):
 
 
 def never() -> bool:
-    """Wait for the time only."""
+    """Return False: nothing is awaited but the time."""
     return False
 
 
@@ -89,7 +89,7 @@ class VirtualClock:
             self._wake()
 
     def forget(self) -> None:
-        """Have nothing done later of what was to be done."""
+        """Drop everything that was to be done later."""
         self._events.clear()
 
     # What threads do

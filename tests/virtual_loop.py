@@ -56,7 +56,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     @property
     def files(self) -> set[int]:
-        """Numbers of the sockets that are open."""
+        """Numbers of its sockets that are open."""
         connected = {file for file, one in self._transports.items() if not one.is_closing()}
         return {*self._files.get_map(), *connected} - self._own
 
@@ -137,7 +137,7 @@ class LoopProcess:
         lose(self.loop.files)
 
     def bury(self) -> None:
-        """Let a killed process end what it was at, when that reaches nobody any more."""
+        """Let a killed process end its tasks, once that reaches nobody any more."""
         self.loop.set_exception_handler(lambda loop, context: None)
         tasks = asyncio.all_tasks(self.loop)
         for task in tasks:
@@ -150,6 +150,8 @@ class LoopProcess:
                 await self.opened.aclose()
 
         logging.disable()
-        self.loop.run_until_complete(end())
-        logging.disable(logging.NOTSET)
-        self.loop.close()
+        try:
+            self.loop.run_until_complete(end())
+        finally:
+            logging.disable(logging.NOTSET)
+            self.loop.close()

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.daemon.orders import Setup
 from tactile.daemon.playing import hangs
+from tactile.errors import BusError
 
 NAME = "left"
 BACK = 2.0
@@ -152,3 +154,30 @@ def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
     playback_of(world).kill()
     world.run(asyncio.sleep(BACK))
     assert devices == [opened] * 2
+
+
+def test_a_device_that_stays_away_is_opened_less_and_less_often(
+    world: World, serve: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half a second after the first try in vain, twice as long each time, 10 s in the end."""
+    serve()
+    tries: list[float] = []
+
+    def open_nothing(setup: Setup) -> Any:
+        tries.append(world.clock.now())
+        raise BusError("it is not plugged in")
+
+    monkeypatch.setattr(playback_process, "opened", open_nothing)
+    playback_of(world).kill()
+    world.run(asyncio.sleep(50.0))
+    pauses = [b - a for a, b in pairwise(tries)]
+    assert pauses[:8] == pytest.approx([0.5, 1.0, 2.0, 4.0, 8.0, 10.0, 10.0, 10.0], abs=0.2)
+
+
+def test_the_latency_told_before_any_contact_is_that_of_a_block(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    """16 samples at 2.5 kHz; amplifiers in memory put out at once what is written."""
+    serve()
+    assert world.host is not None
+    assert world.host.playing[NAME].info.latency_ms == pytest.approx(6.4)

@@ -307,6 +307,17 @@ def test_the_gain_is_down_in_time_and_recovers_within_its_time_constant(over: fl
     assert np.all(gain[-100:] == 1)
 
 
+def test_a_pause_does_not_let_the_gain_recover_sooner() -> None:
+    """Silence is within both limits at any gain: what follows it is turned down as without it."""
+    loud, pause, quiet = np.full(200, 400.0), np.zeros(160), np.full(160, 30.0)
+    device = limiter(step=1e4)
+    parts = [device(part[:, None]) for part in (loud, *np.split(pause, 5), quiet, np.zeros(8))]
+    gain = np.concatenate(parts)[8 + 360 :, 0] / 30.0
+    for k in (0, 80, 159):
+        early, late = (math.exp(-(k + 160 - after) / 800) for after in (-16, 16))
+        assert 0.75 * early <= 1 - gain[k] <= 0.75 * late
+
+
 def test_after_the_gain_has_recovered_drive_leaves_bit_for_bit_again() -> None:
     device = limiter(step=60.0)
     device(np.concatenate([sine(90, 500, 0.1), sine(90, 25, AGAIN_ALL / RATE)]))

@@ -1,6 +1,7 @@
 """What the host's side of a link does in moments that seldom come: halts, last words, back-off."""
 
 import math
+import secrets
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -34,6 +35,29 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
     assert first.type == second.type == m.Estop.TYPE
     assert first.node == second.node == 0
     assert second.seq == (first.seq + 1) % 256, "it counts packets (SPEC.md, 2)"
+
+
+@pytest.mark.parametrize("session", [1, 0xFFFF])
+def test_any_session_that_is_drawn_is_one_of_16_bits_and_not_0(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, session: int
+) -> None:
+    """The lowest and the highest that can be; 0 only asks (SPEC.md, 4)."""
+    monkeypatch.setattr(secrets, "randbelow", lambda count: 0 if session == 1 else count - 1)
+    rig = linked("serial")
+    assert rig.bus.peers[0].host.session == session
+    rig.start()
+    rig.play(0.05)
+    assert rig.playing
+
+
+def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
+    linked: Linked,
+) -> None:
+    """Tries go out at 0, 50 and 100 ms; the link takes 80 ms."""
+    rig = linked("serial")
+    rig.model.back.hold(0.18, rig.clock.now())
+    answer = rig.bus.ask(m.Get(m.Parameter.PULSE_MS), 1)
+    assert answer == m.Value(m.Parameter.PULSE_MS, 10)  # as at power-up (SPEC.md, 4)
 
 
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(

@@ -22,9 +22,10 @@ import sys
 import tempfile
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from queue import Queue
@@ -84,11 +85,15 @@ class Mutant:
     begin: int
     end: int
     text: str
+    nth: int = 1
+    """Of those that replace the same by the same in lines of the same words."""
 
     @property
     def key(self) -> str:
         """Name that tells it from others of the module, wherever the line has moved."""
-        return f"{self.source.strip()} [{self.old.strip()} -> {self.text.strip() or 'nothing'}]"
+        change = f"{self.old.strip()} -> {self.text.strip() or 'nothing'}"
+        nth = f" #{self.nth}" if self.nth > 1 else ""
+        return f"{self.source.strip()} [{change}]{nth}"
 
 
 # What may be put into Python
@@ -212,19 +217,23 @@ def drawn(module: str, count: int) -> list[Mutant]:
         found = sorted(places_in_c(data.decode("latin-1")))  # as many characters as bytes
     else:
         found = sorted(places_in_python(data.decode("utf-8")))
-    random.Random(module).shuffle(found)
     lines = data.decode("utf-8").splitlines()
+    every, keys = list[tuple[Mutant, bool]](), Counter[str]()
+    for begin, end, new, constant in found:
+        line, old = data[:begin].count(b"\n"), data[begin:end].decode("utf-8")
+        mutant = Mutant(module, line + 1, lines[line], old, begin, end, new)
+        keys[mutant.key] += 1
+        every.append((replace(mutant, nth=keys[mutant.key]), constant))
+    random.Random(module).shuffle(every)
     mutants: list[Mutant] = []
     constants = 0
-    for begin, end, new, constant in found:
+    for mutant, constant in every:
         if len(mutants) == count:
             break
         if constant and CONSTANTS * (constants + 1) > len(mutants) + 1:
             continue
         constants += constant
-        line = data[:begin].count(b"\n")
-        old = data[begin:end].decode("utf-8")
-        mutants.append(Mutant(module, line + 1, lines[line], old, begin, end, new))
+        mutants.append(mutant)
     return mutants
 
 

@@ -1,7 +1,10 @@
 """A follower plays the stream at the times of another clock, and changes nothing without need."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
+from link_rig import Bench
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock, Wiring
@@ -122,3 +125,23 @@ def test_boards_whose_crystals_differ_play_on_together(drift: int) -> None:
         assert bus.counters.faults() == {}
         bus.stop()
         assert bus.counters.faults() == {}
+
+
+@pytest.mark.ci
+def test_a_tone_on_a_board_that_follows_has_no_seams_between_packets() -> None:
+    """All but the tone, by the first board's clock, is 40 dB below it."""
+    drift = 1e-3
+    bench = Bench(f"mock:?link=canfd&boards=2&drift_ppm={drift * 1e6:g}&format=pcm16")
+    with closing(bench.bus) as bus:
+        n = np.arange(round(5 * bench.rate))
+        tone = 20 * np.sin(2 * np.pi * 250 * n / bench.rate) * np.minimum(n / 500, 1)
+        bench.start()
+        for k in range(0, len(n), BLOCK):
+            bus.write(DriveBlock(k, np.repeat(tone[k : k + BLOCK, None], 2, axis=1)))
+        bench.model.listen()
+        times, codes, _ = bench.heard[1][-1].together()
+    late = (times > times[-1] - 0.3) & (times < times[-1] - 0.1)
+    angle = 2 * np.pi * 250 * (1 + drift) * times[late]
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    parts, (rest,), *_ = np.linalg.lstsq(waves, codes[late, 0].astype(np.float64))
+    assert rest / late.sum() < 1e-4 * np.sum(parts**2) / 2

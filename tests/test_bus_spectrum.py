@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from link_rig import LEVEL, RATE, Bench
 from numpy.typing import NDArray
 
 from firmware_protocol import spectrum
@@ -158,3 +159,27 @@ def test_a_bus_that_takes_frames_takes_no_blocks_and_is_tuned_first(
         bus.stop()
         assert not bus.output.any()
         assert bus.counters.faults() == {}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("drift", [1000, -1000])
+def test_boards_whose_crystals_differ_play_frames_together(drift: int) -> None:
+    """By themselves they would be 8 ms apart after 8 s: most of a period of the carrier.
+
+    Frames begin at whole samples, and so within half of one.
+    """
+    bench = Bench(f"mock:?link=canfd&boards=2&drift_ppm={drift}&format=spectrum")
+    with closing(bench.bus) as bus:
+        assert bus.frames is not None
+        spacing = round(RATE / bus.frames.rate)
+        bus.tune(np.array([100.0]))
+        bench.start()
+        for k in range(round(8 * bus.frames.rate)):
+            bus.write_frame(DriveFrame(k * spacing, np.full((2, 1), LEVEL, np.complex128)))
+        assert bus.counters.faults() == {}
+        bench.model.listen()
+        (times, codes, _), (other_times, other, _) = (heard[-1].together() for heard in bench.heard)
+    late = (times > times[-1] - 0.5) & (times < other_times[-1])
+    apart = codes[late, 0] - np.interp(times[late], other_times, other[:, 0])
+    sample = 2 * np.pi * 100.0 / RATE
+    assert np.abs(apart).max() < sample * np.abs(codes).max()

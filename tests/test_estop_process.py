@@ -1,12 +1,17 @@
 """The e-stop's own way in: what it answers, to whom, and what nobody can do to it."""
 
+import errno
 import json
 import os
+import pickle
 import select
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +22,7 @@ from hypothesis import strategies as st
 
 from tactile.clock import ModelClock
 from tactile.daemon import estop_request
-from tactile.daemon.estop_process import Desk, bind
+from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup, bind
 from tactile.daemon.estop_request import EstopAnswer, request_estop
 from tactile.daemon.latch import Latch
 from tactile.daemon.paths import estop_sockets, runtime_folder
@@ -163,6 +168,96 @@ def test_a_program_of_another_process_finds_it_and_is_named(
 
 def test_others_may_write_to_the_socket(served: Path) -> None:
     assert served.stat().st_mode & 0o777 == 0o666
+
+
+def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
+    """Where the daemon makes it, whatever it takes away from files that it creates."""
+    assert not runtime_folder().exists()
+    usual = os.umask(0)
+    try:
+        link, _ = bind("test")
+    finally:
+        os.umask(usual)
+    link.close()
+    assert runtime_folder().stat().st_mode & 0o777 == 0o755
+
+
+class Awaited(threading.Event):
+    """What the thread that saves waits for: two e-stops, and the end."""
+
+    def __init__(self, story: list[str]) -> None:
+        super().__init__()
+        self._story, self._left = story, 2
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Tell that it is waited for."""
+        self._story.append("waits")
+        if not self._left:
+            raise EOFError
+        self._left -= 1
+        return True
+
+
+def test_every_e_stop_is_saved_once_in_each_latch(
+    desk: Desk, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that cannot be saved keeps no other from that."""
+    story: list[str] = []
+
+    def save(name: str) -> None:
+        story.append(name)
+        assert len(story) < 20, "it saves what nobody changed"
+        if name == "right":
+            raise OSError(errno.EIO, "Input/output error")
+
+    for name, latch in latches.items():
+        monkeypatch.setattr(latch, "save", partial(save, name))
+    monkeypatch.setattr(desk, "_new", Awaited(story))
+    with pytest.raises(EOFError):
+        desk.save()
+    assert story == ["waits", "right", "left", "waits", "right", "left", "waits"]
+
+
+PROGRAM = "from tactile.daemon.estop_process import main; main()"
+
+
+def test_the_process_ends_with_the_server_whatever_became_of_that(
+    latches: dict[str, Latch],
+) -> None:
+    """Its standard input ends; nobody is there who could kill it."""
+    files = {name: latch.descriptor for name, latch in latches.items()}
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        pass_fds=[file for file in files.values() if file is not None],
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            setup = EstopSetup({name: latch.handle for name, latch in latches.items()})
+            process.stdin.write(pickle.dumps(setup))
+            process.stdin.flush()
+            assert select.select([process.stdout], [], [], PATIENCE)[0], "it says nothing"
+            ready = pickle.load(process.stdout)
+            assert ready == EstopReady(str(runtime_folder() / f"estop-{os.getpid()}.sock"))
+            (answer,) = request_estop(within=PATIENCE)
+            assert answer.estops == {"right": 1, "left": 1}
+            process.stdin.close()
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()
+    assert estop_sockets() == []
+
+
+def test_a_process_that_has_no_socket_says_why_and_ends() -> None:
+    runtime_folder().write_text("no folder")
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM], input=pickle.dumps(EstopSetup({})),
+        capture_output=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert process.returncode == 1
+    told = pickle.loads(process.stdout)
+    assert told.address == ""
+    assert "File exists" in told.failure
 
 
 def test_who_reads_no_answers_holds_up_nobody(served: Path, latches: dict[str, Latch]) -> None:

@@ -60,6 +60,33 @@ def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
     assert answer == m.Value(m.Parameter.PULSE_MS, 10)  # as at power-up (SPEC.md, 4)
 
 
+def test_an_amplifier_that_never_starts_is_told_after_2_s(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It finds each START too late, which is tried again: neither played nor refused for good."""
+    rig = bench("serial")
+    amplifier, begun = rig.model.amplifiers[0], rig.clock.now()
+    usual = amplifier.receive
+
+    def late(packet: Packet, now: int) -> None:
+        if packet.type == m.Start.TYPE:
+            amplifier._send(m.Nak(packet.type, packet.seq, m.NakCode.TIME))
+        else:
+            usual(packet, now)
+
+    monkeypatch.setattr(amplifier, "receive", late)
+    with pytest.raises(BusError, match="start: the amplifier does not start"):
+        rig.bus.start()
+    assert rig.clock.now() - begun == pytest.approx(2.0, abs=0.05)
+    rig.idle(2 * WATCHDOG)
+    assert (rig.bus.state, rig.silent) == ("idle", True)
+    assert not amplifier.high_voltage
+    monkeypatch.undo()
+    rig.start()
+    rig.play(0.05)
+    assert rig.playing
+
+
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
     linked: Linked,
 ) -> None:

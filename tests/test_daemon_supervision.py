@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
 
@@ -24,8 +25,14 @@ BACK = 2.0
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    with virtual_world(lambda playback, volts: None) as made:
+def peaks() -> list[float]:
+    """Highest voltages that the amplifier has put out, of one piece after the other [V]."""
+    return []
+
+
+@pytest.fixture
+def world(peaks: list[float]) -> Iterator[World]:
+    with virtual_world(lambda playback, volts: peaks.append(np.abs(volts).max())) as made:
         yield made
 
 
@@ -126,6 +133,47 @@ def test_who_had_armed_is_told_whether_it_is_armed_again(
     assert ("lost", "playback died; it is started again") in events
     back = ("disarmed", "playback is back, and disarmed")
     assert (back in events) is not rearm
+
+
+def test_all_clients_are_told_of_an_estop_and_that_it_was_cleared(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    presser = serve()
+    assert world.host is not None
+    other = world.host.connect("other", roles=m.ALL_ROLES)
+    assert isinstance(world.run(presser.request(m.EStop(display=NAME))), m.Done)
+    world.run(asyncio.sleep(0.5))
+    ((kind, reason),) = events_of(other)
+    assert (kind, "app" in reason) == ("estopped", True)
+    assert isinstance(world.run(presser.request(m.Clear(display=NAME, estop=1))), m.Done)
+    world.run(asyncio.sleep(0.5))
+    assert ("cleared", "e-stop 1 was cleared") in events_of(other)
+
+
+def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
+    world: World, serve: Callable[..., Client], peaks: list[float]
+) -> None:
+    """An effect of 5 s, of which 1 s is played."""
+    stays = serve()
+    assert world.host is not None
+    leaves = world.host.connect("other", roles=m.ALL_ROLES)
+    for client in (stays, leaves):
+        assert world.run(client.request(m.Arm(display=NAME))) == m.Done()
+    curve = (m.Point(0.0, 1.0), m.Point(5000.0, 1.0))
+    effect = m.Effect(display=NAME, amplitude_um=5.0, amplitude=curve)
+    assert world.run(leaves.request(effect)) == m.Done()
+    world.run(asyncio.sleep(1.0))
+    assert max(peaks[-10:]) > 0.0
+
+    async def left() -> None:
+        leaves.close()
+        await asyncio.sleep(0.5)
+
+    world.run(left())
+    peaks.clear()
+    world.run(asyncio.sleep(0.5))
+    assert world.host.playing[NAME].state == "armed"
+    assert max(peaks) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,21 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
     assert second.seq == (first.seq + 1) % 256, "it counts packets (SPEC.md, 2)"
 
 
+def test_an_amplifier_that_takes_55_ms_to_answer_a_hello_to_all_is_found_as_well() -> None:
+    """Beside one that takes 10 ms; 5 ms later it begins with those that it has found."""
+    session = Session(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters())
+    wire, slow, quick = Faulty(Unlimited()), 1, 2
+    answers = {10: quick, 55: slow}
+    session.connected(0.0)
+    for now in range(0, 65, 5):
+        if now in answers:
+            caps = Packet.of(m.Caps(), node=answers[now], seq=0)
+            session.receive([caps], now * 1e-3, 0)
+        assert not session.peers
+        session.poll(now * 1e-3, wire)
+    assert [peer.host.node for peer in session.peers] == [slow, quick]
+
+
 @pytest.mark.parametrize("session", [1, 0xFFFF])
 def test_any_session_that_is_drawn_is_one_of_16_bits_and_not_0(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, session: int

@@ -142,6 +142,13 @@ def test_hardware_that_section_11_1_forbids(build: Path, options: list[str]) -> 
     assert b"11.1" in done.stderr
 
 
+def test_the_least_full_scale_that_there_is_is_allowed(build: Path, tmp_path: Path) -> None:
+    run = Run()
+    run.feed(5, hello())
+    run.run(build, tmp_path, "--full-scale-uv", "1", "--voltage-limit-uv", "1")
+    assert [kind for _, kind, _ in run.packets()] == [CAPS]
+
+
 def test_spectrum_is_the_sum_of_its_carriers(build: Path, tmp_path: Path) -> None:
     increments = [round(f / 8000 * 2**32) for f in (200, 450)]
     codes = bytes([200, 0, 190, 64])  # amplitude and phase of each carrier

@@ -325,6 +325,17 @@ def test_after_the_gain_has_recovered_drive_leaves_bit_for_bit_again() -> None:
     assert np.array_equal(device(volts)[8:], volts[:-8])
 
 
+def test_drive_leaves_bit_for_bit_after_a_pause_of_twenty_time_constants() -> None:
+    """The gain is 1 within 2e-9 then, and taken for 1; before the pause it was not."""
+    loud, quiet = np.full((200, 1), 400.0), np.full((400, 1), 30.1)
+    device = limiter(step=1e4)
+    device(np.concatenate([loud, quiet, np.zeros((8, 1))]))
+    assert not np.array_equal(device(np.concatenate([quiet, np.zeros((8, 1))]))[8:], quiet)
+    for _ in range(20):
+        device(np.zeros((800, 1)))
+    assert np.array_equal(device(np.concatenate([quiet, np.zeros((8, 1))]))[8:], quiet)
+
+
 def test_a_jump_is_reached_within_the_look_ahead_and_not_smeared() -> None:
     """From 0 to 90 V with steps of 40 V: nothing before the jump, then at once all of a step."""
     volts = np.zeros((100, 1))

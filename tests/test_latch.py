@@ -155,6 +155,28 @@ def test_a_second_daemon_does_not_get_it(
         Latch.open(DEVICE, tmp_path)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
+def test_who_closes_it_lets_the_next_daemon_in_though_a_child_still_has_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LOCK_WITHIN", -1.0)
+    with opened(tmp_path) as server:
+        child = Latch(f"fd:{os.dup(_fd(server))}", Writer.PLAYBACK)
+    with closing(child), opened(tmp_path) as server:
+        child.trip("by a child")
+        assert server.holds == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs modes of files")
+def test_its_folder_is_made_for_its_user_alone(tmp_path: Path) -> None:
+    usual = os.umask(0)
+    try:
+        with opened(tmp_path / "state"):
+            assert (tmp_path / "state").stat().st_mode & 0o777 == 0o700
+    finally:
+        os.umask(usual)
+
+
 def test_a_simulated_display_has_one_that_nobody_else_sees(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

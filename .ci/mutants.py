@@ -44,7 +44,8 @@ HOST = (
     "test_daemon_supervision test_estop_model test_daemon_owners test_daemon_host test_server_tasks"
 )
 AMPLIFIER = (
-    "test_c_amplifier test_c_amplifier_links test_protocol_vectors_c test_protocol_agreement"
+    "test_c_amplifier test_c_amplifier_links test_c_amplifier_streams test_protocol_vectors_c "
+    "test_protocol_agreement"
 )
 TESTS = {
     "bus/session": LINKS,

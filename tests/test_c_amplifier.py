@@ -133,6 +133,7 @@ def test_limits_reach_zero_in_20_ms(build: Path, tmp_path: Path) -> None:
         ["--slew-v-per-s", "5003"],  # enough at 20 000 a second, but not in whole codes
         ["--fade-us", "20001"],
         ["--packet-limit", "135"],
+        ["--full-scale-uv", "0", "--voltage-limit-uv", "0"],
     ],
 )
 def test_hardware_that_section_11_1_forbids(build: Path, options: list[str]) -> None:

@@ -76,10 +76,10 @@ def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
 
 
 def test_an_amplifier_that_never_starts_is_told_after_2_s(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It finds each START too late, which is tried again: neither played nor refused for good."""
-    rig = bench("serial")
+    rig = linked("serial")
     amplifier, begun = rig.model.amplifiers[0], rig.clock.now()
     usual = amplifier.receive
 

@@ -239,6 +239,44 @@ def test_the_stated_error_holds_for_kinds_that_nearly_share_a_filter(
     assert np.abs(shear[..., HEARD] - 1).max() <= found.error * 1.1
 
 
+def test_each_kind_alone_gives_the_same_columns_as_the_mixture() -> None:
+    """Four kinds, three of them of their own, under three loads that change each in its own way.
+
+    All want the same taps and delay, so that fits kind by kind are the fit of all of them; shared
+    filters may leave out 1e-4. The shear has noise in every contactor, and a force that moves.
+    """
+    loads, forces = ([930, 700, 720, 910], [700, 900, 710, 920], [720, 910, 930, 700]), (0.1, 1, 3)
+    sizes = np.array([1.0, -0.4, 2.5, 1.3])[:, None]
+    response = PER_VOLT * np.stack(
+        [size * sizes * [resonator(FREQUENCY, at) for at in row]
+         for size, row in zip((1.0, 0.8, 0.5), loads, strict=True)]
+    )  # fmt: skip
+    mixture = design(response, VOLTAGE, 8000.0)
+    kind = np.array([3, 0, 2, 1], np.intp)
+    shear, force = shear_of(300), 1.6 + 1.6 * np.sin(np.arange(300) / 40)
+    volts = Equalizer(mixture, kind=kind, polarity=POLARITY, forces=forces)(shear, force)
+    errors = []
+    for contactor, one in enumerate(kind):
+        alone = design(response[:, one : one + 1], VOLTAGE, 8000.0)
+        assert alone.delay == mixture.delay
+        errors.append(alone.error)
+        device = Equalizer(alone, kind=np.zeros(4, np.intp), polarity=POLARITY, forces=forces)
+        expected = device(shear, force)[:, contactor]
+        np.testing.assert_allclose(
+            volts[:, contactor], expected, atol=2e-4 * np.abs(expected).max()
+        )
+    assert mixture.error == pytest.approx(max(errors), rel=0.05)
+
+
+@pytest.mark.parametrize("rate", [2500.0, 2800.0])
+def test_at_the_lowest_rates_the_stated_error_is_of_the_whole_band(rate: float) -> None:
+    """To 1000 Hz, although half of the sample rate is hardly above."""
+    response = PER_VOLT * resonator(FREQUENCY, 930)
+    found = design(response[None, None], VOLTAGE, rate)
+    shear = played(taps_of(found), FREQUENCY[HEARD], rate, found.delay)[0, 0] * response[HEARD]
+    assert np.abs(shear - 1).max() == pytest.approx(found.error, rel=1e-6)
+
+
 # The stream
 
 SHAPES = [resonator(FREQUENCY, 930), low_pass(FREQUENCY, 300), resonator(FREQUENCY, 700)]

@@ -262,6 +262,22 @@ def test_a_speed_that_is_not_steady_is_refused_with_what_would_do() -> None:
         )
 
 
+def test_a_stroke_is_at_least_ten_periods_of_the_lowest_band() -> None:
+    """25 Hz lies at 0.631 cycles/mm at 40 mm/s, a preferred number: 15.8 mm are 0.396 s."""
+    long_enough = slide(Surface(), 0.04, seconds=0.41)
+    found = measure_slides([long_enough], reference_speed=0.04)
+    assert found.center[0] == pytest.approx(631, rel=1e-3)
+    too_short = slide(Surface(), 0.04, seconds=0.38, seed=1)
+    with pytest.raises(InputError, match=r"slide1: .* for 15\.2 mm at most, needs 15\.8 mm"):
+        measure_slides([long_enough, too_short], reference_speed=0.04)
+
+
+@pytest.mark.parametrize(("seconds", "short"), [(2.9, True), (3.0, False), (3.1, False)])
+def test_less_than_3_s_in_all_is_noted(seconds: float, short: bool) -> None:
+    found = fit([slide(Surface(), 0.04, seconds=seconds)])
+    assert any("s in all: bands want 3 s or more" in note for note in found.notes) == short
+
+
 def test_only_the_steady_part_of_a_slide_is_used() -> None:
     """A finger that rests, starts and slides: what the rest holds must not matter."""
     s = slide(Surface(slope=-2), 0.04, seconds=4.0, quantity="displacement")

@@ -106,6 +106,16 @@ def test_the_most_sensitive_channel_sets_the_threshold() -> None:
     np.testing.assert_allclose(lowest, detection_threshold(frequency))
 
 
+@pytest.mark.parametrize("name", TOUCH_CHANNELS)
+def test_below_1_hz_a_channel_s_threshold_is_held_as_the_whole_s_is(name: str) -> None:
+    """And not before: all of them have a point of their own at 1 Hz, and none twice."""
+    channel = TOUCH_CHANNELS[name]
+    held = channel.threshold(np.array([0.0, 0.4, 0.9, 1.0]))
+    np.testing.assert_allclose(held, held[-1], rtol=1e-12)
+    assert channel.knots[0, 0] == 1.0
+    assert np.all(np.diff(channel.knots[:, 0]) > 0)
+
+
 @pytest.mark.parametrize(
     ("name", "low", "high"), [("NP III", 0.4, 4), ("NP I", 4, 40), ("P", 40, 500)]
 )

@@ -157,6 +157,23 @@ def test_criteria_are_those_of_finite_elements() -> None:
         assert float(found[variable(name)][0]) == pytest.approx(theirs, rel=2e-6), name
 
 
+def test_unless_told_otherwise_a_drive_is_for_10_um_of_an_amplifier_of_100_v() -> None:
+    """And of any current, so that full voltage is what limits."""
+    asked = ("drive", "attainable", "smallest_displacement")
+    found = solve_study(study(axes={"load": ["none", "low"]}, criteria=asked))
+    least = found.smallest_displacement_um_per_v.values
+    assert found.drive_v.values == pytest.approx(10 / least, rel=1e-9)
+    assert found.attainable_um.values == pytest.approx(100 * least, rel=1e-9)
+
+
+def test_less_is_better_of_what_costs_and_more_of_what_is_gained() -> None:
+    """By exactly one: a sign turns values for a search, and must not weigh them."""
+    costs = {"drive", "field", "current", "shaping", "footprint", "standing"}
+    for name, criterion in CRITERIA.items():
+        expected = -1 if name in costs else 0 if name == "first_resonance" else 1
+        assert criterion.sign == expected, name
+
+
 def test_a_thin_layer_bears_less_drive_and_twice_as_much_in_series() -> None:
     """0.4 MV/m: 40 V on 0.1 mm, 80 V in series, and never more than the drive's own 100 V."""
     axes = {"piezo_height_mm": [0.1, 0.24, 0.3], "wiring": ["parallel", "series"]}

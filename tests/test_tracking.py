@@ -9,7 +9,7 @@ from tracking_rig import BLOCK, LATENCY, RATE, ROUNDING, Run, needs_slide, speed
 from tactile.bench import tracking as bench
 from tactile.bench.tracking import Client, Held, misses, rms, tracked
 from tactile.rendering.finger_motion import MotionFilter, Noise
-from tactile.rendering.tracking import Path
+from tactile.rendering.tracking import ContactTracker, Path
 
 GOAL = 0.3
 """mm by which a tracked place may be off, rms: README's goal."""
@@ -280,6 +280,20 @@ def test_silence_ends_a_contact_after_100_ms_and_the_place_does_not_run_away(blo
     late = (run.times > 0.2) & (run.force > 0)
     assert np.abs(np.diff(run.place[late], 2, axis=0)).max() < 0.2 / BRAKING / RATE**2 * 1.05
     assert run.tracker.silences == 1
+
+
+@pytest.mark.parametrize(("last", "gone"), [(0.25 - 2**-13, False), (0.25, True)])
+def test_a_contact_is_over_in_the_sample_that_is_100_ms_after_the_last_arrival(
+    last: float, gone: bool
+) -> None:
+    """The last of a block as well: 100 ms after 0.15 s; all times are exact."""
+    tracker = ContactTracker()
+    tracker.add(0.15, (0.0, 0.0), 0.5, arrival=0.15)
+    for block in range(2):
+        begin = 0.1875 + block * 2**-5
+        tracker.at(np.linspace(begin, last if block else 0.21875 - 2**-13, 2), begin)
+    assert tracker.touching != gone
+    assert tracker.silences == gone
 
 
 def test_it_goes_on_through_a_loss_of_80_ms_and_comes_back() -> None:

@@ -234,3 +234,28 @@ def test_samples_alike_but_for_a_velocity_raise_nothing() -> None:
             tracker.add(1.0, (0.0, 0.0), 0.5, velocity, arrival=1.0)
         tracker.at(1.0 + np.arange(16) / 8000, 1.0)
         assert tracker.touching
+
+
+def heard_again(speed: float, gap: float, x: float) -> ContactTracker:
+    """Return a tracker that heard a stroke until 0.5 s, and after a gap one sample at x [m]."""
+    tracker = ContactTracker()
+    for k in range(46):
+        time = 0.5 - (45 - k) / 90
+        tracker.add(time, (speed * time, 0.0), 0.5, arrival=time)
+    tracker.add(0.5 + gap, (x, 0.0), 0.5, arrival=0.5 + gap)
+    tracker.at(0.5 + gap + 0.001 * np.arange(4), 0.5 + gap)
+    return tracker
+
+
+@pytest.mark.parametrize(("gap", "jumps"), [(0.24, (0, 1)), (0.26, (1, 0))])
+def test_a_finger_is_expected_on_its_stroke_for_a_quarter_of_a_second(
+    gap: float, jumps: tuple[int, int]
+) -> None:
+    """Then where it was last: 20 mm are within its reach, and 0.1 m/s go 24 mm and 26 mm."""
+    found = [heard_again(0.1, gap, x) for x in (0.05 + 0.1 * gap, 0.05)]
+    assert (found[0].jumps, found[1].jumps) == jumps
+
+
+def test_after_a_quarter_of_a_second_a_finger_s_velocity_is_forgotten() -> None:
+    assert heard_again(0.05, 0.24, 0.025 + 0.05 * 0.24).velocity == pytest.approx([0.05, 0.0])
+    assert np.all(heard_again(0.05, 0.26, 0.025 + 0.05 * 0.26).velocity == 0)

@@ -429,6 +429,13 @@ def test_bad_input_is_named(field: str) -> None:
         BAD[field]()
 
 
+@pytest.mark.parametrize("place", [-1e-3, 0.0, 20.001e-3, np.nan, [10e-3, 0.0], [10e-3, 21e-3]])
+def test_a_measuring_point_off_the_beam_is_refused_and_so_is_the_clamp(place: Any) -> None:
+    """Where nothing moves; the tip itself is on the beam."""
+    with pytest.raises(ValueError, match=r"is not between clamp and tip \(0 … 0\.02 m\)"):
+        tip_response(Bimorph(), FingerLoad.low(), 10.0, measuring_point=np.asarray(place))
+
+
 @pytest.mark.parametrize("frequency", [np.nan, np.inf, [[1.0, 2.0]]])
 def test_frequencies_are_finite_and_in_one_row(frequency: Any) -> None:
     with pytest.raises(ValueError, match="frequency"):

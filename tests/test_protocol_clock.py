@@ -171,6 +171,29 @@ def test_ticks_that_are_one_off_are_taken() -> None:
     assert estimator.round_trip == 0.0
 
 
+def test_stamps_that_are_more_than_one_off_are_refused() -> None:
+    """An answer within one host time may take a tick, as rounded stamps have it, but not two."""
+    assert Exchange(1.0, 5, 6, 1.0).is_possible(1000.0)
+    assert not Exchange(1.0, 5, 7, 1.0).is_possible(1000.0)
+    assert Exchange(1.0, 5, 7, 1.0011).is_possible(1000.0)
+
+
+@pytest.mark.parametrize(
+    ("pause", "after", "goes_on"),
+    [(0.9e-3, 0, True), (1.1e-3, 0, False), (0.9e-3, 1, True), (0.2e-3, 2, False)],
+)
+def test_between_exchanges_stamps_may_be_one_tick_off(
+    pause: float, after: int, goes_on: bool
+) -> None:
+    """Of ticks of 1 ms: stamps that are alike are less than one tick apart.
+
+    One that is a tick later may have come right after; of two ticks one at least has passed.
+    """
+    last = Exchange(1.0, 100, 100, 1.0)
+    new = Exchange(1.0 + pause, 100 + after, 100 + after, 1.0 + pause)
+    assert new.continues(last, 1000.0) == goes_on
+
+
 NUMBER = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0])
 
 

@@ -42,6 +42,37 @@ def test_the_coded_limit_is_that_of_the_longest_packet() -> None:
     assert len(encode_frame(b"\1" * 4096)) == 4096 + 17 + 1
 
 
+def test_the_coded_limit_is_that_of_a_body_without_zeros_in_its_longer_form() -> None:
+    """A body that ends with 254 bytes other than 0 may have a code for no bytes after them."""
+    for size in range(8, 1100):
+        longer_form = 1 if size % 254 == 0 else 0
+        assert coded_limit(size) == len(slow_cobs(b"\1" * size)) + longer_form, size
+
+
+@pytest.mark.parametrize("cut", [0, 20, 65])
+def test_a_frame_as_long_as_the_limit_is_a_packet_and_a_longer_one_is_not(cut: int) -> None:
+    """64 bytes take 65 coded ones, whether their 0x00 comes with them or later."""
+    longest = Packet(0x10, b"\7" * 56, node=3)
+    frame = encode_frame(encode_packet(longest))
+    assert len(frame) == 66
+    decoder = SerialDecoder(64)
+    assert decoder.feed(frame[:cut]) + decoder.feed(frame[cut:]) == [longest]
+    assert decoder.counters == LinkCounters(packets=1)
+    beyond = encode_frame(encode_packet(Packet(0x10, b"\7" * 57, node=3)))
+    assert decoder.feed(beyond[: cut + 1]) + decoder.feed(beyond[cut + 1 :]) == []
+    assert decoder.counters == LinkCounters(packets=1, oversized=1)
+
+
+def test_both_forms_of_a_packet_that_ends_with_254_bytes_other_than_0_are_taken() -> None:
+    """Also where it is as long as the limit."""
+    candidates = (Packet(0x10, bytes([k]) * 246, 0x40, 1, 1) for k in range(1, 256))
+    packet = next(p for p in candidates if 0 not in encode_packet(p))
+    shorter = encode_frame(encode_packet(packet))
+    assert len(shorter) == 254 + 1 + 1
+    for form in (shorter, shorter[:-1] + b"\1\0"):
+        assert SerialDecoder(254).feed(form) == [packet]
+
+
 @drawn(st.lists(PACKET, max_size=4), st.data())
 def test_any_cut_of_a_stream_gives_the_same_packets(
     sent: list[Packet], data: st.DataObject

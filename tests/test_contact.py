@@ -127,6 +127,17 @@ def test_beyond_either_end_the_finger_goes_on_as_it_was_and_its_force_is_held() 
     assert np.linalg.norm(way.at(2.1)[0] - PLACE[-1]) > 1e-3
 
 
+def test_velocity_is_how_position_changes_with_time_also_beyond_the_ends() -> None:
+    """Differences over 2 µs bend by less than 1e-10 m/s, 1 ms and more away from samples."""
+    way, d = trajectory(), 1e-6
+    t = np.concatenate([np.linspace(0.501, 1.099, 60), [0.0, 0.4, 1.2, 5.0]])
+    ahead, behind = way.at(t + d)[0], way.at(t - d)[0]
+    np.testing.assert_allclose(way.velocity(t), (ahead - behind) / (2 * d), atol=1e-9)
+    assert np.array_equal(way.velocity(7.0), way.velocity(1.1))
+    assert np.all(way.velocity(np.linspace(0.65, 0.9, 11)) == 0)
+    assert np.linalg.norm(way.velocity(0.55)) > 10e-3
+
+
 # Strokes
 
 

@@ -191,6 +191,14 @@ def test_each_contactor_has_its_own_axis() -> None:
     np.testing.assert_allclose(found, -size * np.cos(turned.shear_direction - 0.7), atol=1e-9)
 
 
+@pytest.mark.parametrize("axis", [0.5, -1.1, 2.0, math.pi / 2])
+def test_an_axis_that_all_share_may_lie_at_any_angle(axis: float) -> None:
+    turned = replace(DISPLAY, shear_direction=np.full(24, axis))
+    found = shear_of(rubbed(), stroke(0.04, 0.3, 0.7), display=turned)[-1]
+    size = expected_stretch(0.25, DISPLAY, FingerLoad.low(), static_shear(DISPLAY))
+    np.testing.assert_allclose(found, -size * np.cos(axis - 0.7), atol=1e-9)
+
+
 def test_where_the_pads_stiffness_grows_with_force_each_force_has_its_own_stretch() -> None:
     low, high = FingerLoad.low(), FingerLoad.high()
     table = FingerTable(normal_force=(0.3, 1.0), loads=(low, high))

@@ -89,6 +89,9 @@ def test_a_short_a_coarse_and_a_broken_stroke_are_refused() -> None:
             work(np.zeros(LONG), 1e-4)
         with pytest.raises(InputError, match="not finite"):
             work(np.full(LONG, np.nan), STEP)
+        for step in (0.0, -STEP, math.nan):
+            with pytest.raises(InputError, match=f"step = {step * 1e6:g} µm"):
+                work(np.zeros(LONG), step)
 
 
 # Kurtosis
@@ -157,6 +160,22 @@ def test_depth_does_not_hang_on_the_spectrum() -> None:
         measures.am_depth(rough(20, 12, slope) * factor, STEP, 100.0) for slope in (-2.0, 0.0)
     )
     assert steep == pytest.approx(flat, abs=0.02)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.2), (9.1, 10.0)])
+def test_what_lies_outside_the_bands_has_no_part_in_depth(low: float, high: float) -> None:
+    """A hand that is not modulated, or a sensor: as strong as the surface in all of its bands."""
+    surface = rough(8, 14, -0.5) * modulator(8, 15, math.log1p(0.4**2), 0.1)
+    frequency = np.fft.rfftfreq(LONG, STEP * 1e3)
+    white = np.random.default_rng(16).standard_normal((8, LONG))
+    inside = (frequency > low) & (frequency < high)
+    other = np.fft.irfft(np.fft.rfft(white) * inside, LONG)
+    other *= surface.std() / other.std()
+    wanted = measures.am_depth(surface, STEP, 100.0)
+    assert wanted == pytest.approx(0.4, abs=0.05)
+    assert measures.am_depth(surface + other, STEP, 100.0) == pytest.approx(wanted, abs=0.02)
+    wanted = measures.am_corner(surface, STEP)
+    assert measures.am_corner(surface + other, STEP) == pytest.approx(wanted, rel=0.1)
 
 
 def test_noise_alone_has_no_corner_to_speak_of() -> None:

@@ -269,6 +269,19 @@ def test_above_the_stribeck_speed_the_skin_slides_evenly() -> None:
     assert np.ptp(fast[len(fast) // 2 :]) < 1e-6
 
 
+@pytest.mark.parametrize(("speed", "slips"), [(13.0e-3, True), (13.4e-3, False)])
+def test_what_would_slip_more_often_than_every_second_node_slides_evenly(
+    speed: float, slips: bool
+) -> None:
+    """A drop of two nodes' way is 0.6 exp(−(v/vs)²) − 4 v = 4 v, 2 ms a node: v is 13.18 mm/s."""
+    q, top, _ = saw(speed)
+    late = q[len(q) // 2 :]
+    if slips:
+        assert np.ptp(late) > 0.01
+    else:
+        np.testing.assert_allclose(late, top, atol=1e-6)
+
+
 def test_where_static_friction_is_not_above_kinetic_nothing_slips() -> None:
     q = saw(2e-3, static_coefficient=0.4)[0]
     assert np.all(np.diff(q) >= -1e-12)

@@ -67,7 +67,7 @@ TESTS = {
     "texture/perception": "test_perception",
     "study/criteria": "test_study test_study_running",
     "study/load_fit": "test_load_fit",
-    "study/sweep": "test_study test_study_running",
+    "study/sweep": "test_study_pieces test_study test_study_running",
     "c/tactile_amplifier": AMPLIFIER,
     "c/tactile_link": AMPLIFIER,
     "c/tactile_player": AMPLIFIER,

@@ -247,10 +247,8 @@ def test_each_kind_alone_gives_the_same_columns_as_the_mixture() -> None:
     """
     loads, forces = ([930, 700, 720, 910], [700, 900, 710, 920], [720, 910, 930, 700]), (0.1, 1, 3)
     sizes = np.array([1.0, -0.4, 2.5, 1.3])[:, None]
-    response = PER_VOLT * np.stack(
-        [size * sizes * [resonator(FREQUENCY, at) for at in row]
-         for size, row in zip((1.0, 0.8, 0.5), loads, strict=True)]
-    )  # fmt: skip
+    shapes = np.array([[resonator(FREQUENCY, at) for at in row] for row in loads], np.complex128)
+    response: Complex = PER_VOLT * np.array([1.0, 0.8, 0.5])[:, None, None] * sizes * shapes
     mixture = design(response, VOLTAGE, 8000.0)
     kind = np.array([3, 0, 2, 1], np.intp)
     shear, force = shear_of(300), 1.6 + 1.6 * np.sin(np.arange(300) / 40)

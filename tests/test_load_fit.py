@@ -6,6 +6,7 @@ it differs, is the reference's F/(S + k): both taken from finite elements, in ai
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.stats import binom
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.errors import InputError
+from tactile.study import load_fit
 from tactile.study.adjusted import Constant
 from tactile.study.fit_figures import load_fit_figures
 from tactile.study.load_fit import LoadFit, corner_frequency, fit_load
@@ -159,6 +161,28 @@ def test_branches_come_by_ascending_corner() -> None:
 
 def unknown(fit: LoadFit) -> set[str]:
     return {c.name for c in fit.constants if not c.known}
+
+
+@pytest.mark.parametrize("corner", [110.0, 160.0])
+def test_a_small_damping_is_found_where_the_first_guess_says_that_there_is_none(
+    corner: float,
+) -> None:
+    """The guess has corners on a grid; beside one of these it has no d0 at all."""
+    load = (1000.0, 0.008, ((2000.0, 2000.0 / (2 * np.pi * corner)),))
+    assert errors(fitted(moved(load), 1), load).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["displacement", "velocity", "force"])
+def test_a_point_s_stiffness_is_weighed_by_what_it_changes_of_the_response(kind: Kind) -> None:
+    """By a difference of the response of two loads a millionth apart, over the response."""
+    blank = Measurement("m.csv", kind, FREQUENCY, KNOWN)
+    tip = load_fit._checked(Bimorph(), replace(blank, kind="displacement"), 1)
+    tip = replace(tip, measurement=blank)
+    k, weight = tip.pointwise(tip.response(LOW_STIFFNESS))
+    np.testing.assert_allclose(k, LOW_STIFFNESS, rtol=1e-9)
+    step = 1e-6 * LOW_STIFFNESS
+    change = tip.response(k + step) / tip.response(k) - 1
+    np.testing.assert_allclose(np.abs(change / step), weight, rtol=1e-5)
 
 
 def test_one_branch_too_many_is_called_out() -> None:

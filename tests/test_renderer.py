@@ -19,7 +19,9 @@ from strength_rig import few
 import tactile
 from tactile.actuator.amplifier import Amplifier
 from tactile.daemon.session import run as play
+from tactile.rendering.layer import Layer
 from tactile.rendering.shear import Law
+from tactile.rendering.stroke import Stroke
 from tactile.sim import Fidelity
 from tactile.texture.descriptor import Laws
 from tactile.texture.surface import without_friction
@@ -383,6 +385,42 @@ def test_fades_begin_and_end_at_nothing(display: tactile.Display) -> None:
     gone = renderer.delay + round(display.limits.fade * RATE) + 1
     assert not shear[gone:].any()
     assert np.abs(last[gone + 64 :]).max() == 0
+
+
+class Counted(Layer):
+    """A layer that counts the samples that it is asked for."""
+
+    samples = 0
+
+    def __call__(self, stroke: Stroke) -> NDArray[np.float32]:
+        self.samples += len(stroke.normal_force)
+        return super().__call__(stroke)
+
+
+def test_after_going_over_to_another_texture_that_one_alone_plays(
+    display: tactile.Display,
+) -> None:
+    """At its gain; what fell silent is not rendered any more, until it plays again."""
+    first, second = (Counted(display, plain(name)) for name in ("wood-oak", "leather-calf"))
+    changing, alone = tactile.Renderer(display, None), tactile.Renderer(display, None)
+    place = np.column_stack([np.arange(6400) * 1e-5, np.zeros(6400)])
+    alone.play([(Layer(display, plain("leather-calf")), 0.5)])
+    _, wanted = run(alone, place, 0.5, 160)
+    changing.play([(first, 1.0)])
+    run(changing, place[:1600], 0.5, 160)
+    changing.play([(second, 0.5)])
+    fade = round(display.limits.fade * RATE)
+    assert fade <= 800
+    _, faded = run(changing, place[1600:3200], 0.5, 160)
+    assert 1600 < first.samples <= 1600 + fade + 160
+    np.testing.assert_allclose(faded[-400:], wanted[2800:3200], atol=1e-12)
+    rendered = first.samples
+    changing.play([(first, 1.0), (second, 0.0)])
+    run(changing, place[3200:4800], 0.5, 160)
+    assert first.samples == rendered + 1600
+    _, back = run(changing, place[4800:], 0.5, 160)
+    assert second.samples <= 1600 + fade + 160
+    assert np.std(back) > 1e-7
 
 
 def test_rendering_is_aligned_and_as_long_as_the_path(display: tactile.Display) -> None:

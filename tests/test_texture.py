@@ -317,6 +317,32 @@ def test_jittered_phases_are_drawn_and_steady_ones_are_not(tmp_path: Path) -> No
     assert not np.any(one[1:] == two[1:])
 
 
+def test_jittered_phases_are_spread_evenly_over_a_turn(tmp_path: Path) -> None:
+    """The mean of 400 × 5 random phasors is below 4/√(2·2000) in each part."""
+    part = {"wavelength_mm": 2.0, "harmonics_um": (1.0,), "jitter": 0.1}
+    texture = load_texture(write(tmp_path / "ribs.toml", periodic=[part]))
+    phase = np.concatenate([texture.realize(seed).partials.phase for seed in range(400)])
+    assert len(phase) == 2000
+    mean = np.mean(np.exp(1j * phase))
+    assert max(abs(mean.real), abs(mean.imag)) < 4 / math.sqrt(2 * 2000)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_a_surface_is_split_into_what_the_envelope_multiplies_and_its_gratings(
+    tmp_path: Path, jitter: float
+) -> None:
+    part = {"wavelength_mm": 2.0, "harmonics_um": (3.0, 1.0), "jitter": jitter}
+    path = write(tmp_path / "both.toml", stochastic=bands(), periodic=[part])
+    surface = load_texture(path, partials=200).realize()
+    ground, ribs = surface.split
+    assert surface.gratings == len(ribs.amplitude) == (10 if jitter else 2)
+    assert len(ground.amplitude) == 200 - surface.gratings
+    together = ground + ribs
+    assert np.array_equal(together.wave_vector, surface.partials.wave_vector)
+    assert np.array_equal(together.phase, surface.partials.phase)
+    assert 2e12 * np.sum((ribs.amplitude) ** 2) / 2 == pytest.approx(10, rel=1e-12)
+
+
 # The contact's low-pass
 
 

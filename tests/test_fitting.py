@@ -278,6 +278,14 @@ def test_less_than_3_s_in_all_is_noted(seconds: float, short: bool) -> None:
     assert any("s in all: bands want 3 s or more" in note for note in found.notes) == short
 
 
+@pytest.mark.parametrize(("count", "few"), [(2, True), (3, False)])
+def test_fewer_than_three_recordings_are_noted_and_tell_no_spread(count: int, few: bool) -> None:
+    found = fit([slide(Surface(), 0.04, seed=k) for k in range(count)])
+    assert (f"{count} recordings: three or more tell how bands spread" in found.notes) == few
+    assert found.descriptor.stochastic is not None
+    assert len(found.descriptor.stochastic.level_sd_db) == (0 if few else 16)
+
+
 def test_only_the_steady_part_of_a_slide_is_used() -> None:
     """A finger that rests, starts and slides: what the rest holds must not matter."""
     s = slide(Surface(slope=-2), 0.04, seconds=4.0, quantity="displacement")

@@ -144,6 +144,25 @@ def test_below_its_range_a_channel_goes_on_at_the_slope_it_has_there(
     assert above == pytest.approx(slope, abs=3.0)
 
 
+def test_assumed_parts_of_the_curves_are_those_that_their_sources_state() -> None:
+    """Peaks along the normal; a factor of four in an octave is 12 dB."""
+    at = np.array([40.0, 70.0, 100.0, 200.0, 400.0])
+    found = TOUCH_CHANNELS["NP I"].threshold(at, factor=1.0)
+    np.testing.assert_allclose(found, 2.82e-6 * np.array([1, 1, 1, 4, 16]), rtol=1e-3)
+    held = TOUCH_CHANNELS["NP III"].threshold(at, factor=1.0)
+    np.testing.assert_allclose(held, detection_threshold(np.full(5, 4.0), factor=1.0), rtol=1e-9)
+    found = TOUCH_CHANNELS["NP II"].threshold(np.array([62.5, 250.0, 500.0]), factor=1.0)
+    expected = 3.16e-6 * 10 ** (np.array([10.0, 0.0, 6.0]) / 20)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_a_channel_is_alone_up_to_the_threshold_of_the_next() -> None:
+    """At 250 Hz from 0.1 to 3.16 µm, where Ruffini's is."""
+    at = np.array([250.0])
+    assert TOUCH_CHANNELS["P"].selective_range_db(at) == pytest.approx(29.99, abs=0.01)
+    assert TOUCH_CHANNELS["NP II"].selective_range_db(at) == pytest.approx(-29.99, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("frequency", "level", "felt"),
     [

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
@@ -323,6 +323,12 @@ def test_bad_values_are_said_in_one_line(make: Callable[[], Any], said: str) -> 
     with pytest.raises(InputError, match=said) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+def test_conditions_stay_as_they_were_checked() -> None:
+    conditions = Conditions()
+    with pytest.raises(FrozenInstanceError):
+        conditions.voltage = 0.0  # type: ignore[misc]
 
 
 def test_a_study_larger_than_memory_is_refused_before_it_begins() -> None:

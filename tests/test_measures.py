@@ -94,6 +94,15 @@ def test_a_short_a_coarse_and_a_broken_stroke_are_refused() -> None:
                 work(np.zeros(LONG), step)
 
 
+def test_a_stroke_of_just_ten_periods_of_the_lowest_band_is_long_enough() -> None:
+    """Of 0.25 cycles/mm it is 40 mm; rounding does not count."""
+    center = 250 * 10 ** (np.arange(16) / 10)
+    stroke = rough(1, 19, count=800)[0]
+    assert np.all(np.isfinite(measures.band_spectrum(stroke, STEP, center=center)))
+    with pytest.raises(InputError, match="needs at least 40 mm"):
+        measures.band_spectrum(stroke[:-1], STEP, center=center)
+
+
 # Kurtosis
 
 
@@ -176,6 +185,14 @@ def test_what_lies_outside_the_bands_has_no_part_in_depth(low: float, high: floa
     assert measures.am_depth(surface + other, STEP, 100.0) == pytest.approx(wanted, abs=0.02)
     wanted = measures.am_corner(surface, STEP)
     assert measures.am_corner(surface + other, STEP) == pytest.approx(wanted, rel=0.1)
+
+
+def test_depth_is_the_same_however_much_of_chance_lies_below_the_corner() -> None:
+    """A modulation below 0.05 cycles/mm, read with corners far above it."""
+    varied = rough(20, 17) * modulator(20, 18, math.log1p(0.4**2), 0.05)
+    narrow, wide = (measures.am_depth(varied, STEP, corner) for corner in (100.0, 2000.0))
+    assert narrow == pytest.approx(0.4, abs=0.04)
+    assert wide == pytest.approx(narrow, abs=0.02)
 
 
 def test_noise_alone_has_no_corner_to_speak_of() -> None:

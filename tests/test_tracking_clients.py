@@ -236,6 +236,22 @@ def test_samples_alike_but_for_a_velocity_raise_nothing() -> None:
         assert tracker.touching
 
 
+@pytest.mark.parametrize(("apart", "averaged"), [(0.0035, True), (0.0045, False)])
+@pytest.mark.parametrize("velocity", [None, (0.0, 0.0)])
+def test_samples_that_wait_within_4_ms_are_averaged(
+    apart: float, averaged: bool, velocity: tuple[float, float] | None
+) -> None:
+    """Two that came together begin a contact between them; others one after the other."""
+    tracker = ContactTracker()
+    tracker.add(0.0, (0.0, 0.0), 0.5, velocity, arrival=apart)
+    tracker.add(apart, (1e-3, 0.0), 0.5, velocity, arrival=apart)
+    place, _ = tracker.at(apart + np.arange(4) / 8000, apart)
+    if averaged:
+        np.testing.assert_allclose(place, np.tile([0.5e-3, 0.0], (4, 1)), atol=1e-12)
+    else:
+        assert abs(place[0, 0] - 0.5e-3) > 1e-5
+
+
 def heard_again(speed: float, gap: float, x: float) -> ContactTracker:
     """Return a tracker that heard a stroke until 0.5 s, and after a gap one sample at x [m]."""
     tracker = ContactTracker()

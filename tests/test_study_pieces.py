@@ -1,15 +1,18 @@
-"""What it takes to solve a study: pieces and the extra; and the band that its data set names."""
+"""What it takes to solve a study: pieces, the extra, a band; and what of it is labeled."""
 
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 from numpy.typing import ArrayLike
 from study_rig import study
 
+from tactile.errors import InputError
 from tactile.study import sweep as sweeps
+from tactile.study.criteria import CRITERIA
 from tactile.study.parameters import Specimen
-from tactile.study.sweep import solve_study
+from tactile.study.sweep import Study, solve_study
 
 
 def test_no_more_is_solved_at_once_than_a_processor_s_cache_holds(
@@ -57,3 +60,14 @@ except InputError as error:
     assert done.stderr == ""
     assert "tactile-display[study]" in done.stdout
     assert len(done.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_what_is_read_from_a_response_needs_a_band_and_the_rest_does_not(name: str) -> None:
+    at_rest = {"blocked_force", "first_resonance", "footprint", "standing"}
+    asked: dict[str, Any] = {"axes": {"length_mm": [20.0]}, "frequency": [0.0, 1000.0]}
+    if name in at_rest:
+        assert Study(**asked, criteria=(name,)).designs == 1
+    else:
+        with pytest.raises(InputError, match=f"^{name}: needs a band"):
+            Study(**asked, criteria=(name,))

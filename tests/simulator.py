@@ -92,6 +92,7 @@ class Route:
     number : of the latest e-stop that was answered
     stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
+    woken : when playback went on that had stood still; who died meanwhile it learns then [s]
     last : what each amplifier put out last (C,) [V]
     ledger : of samples
     """
@@ -104,6 +105,7 @@ class Route:
     number: int = 0
     stopped: float = math.inf
     deaths: dict[str, float] = field(default_factory=dict)
+    woken: float = 0.0
     last: dict[int, Floats] = field(default_factory=dict)
 
     @property
@@ -230,7 +232,7 @@ class Simulation:
                 faults = replace(model.amplifiers[0].counters, packets=0)
                 route.ledger.count(faults, self.now)
                 route.ledger.put_out(run, volts, np.asarray(times), rough)
-            since = min(route.stopped, route.dead)
+            since = min(route.stopped, max(route.dead, route.woken))
             if run.high_voltage and times[-1] > since + UNPOWERED:
                 self.wrong.append(
                     f"{route.name}: high voltage at {times[-1]:.4f}, from {since:.4f}"
@@ -391,6 +393,7 @@ class Simulation:
             if not playback.hung:
                 playback.hang(seconds)
                 self._die(route, f"hanging {playback.pid}", seconds)
+                self.world.clock.after(seconds, lambda: setattr(route, "woken", self.now))
 
     def kill_server(self, route: Route) -> None:
         """Kill the daemon's server, and start another some time later."""

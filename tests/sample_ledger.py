@@ -68,7 +68,8 @@ class Ledger:
             if written is None:  # before the first, or after the last
                 continue
             if all(abs(a - b) <= rough for a, b in zip(sample, written, strict=False)):
-                self._settled, self._astray = self._settled + 1, 0
+                self._settled += bool(sample.any())  # 0 V is also put out where nothing has come
+                self._astray = 0
                 self.exact += 1
                 continue
             explained = self._counted != self._before

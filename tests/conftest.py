@@ -6,8 +6,6 @@ What a fixture needs is imported in it, so that a run of one file, or of the che
 
 from __future__ import annotations
 
-import asyncio
-import inspect
 import sys
 import time
 from collections import Counter
@@ -31,23 +29,10 @@ if TYPE_CHECKING:
     from tactile.texture.surface import Texture
 
 
-HANGING = 900.0
-"""s after which a test that is a coroutine fails."""
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run a test that is a coroutine in an event loop of its own."""
-    if not inspect.iscoroutinefunction(pyfuncitem.obj):
-        return None
-    names = inspect.signature(pyfuncitem.obj).parameters
-
-    async def bounded() -> None:
-        async with asyncio.timeout(HANGING):
-            await pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names})
-
-    asyncio.run(bounded())
-    return True
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """Return which event loop the tests that are coroutines run in."""
+    return "asyncio"
 
 
 # Displays and textures

@@ -13,17 +13,16 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from sample_ledger import Ledger
-from virtual_clock import VirtualClock
-from virtual_daemon import Floats, World, small_display, virtual_world
-from virtual_loop import LoopProcess
+from simulated_route import RATE, Program, Route
+from virtual_daemon import small_display, virtual_world
 
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
@@ -34,88 +33,21 @@ from tactile.bus.registry import Address, parse
 from tactile.bus.stream import Stream
 from tactile.client import aio
 from tactile.client.base import UNIX
-from tactile.client.websocket import TaskTransport
 from tactile.daemon.config import Config, DisplayConfig, ServerConfig
 from tactile.errors import ClientError, RequestError
 
-RATE = 2500.0
-LIMIT, SLEW = 60.0, 20e3
-"""Of the display [V] and [V/s]."""
-SILENT = 0.3
-"""s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
-UNPOWERED = 1.0
-"""s from then to high voltage off."""
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
     "can": "mock:?link=can&format=pcm12",
     "canfd": "mock:?link=canfd&format=pcm16&boards=2",
+    "i2c": "mock:?link=i2c&bit_rate=1000000&format=pcm16",
 }
 FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
 """What a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
 
 
-class Program(LoopProcess):
-    """A program that plays on a display, or only stops.
-
-    Parameters
-    ----------
-    world : that it is in
-    url : of the daemon
-    rearm : whether to arm again after a reconnection
-    """
-
-    def __init__(self, world: World, url: str, *, rearm: bool = False) -> None:
-        super().__init__(world.clock, world.errors)
-        self.connection: aio.Connection | None = None
-        self.begin(self._connect(world.clock, url, rearm))
-
-    async def _connect(self, clock: VirtualClock, url: str, rearm: bool) -> None:
-        while True:
-            transport = TaskTransport(url, timeout=1.0)
-            connection = aio.Connection(transport, clock=clock, rearm=rearm)
-            try:
-                self.connection = await connection.open()
-            except ClientError:  # there is no daemon yet
-                await asyncio.sleep(0.1)
-            else:
-                return
-
-
-@dataclass
-class Route:
-    """What is between a program and the amplifiers of one display, and what was asked of it.
-
-    Attributes
-    ----------
-    program : that plays on it
-    model : of the link and its amplifiers; None before it is opened
-    number : of the latest e-stop that was answered
-    stopped : when that was, unless its clear was asked for since [s]
-    deaths : who on the way is dead, and since when [s]
-    woken : when playback went on that had stood still; who died meanwhile it learns then [s]
-    last : what each amplifier put out last (C,) [V]
-    ledger : of samples
-    """
-
-    name: str
-    device: str
-    program: Program
-    ledger: Ledger = field(default_factory=Ledger)
-    model: Model | None = None
-    number: int = 0
-    stopped: float = math.inf
-    deaths: dict[str, float] = field(default_factory=dict)
-    woken: float = 0.0
-    last: dict[int, Floats] = field(default_factory=dict)
-
-    @property
-    def dead(self) -> float:
-        """Time since when the way is cut [s]; infinite where it is not."""
-        return min(self.deaths.values(), default=math.inf)
-
-
 class Simulation:
-    """A daemon with three displays, from a seed.
+    """A daemon with a display on each kind of link, from a seed.
 
     Parameters
     ----------
@@ -136,9 +68,7 @@ class Simulation:
         self.random, self.seed = random.Random(seed), seed
         self.wrong: list[str] = []
         self.log: list[str] = []
-        self.worst = {"e-stop": 0.0, "death": 0.0}
         self.counts, self.answers = Counter[str](), Counter[str]()
-        self.sounding = 0
         self.digest = hashlib.sha256()
         self.stack = ExitStack()
         folder = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="t-")))
@@ -156,6 +86,7 @@ class Simulation:
                 name,
                 device + (FAULTY if self.random.random() < 0.5 else "") + f"&seed={seed}",
                 self._program(),
+                self.wrong,
             )
             for name, device in LINKS.items()
         ]
@@ -175,6 +106,14 @@ class Simulation:
     @property
     def exact(self) -> int:
         return sum(route.ledger.exact for route in self.routes)
+
+    @property
+    def sounding(self) -> int:
+        return sum(route.sounding for route in self.routes)
+
+    @property
+    def worst(self) -> dict[str, float]:
+        return {kind: max(one.worst[kind] for one in self.routes) for kind in ("e-stop", "death")}
 
     @property
     def now(self) -> float:
@@ -223,42 +162,12 @@ class Simulation:
         if len(run.codes):
             code = model.configs[board].full_scale_uv * 1e-6 / FULL_SCALE_CODE
             pace = model.configs[board].tick_hz * (1 + model.drift[board])
-            times = model.time_of(board, 0) + run.ticks / pace
+            times = np.asarray(model.time_of(board, 0) + run.ticks / pace)
             self.digest.update(run.codes.tobytes() + times.tobytes())
-            volts = np.float64(code) * run.codes
-            self._judge(route, board, volts, np.asarray(times), code)
             if board == 0:
-                rough = (17 if "pcm12" in route.device else 2) * code
                 faults = replace(model.amplifiers[0].counters, packets=0)
                 route.ledger.count(faults, self.now)
-                route.ledger.put_out(run, volts, np.asarray(times), rough)
-            since = min(route.stopped, max(route.dead, route.woken))
-            if run.high_voltage and times[-1] > since + UNPOWERED:
-                self.wrong.append(
-                    f"{route.name}: high voltage at {times[-1]:.4f}, from {since:.4f}"
-                )
-
-    def _judge(self, route: Route, board: int, volts: Floats, times: Floats, code: float) -> None:
-        before = route.last.get(board, np.zeros(volts.shape[1]))
-        step = float(np.abs(np.diff(np.vstack([before, volts]), axis=0)).max())
-        route.last[board] = volts[-1]
-        peak = float(np.abs(volts).max())
-        if peak > LIMIT + code:
-            self.wrong.append(f"{route.name}: {peak:.2f} V is above the limit, at {times[0]:.4f}")
-        if step > SLEW / RATE + 2 * code:
-            self.wrong.append(f"{route.name}: a step of {step:.2f} V, at {times[0]:.4f}")
-        loud = times[volts.any(axis=1)]
-        if not len(loud):
-            return
-        self.sounding += len(loud)
-        for kind, since in (("e-stop", route.stopped), ("death", route.dead)):
-            if loud[-1] > since:
-                self.worst[kind] = max(self.worst[kind], float(loud[-1] - since))
-            if loud[-1] > since + SILENT:
-                self.wrong.append(
-                    f"{route.name}: {peak:.2f} V at {loud[-1]:.4f}, the {kind} was at {since:.4f}"
-                    f" ({route.deaths})"
-                )
+            route.judge(board, run, times, code)
 
     # Programs and the server
 
@@ -291,6 +200,12 @@ class Simulation:
 
         program.begin(done())
 
+    def _note(self, estops: dict[str, int]) -> None:
+        """Note e-stops that were answered, by the name of the display."""
+        for one in self.routes:
+            if estops.get(one.name, 0) > one.number:
+                one.number, one.stopped = estops[one.name], self.now
+
     # What happens
 
     def play(self, route: Route) -> None:
@@ -298,18 +213,11 @@ class Simulation:
 
         async def clear_and_play(connection: aio.Connection) -> None:
             display = connection.display(route.name)
-            known = display.estopped
-            older = known < route.number
-            if known and not older:
+            if display.estopped and display.estopped >= route.number:
                 route.stopped = math.inf
-            if known:
-                try:
-                    await display.clear(estop=known)
-                except RequestError:
-                    pass
-                else:
-                    if older and known < route.number and route.stopped < math.inf:
-                        self.wrong.append(f"{route.name}: clear {known} ended {route.number}")
+            if display.estopped:
+                with suppress(RequestError):  # a newer one holds
+                    await display.clear(estop=display.estopped)
             route.deaths.pop("program", None)
             await display.arm()
             await display.effect(20e-6, amplitude_points=[(0.0, 1.0), (60.0, 1.0)])
@@ -326,9 +234,7 @@ class Simulation:
                 estops = await connection.estop()
             else:
                 estops = {name: await connection.display(name).estop()}
-            for one in self.routes:
-                if estops.get(one.name, 0) > one.number:
-                    one.number, one.stopped = estops[one.name], self.now
+            self._note(estops)
 
         self._have(program, stop)
 
@@ -343,6 +249,21 @@ class Simulation:
                 self.wrong.append(f"{route.name}: armed at {self.now:.4f} in an e-stop")
 
         self._have(route.program, arm)
+
+    def clear_in_vain(self, route: Route) -> None:
+        """E-stop, and try to clear that by the number of the one before."""
+
+        async def clear(connection: aio.Connection) -> None:
+            display = connection.display(route.name)
+            number = await display.estop()
+            self._note({route.name: number})
+            stopped = route.stopped
+            if number > 1:
+                await display.clear(estop=number - 1)
+                if stopped < math.inf and (number, stopped) == (route.number, route.stopped):
+                    self.wrong.append(f"{route.name}: {number - 1} cleared e-stop {number}")
+
+        self._have(route.program, clear)
 
     def touch(self, route: Route) -> None:
         """Move a finger over a texture."""
@@ -430,9 +351,9 @@ class Simulation:
             route.last.clear()
 
     EVENTS = (
-        (play, 10), (estop, 3), (arm_in_vain, 2), (touch, 2), (disarm, 1), (kill_program, 1),
-        (hang_program, 2), (kill_playback, 1), (hang_playback, 2), (kill_server, 1),
-        (stall_server, 1), (unplug, 2), (stall_link, 1), (power_cycle, 1),
+        (play, 10), (estop, 3), (arm_in_vain, 2), (clear_in_vain, 1), (touch, 2), (disarm, 1),
+        (kill_program, 1), (hang_program, 2), (kill_playback, 1), (hang_playback, 2),
+        (kill_server, 1), (stall_server, 1), (unplug, 2), (stall_link, 1), (power_cycle, 1),
     )  # fmt: skip
 
     def run(self, seconds: float) -> None:

@@ -8,6 +8,7 @@ import asyncio
 import functools
 import heapq
 import itertools
+import math
 import os
 import pickle
 import sys
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PIPE = 0.3e-3
 """s from a process to another."""
+LONGEST = 60.0
+"""s that anybody waits at a time who has nothing to do."""
 LOOK = 2e-3
 """s after which a program that waits for a link looks whether it was woken."""
 
@@ -188,6 +191,52 @@ def _switch(go: Callable[[], object]) -> None:
     finally:
         asyncio._set_running_loop(loop)
         sys.set_asyncgen_hooks(*hooks)
+
+
+class VirtualLock:
+    """A lock of threads that may let time pass while they hold it; who has it may take it again.
+
+    It serves as Lock, RLock and as a Condition that nobody waits for.
+
+    Parameters
+    ----------
+    clock : of the threads
+    """
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        self._owner: greenlet.greenlet | None = None
+        self._depth = 0
+
+    def acquire(self, seconds: float = math.inf) -> bool:
+        """Wait for the lock, for so long at most [s]; return whether it is had."""
+        me, end = greenlet.getcurrent(), self._clock.now() + seconds
+        while self._owner not in (None, me):
+            if self._clock.now() >= end:
+                return False
+            self._clock.wait_for(lambda: not self.locked(), min(end - self._clock.now(), LONGEST))
+        self._owner, self._depth = me, self._depth + 1
+        return True
+
+    def release(self) -> None:
+        """Give it back, once for each time that it was taken."""
+        self._depth -= 1
+        if not self._depth:
+            self._owner = None
+
+    def locked(self) -> bool:
+        """Return whether anybody has it."""
+        return self._owner is not None
+
+    def notify_all(self) -> None:
+        """Do nothing: who waits looks again whenever anything happens."""
+
+    def __enter__(self) -> "VirtualLock":
+        self.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
 
 class LinkTime:

@@ -12,15 +12,17 @@ import itertools
 import logging
 import os
 import pickle
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_clock import PIPE, LinkTime, Process, Thread, VirtualClock
+from virtual_clock import PIPE, LinkTime, Process, Thread, VirtualClock, VirtualLock
 from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import Played
@@ -291,7 +293,22 @@ class World:
             model = self.models[name] = model_of(address, wiring, self.clock)
             vars(model)["listen"] = lambda: self._listen(address, model)
             self._go_on(model)
-        return open_modeled(address, rig, sample_rate, self.models[name])
+        bus = open_modeled(address, rig, sample_rate, self.models[name])
+        vars(bus)["_turn"] = self._in_turn(bus._turn)
+        return bus
+
+    def _in_turn(self, turn: Callable[[float], None]) -> Callable[[float], None]:
+        """Let one thread at a time wait for what comes on a link, as real links have only one."""
+        lock = VirtualLock(self.clock)
+
+        def in_turn(until: float) -> None:
+            if lock.acquire(until - self.clock.now()):
+                try:
+                    turn(until)
+                finally:
+                    lock.release()
+
+        return in_turn
 
     def _listen(self, address: Address, model: Model) -> None:
         for board, amplifier in enumerate(model.amplifiers):
@@ -371,8 +388,12 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         if id(bus) in world.by_bus:
             world.by_bus[id(bus)].interrupt()
 
+    def lock() -> VirtualLock:
+        return VirtualLock(world.clock)
+
     real_write = Samples.write
     logger = logging.getLogger("tactile")
+    locks = SimpleNamespace(Lock=lock, RLock=lock, Condition=lock, Event=threading.Event)
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, link=link_of)
@@ -383,6 +404,9 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
             "tactile.daemon.workbench.Child": world.child,
             "tactile.daemon.config.load_display": _display,
             "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
+            "tactile.daemon.playback_process.threading": locks,
+            "tactile.bus.base.threading": locks,
+            "tactile.bus.link_bus.threading": locks,
             "tactile.daemon.player.Samples.write": write,
             "tactile.bus.mock_bus.MockBus._put": put,
         }.items():

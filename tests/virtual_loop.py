@@ -13,11 +13,9 @@ from concurrent.futures import Future
 from contextlib import AsyncExitStack, suppress
 from typing import Any, TypeVar
 
-from virtual_clock import VirtualClock
+from virtual_clock import LONGEST, VirtualClock
 
 T = TypeVar("T")
-LONGEST = 60.0
-"""s that an event loop waits where it has nothing to do."""
 
 
 class VirtualSelector(selectors.DefaultSelector):

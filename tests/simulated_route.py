@@ -1,0 +1,124 @@
+"""What is between a program of a simulation and its amplifiers, judged by what these put out."""
+
+import asyncio
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from sample_ledger import Ledger
+from virtual_clock import VirtualClock
+from virtual_daemon import Floats, World
+from virtual_loop import LoopProcess
+
+from firmware_protocol.machine import Played
+from tactile.bus.line_model import Model
+from tactile.client import aio
+from tactile.client.websocket import TaskTransport
+from tactile.errors import ClientError
+
+RATE = 2500.0
+LIMIT, SLEW = 60.0, 20e3
+"""Of the display [V] and [V/s]."""
+SILENT = 0.3
+"""s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
+UNPOWERED = 1.0
+"""s from then to high voltage off."""
+
+
+class Program(LoopProcess):
+    """A program that plays on a display, or only stops.
+
+    Parameters
+    ----------
+    world : that it is in
+    url : of the daemon
+    rearm : whether to arm again after a reconnection
+    """
+
+    def __init__(self, world: World, url: str, *, rearm: bool = False) -> None:
+        super().__init__(world.clock, world.errors)
+        self.connection: aio.Connection | None = None
+        self.begin(self._connect(world.clock, url, rearm))
+
+    async def _connect(self, clock: VirtualClock, url: str, rearm: bool) -> None:
+        while True:
+            transport = TaskTransport(url, timeout=1.0)
+            connection = aio.Connection(transport, clock=clock, rearm=rearm)
+            try:
+                self.connection = await connection.open()
+            except ClientError:  # there is no daemon yet
+                await asyncio.sleep(0.1)
+            else:
+                return
+
+
+@dataclass
+class Route:
+    """What is between a program and the amplifiers of one display, and what was asked of it.
+
+    Attributes
+    ----------
+    program : that plays on it
+    wrong : what broke a promise, on any way, a line each
+    model : of the link and its amplifiers; None before it is opened
+    number : of the latest e-stop that was answered
+    stopped : when that was, unless its clear was asked for since [s]
+    deaths : who on the way is dead, and since when [s]
+    woken : when playback went on that had stood still; who died meanwhile it learns then [s]
+    last : what each amplifier put out last (C,) [V]
+    ledger : of samples
+    sounding : samples other than 0 V that were put out
+    worst : longest time from an e-stop or a death to 0 V [s]
+    """
+
+    name: str
+    device: str
+    program: Program
+    wrong: list[str]
+    ledger: Ledger = field(default_factory=Ledger)
+    model: Model | None = None
+    number: int = 0
+    stopped: float = math.inf
+    deaths: dict[str, float] = field(default_factory=dict)
+    woken: float = 0.0
+    last: dict[int, Floats] = field(default_factory=dict)
+    sounding: int = 0
+    worst: dict[str, float] = field(default_factory=lambda: {"e-stop": 0.0, "death": 0.0})
+
+    @property
+    def dead(self) -> float:
+        """Time since when the way is cut [s]; infinite where it is not."""
+        return min(self.deaths.values(), default=math.inf)
+
+    def judge(self, board: int, run: Played, times: Floats, code: float) -> None:
+        """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code."""
+        volts = np.float64(code) * run.codes
+        self._judge_volts(board, volts, times, code)
+        if board == 0:
+            rough = (17 if "pcm12" in self.device else 2) * code
+            self.ledger.put_out(run, volts, times, rough)
+        since = min(self.stopped, max(self.dead, self.woken))
+        if run.high_voltage and times[-1] > since + UNPOWERED:
+            self.wrong.append(f"{self.name}: high voltage at {times[-1]:.4f}, from {since:.4f}")
+
+    def _judge_volts(self, board: int, volts: Floats, times: Floats, code: float) -> None:
+        before = self.last.get(board, np.zeros(volts.shape[1]))
+        step = float(np.abs(np.diff(np.vstack([before, volts]), axis=0)).max())
+        self.last[board] = volts[-1]
+        peak = float(np.abs(volts).max())
+        if peak > LIMIT + code:
+            self.wrong.append(f"{self.name}: {peak:.2f} V is above the limit, at {times[0]:.4f}")
+        if step > SLEW / RATE + 2 * code:
+            self.wrong.append(f"{self.name}: a step of {step:.2f} V, at {times[0]:.4f}")
+        loud = times[volts.any(axis=1)]
+        if not len(loud):
+            return
+        self.sounding += len(loud)
+        for kind, since in (("e-stop", self.stopped), ("death", self.dead)):
+            if loud[-1] > since:
+                self.worst[kind] = max(self.worst[kind], float(loud[-1] - since))
+            if loud[-1] > since + SILENT:
+                self.wrong.append(
+                    f"{self.name}: {peak:.2f} V at {loud[-1]:.4f}, the {kind} was at {since:.4f}"
+                    f" ({self.deaths})"
+                )

@@ -1,12 +1,15 @@
-"""Fixtures that several files share, and what a run says at its end about skipped tests.
+"""What holds for all tests, fixtures that several files share, and what a run says at its end.
 
-What a fixture needs is imported in it, so that a run of one file, or of the checks in a guest of
-`kernel`, imports no more than it uses. `usefixtures` names those that give nothing.
+All tests have folders of their own for daemons, and examples that depend on no clock. What a
+fixture needs is imported in it, so that a run of one file, or of the checks in a guest of `kernel`,
+imports no more than it uses. `usefixtures` names those that give nothing.
 """
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -15,6 +18,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 if TYPE_CHECKING:
     import bringup_rig
@@ -27,6 +31,43 @@ if TYPE_CHECKING:
     from tactile.bus.base import Bus
     from tactile.display import Display
     from tactile.texture.surface import Texture
+
+# pytest-xdist takes all processors already, and OpenBLAS spins while it waits for its threads; it
+# reads this when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# The same examples on every machine, however slow it is: Hypothesis's limits of time would fail
+# where one is held up. Fixtures that several examples share are folders.
+settings.register_profile(
+    "replay", derandomize=True, deadline=None, database=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)  # fmt: skip
+settings.load_profile("replay")
+# Other examples each time, by --hypothesis-profile=explore --hypothesis-seed=N: see .ci/nightly.
+settings.register_profile("explore", settings.get_profile("replay"), derandomize=False)
+
+
+def _in_folder(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:
+    for variable, name in (("STATE_DIRECTORY", "state"), ("RUNTIME_DIRECTORY", "run")):
+        monkeypatch.setenv(variable, str(Path(folder) / name))
+
+
+def _folder() -> Iterator[None]:
+    with tempfile.TemporaryDirectory(prefix="t-") as folder, pytest.MonkeyPatch.context() as patch:
+        _in_folder(patch, folder)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def session_folders() -> Iterator[None]:
+    """Keep daemons that several tests share away from the user's own."""
+    yield from _folder()
+
+
+@pytest.fixture(autouse=True)
+def own_folders(session_folders: None) -> Iterator[None]:
+    """Let no e-stop that a test leaves latched meet another test; short paths, as sockets want."""
+    yield from _folder()
 
 
 @pytest.fixture(scope="session")

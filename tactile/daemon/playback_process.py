@@ -292,7 +292,11 @@ class Pipe:
 
 
 def opened(setup: Setup) -> tuple[Bus, Opened]:
-    """Open a bus; tell how it plays.
+    """Open a bus; return it and how it plays.
+
+    Parameters
+    ----------
+    setup : what the server says of the device and its display
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,8 @@ LIMIT, SLEW = 60.0, 20e3
 """Of the display [V] and [V/s]."""
 SILENT = 0.3
 """s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
+ORPHANED = 0.6
+"""s from a program's death to 0 V where an engine plays on, by the high voltage of that program."""
 UNPOWERED = 1.0
 """s from then to high voltage off."""
 
@@ -65,6 +68,7 @@ class Route:
     stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
     woken : when playback went on that had stood still; who died meanwhile it learns then [s]
+    moved : until when an engine moves a finger [s]
     last : what each amplifier put out last (C,) [V]
     ledger : of samples
     sounding : samples other than 0 V that were put out
@@ -81,6 +85,7 @@ class Route:
     stopped: float = math.inf
     deaths: dict[str, float] = field(default_factory=dict)
     woken: float = 0.0
+    moved: float = 0.0
     last: dict[int, Floats] = field(default_factory=dict)
     sounding: int = 0
     worst: dict[str, float] = field(default_factory=lambda: {"e-stop": 0.0, "death": 0.0})
@@ -91,7 +96,12 @@ class Route:
         return min(self.deaths.values(), default=math.inf)
 
     def judge(self, board: int, run: Played, times: Floats, code: float) -> None:
-        """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code."""
+        """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code.
+
+        The first promise that is broken is enough.
+        """
+        if self.wrong:
+            return
         volts = np.float64(code) * run.codes
         self._judge_volts(board, volts, times, code)
         if board == 0:
@@ -114,11 +124,18 @@ class Route:
         if not len(loud):
             return
         self.sounding += len(loud)
-        for kind, since in (("e-stop", self.stopped), ("death", self.dead)):
-            if loud[-1] > since:
-                self.worst[kind] = max(self.worst[kind], float(loud[-1] - since))
-            if loud[-1] > since + SILENT:
+        for what, since, within in self._causes():
+            if loud[-1] > since + within:
                 self.wrong.append(
-                    f"{self.name}: {peak:.2f} V at {loud[-1]:.4f}, the {kind} was at {since:.4f}"
-                    f" ({self.deaths})"
+                    f"{self.name}: {peak:.2f} V at {loud[-1]:.4f}, {what} was at {since:.4f}"
                 )
+            elif loud[-1] > since and within == SILENT:
+                kind = what.partition(" ")[0]
+                self.worst[kind] = max(self.worst[kind], float(loud[-1] - since))
+
+    def _causes(self) -> Iterator[tuple[str, float, float]]:
+        """Yield what leads to 0 V, when it came [s], and within which time it does [s]."""
+        yield "e-stop", self.stopped, SILENT
+        for who, since in self.deaths.items():
+            orphaned = "program" in who and self.moved > since
+            yield f"death of {who}", since, ORPHANED if orphaned else SILENT

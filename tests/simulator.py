@@ -1,14 +1,17 @@
 """A simulated daemon with its programs, processes, links and amplifiers, and all that fails.
 
 All is real but time, process boundaries and wires (`virtual_daemon`): programs have the SDK, and
-talk to the server over its socket. All that happens follows from a seed. What holds whatever
-happens is judged where each amplifier puts out its volts, by what was asked and answered.
+talk to the server over its socket; an engine sends it OSC. All that happens follows from a seed.
+What holds whatever happens is judged where each amplifier puts out its volts, by what was asked
+and answered.
 """
 
 import asyncio
+import functools
 import hashlib
 import math
 import random
+import socket
 import sys
 import tempfile
 from collections import Counter
@@ -16,13 +19,16 @@ from collections.abc import Callable, Coroutine, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from osc_faults import mutated, packet
 from sample_ledger import Ledger
 from simulated_route import RATE, Program, Route
 from virtual_daemon import small_display, virtual_world
+from virtual_loop import Datagrams
 
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
@@ -33,7 +39,7 @@ from tactile.bus.registry import Address, parse
 from tactile.bus.stream import Stream
 from tactile.client import aio
 from tactile.client.base import UNIX
-from tactile.daemon.config import Config, DisplayConfig, ServerConfig
+from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
 from tactile.errors import ClientError, RequestError
 
 LINKS = {
@@ -42,6 +48,8 @@ LINKS = {
     "canfd": "mock:?link=canfd&format=pcm16&boards=2",
     "i2c": "mock:?link=i2c&bit_rate=1000000&format=pcm16",
 }
+OSC = 7412
+"""Port of the daemon; an engine sends from the one below."""
 FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
 """What a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
 
@@ -91,8 +99,13 @@ class Simulation:
             for name, device in LINKS.items()
         ]
         self.stopper = self._program()
+        sockets = vars(socket) | {"socket": functools.partial(Datagrams, folder)}
+        patch.setattr("tactile.daemon.server.socket", SimpleNamespace(**sockets))
+        self.engine = self.stack.enter_context(Datagrams(folder))
+        self.engine.bind(("127.0.0.1", OSC - 1))
         self.config = Config(
             server=ServerConfig(port=0, socket=f"{folder}/socket"),
+            osc=OscConfig(port=OSC),
             display=tuple(
                 DisplayConfig(
                     name=route.name, display=display, device=route.device, sample_rate_hz=RATE,
@@ -277,6 +290,31 @@ class Simulation:
 
         self._have(route.program, move)
 
+    def send_osc(self, route: Route) -> None:
+        """Have an engine move a finger over a texture, with packets that have faults among it."""
+        packets = [packet(f"/tactile/{route.name}/texture", "wood-oak")]
+        for k in range(20):
+            packets.append(packet(f"/tactile/{route.name}/contact", 0.5 * k, 0.0, 1.0, 50.0, 0.0))
+            packets += [mutated(self.random)] if self.random.random() < 0.2 else []
+        for one in (route, self.routes[0]):  # which those mean that name no display
+            one.moved = self.now + 0.01 * len(packets) + 0.1  # a finger is forgotten 0.1 s later
+        for k, data in enumerate(packets):
+            self.world.clock.after(0.01 * k, functools.partial(self._send, data))
+
+    def _send(self, data: bytes) -> None:
+        self.answers["OSC"] += self.engine.send_to(data, OSC)
+
+    def estop_by_osc(self, route: Route) -> None:
+        """E-stop by a packet, which is not answered."""
+        assert self.world.host is not None
+        latch = self.world.host.playing[route.name].latch
+        before, now = latch.number, self.now
+        if self.engine.send_to(packet(f"/tactile/{route.name}/estop"), OSC):
+            self.world.clock.advance(0.1, lambda: latch.number > before)
+            if latch.number == before:
+                self.wrong.append(f"{route.name}: no e-stop by OSC since {now:.4f}")
+            self._note({route.name: latch.number})
+
     def disarm(self, route: Route) -> None:
         """Fade out and disarm."""
 
@@ -352,8 +390,9 @@ class Simulation:
 
     EVENTS = (
         (play, 10), (estop, 3), (arm_in_vain, 2), (clear_in_vain, 1), (touch, 2), (disarm, 1),
-        (kill_program, 1), (hang_program, 2), (kill_playback, 1), (hang_playback, 2),
-        (kill_server, 1), (stall_server, 1), (unplug, 2), (stall_link, 1), (power_cycle, 1),
+        (send_osc, 2), (estop_by_osc, 1), (kill_program, 1), (hang_program, 2),
+        (kill_playback, 1), (hang_playback, 2), (kill_server, 1), (stall_server, 1), (unplug, 2),
+        (stall_link, 1), (power_cycle, 1),
     )  # fmt: skip
 
     def run(self, seconds: float) -> None:

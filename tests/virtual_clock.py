@@ -8,11 +8,11 @@ import asyncio
 import functools
 import heapq
 import itertools
-import math
 import os
 import pickle
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -196,7 +196,8 @@ def _switch(go: Callable[[], object]) -> None:
 class VirtualLock:
     """A lock of threads that may let time pass while they hold it; who has it may take it again.
 
-    It serves as Lock, RLock and as a Condition that nobody waits for.
+    Those that wait have it in the order in which they came. It serves as Lock, RLock and as a
+    Condition that nobody waits for.
 
     Parameters
     ----------
@@ -207,22 +208,35 @@ class VirtualLock:
         self._clock = clock
         self._owner: greenlet.greenlet | None = None
         self._depth = 0
+        self._waiting: deque[greenlet.greenlet] = deque()
 
-    def acquire(self, seconds: float = math.inf) -> bool:
+    def acquire(self, seconds: float = LONGEST) -> bool:
         """Wait for the lock, for so long at most [s]; return whether it is had."""
-        me, end = greenlet.getcurrent(), self._clock.now() + seconds
-        while self._owner not in (None, me):
-            if self._clock.now() >= end:
+        me = greenlet.getcurrent()
+        if self._owner not in (None, me):
+            self._waiting.append(me)
+            try:
+                self._clock.wait_for(lambda: self._owner is me, seconds)
+            except Killed:
+                self._forget(me)
+                raise
+            if self._owner is not me:
+                self._waiting.remove(me)
                 return False
-            self._clock.wait_for(lambda: not self.locked(), min(end - self._clock.now(), LONGEST))
         self._owner, self._depth = me, self._depth + 1
         return True
+
+    def _forget(self, who: greenlet.greenlet) -> None:
+        if self._owner is who:
+            self._owner = self._waiting.popleft() if self._waiting else None
+        else:
+            self._waiting.remove(who)
 
     def release(self) -> None:
         """Give it back, once for each time that it was taken."""
         self._depth -= 1
         if not self._depth:
-            self._owner = None
+            self._owner = self._waiting.popleft() if self._waiting else None
 
     def locked(self) -> bool:
         """Return whether anybody has it."""
@@ -232,7 +246,8 @@ class VirtualLock:
         """Do nothing: who waits looks again whenever anything happens."""
 
     def __enter__(self) -> "VirtualLock":
-        self.acquire()
+        if not self.acquire():
+            raise RuntimeError(f"a lock that nobody gives back within {LONGEST:g} s")
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,9 +8,11 @@ import asyncio
 import logging
 import os
 import selectors
+import socket
 from collections.abc import Coroutine, Iterable
 from concurrent.futures import Future
 from contextlib import AsyncExitStack, suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from virtual_clock import LONGEST, VirtualClock
@@ -57,6 +59,38 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Numbers of its sockets that are open."""
         connected = {file for file, one in self._transports.items() if not one.is_closing()}
         return {*self._files.get_map(), *connected} - self._own
+
+
+class Datagrams(socket.socket):
+    """A socket in place of a UDP one on the loopback interface: what is sent has arrived at once.
+
+    Parameters
+    ----------
+    folder : of all sockets that reach each other
+    """
+
+    def __init__(self, folder: Path, family: int = -1, kind: int = socket.SOCK_DGRAM) -> None:
+        super().__init__(socket.AF_UNIX, kind)
+        self.setblocking(False)
+        self._folder = folder
+
+    def bind(self, address: Any) -> None:
+        path = self._path(address)
+        path.unlink(missing_ok=True)
+        super().bind(str(path))
+
+    def recvfrom(self, *words: int) -> tuple[bytes, Any]:
+        data, path = super().recvfrom(*words)
+        return data, ("127.0.0.1", int(path.rpartition("-")[2]))
+
+    def send_to(self, data: bytes, port: int) -> bool:
+        """Send a packet; return whether there is anybody with room for it."""
+        with suppress(OSError):
+            return bool(super().sendto(data, str(self._path(("", port)))))
+        return False
+
+    def _path(self, address: tuple[str, int]) -> Path:
+        return self._folder / f"udp-{address[1]}"
 
 
 def lose(files: Iterable[int]) -> None:

@@ -99,10 +99,7 @@ class Simulation:
             for name, device in LINKS.items()
         ]
         self.stopper = self._program()
-        sockets = vars(socket) | {"socket": functools.partial(Datagrams, folder)}
-        patch.setattr("tactile.daemon.server.socket", SimpleNamespace(**sockets))
-        self.engine = self.stack.enter_context(Datagrams(folder))
-        self.engine.bind(("127.0.0.1", OSC - 1))
+        self._have_engine(folder, patch)
         self.config = Config(
             server=ServerConfig(port=0, socket=f"{folder}/socket"),
             osc=OscConfig(port=OSC),
@@ -115,6 +112,13 @@ class Simulation:
             ),
         )  # fmt: skip
         self._start()
+
+    def _have_engine(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
+        """Have an engine, and a daemon whose OSC comes as datagrams that arrive at once."""
+        sockets = vars(socket) | {"socket": functools.partial(Datagrams, folder)}
+        patch.setattr("tactile.daemon.server.socket", SimpleNamespace(**sockets))
+        self.engine = self.stack.enter_context(Datagrams(folder))
+        self.engine.bind(("127.0.0.1", OSC - 1))
 
     @property
     def exact(self) -> int:

@@ -324,6 +324,12 @@ class World:
 
     # The processes
 
+    @property
+    def threading(self) -> SimpleNamespace:
+        """What stands for the module `threading`: locks that threads wait for on the clock."""
+        lock = functools.partial(VirtualLock, self.clock)
+        return SimpleNamespace(Lock=lock, RLock=lock, Condition=lock, Event=threading.Event)
+
     def child(
         self, module: str, heard: Callable[[Any], None], inherited: tuple[int, ...] = ()
     ) -> Process:
@@ -388,12 +394,9 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         if id(bus) in world.by_bus:
             world.by_bus[id(bus)].interrupt()
 
-    def lock() -> VirtualLock:
-        return VirtualLock(world.clock)
-
     real_write = Samples.write
     logger = logging.getLogger("tactile")
-    locks = SimpleNamespace(Lock=lock, RLock=lock, Condition=lock, Event=threading.Event)
+    threads = world.threading
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, link=link_of)
@@ -404,9 +407,9 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
             "tactile.daemon.workbench.Child": world.child,
             "tactile.daemon.config.load_display": _display,
             "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
-            "tactile.daemon.playback_process.threading": locks,
-            "tactile.bus.base.threading": locks,
-            "tactile.bus.link_bus.threading": locks,
+            "tactile.daemon.playback_process.threading": threads,
+            "tactile.bus.base.threading": threads,
+            "tactile.bus.link_bus.threading": threads,
             "tactile.daemon.player.Samples.write": write,
             "tactile.bus.mock_bus.MockBus._put": put,
         }.items():

@@ -15,14 +15,13 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import pytest
-from daemon_rig import until
 
 from tactile.daemon import children as child_processes
 from tactile.daemon import client as client_module
 from tactile.daemon import messages as m
 from tactile.daemon import playing as playing_module
 from tactile.daemon.client import Client
-from tactile.daemon.config import Config, DisplayConfig, load_config
+from tactile.daemon.config import Config, DisplayConfig
 from tactile.daemon.host import Host
 from tactile.daemon.playing import Playing
 from tactile.errors import BusError, InputError
@@ -359,100 +358,3 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     program.until(plays)
     assert host.healthy()
     assert host.figures()[NAME]["playback_alive"] == 1.0
-
-
-async def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(tmp_path: Path) -> None:
-    path = tmp_path / "tactile.toml"
-    table = '[[display]]\nname = "right"\ndevice = "mock:"\ngain = {}\n'
-    path.write_text(table.format(1.0))
-    host = Host(load_config(path))
-    await host.start()
-    number = host.playing["right"].estop("by a test")
-    path.write_text(table.format(0.5))
-    await host.reload()
-    assert host.playing["right"].config.gain == 0.5
-    assert host.playing["right"].latch.holds == number
-    await host.close()
-
-
-@pytest.mark.parametrize("how", ["reload", "restart"])
-async def test_editing_an_option_of_a_device_ends_no_e_stop(tmp_path: Path, how: str) -> None:
-    path = tmp_path / "tactile.toml"
-    table = '[[display]]\nname = "right"\ndevice = "{}"\n'
-    path.write_text(table.format("mock:"))
-    host = Host(load_config(path))
-    await host.start()
-    host.playing["right"].estop("by a test")
-    path.write_text(table.format("mock:?format=pcm12"))
-    if how == "reload":
-        await host.reload()
-    else:
-        await host.close()
-        host = Host(load_config(path))
-        await host.start()
-    playing = host.playing["right"]
-    assert playing.config.device == "mock:?format=pcm12"
-    assert playing.latch.holds
-    assert playing.latch.reason.startswith("by a test")
-    await host.close()
-
-
-async def test_reloading_two_displays_of_one_device_keeps_both(tmp_path: Path) -> None:
-    """Two simulated displays have the same URL, and a latch each."""
-    path = tmp_path / "tactile.toml"
-    tables = "".join(
-        f'[[display]]\nname = "{name}"\ndevice = "sim:"\ngain = {{0}}\n' for name in "ab"
-    )
-    path.write_text(tables.format(1.0))
-    host = Host(load_config(path))
-    await host.start()
-    path.write_text(tables.format(0.5))
-    await host.reload()
-    assert {name: one.config.gain for name, one in host.playing.items()} == {"a": 0.5, "b": 0.5}
-    host.playing["a"].estop("by a test")
-    assert host.playing["b"].latch.holds == 0
-    await host.close()
-
-
-async def test_an_e_stop_while_the_daemon_ends_is_latched(tmp_path: Path) -> None:
-    path = tmp_path / "tactile.toml"
-    path.write_text('[[display]]\nname = "right"\ndevice = "mock:"\n')
-    host = Host(load_config(path))
-    await host.start()
-    client = host.connect("test", roles=m.ALL_ROLES)
-    ending = asyncio.create_task(host.close())
-    await asyncio.sleep(0)
-    assert await client.request(m.EStop()) == m.Done(estops={"right": 1})
-    await ending
-    host = Host(load_config(path))
-    await host.start()
-    assert host.playing["right"].latch.holds == 1
-    await host.close()
-
-
-@pytest.mark.ci
-async def test_reloading_another_configuration_opens_what_changed_and_tries_what_cannot_be(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "tactile.toml"
-    left = '[[display]]\nname = "left"\ndevice = "sim:"\n'
-    right = '[[display]]\nname = "right"\ndevice = "{}"\n'
-    path.write_text(left + right.format("sim:"))
-    host = Host(load_config(path))
-    await host.start()
-    kept = host.playing["left"]
-    path.write_text(left + right.format("nonsense"))
-    with pytest.raises(BusError, match="right"):
-        await host.reload()
-    assert host.playing["left"] is kept
-    assert not host.healthy()
-    path.write_text("[[display]]\nname = 3\n")
-    with pytest.raises(InputError):
-        await host.reload()
-    assert set(host.playing) == {"left", "right"}
-    path.write_text(left)
-    await host.reload()
-    assert list(host.playing.values()) == [kept]
-    await until(host.healthy)
-    await host.close()
-    assert not host.healthy()

@@ -1,0 +1,138 @@
+"""A configuration that is loaded again, and e-stops that hold over that and over a restart."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from virtual_daemon import World, virtual_world
+
+from tactile.bus.registry import register_bus
+from tactile.daemon import messages as m
+from tactile.daemon.config import load_config
+from tactile.daemon.host import Host
+from tactile.errors import BusError, InputError
+
+
+class Daemon:
+    """A daemon on a virtual clock, with a configuration in a file.
+
+    Parameters
+    ----------
+    world : that it is in
+    path : of its configuration
+    """
+
+    def __init__(self, world: World, path: Path) -> None:
+        self.world, self._path = world, path
+
+    def start(self, **devices: str) -> Host:
+        """Start with displays of these devices."""
+        self.write(1.0, **devices)
+        assert self.world.start(load_config(self._path))
+        return self.host
+
+    @property
+    def host(self) -> Host:
+        assert self.world.host is not None
+        return self.world.host
+
+    def write(self, gain: float, /, **devices: str) -> None:
+        """Write a configuration: displays by their names, with their devices."""
+        self._path.write_text(
+            "".join(
+                f'[[display]]\nname = "{name}"\ndevice = "{device}"\ngain = {gain}\n'
+                for name, device in devices.items()
+            )
+        )
+
+    def break_configuration(self) -> None:
+        """Write a configuration that cannot be read."""
+        self._path.write_text("[[display]]\nname = 3\n")
+
+    def reload(self) -> None:
+        """Load the configuration again."""
+        self.world.run(self.host.reload())
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    with virtual_world(lambda playback, volts: None) as world:
+        register_bus("sim", world.open_bus)
+        yield Daemon(world, tmp_path / "tactile.toml")
+        assert world.errors.all == []
+
+
+def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(daemon: Daemon) -> None:
+    playing = daemon.start(right="mock:").playing["right"]
+    number = playing.estop("by a test")
+    daemon.write(0.5, right="mock:")
+    daemon.reload()
+    anew = daemon.host.playing["right"]
+    assert anew is not playing
+    assert anew.config.gain == 0.5
+    assert anew.latch.holds == number
+
+
+@pytest.mark.parametrize("how", ["reload", "restart"])
+def test_editing_an_option_of_a_device_ends_no_e_stop(daemon: Daemon, how: str) -> None:
+    daemon.start(right="mock:").playing["right"].estop("by a test")
+    if how == "reload":
+        daemon.write(1.0, right="mock:?format=pcm12")
+        daemon.reload()
+    else:
+        daemon.world.stop()
+        daemon.start(right="mock:?format=pcm12")
+    playing = daemon.host.playing["right"]
+    assert playing.config.device == "mock:?format=pcm12"
+    assert playing.latch.holds
+    assert playing.latch.reason.startswith("by a test")
+
+
+def test_reloading_two_displays_of_one_device_keeps_both(daemon: Daemon) -> None:
+    """Two simulated displays have the same URL, and a latch each."""
+    host = daemon.start(a="sim:", b="sim:")
+    daemon.write(0.5, a="sim:", b="sim:")
+    daemon.reload()
+    assert {name: one.config.gain for name, one in host.playing.items()} == {"a": 0.5, "b": 0.5}
+    host.playing["a"].estop("by a test")
+    assert host.playing["b"].latch.holds == 0
+
+
+def test_an_e_stop_while_the_daemon_ends_is_latched(daemon: Daemon) -> None:
+    client = daemon.start(right="mock:").connect("test", roles=m.ALL_ROLES)
+    server = daemon.world.server
+    assert server is not None
+
+    async def estop_while_it_ends() -> m.Answer:
+        ending = asyncio.create_task(server.opened.aclose())
+        await asyncio.sleep(0)
+        answer = await client.request(m.EStop())
+        assert not ending.done()
+        await ending
+        return answer
+
+    assert daemon.world.run(estop_while_it_ends()) == m.Done(estops={"right": 1})
+    daemon.world.stop()
+    assert daemon.start(right="mock:").playing["right"].latch.holds == 1
+
+
+def test_reloading_opens_what_changed_and_tries_what_cannot_be_opened(daemon: Daemon) -> None:
+    host = daemon.start(left="sim:", right="sim:")
+    kept = host.playing["left"]
+    daemon.write(1.0, left="sim:", right="nonsense")
+    with pytest.raises(BusError, match="right"):
+        daemon.reload()
+    assert host.playing["left"] is kept
+    assert not host.healthy()
+    daemon.break_configuration()
+    with pytest.raises(InputError):
+        daemon.reload()
+    assert set(host.playing) == {"left", "right"}
+    daemon.write(1.0, left="sim:")
+    daemon.reload()
+    assert list(host.playing.values()) == [kept]
+    daemon.world.clock.advance(1.0)
+    assert host.healthy()
+    daemon.world.stop()
+    assert not host.healthy()

@@ -196,15 +196,15 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
     vectors, amplitude = stochastic_waves(stochastic, WAVES)
     step = 1 / (2.56 * third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
-    place = step * np.arange(round(PERIODS / center[0] / step))
-    path = place[:, None] * [np.cos(turn), np.sin(turn)]
+    ahead = step * np.array([np.cos(turn), np.sin(turn)])
+    count = round(PERIODS / center[0] / step)
 
     def stroke(seed: int) -> Floats:
         rng = np.random.default_rng(seed)
         waves = Partials(vectors, amplitude, rng.uniform(0, 2 * np.pi, len(amplitude)))
         slow = envelope(stochastic, rng)
-        swell = np.exp(slow.at(path) - np.sum(slow.amplitude**2) / 2)
-        return np.asarray(waves.at(path) * swell)
+        swell = np.exp(slow.along(ahead, count) - np.sum(slow.amplitude**2) / 2)
+        return np.asarray(waves.along(ahead, count) * swell)
 
     return np.stack([stroke(seed) for seed in range(STROKES)]), float(step)
 

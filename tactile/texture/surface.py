@@ -10,6 +10,7 @@ An isotropic surface cannot have every spectrum: whatever has a wave number κ a
 so bands cannot rise or peak. The nearest surface is taken and its error told per band.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -71,6 +72,25 @@ class Partials:
         """Return the displacement [m] at places (..., 2) [m]."""
         phase = place @ self.wave_vector.T + self.phase
         return np.asarray(np.cos(phase) @ self.amplitude)
+
+    def along(self, step: Floats, count: int) -> Floats:
+        """Return the displacement [m] at places on a straight line from the origin.
+
+        It is what `at` returns there, much sooner: a wave turns by the same angle with each step,
+        so that its phasor at step i J + j is the product of one of step i J and one of step j.
+
+        Parameters
+        ----------
+        step : from each place to the next (2,) [m]
+        count : of the places
+        """
+        turn = self.wave_vector @ step
+        size = math.isqrt(count) + 1
+        coarse = self.phase + turn * size * np.arange(-(count // -size))[:, None]
+        fine = turn * np.arange(size)[:, None]
+        real = (self.amplitude * np.cos(coarse)) @ np.cos(fine).T
+        imaginary = (self.amplitude * np.sin(coarse)) @ np.sin(fine).T
+        return np.asarray((real - imaginary).ravel()[:count])
 
 
 @dataclass(frozen=True)

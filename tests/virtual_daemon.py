@@ -81,23 +81,31 @@ class DrawingProcess(Process):
 
     def receive(self, order: Any) -> None:
         assert isinstance(order, drawing.Request)
-        keep = orders.Keep(order.number, Stored(order))  # type: ignore[arg-type]
-        made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
+        try:
+            keep = orders.Keep(order.number, Stored(order))  # type: ignore[arg-type]
+            made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
+        except TactileError as error:
+            made = drawing.Made(order.number, failure=str(error))
         self.clock.after(DRAWING, lambda: self.answer(made))
+
+
+DRAWN: dict[tuple[str, int], orders.Texture] = {}
 
 
 class Stored:
     """A texture that is unpickled as the one that was drawn before: it has 17 MB."""
 
-    drawn: dict[tuple[str, int], Any] = {}  # noqa: RUF012
-
     def __init__(self, request: drawing.Request) -> None:
         self._key = request.texture, request.seed
-        if self._key not in self.drawn:
-            self.drawn[self._key] = drawing.make(request)
+        if self._key not in DRAWN:
+            DRAWN[self._key] = drawing.make(request)
 
     def __reduce__(self) -> Any:
-        return self.drawn.__getitem__, (self._key,)
+        return _drawn, self._key
+
+
+def _drawn(name: str, seed: int) -> orders.Texture:
+    return DRAWN[name, seed]
 
 
 class PlaybackProcess(Process):

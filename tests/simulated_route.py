@@ -13,6 +13,7 @@ from virtual_loop import LoopProcess
 
 from firmware_protocol.machine import Played
 from tactile.bus.line_model import Model
+from tactile.bus.registry import parse
 from tactile.client import aio
 from tactile.client.websocket import TaskTransport
 from tactile.errors import ClientError
@@ -89,6 +90,9 @@ class Route:
     last: dict[int, Floats] = field(default_factory=dict)
     sounding: int = 0
     worst: dict[str, float] = field(default_factory=lambda: {"e-stop": 0.0, "death": 0.0})
+
+    def __post_init__(self) -> None:
+        self.address = parse(self.device)
 
     @property
     def dead(self) -> float:

@@ -35,7 +35,7 @@ from firmware_protocol.messages import FULL_SCALE_CODE, Start
 from tactile.bus.base import DriveBlock
 from tactile.bus.line_model import Model
 from tactile.bus.modeled_bus import ModeledBus
-from tactile.bus.registry import Address, parse
+from tactile.bus.registry import Address
 from tactile.bus.stream import Stream
 from tactile.client import aio
 from tactile.client.base import UNIX
@@ -171,7 +171,7 @@ class Simulation:
         patch.setattr(Stream, "begin", begin)
 
     def _listen(self, address: Address, model: Model, board: int, run: Played) -> None:
-        route = next(one for one in self.routes if parse(one.device) == address)
+        route = next(one for one in self.routes if one.address == address)
         route.model = model
         if any(one.of_server for one in self.world.playbacks(route.device)):  # started anew
             route.deaths.pop("playback", None)

@@ -15,6 +15,7 @@ import pickle
 import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -89,23 +90,24 @@ class DrawingProcess(Process):
         self.clock.after(DRAWING, lambda: self.answer(made))
 
 
-DRAWN: dict[tuple[str, int], orders.Texture] = {}
+DRAWN: dict[bytes, orders.Texture] = {}
+"""Textures that were drawn, by the pickles of requests but for their numbers."""
 
 
 class Stored:
     """A texture that is unpickled as the one that was drawn before: it has 17 MB."""
 
     def __init__(self, request: drawing.Request) -> None:
-        self._key = request.texture, request.seed
+        self._key = pickle.dumps(replace(request, number=0))
         if self._key not in DRAWN:
             DRAWN[self._key] = drawing.make(request)
 
     def __reduce__(self) -> Any:
-        return _drawn, self._key
+        return _drawn, (self._key,)
 
 
-def _drawn(name: str, seed: int) -> orders.Texture:
-    return DRAWN[name, seed]
+def _drawn(key: bytes) -> orders.Texture:
+    return DRAWN[key]
 
 
 class PlaybackProcess(Process):

@@ -62,6 +62,7 @@ class Route:
 
     Attributes
     ----------
+    name, device : of the display
     program : that plays on it
     wrong : what broke a promise, on any way, a line each
     model : of the link and its amplifiers; None before it is opened

@@ -194,18 +194,19 @@ def _switch(go: Callable[[], object]) -> None:
 
 
 class VirtualLock:
-    """A lock of threads that may let time pass while they hold it; who has it may take it again.
+    """A lock of threads that may let time pass while they hold it.
 
-    Those that wait have it in the order in which they came. It serves as Lock, RLock and as a
-    Condition that nobody waits for.
+    Those that wait have it in the order in which they came. It also serves as a Condition that
+    nobody waits for.
 
     Parameters
     ----------
     clock : of the threads
+    reentrant : whether who has it may take it again
     """
 
-    def __init__(self, clock: VirtualClock) -> None:
-        self._clock = clock
+    def __init__(self, clock: VirtualClock, *, reentrant: bool = True) -> None:
+        self._clock, self._reentrant = clock, reentrant
         self._owner: greenlet.greenlet | None = None
         self._depth = 0
         self._waiting: deque[greenlet.greenlet] = deque()
@@ -213,12 +214,17 @@ class VirtualLock:
     def acquire(self, seconds: float = LONGEST) -> bool:
         """Wait for the lock, for so long at most [s]; return whether it is had."""
         me = greenlet.getcurrent()
+        if self._owner is me and not self._reentrant:
+            raise RuntimeError("a thread waits for a lock that it has itself")
         if self._owner not in (None, me):
             self._waiting.append(me)
             try:
                 self._clock.wait_for(lambda: self._owner is me, seconds)
             except Killed:
-                self._forget(me)
+                if self._owner is me:
+                    self._hand_over()
+                else:
+                    self._waiting.remove(me)
                 raise
             if self._owner is not me:
                 self._waiting.remove(me)
@@ -226,17 +232,14 @@ class VirtualLock:
         self._owner, self._depth = me, self._depth + 1
         return True
 
-    def _forget(self, who: greenlet.greenlet) -> None:
-        if self._owner is who:
-            self._owner = self._waiting.popleft() if self._waiting else None
-        else:
-            self._waiting.remove(who)
-
     def release(self) -> None:
         """Give it back, once for each time that it was taken."""
         self._depth -= 1
         if not self._depth:
-            self._owner = self._waiting.popleft() if self._waiting else None
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._owner = self._waiting.popleft() if self._waiting else None
 
     def locked(self) -> bool:
         """Return whether anybody has it."""

@@ -337,8 +337,9 @@ class World:
     @property
     def threading(self) -> SimpleNamespace:
         """What stands for the module `threading`: locks that threads wait for on the clock."""
-        lock = functools.partial(VirtualLock, self.clock)
-        return SimpleNamespace(Lock=lock, RLock=lock, Condition=lock, Event=threading.Event)
+        again = functools.partial(VirtualLock, self.clock)
+        once = functools.partial(again, reentrant=False)
+        return SimpleNamespace(Lock=once, RLock=again, Condition=again, Event=threading.Event)
 
     def child(
         self, module: str, heard: Callable[[Any], None], inherited: tuple[int, ...] = ()

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tactile.daemon.decoding import ENCODINGS, Encoding, read
+from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read
 from tactile.daemon.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm, Failure
 
 JSON, MSGPACK = ENCODINGS[JSON_PROTOCOL], ENCODINGS[MSGPACK_PROTOCOL]
@@ -70,6 +70,8 @@ def test_a_long_text_is_cut_to_200_characters_of_one_line() -> None:
     assert len(found.message) == 200
     assert found.message.endswith("…")
     assert "\n" not in found.message
+    assert failed("malformed", "y" * 200).message == "y" * 200
+    assert failed("malformed", "y" * 201).message == "y" * 199 + "…"
 
 
 def test_a_long_value_is_shown_by_its_first_60_characters() -> None:

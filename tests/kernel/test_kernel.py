@@ -129,7 +129,7 @@ def run(machine: Machine, environment: dict[str, str]) -> Results:
     need(machine.tools)
     boot = [str(HERE / machine.script), "--seconds", str(machine.seconds)]
     boot += ["--modules", machine.modules]
-    boot += ["--", sys.executable, "-m", "pytest", "-vv", "-rA", "--color=no"]
+    boot += ["--", sys.executable, "-m", "pytest", "-p", "anyio", "-vv", "-rA", "--color=no"]
     boot += ["-p", "no:cacheprovider", "-o", f"faulthandler_timeout={HANGING}"]
     done = subprocess.run(
         [*boot, *(str(HERE / script) for script in machine.scripts)],

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chip_models import Bos1921Model, Drv2667Model, ModelBus, Tca9548aModel
-from parts_rig import ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
+from parts_rig import KINDS, ROUNDING, STEP, Rig, assert_steps, level, rig, sine, without_lead
 from repeating import often
 
 from firmware_protocol.messages import State
@@ -71,6 +71,30 @@ def test_a_burst_refused_half_way_is_never_a_jump(one: Rig) -> None:
     if one.kind == "bos1921":
         assert one.chip.drops == []
         assert one.bus.counters.replayed_samples > 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_where_a_chip_does_not_answer_it_misses_nothing_that_others_were_given(kind: str) -> None:
+    """The first has its samples when the second is asked how many fit."""
+    built = rig(kind, [0.005, -0.005])
+    mux = built.wire.chips[0x70]
+    assert isinstance(mux, Tca9548aModel)
+
+    def fault(address: int, data: bytes) -> int | None:
+        """Refuse the second chip's address for 12 ms of each 0.1 s."""
+        second = mux.ports == 1 << 1 and address != 0x70
+        return -1 if second and built.runner.now() % 0.1 < 12e-3 else None
+
+    built.bus.start()
+    built.wire.fault = fault
+    volts = sine(24000)
+    built.write(np.hstack([volts, volts]))
+    built.wire.fault = lambda address, data: None
+    built.runner.run(0.3)
+    assert built.bus.counters.bus_errors > 20
+    for chip in built.chips:
+        assert_steps(chip.waveform(), STEP + built.lsb, chip.drops)
+    built.bus.close()
 
 
 def test_a_bos1921_that_holds_nobody_knows_what_is_led_to_0_volts_from_the_middle() -> None:
@@ -154,6 +178,28 @@ def test_a_drv2667_that_may_have_timed_out_is_not_written_to() -> None:
             chip.flush()
             built.runner.sleep(0.1)
     chip.wake()
+    built.bus.close()
+
+
+def test_a_drv2667_is_not_written_to_where_its_port_was_connected_too_late() -> None:
+    """The host is held up for 0.1 s as it connects the port: meanwhile the chip goes to 0 V."""
+    built = rig("drv2667", [0.0, 0.0])
+    held_up = [0.5 + 0.3137 * k for k in range(20)]
+
+    def hold_up(address: int, data: bytes) -> None:
+        if address == 0x70 and held_up and built.runner.now() > held_up[0]:
+            del held_up[0]
+            built.runner.sleep(0.1)
+
+    built.bus.start()
+    built.wire.fault = hold_up
+    volts = sine(80000)
+    built.write(np.hstack([volts, volts]))
+    built.runner.run(0.3)
+    assert not held_up
+    for chip in built.chips:
+        assert chip.drops
+        assert_steps(chip.waveform(), STEP + built.lsb, chip.drops)
     built.bus.close()
 
 

@@ -122,6 +122,11 @@ class Target:
         self._i2c, self._address, self._mux, self._port = i2c, address, mux, port
         self.name = f"0x{address:02x}" + (f" behind port {port}" if mux else "")
 
+    def connect(self) -> None:
+        """Connect the port, so that what is written next is under way at once."""
+        with self._connected():
+            return
+
     def write(self, data: bytes) -> None:
         """Write bytes."""
         with self._connected():

@@ -202,7 +202,7 @@ class Bos1921(Chip):
         if asked and self._state() == 0:
             self._check_power()
             self.counters.stalls += self.last != 0
-        return self._room_at(self.clock.now())
+        return self.room_at(self.clock.now())
 
     def _check_power(self) -> None:
         """See that it still is as it was set up: a chip that lost its power seems empty."""
@@ -210,7 +210,8 @@ class Bos1921(Chip):
             self._known, self._lost = False, True
             raise LostError(f"{self.name}: lost its setup")
 
-    def _room_at(self, now: float) -> int:
+    def room_at(self, now: float) -> int:
+        """Return how many samples fit at a time [s] for certain, by what is known already."""
         return HIGH - self._most_fill(now)
 
     @property

@@ -158,7 +158,7 @@ class Chip(ABC):
         burst = self.pending[: min(self.room(), BURST)] if self.pending else []
         while burst:
             self._burst(burst)
-            burst = self.pending[: min(self._room_at(self.clock.now()), BURST)]
+            burst = self.pending[: min(self.room_at(self.clock.now()), BURST)]
             if len(burst) < min(LEAST, len(self.pending)):
                 return
 
@@ -185,15 +185,15 @@ class Chip(ABC):
     def due(self) -> float:
         """Return when it can take the next burst [s]."""
         now = self.clock.now()
-        return now + max(0, min(len(self.pending) or BURST, BURST) - self._room_at(now)) / RATE
+        return now + max(0, min(len(self.pending) or BURST, BURST) - self.room_at(now)) / RATE
 
     def room(self) -> int:
         """Return how many samples fit now, for certain, within `lead`; may read from the chip."""
-        return self._room_at(self.clock.now())
+        return self.room_at(self.clock.now())
 
     @abstractmethod
-    def _room_at(self, now: float) -> int:
-        """Return that from what is known."""
+    def room_at(self, now: float) -> int:
+        """Return how many samples fit at a time [s] for certain, by what is known already."""
 
     @abstractmethod
     def fill(self) -> int:

@@ -43,7 +43,7 @@ class ChipBus(Bus):
         self, wiring: Wiring, chips: Sequence[Chip], i2c: I2c, runner: Runner,
         counters: ChipCounters,
     ) -> None:  # fmt: skip
-        super().__init__(wiring)
+        super().__init__(wiring, runner)
         self.counters: ChipCounters = counters
         self._i2c, self._runner = i2c, runner
         board = Board(config_of(wiring, wiring.channels, 1), SampleFormat.PCM16)

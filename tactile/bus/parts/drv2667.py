@@ -242,7 +242,7 @@ class Drv2667(Chip):
             doubt = self.occupancy.most_fill(now) - self.occupancy.least_fill(now)
             self._sounding = doubt > (FLAT_DOUBT if self._flat > HIGH else DOUBT)
             self._full_until = self.occupancy.dry_at
-        return self._room_at(now)
+        return self.room_at(now)
 
     def _look(self) -> None:
         """See whether the FIFO has run empty."""
@@ -256,7 +256,8 @@ class Drv2667(Chip):
             self.counters.stalls += 1
         self._empty, self._sounding, self._held = True, False, True
 
-    def _room_at(self, now: float) -> int:
+    def room_at(self, now: float) -> int:
+        """Return how many samples fit at a time [s] for certain, by what is known already."""
         if self._empty:
             return HIGH
         return 0 if self._sounding else HIGH - self.occupancy.most_fill(now)
@@ -273,8 +274,9 @@ class Drv2667(Chip):
         return self.occupancy.dry_at + EARLY * TIMEOUT if self.last else math.inf
 
     def _burst(self, codes: Sequence[int]) -> None:
+        self.target.connect()  # first, for a host that is held up there comes after the timeout
         before = self.clock.now()
-        if self._empty and before > self.lost_at:
+        if before > self.lost_at:
             self._lost = True
             raise LostError(f"{self.name}: ran empty for longer than its timeout")
         try:

@@ -308,12 +308,14 @@ class Pump:
         return volts
 
     def _put(self, volts: Floats) -> None:
+        """Give all chips the same volts; nothing may fail between them, for then one would jump."""
         if not len(volts):
             return
         first = self.chips[0]
         first.put(volts[:, 0], len(volts))
         for k, chip in enumerate(self.chips[1:], 1):
-            chip.put(volts[:, k], share(len(volts), chip.room(), len(chip.pending)))
+            room = chip.room_at(self.runner.now())
+            chip.put(volts[:, k], share(len(volts), room, len(chip.pending)))
 
     def _end(self) -> float:
         """Write what leads to 0 V, wait until it has been played, switch off."""

@@ -29,6 +29,27 @@ def no_plan(caps: Sequence[m.Caps]) -> Plan:
     raise AssertionError("no amplifier has answered")
 
 
+class Faulty(Wire):
+    """A wire whose driver has a fault of its own."""
+
+    closed = False
+
+    def send(self, packet: Packet) -> float:
+        return 0.0
+
+    def urge(self, packet: Packet) -> None:
+        """Do as `send` does."""
+
+    def receive(self, until: float) -> list[Packet]:
+        raise ZeroDivisionError("a fault of the driver")
+
+    def wake(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        self.closed = True
+
+
 def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
     session = Session(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters())
     first, second = session.estop(0.0), session.estop(0.0)
@@ -50,6 +71,54 @@ def test_an_amplifier_that_takes_55_ms_to_answer_a_hello_to_all_is_found_as_well
         assert not session.peers
         session.poll(now * 1e-3, wire)
     assert [peer.host.node for peer in session.peers] == [slow, quick]
+
+
+class Noting(Faulty):
+    """A wire that notes what is sent."""
+
+    def __init__(self) -> None:
+        super().__init__(Unlimited())
+        self.sent: list[Packet] = []
+
+    def send(self, packet: Packet) -> float:
+        self.sent.append(packet)
+        return 0.0
+
+
+@pytest.mark.parametrize(("code", "waits"), [(m.NakCode.BUSY, True), (m.NakCode.FAULT, False)])
+def test_an_amplifier_that_another_host_holds_is_waited_for_and_no_other_that_refuses(
+    code: m.NakCode, waits: bool
+) -> None:
+    session = Session(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters(), nodes=[1]
+    )
+    wire = Noting()
+    session.connected(0.0)
+    session.poll(0.0, wire)
+    (hello,) = wire.sent
+    session.receive([Packet.of(m.Nak(hello.type, hello.seq, code), node=1, seq=0)], 0.01, 0)
+    for tick in range(200):
+        session.poll(0.01 * tick, wire)
+    hellos = [packet for packet in wire.sent if packet.type == m.Hello.TYPE]
+    assert (session.trouble == "another host holds the amplifier") is waits
+    assert bool(session.refusal) is not waits
+    assert (len(hellos) > 1) is waits
+
+
+def test_an_estop_is_sent_though_an_amplifier_has_answered_no_hello() -> None:
+    """Another thread may e-stop before that of the link has let go of the wire."""
+    session = Session(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters(), nodes=[1]
+    )
+    wire = Noting()
+    session.connected(0.0)
+    for tick in range(100):
+        session.poll(0.01 * tick, wire)
+    assert session.lost(1.0) == "the amplifier does not answer"
+    wire.sent.clear()
+    wire.send(session.estop(1.0))
+    session.poll(1.0, wire)
+    assert wire.sent[0].type == m.Estop.TYPE
 
 
 @pytest.mark.parametrize("session", [1, 0xFFFF])
@@ -242,27 +311,6 @@ def test_a_renderer_that_is_late_with_its_frames_is_alive_all_the_same() -> None
         (amplifier,) = model.amplifiers
         assert amplifier.state == State.RUNNING
         assert amplifier.counters.watchdogs == 0
-
-
-class Faulty(Wire):
-    """A wire whose driver has a fault of its own."""
-
-    closed = False
-
-    def send(self, packet: Packet) -> float:
-        return 0.0
-
-    def urge(self, packet: Packet) -> None:
-        """Do as `send` does."""
-
-    def receive(self, until: float) -> list[Packet]:
-        raise ZeroDivisionError("a fault of the driver")
-
-    def wake(self) -> None:
-        """Nothing waits."""
-
-    def close(self) -> None:
-        self.closed = True
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

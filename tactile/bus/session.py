@@ -326,6 +326,8 @@ class Session:
                 if self._found and now >= self._until:
                     self.peers = [Peer(self.token, node) for node in sorted(self._found)]
                     self._enter(Phase.GREET, now)
+            elif any(peer.lost for peer in self.peers):
+                return  # `lost` says so, and the wire is let go of
             elif self.phase not in (Phase.DOWN, Phase.GONE) and all(p.idle for p in self.peers):
                 refused = [p.refused for p in self.peers if p.refused is not None]
                 if refused:

@@ -13,7 +13,7 @@ from tactile.bus import audio_bus
 from tactile.bus.audio_bus import AudioBus
 from tactile.bus.audio_player import Opened, Order, Told
 from tactile.bus.base import DriveBlock, Wiring
-from tactile.errors import BusStateError
+from tactile.errors import BusError, BusStateError
 
 RATE = 48000.0
 WIRING = Wiring(channels=1, sample_rate=RATE, voltage=100.0, slew=0.7e6, fade=20e-3)
@@ -115,6 +115,18 @@ def test_an_estop_between_pieces_of_a_block_drops_the_rest(bus: AudioBus) -> Non
     assert made[0].heard.count("samples") == 1
     bus.clear()
     assert bus.state == "idle"
+
+
+def test_a_clear_that_the_player_does_not_answer_is_none(bus: AudioBus) -> None:
+    bus.estop()
+    made[0].hook = lambda kind: made[0].kill()
+    with pytest.raises(BusError, match="clear: no answer; it stays e-stopped"):
+        bus.clear()
+    while (status := bus.status).link == "down":
+        assert status.state == "estopped"
+    assert status.state == "estopped"
+    bus.clear()
+    assert {bus.state} == {"idle"}
 
 
 def test_an_estop_during_a_start_holds_and_is_no_loss_of_the_card(bus: AudioBus) -> None:

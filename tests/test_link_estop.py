@@ -115,6 +115,31 @@ def test_anothers_estop_holds_until_it_is_cleared_and_is_told(
 
 
 @EVERY
+def test_a_clear_that_no_amplifier_answers_leaves_all_stopped(
+    linked: Linked, link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = linked(link)
+    rig.begin(0.1)
+    rig.bus.estop()
+    receive = Amplifier.receive
+
+    def receive_no_clear(self: Amplifier, packet: Packet, now: int) -> None:
+        if packet.type != m.ClearFault.TYPE:
+            receive(self, packet, now)
+
+    with monkeypatch.context() as deaf:
+        deaf.setattr(Amplifier, "receive", receive_no_clear)
+        with pytest.raises(BusError, match="clear: the link was lost meanwhile; it stays e-stop"):
+            rig.bus.clear()
+        rig.idle(0.5)
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("estopped", "")
+    assert rig.model.amplifiers[0].state == State.ESTOP
+    rig.bus.clear()
+    rig.idle(0.5)
+    assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
+
+
+@EVERY
 def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
     linked: Linked, link: str
 ) -> None:

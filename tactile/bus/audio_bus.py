@@ -275,9 +275,10 @@ class AudioBus(Bus):
         if player is None:
             raise BusError(f"clear: the link is down: {self._trouble}")
         player.tell("clear")
-        player.settled(ANSWER)
-        if player.told is None or player.told.refused:
-            raise BusError(f"clear: {player.told.refused if player.told else 'no answer'}")
+        settled, told = player.settled(ANSWER), player.told
+        if not settled or told is None or told.refused:
+            why = told.refused if told is not None and told.refused else "no answer"
+            raise BusError(f"clear: {why}; it stays e-stopped")
 
     def _close(self) -> None:
         with self._guard:

@@ -414,7 +414,7 @@ class Bus(ABC):
         BusStateError
             Where another e-stop is under way, or came meanwhile: it holds.
         BusError
-            Where the amplifier refuses it.
+            Where the amplifier refuses it or does not answer: it stays e-stopped.
         """
         with self._call_lock, self._before_estops("clear") as estops:
             if self.state != "estopped":

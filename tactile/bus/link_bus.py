@@ -424,19 +424,21 @@ class LinkBus(Bus):
         with self._changed:
             if self._wire is None:
                 raise BusError(f"clear: the link is down: {session.trouble}")
+            losses = self.counters.disconnects
             session.clear(self._clock.now())
             self._pump()
 
         def ended() -> object:
             return session.phase is Phase.READY or session.refusal or session.want is Want.ESTOP
 
-        done = self._wait(ended, STARTING)
-        why = session.refusal or session.trouble or "no answer"
-        if not done:
+        self._wait(ended, STARTING)
+        if session.refusal:
+            raise BusError(f"clear: {session.refusal}")
+        if session.phase is not Phase.READY or session.latched:
+            was_lost = self.counters.disconnects > losses
+            why = "the link was lost meanwhile" if was_lost else session.trouble or "no answer"
             self._estop()
             raise BusError(f"clear: {why}; it stays e-stopped")
-        if session.refusal:
-            raise BusError(f"clear: {why}")
 
     def _close(self) -> None:
         with self._changed:

@@ -173,6 +173,11 @@ class Session:
             peer.state is State.RUNNING and now <= peer.heard + GIVEN_UP for peer in self.peers
         )
 
+    @property
+    def latched(self) -> list[Peer]:
+        """Amplifiers that are in ESTOP or FAULT, as far as they have said."""
+        return [peer for peer in self.peers if peer.state in LATCHED]
+
     def leave(self) -> None:
         """Disarm, once ready."""
         self.want = Want.GONE
@@ -404,7 +409,7 @@ class Session:
         self._enter(Phase.READY, now)
 
     def _after_ready(self, now: float) -> None:
-        latched = [peer for peer in self.peers if peer.state in LATCHED]
+        latched = self.latched
         if self.want is Want.ESTOP:
             self._enter(Phase.ESTOP, now)
         elif self.want is Want.GONE:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.host import codes_of, pcm
-from firmware_protocol.messages import VALID_MS, Message, SampleFormat
+from firmware_protocol.messages import Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
 from tactile.bus.base import Counters, Floats
 from tactile.bus.budget import Plan, spectrum_group
@@ -262,7 +262,7 @@ class Stream:
         plan, packets = self._plan, []
         increment = spectrum.increments(carriers, plan.sample_rate).astype(np.int64)
         spacing = plan.packet_samples
-        valid = min(2 * spacing, int(plan.sample_rate) * VALID_MS // 1000)
+        valid = 2 * spacing  # 40 ms at the fewest frames a second; 50 are allowed (SPEC.md, 10.2)
         self.end = position
         for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
             early = round(self._apart(peer, position)) if k else 0

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from sample_ledger import Ledger
+from simulated_chips import Chips
 from virtual_clock import VirtualClock
 from virtual_daemon import Floats, World
 from virtual_loop import LoopProcess
@@ -23,6 +25,8 @@ LIMIT, SLEW = 60.0, 20e3
 """Of the display [V] and [V/s]."""
 SILENT = 0.3
 """s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
+STOPPED = 0.03
+"""Longest time from an e-stop to 0 V where nothing fails [s]: a look at the latch, and a fade."""
 ORPHANED = 0.6
 """s from a program's death to 0 V where an engine plays on, by the high voltage of that program."""
 UNPOWERED = 1.0
@@ -65,11 +69,12 @@ class Route:
     name, device : of the display
     program : that plays on it
     wrong : what broke a promise, on any way, a line each
-    model : of the link and its amplifiers; None before it is opened
+    model : of the link and its amplifiers, or of chips; None before it is opened
     number : of the latest e-stop that was answered
     stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
     woken : when playback went on that had stood still; who died meanwhile it learns then [s]
+    disturbed : until when something that has failed may still be felt [s]
     moved : until when an engine moves a finger [s]
     last : what each amplifier put out last (C,) [V]
     ledger : of samples
@@ -82,11 +87,12 @@ class Route:
     program: Program
     wrong: list[str]
     ledger: Ledger = field(default_factory=Ledger)
-    model: Model | None = None
+    model: Model | Chips | None = None
     number: int = 0
     stopped: float = math.inf
     deaths: dict[str, float] = field(default_factory=dict)
     woken: float = 0.0
+    disturbed: float = 0.0
     moved: float = 0.0
     last: dict[int, Floats] = field(default_factory=dict)
     sounding: int = 0
@@ -101,14 +107,9 @@ class Route:
         return min(self.deaths.values(), default=math.inf)
 
     def judge(self, board: int, run: Played, times: Floats, code: float) -> None:
-        """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code.
-
-        The first promise that is broken is enough.
-        """
-        if self.wrong:
-            return
+        """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code."""
         volts = np.float64(code) * run.codes
-        self._judge_volts(board, volts, times, code)
+        self.judge_volts(board, volts, times, code)
         if board == 0:
             rough = (17 if "pcm12" in self.device else 2) * code
             self.ledger.put_out(run, volts, times, rough)
@@ -116,14 +117,24 @@ class Route:
         if run.high_voltage and times[-1] > since + UNPOWERED:
             self.wrong.append(f"{self.name}: high voltage at {times[-1]:.4f}, from {since:.4f}")
 
-    def _judge_volts(self, board: int, volts: Floats, times: Floats, code: float) -> None:
+    def judge_volts(
+        self, board: int, volts: Floats, times: Floats, code: float, *, rate: float = RATE,
+        dropped: NDArray[np.bool_] | None = None,
+    ) -> None:  # fmt: skip
+        """Judge volts (S, C) that come at a rate [Hz], but for steps to 0 V of a chip itself (S,).
+
+        The first promise that is broken is enough.
+        """
+        if self.wrong:
+            return
         before = self.last.get(board, np.zeros(volts.shape[1]))
-        step = float(np.abs(np.diff(np.vstack([before, volts]), axis=0)).max())
+        steps = np.abs(np.diff(np.vstack([before, volts]), axis=0))
+        step = float(steps.max(initial=0.0, where=True if dropped is None else ~dropped[:, None]))
         self.last[board] = volts[-1]
         peak = float(np.abs(volts).max())
         if peak > LIMIT + code:
             self.wrong.append(f"{self.name}: {peak:.2f} V is above the limit, at {times[0]:.4f}")
-        if step > SLEW / RATE + 2 * code:
+        if step > SLEW / rate + 2 * code:
             self.wrong.append(f"{self.name}: a step of {step:.2f} V, at {times[0]:.4f}")
         loud = times[volts.any(axis=1)]
         if not len(loud):
@@ -134,13 +145,14 @@ class Route:
                 self.wrong.append(
                     f"{self.name}: {peak:.2f} V at {loud[-1]:.4f}, {what} was at {since:.4f}"
                 )
-            elif loud[-1] > since and within == SILENT:
+            elif loud[-1] > since and within != ORPHANED:
                 kind = what.partition(" ")[0]
                 self.worst[kind] = max(self.worst[kind], float(loud[-1] - since))
 
     def _causes(self) -> Iterator[tuple[str, float, float]]:
         """Yield what leads to 0 V, when it came [s], and within which time it does [s]."""
-        yield "e-stop", self.stopped, SILENT
+        undisturbed = self.stopped > self.disturbed and "loss" not in self.device
+        yield "e-stop", self.stopped, STOPPED if undisturbed else SILENT
         for who, since in self.deaths.items():
             orphaned = "program" in who and self.moved > since
             yield f"death of {who}", since, ORPHANED if orphaned else SILENT

@@ -6,6 +6,7 @@ What holds whatever happens is judged where each amplifier puts out its volts, b
 and answered.
 """
 
+import argparse
 import asyncio
 import functools
 import hashlib
@@ -24,10 +25,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import simulated_chips
+from numpy.typing import NDArray
 from osc_faults import mutated, packet
 from sample_ledger import Ledger
 from simulated_route import RATE, Program, Route
-from virtual_daemon import small_display, virtual_world
+from virtual_daemon import Floats, small_display, virtual_world
 from virtual_loop import Datagrams
 
 from firmware_protocol.machine import Played
@@ -48,6 +51,8 @@ LINKS = {
     "canfd": "mock:?link=canfd&format=pcm16&boards=2",
     "i2c": "mock:?link=i2c&bit_rate=1000000&format=pcm16",
 }
+AFTERMATH = 3.0
+"""Longest time that a fault has effects [s]: processes and links need it to come back."""
 OSC = 7412
 """Port of the daemon; an engine sends from the one below."""
 FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
@@ -55,7 +60,7 @@ FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
 
 
 class Simulation:
-    """A daemon with a display on each kind of link, from a seed.
+    """A daemon with a display on each kind of link, and one on chips, from a seed.
 
     Parameters
     ----------
@@ -98,6 +103,7 @@ class Simulation:
             )
             for name, device in LINKS.items()
         ]
+        self.routes.append(self._chips())
         self.stopper = self._program()
         self._have_engine(folder, patch)
         self.config = Config(
@@ -105,13 +111,27 @@ class Simulation:
             osc=OscConfig(port=OSC),
             display=tuple(
                 DisplayConfig(
-                    name=route.name, display=display, device=route.device, sample_rate_hz=RATE,
-                    worn=True,
+                    name=route.name, display=display, device=route.device, worn=True,
+                    sample_rate_hz=RATE if route.name in LINKS else None,
                 )
                 for route in self.routes
             ),
         )  # fmt: skip
         self._start()
+
+    def _chips(self) -> Route:
+        """Return a display on chips without firmware."""
+        route = Route("chips", simulated_chips.DEVICE, self._program(), self.wrong)
+
+        def put_out(chip: int, volts: Floats, times: Floats, dropped: NDArray[np.bool_]) -> None:
+            self._note_playback(route)
+            self.digest.update(volts.tobytes() + times.tobytes())
+            code, rate = simulated_chips.LSB, simulated_chips.RATE
+            route.judge_volts(chip, volts, times, code, rate=rate, dropped=dropped)
+
+        route.model = simulated_chips.Chips(self.world.clock, put_out)
+        self.world.adapters[simulated_chips.PATH] = route.model.adapter
+        return route
 
     def _have_engine(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         """Have an engine, and a daemon whose OSC comes as datagrams that arrive at once."""
@@ -173,9 +193,7 @@ class Simulation:
     def _listen(self, address: Address, model: Model, board: int, run: Played) -> None:
         route = next(one for one in self.routes if one.address == address)
         route.model = model
-        if any(one.of_server for one in self.world.playbacks(route.device)):  # started anew
-            route.deaths.pop("playback", None)
-            route.deaths.pop("server", None)
+        self._note_playback(route)
         if len(run.codes):
             code = model.configs[board].full_scale_uv * 1e-6 / FULL_SCALE_CODE
             pace = model.configs[board].tick_hz * (1 + model.drift[board])
@@ -185,6 +203,11 @@ class Simulation:
                 faults = replace(model.amplifiers[0].counters, packets=0)
                 route.ledger.count(faults, self.now)
             route.judge(board, run, times, code)
+
+    def _note_playback(self, route: Route) -> None:
+        if any(one.of_server for one in self.world.playbacks(route.device)):  # started anew
+            route.deaths.pop("playback", None)
+            route.deaths.pop("server", None)
 
     # Programs and the server
 
@@ -398,6 +421,8 @@ class Simulation:
         (kill_playback, 1), (hang_playback, 2), (kill_server, 1), (stall_server, 1), (unplug, 2),
         (stall_link, 1), (power_cycle, 1),
     )  # fmt: skip
+    OF_ALL = (kill_server, stall_server)
+    FAULTS = (kill_playback, hang_playback, unplug, stall_link, power_cycle, *OF_ALL)
 
     def run(self, seconds: float) -> None:
         """Let things happen for a while; stop at the first promise that is broken."""
@@ -414,6 +439,9 @@ class Simulation:
             self.counts[event.__name__] += 1
             self.log.append(f"{self.now:.6f} {event.__name__} {route.name}")
             event(self, route)
+            if event in self.FAULTS:
+                for one in self.routes if event in self.OF_ALL else [route]:
+                    one.disturbed = self.now + AFTERMATH
             self.world.clock.advance(self.random.choice([0.001, 0.01, 0.05, 0.2, 0.5]))
             self._check()
 
@@ -446,9 +474,23 @@ def simulate(seed: int, seconds: float) -> Simulation:
     return simulation
 
 
-if __name__ == "__main__":
-    done = simulate(int(sys.argv[1]), float(sys.argv[2]))
-    print(*done.log[-20:], sep="\n")
-    print(
-        done.wrong[:3], done.worst, dict(done.counts), dict(done.answers), done.sounding, done.exact
+def main() -> None:
+    """Simulate, then print the last events, the counts, and the promises that were broken."""
+    parser = argparse.ArgumentParser(
+        description="Simulate a daemon under faults, the same way for the same seed.",
+        epilog="Example: python tests/simulator.py 7 60",
     )
+    parser.add_argument("seed", type=int, help="number that decides all that happens")
+    parser.add_argument("seconds", type=float, help="simulated time [s]")
+    options = parser.parse_args()
+    done = simulate(options.seed, options.seconds)
+    print(*done.log[-20:], sep="\n")
+    print("events:", ", ".join(f"{name} {n}" for name, n in done.counts.most_common()))
+    print(f"samples that sounded: {done.sounding}, compared with what was written: {done.exact}")
+    for kind, longest in done.worst.items():
+        print(f"longest time from {kind} to 0 V: {longest * 1e3:.0f} ms")
+    sys.exit("broken promises:\n" + "\n".join(done.wrong) if done.wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -196,8 +196,7 @@ def _switch(go: Callable[[], object]) -> None:
 class VirtualLock:
     """A lock of threads that may let time pass while they hold it.
 
-    Those that wait have it in the order in which they came. It also serves as a Condition that
-    nobody waits for.
+    Those that wait have it in the order in which they came. It also serves as a Condition.
 
     Parameters
     ----------
@@ -245,6 +244,18 @@ class VirtualLock:
         """Return whether anybody has it."""
         return self._owner is not None
 
+    def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
+        """Give the lock back until something is so or time is over; return which."""
+        me, depth = self._owner, self._depth
+        self._depth = 0
+        self._hand_over()
+        try:
+            self._clock.wait_for(done, seconds)
+            self.acquire()
+        finally:  # also where it is killed: so are all that might have the lock
+            self._owner, self._depth = me, depth
+        return done()
+
     def notify_all(self) -> None:
         """Do nothing: who waits looks again whenever anything happens."""
 
@@ -255,6 +266,43 @@ class VirtualLock:
 
     def __exit__(self, *_: object) -> None:
         self.release()
+
+
+class ChipThread:
+    """In place of `tactile.bus.parts.pump.ThreadRunner`: the thread that writes to chips.
+
+    Parameters
+    ----------
+    clock : of all
+    """
+
+    thread: Thread
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.now, self.sleep, self.wait = clock.now, clock.sleep, clock.wait
+        self.lock = VirtualLock(clock)
+        self.wait_for = self.lock.wait_for
+        self._clock, self._alarmed, self._ended = clock, False, False
+
+    def begin(self, step: Callable[[], float | None]) -> None:
+        """Start the thread."""
+        self.thread = self._clock.start(lambda: self._run(step))
+
+    def _run(self, step: Callable[[], float | None]) -> None:
+        while not self._ended:
+            deadline = step()
+            left = LONGEST if deadline is None else max(0.0, deadline - self.now())
+            self._clock.wait_for(lambda: self._alarmed, left)
+            self._alarmed = False
+
+    def alarm(self) -> None:
+        """Let the step be called soon."""
+        self._alarmed = True
+
+    def end(self) -> None:
+        """End the thread, later."""
+        self._ended = True
+        self.alarm()
 
 
 class LinkTime:

@@ -7,6 +7,7 @@ so that it can hang, or be killed, at any of them while the others go on.
 """
 
 import asyncio
+import atexit
 import functools
 import itertools
 import logging
@@ -22,8 +23,17 @@ from typing import Any, TypeVar
 from unittest.mock import patch
 
 import numpy as np
+from chip_models import ModelBus
 from numpy.typing import NDArray
-from virtual_clock import PIPE, LinkTime, Process, Thread, VirtualClock, VirtualLock
+from virtual_clock import (
+    PIPE,
+    ChipThread,
+    LinkTime,
+    Process,
+    Thread,
+    VirtualClock,
+    VirtualLock,
+)
 from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import Played
@@ -31,6 +41,7 @@ from tactile.bus.base import RATE, Bus, Rig, Wiring
 from tactile.bus.line_model import Model
 from tactile.bus.mock_bus import MockBus, open_mock
 from tactile.bus.modeled_bus import ModeledBus, link_of, model_of, open_modeled
+from tactile.bus.parts.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
 from tactile.daemon import drawing, host, orders, playback_process
 from tactile.daemon.config import Config
@@ -114,7 +125,7 @@ class PlaybackProcess(Process):
     """A playback process: real `Program`, `Player` and bus, in two threads."""
 
     program: Program | None = None
-    bus: MockBus | ModeledBus
+    bus: MockBus | ModeledBus | ChipBus
     device = ""
     within: Callable[[], object] | None = None
     """Done once in the middle of what the loop does next, as another thread would."""
@@ -145,8 +156,12 @@ class PlaybackProcess(Process):
             self.clock.sleep(PIPE)
             self.kill()
             return
-        assert isinstance(bus, MockBus | ModeledBus)
+        assert isinstance(bus, MockBus | ModeledBus | ChipBus)
         self.bus, self.device = bus, setup.device
+        if isinstance(bus, ChipBus):
+            assert isinstance(bus.pump.runner, ChipThread)
+            self.threads += (bus.pump.runner.thread,)
+            atexit.unregister(bus.close)
         file = int(self.handle(setup.memory).partition(":")[2])
         self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
         file = int(self.handle(setup.latch).partition(":")[2])
@@ -221,6 +236,8 @@ class World:
         self.by_bus: dict[int, PlaybackProcess] = {}
         self.put_out = put_out
         self.models: dict[str, Model] = {}
+        self.adapters: dict[str, ModelBus] = {}
+        """I²C adapters with chips, by their paths."""
         self.on_link: Callable[[Address, Model, int, Played], None] = lambda *_: None
         """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
         self.server: LoopProcess | None = None
@@ -381,6 +398,24 @@ def _display(name: str) -> Display:
 _textures = functools.cache(host.shipped_textures)
 
 
+def _stand_ins(world: World) -> dict[str, object]:
+    """Return what stands in a world for time, processes and threads, by the names of those."""
+    threads = world.threading
+    return {
+        "asyncio.to_thread": _inline,
+        "tactile.daemon.playing.Child": world.child,
+        "tactile.daemon.estop_desk.Child": world.child,
+        "tactile.daemon.workbench.Child": world.child,
+        "tactile.daemon.config.load_display": _display,
+        "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
+        "tactile.daemon.playback_process.threading": threads,
+        "tactile.bus.base.threading": threads,
+        "tactile.bus.link_bus.threading": threads,
+        "tactile.bus.parts.adapter.open_adapter": world.adapters.__getitem__,
+        "tactile.bus.parts.drv2667.ThreadRunner": lambda: ChipThread(world.clock),
+    }
+
+
 @contextmanager
 def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterator[World]:
     """Put a world in place of time and of processes.
@@ -407,23 +442,15 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
 
     real_write = Samples.write
     logger = logging.getLogger("tactile")
-    threads = world.threading
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, link=link_of)
-        for name, instead in {
-            "asyncio.to_thread": _inline,
-            "tactile.daemon.playing.Child": world.child,
-            "tactile.daemon.estop_desk.Child": world.child,
-            "tactile.daemon.workbench.Child": world.child,
-            "tactile.daemon.config.load_display": _display,
-            "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
-            "tactile.daemon.playback_process.threading": threads,
-            "tactile.bus.base.threading": threads,
-            "tactile.bus.link_bus.threading": threads,
+        stand_ins = {
+            **_stand_ins(world),
             "tactile.daemon.player.Samples.write": write,
             "tactile.bus.mock_bus.MockBus._put": put,
-        }.items():
+        }
+        for name, instead in stand_ins.items():
             stack.enter_context(patch(name, instead))
         logger.addHandler(world.errors)
         stack.callback(logger.removeHandler, world.errors)

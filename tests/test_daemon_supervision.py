@@ -12,7 +12,7 @@ import pytest
 from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
 
 from tactile.daemon import messages as m
-from tactile.daemon import playback_process
+from tactile.daemon import playback_process, shelf
 from tactile.daemon.client import Client
 from tactile.daemon.config import Config, DisplayConfig
 from tactile.daemon.orders import Setup
@@ -94,6 +94,11 @@ def test_a_daemon_whose_playback_died_is_not_healthy_until_it_plays_again(
     assert world.host is not None
     assert not world.host.healthy(), "at once, before anybody has looked"
     assert world.host.figures()[NAME]["playback_alive"] == 0.0
+    playing = world.host.playing[NAME]
+    while playing.child is None or not playing.child.alive:
+        world.run(asyncio.sleep(0.001))
+    assert playing.lost, "the process is there, and opens the device"
+    assert not world.host.healthy()
     world.run(asyncio.sleep(BACK))
     assert health_of(world) == (True, True, 1.0)
 
@@ -174,6 +179,73 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
     world.run(asyncio.sleep(0.5))
     assert world.host.playing[NAME].state == "armed"
     assert max(peaks) == 0.0
+
+
+def test_each_texture_of_a_selection_is_felt(
+    world: World, serve: Callable[..., Client], peaks: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where no more than one stays ready that nobody has selected."""
+    monkeypatch.setattr(shelf, "MOST_TEXTURES", 1)
+    client = serve(worn=True)
+    layers = (m.Layer(texture="wood-oak"), m.Layer(texture="leather-calf"))
+    assert world.run(client.request(m.Select(display=NAME, layers=layers))) == m.Done()
+    assert world.host is not None
+    ready = world.host.playing[NAME]._shelf.ready
+    assert [name for name, _ in ready] == ["wood-oak", "leather-calf"]
+    assert world.run(client.request(m.Arm(display=NAME))) == m.Done()
+    for k in range(30):
+        place = (0.5 * k, 0.0)
+        touch = m.Contact(
+            display=NAME, position_mm=place, normal_force_n=1.0, velocity_mm_s=(50.0, 0.0)
+        )
+        assert client.contact(touch, world.clock.now()) is None
+        world.run(asyncio.sleep(0.01))
+    assert max(peaks) > 1.0
+
+
+def test_who_has_disarmed_owns_no_high_voltage_that_another_switches_on_at_once(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    stays = serve()
+    assert world.host is not None
+    leaves = world.host.connect("other", roles=m.ALL_ROLES)
+
+    async def hand_over() -> None:
+        assert await stays.request(m.Arm(display=NAME)) == m.Done()
+        assert await stays.request(m.Disarm(display=NAME)) == m.Done()
+        assert await leaves.request(m.Arm(display=NAME)) == m.Done()
+        leaves.close()
+
+    world.run(hand_over())
+    world.run(asyncio.sleep(0.5))
+    assert world.host.playing[NAME].state == "disarmed"
+
+
+def test_who_leaves_while_playback_is_lost_asks_nothing_of_it(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    client = serve()
+    layers = (m.Layer(texture="wood-oak"),)
+    assert world.run(client.request(m.Select(display=NAME, layers=layers))) == m.Done()
+    playback_of(world).kill()
+    world.run(asyncio.sleep(0.01))
+    assert world.host is not None
+    assert world.host.playing[NAME].lost
+
+    async def leave() -> None:
+        client.close()
+
+    world.run(leave())
+    world.run(asyncio.sleep(BACK))
+    assert world.errors.all == []
+
+
+def test_a_daemon_that_ends_says_of_no_playback_that_it_was_lost(
+    world: World, serve: Callable[..., Client]
+) -> None:
+    client = serve()
+    world.stop()
+    assert "lost" not in {kind for kind, _ in events_of(client)}
 
 
 @pytest.mark.parametrize(

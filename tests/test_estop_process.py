@@ -190,7 +190,9 @@ class Awaited(threading.Event):
         self._story, self._left = story, 2
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Tell that it is waited for."""
+        """Tell that it is waited for; what was set must have been cleared."""
+        assert not self.is_set()
+        self.set()
         self._story.append("waits")
         if not self._left:
             raise EOFError
@@ -284,6 +286,15 @@ def test_a_daemon_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[s
     link.close()
     (answer,) = request_estop(within=PATIENCE)
     assert answer == EstopAnswer(address, failure="nobody listens there any more")
+
+
+def test_what_a_process_that_was_killed_has_left_hinders_no_other() -> None:
+    addresses = []
+    for _ in range(2):
+        link, address = bind("test")
+        link.close()
+        addresses.append(address)
+    assert addresses[0] == addresses[1]
 
 
 def test_where_no_daemon_runs_there_is_no_answer() -> None:

@@ -6,6 +6,8 @@ import pytest
 from link_rig import LEVEL, MOST, SAMPLE, Bench, Linked, Panel, overheard
 
 from firmware_protocol import messages as m
+from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.machine import Played
 from firmware_protocol.messages import Fault, State
 from firmware_protocol.packet import Packet
 from tactile.errors import BusError
@@ -60,6 +62,49 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
     finally:
         rig.bus.close()
     rig.check_limits()
+
+
+@pytest.mark.parametrize(
+    ("link", "longest"),
+    [
+        pytest.param("serial", 4e-3 / 10e-6, id="serial"),  # 10 bits for a byte at 1 Mbit/s
+        pytest.param("can", 4e-3 / 111e-6, id="can"),  # 111 bits for 8 bytes without stuffing
+    ],
+)
+def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> None:
+    """What a host says next, a heartbeat or an e-stop, comes soon (SPEC.md, 14, of a host, 3)."""
+    rig, waiting = saturated(link), [0]
+    listener = rig.model.listener
+
+    def look(board: int, run: Played) -> None:
+        listener(board, run)
+        units = rig.model.out.waiting(rig.clock.now())
+        waiting.append(sum(len(unit) for unit in units) if link == "serial" else len(units))
+
+    rig.model.listener = look
+    rig.begin(0.5)
+    rig.bus.close()
+    assert rig.misplaced()[1] > 1000
+    assert longest / 4 < max(waiting) < longest
+
+
+@pytest.mark.parametrize("link", ["serial", "can", "canfd"])
+def test_an_estop_overtakes_what_waits_for_a_link_that_takes_nothing(
+    link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But not the 4 ms that had left before the link stood still (SPEC.md, 14, of a host, 3)."""
+    heard = overheard(monkeypatch)
+    rig = saturated(link)
+    rig.begin(0.1)
+    rig.model.stall(0.06)
+    ticks = rig.model.configs[0].tick_hz
+    goes_on = rig.model.tick(0) + 0.06 * ticks
+    rig.play(0.05)
+    rig.bus.estop()
+    rig.model.run_away(rig.clock.now() + 0.03)
+    rig.bus.close()
+    stopped = next(tick for packet, tick in heard if packet.type == m.Estop.TYPE)
+    assert 0 <= stopped - goes_on < 4.5e-3 * ticks
 
 
 @EVERY

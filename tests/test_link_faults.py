@@ -284,6 +284,7 @@ def test_the_lead_rises_by_half_at_an_underrun_to_24_ms_and_falls_to_6(
     stream, peer = rig.bus._session.stream, rig.bus.peers[0]
     assert stream is not None
     now, lead = rig.clock.now(), stream.lead
+    assert lead == pytest.approx(8e-3, abs=1e-4), "it starts with 8 ms (SPEC.md, 8)"
     for k in range(1, 5):
         peer.underruns += 1
         stream.control(now + k, running=True)
@@ -329,6 +330,18 @@ def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
     assert (rig.bus.counters.underruns == 0) is is_whole
     assert (rig.bus.lead == 0.05) is is_whole
     assert rig.misplaced()[0] < SAMPLE
+
+
+def test_the_first_position_that_is_due_at_its_own_time_is_that_position(linked: Linked) -> None:
+    rig = linked("serial")
+    rig.begin(0.1)
+    stream = rig.bus._session.stream
+    assert stream is not None
+    for _ in range(2):  # by the amplifier's clock, then by the host's
+        for position in range(0, 5000, 7):
+            assert stream.position_at(stream.due(position)) == position
+            assert stream.position_at(stream.due(position) + 0.1 / RATE) == position + 1
+        stream.freeze(rig.clock.now())
 
 
 @EVERY

@@ -29,11 +29,12 @@ def test_promises_hold_whatever_fails() -> None:
     judged(2, 2.0)
 
 
-def test_a_seed_goes_the_same_way_again() -> None:
-    first, second = (simulate(7, 1.0) for _ in range(2))
+@pytest.mark.parametrize("seconds", [0.5, pytest.param(3.0, marks=pytest.mark.ci)])
+def test_a_seed_goes_the_same_way_again(seconds: float) -> None:
+    first, second = (simulate(9, seconds) for _ in range(2))
     assert first.log == second.log
     assert first.digest.hexdigest() == second.digest.hexdigest()
-    assert simulate(8, 0.5).log[:3] != first.log[:3]
+    assert simulate(10, 0.2).log[:1] != first.log[:1]
 
 
 @pytest.mark.ci

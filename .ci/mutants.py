@@ -38,7 +38,7 @@ CONSTANTS = 3
 """Number of faults of which one at most is another constant."""
 LINKS = (
     "test_link_edges test_link_estop test_link_states test_link_faults test_mock_bus "
-    "test_bus_follower test_bus_spectrum test_bus_estops contract"
+    "test_bus_follower test_bus_spectrum test_bus_estops test_bus_bad_links contract"
 )
 HOST = (
     "test_daemon_supervision test_estop_model test_daemon_owners test_daemon_reloading "
@@ -51,7 +51,7 @@ AMPLIFIER = (
 TESTS = {
     "bus/session": LINKS,
     "bus/stream": LINKS,
-    "bus/link_bus": f"{LINKS} test_bus_bad_links",
+    "bus/link_bus": LINKS,
     "daemon/playing": HOST,
     "daemon/decoding": "test_decoding test_server_bad_input test_server",
     "daemon/latch": f"test_latch test_estop_process {HOST}",

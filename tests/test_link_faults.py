@@ -216,6 +216,22 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
 # Heartbeats and death
 
 
+@EVERY
+def test_a_heartbeat_comes_every_50_ms(
+    linked: Linked, link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later by as long as the loop that writes sleeps at most, 20 ms (SPEC.md, 6.2)."""
+    heard = overheard(monkeypatch)
+    rig = linked(link)
+    rig.begin(0.1)
+    rig.play(1.0)
+    ticks = [tick for packet, tick in heard if packet.type == m.Heartbeat.TYPE]
+    apart = np.diff(ticks) / rig.model.configs[0].tick_hz
+    assert len(apart) > 10
+    assert apart.min() > 49e-3
+    assert apart.max() < 71e-3
+
+
 def test_no_heartbeat_joins_a_queue_that_a_stalled_reader_leaves(
     linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from link_rig import LEVEL, RATE, Bench
+from link_rig import LEVEL, RATE, Bench, overheard
 from numpy.typing import NDArray
 
+from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.config import Config
 from firmware_protocol.messages import FULL_SCALE_CODE
@@ -128,6 +129,28 @@ def test_over_can_the_drive_is_the_sum_of_carriers_within_what_8_bits_round(
     envelope = np.concatenate([a + (b - a) * part for a, b in pairwise(values)])
     exact = (envelope * np.exp(2j * np.pi * np.outer(time, carriers))[:, None]).real.sum(axis=2)
     assert np.all(np.abs(out - exact) <= 0.02 * np.abs(values).sum(axis=2).max() + 5e-3)
+
+
+def test_each_frame_reaches_the_amplifier_or_is_counted_as_dropped(
+    display: Display, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = overheard(monkeypatch)
+    with closing(opened("mock:?link=can&rearm=true", display)) as bus:
+        assert bus.frames is not None
+        spacing = round(bus.wiring.sample_rate / bus.frames.rate)
+        bus.tune(np.array([100.0, 200.0]))
+        bus.start()
+        frame = np.full((display.channels, 2), 1 + 0j)
+        for k in range(30):
+            if k == 10:
+                bus.model.stall(0.14)
+            bus.write_frame(DriveFrame(k * spacing, frame))
+        bus.stop()
+        sent = {packet.payload[:4] for packet, _ in heard if packet.type == m.Spectrum.TYPE}
+        counters = bus.counters
+    assert counters.blocks == counters.samples == 30
+    assert counters.dropped_samples == 29 - len(sent) > 0, "the first is that of the start"
+    assert counters.late_blocks >= counters.dropped_samples
 
 
 @pytest.mark.parametrize("url", ["mock:?link=can", "mock:?link=serial&format=spectrum"])

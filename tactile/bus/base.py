@@ -144,7 +144,7 @@ class Wiring:
 
 @dataclass
 class Counters:
-    """What a bus counts since it was opened.
+    """What a bus counts since it was opened; a frame is a block of one sample.
 
     Attributes
     ----------

@@ -296,7 +296,9 @@ class Stream:
         self._last = self._tail = None
 
     def _drop(self, part: Part) -> None:
-        self._counters.dropped_samples += max(min(part.end, self.end) - part.start, 0)
+        """Count what is not sent: a frame as one sample, and nothing of what was held."""
+        samples = 1 if self._plan.carriers else max(min(part.end, self.end) - part.start, 0)
+        self._counters.dropped_samples += samples
 
     @property
     def deadline(self) -> float:

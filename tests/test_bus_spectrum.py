@@ -146,11 +146,15 @@ def test_each_frame_reaches_the_amplifier_or_is_counted_as_dropped(
                 bus.model.stall(0.14)
             bus.write_frame(DriveFrame(k * spacing, frame))
         bus.stop()
-        sent = {packet.payload[:4] for packet, _ in heard if packet.type == m.Spectrum.TYPE}
+        packets = [packet.payload for packet, _ in heard if packet.type == m.Spectrum.TYPE]
+        sent = {payload[:4] for payload in packets}
+        validities = {int.from_bytes(payload[6:8], "little") for payload in packets}
         counters = bus.counters
     assert counters.blocks == counters.samples == 30
     assert counters.dropped_samples == 29 - len(sent) > 0, "the first is that of the start"
     assert counters.late_blocks >= counters.dropped_samples
+    assert spacing < min(validities), "a frame may come a little late"
+    assert max(validities) <= bus.wiring.sample_rate // 20, "SPEC.md, 10.2"
 
 
 @pytest.mark.parametrize("url", ["mock:?link=can", "mock:?link=serial&format=spectrum"])

@@ -152,7 +152,13 @@ def test_anothers_estop_holds_until_it_is_cleared_and_is_told(
     with pytest.raises(BusError, match="clear it first"):
         rig.bus.start()
     assert amplifier.state == State.ESTOP
+    if running:
+        rig.play(0.6)
+        handed_over = rig.bus.due(rig.position) - rig.bus.ahead
+        assert rig.clock.now() == pytest.approx(handed_over, abs=1e-3), "who writes waits as before"
+    asked = rig.clock.now()
     rig.bus.clear()
+    assert rig.clock.now() < asked + 0.5
     assert (rig.bus.status.state, rig.bus.status.detail) == ("idle", "")
     rig.begin(0.2)
     assert rig.misplaced(since=rig.zero)[0] < SAMPLE

@@ -20,7 +20,7 @@ from tactile.bus.base import DriveBlock
 from tactile.bus.modeled_bus import Heard, ModeledBus
 from tactile.bus.registry import open_bus
 from tactile.devices import KINDS
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture, without_friction

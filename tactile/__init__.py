@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from tactile.client.sync import connect as connect
     from tactile.devices import find_devices as find_devices
     from tactile.devices import open_bus as open_bus
-    from tactile.display import Display as Display
-    from tactile.display import load_display as load_display
+    from tactile.display.display import Display as Display
+    from tactile.display.display import load_display as load_display
     from tactile.errors import BusError as BusError
     from tactile.errors import BusStateError as BusStateError
     from tactile.errors import ClientError as ClientError
@@ -85,7 +85,7 @@ _HOMES = {
     "bus.base": ("DriveBlock", "DriveFrame"),
     "client.sync": ("connect",),
     "devices": ("find_devices", "open_bus"),
-    "display": ("Display", "load_display"),
+    "display.display": ("Display", "load_display"),
     "errors": (
         "BusError",
         "BusStateError",

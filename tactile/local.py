@@ -20,10 +20,7 @@ import msgspec
 
 from tactile.client import Connection, Display, Receiver
 from tactile.client.base import TIMEOUT
-from tactile.daemon.client import Client
-from tactile.daemon.config import Config, DisplayConfig
-from tactile.daemon.host import Host
-from tactile.daemon.messages import (
+from tactile.messages import (
     ALL_ROLES,
     API_VERSION,
     Answer,
@@ -32,9 +29,12 @@ from tactile.daemon.messages import (
     Hello,
     Welcome,
 )
-from tactile.daemon.metrics import Metrics, Traffic
-from tactile.daemon.requests import Requests
-from tactile.daemon.tasks import watched
+from tactile.server.client import Client
+from tactile.server.config import Config, DisplayConfig
+from tactile.server.host import Host
+from tactile.server.metrics import Metrics, Traffic
+from tactile.server.requests import Requests
+from tactile.server.tasks import watched
 
 OPENING = 45.0
 """s for a device to open."""

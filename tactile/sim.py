@@ -17,7 +17,7 @@ from tactile.actuator.plant import Plant
 from tactile.bus.base import RATE, Bus, Floats, Rig, Wiring
 from tactile.bus.mock_bus import MockBus, kept_and_format
 from tactile.bus.registry import Address, register_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 
 HEARD = (20.0, 1000.0)

@@ -21,7 +21,7 @@ import pytest
 from display_files import load
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 
 Floats = NDArray[np.float64]
 Block = tuple[float, Floats]

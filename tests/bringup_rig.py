@@ -15,9 +15,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.bringup.bringup import Report
 from tactile.bus.base import Bus
-from tactile.daemon.bringup import Report
-from tactile.display import Display
+from tactile.display.display import Display
 
 Floats = NDArray[np.float64]
 

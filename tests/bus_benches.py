@@ -26,7 +26,7 @@ from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.bus.base import Bus
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError
 
 Floats = NDArray[np.float64]

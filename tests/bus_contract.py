@@ -10,7 +10,7 @@ import pytest
 from bus_benches import PCM16, RATE, Bench, Floats, Test, steadied
 
 from tactile.bus.base import Bus, DriveBlock
-from tactile.display import Display
+from tactile.display.display import Display
 
 FADE = 160
 """Samples: 20 ms."""

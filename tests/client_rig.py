@@ -23,10 +23,10 @@ from websockets.sync.server import Server, ServerConnection, serve
 from websockets.typing import Subprotocol
 
 from tactile import client
+from tactile import messages as m
 from tactile.client import aio
 from tactile.client.session import Session
 from tactile.clock import MONOTONIC
-from tactile.daemon import messages as m
 
 PATIENCE = 60.0
 """Longest wait for something that takes milliseconds on an idle machine [s]."""

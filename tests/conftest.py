@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bus_benches import Bench
 
     from tactile.bus.base import Bus
-    from tactile.display import Display
+    from tactile.display.display import Display
     from tactile.texture.surface import Texture
 
 # pytest-xdist takes all processors already, and OpenBLAS spins while it waits for its threads; it
@@ -82,7 +82,7 @@ def anyio_backend() -> str:
 @pytest.fixture(scope="session")
 def display() -> Display:
     """Return the display that most of what needs any is tested with."""
-    from tactile.display import load_display
+    from tactile.display.display import load_display
 
     return load_display("reference-24")
 
@@ -92,7 +92,7 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Display:
     """Return the display of three contactors that every bus is tested with."""
     from bus_contract import DISPLAY
 
-    from tactile.display import load_display
+    from tactile.display.display import load_display
 
     path = tmp_path_factory.mktemp("displays") / "three.toml"
     path.write_text(DISPLAY, encoding="utf-8")
@@ -112,7 +112,7 @@ def pair() -> Display:
     """Return two contactors of the reference display."""
     from strength_rig import few
 
-    from tactile.display import load_display
+    from tactile.display.display import load_display
 
     return few(load_display("reference-24"), 0, 13)
 
@@ -285,7 +285,7 @@ def serve(
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bus]:
     """Return the buses that a bring-up opens, as it does."""
-    from tactile.daemon import bringup
+    from tactile.bringup import bringup
     from tactile.devices import open_bus
 
     found: list[Bus] = []
@@ -318,7 +318,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         "connection.HELLO_WITHIN", "connection.READ_WITHIN", "listening.PONG_WITHIN",
         "osc.SILENCE", "requests.FINISH_WITHIN", "sockets.REQUEST_WITHIN",
     ):  # fmt: skip
-        monkeypatch.setattr(f"tactile.daemon.{limit}", 600.0)
+        monkeypatch.setattr(f"tactile.server.{limit}", 600.0)
 
 
 @pytest.fixture

@@ -19,8 +19,7 @@ import pytest
 from websockets.asyncio import client
 from websockets.typing import Subprotocol
 
-from tactile.daemon.config import Config, OscConfig, ServerConfig, TokenConfig
-from tactile.daemon.messages import (
+from tactile.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
     Answer,
@@ -45,7 +44,8 @@ from tactile.daemon.messages import (
     TextureInfo,
     Textures,
 )
-from tactile.daemon.server import Server, running
+from tactile.server.config import Config, OscConfig, ServerConfig, TokenConfig
+from tactile.server.server import Server, running
 
 T = TypeVar("T")
 PATIENCE = 60.0

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.errors import InputError
 
 HEAD = '[display]\nid = "sample"\ndescription = "written by a test"\nopening_mm = [2.0, 3.0]\n'

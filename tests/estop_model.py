@@ -12,8 +12,8 @@ import pytest
 from hypothesis.stateful import RuleBasedStateMachine
 from virtual_daemon import Floats, PlaybackProcess, virtual_world
 
-from tactile.daemon import messages as m
-from tactile.daemon.client import Client
+from tactile import messages as m
+from tactile.server.client import Client
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3

@@ -8,7 +8,7 @@ from typing import Any
 from pythonosc.osc_bundle_builder import IMMEDIATELY
 from pythonosc.osc_message_builder import build_msg
 
-from tactile.daemon import osc
+from tactile.server import osc
 
 
 def packet(address: str, *values: Any) -> bytes:

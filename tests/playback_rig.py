@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock
 from tactile.bus.mock_bus import MockBus
-from tactile.daemon.playback import PlayedBlock, play
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
+from tactile.playback.offline import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.sim import SimulatedDisplay
 
 Floats = NDArray[np.float64]

@@ -42,8 +42,8 @@ from tactile.bus.registry import Address
 from tactile.bus.stream import Stream
 from tactile.client import aio
 from tactile.client.base import UNIX
-from tactile.daemon.config import Config, DisplayConfig, OscConfig, ServerConfig
 from tactile.errors import ClientError, RequestError
+from tactile.server.config import Config, DisplayConfig, OscConfig, ServerConfig
 
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
@@ -136,7 +136,7 @@ class Simulation:
     def _have_engine(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         """Have an engine, and a daemon whose OSC comes as datagrams that arrive at once."""
         sockets = vars(socket) | {"socket": functools.partial(Datagrams, folder)}
-        patch.setattr("tactile.daemon.server.socket", SimpleNamespace(**sockets))
+        patch.setattr("tactile.server.server.socket", SimpleNamespace(**sockets))
         self.engine = self.stack.enter_context(Datagrams(folder))
         self.engine.bind(("127.0.0.1", OSC - 1))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Rendering, render
 from tactile.rendering.strength import SteadyStroke

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile.actuator.finger import FingerLoad
 from tactile.bench.friction import STICKY, friction_only
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.texture.descriptor import Friction

@@ -27,78 +27,44 @@ MAP: dict[str, set[str]] = {
     "errors": set(),
     "clock": set(),
     "files": {"errors"},
+    "paths": set(),
+    "messages": set(),
     "actuator": set(),
-    "display_file": set(),
-    "display": {"actuator", "display_file", "errors", "files"},
+    "display": {"actuator", "errors", "files"},
     "texture": {"errors", "files"},
     "rendering": {"display", "errors", "files", "texture"},
     "bus": {"clock", "errors", "files"},
     "sim": {"actuator", "bus", "display", "errors"},
     "devices": {"bus", "sim"},
-    "recording": {"errors"},
-    "display_map": {"display", "display_file", "errors", "files"},
-    "daemon": {
-        "bus",
-        "clock",
-        "devices",
-        "display",
-        "display_map",
-        "errors",
-        "files",
-        "recording",
-        "rendering",
-        "sim",
+    "estop": {"clock", "errors", "paths"},
+    "playback": {
+        "bus", "clock", "devices", "display", "errors", "estop", "paths", "rendering", "sim",
         "texture",
     },
-    "client": {"clock", "daemon", "errors"},
-    "local": {"client", "daemon"},
+    "bringup": {"bus", "devices", "display", "errors", "playback"},
+    "server": {
+        "clock", "display", "errors", "estop", "files", "messages", "paths", "playback",
+        "rendering", "texture",
+    },
+    "client": {"clock", "errors", "messages", "paths"},
+    "local": {"client", "messages", "server"},
     "study": {"actuator", "clock", "display", "errors", "files"},
     "terminal": {"display"},
     "gallery": {"display", "errors", "files", "rendering", "terminal", "texture"},
     "plots": {
-        "actuator",
-        "display",
-        "errors",
-        "files",
-        "gallery",
-        "rendering",
-        "study",
-        "texture",
+        "actuator", "display", "errors", "files", "gallery", "rendering", "study", "texture",
     },
     "report": {"errors", "plots", "study"},
     "bench": {
-        "actuator",
-        "bus",
-        "client",
-        "clock",
-        "daemon",
-        "display",
-        "errors",
-        "rendering",
-        "sim",
-        "study",
-        "texture",
+        "actuator", "bus", "client", "clock", "display", "errors", "estop", "messages", "playback",
+        "rendering", "server", "sim", "study", "texture",
     },
-    "printing": set(),
     "cli": {
-        "bench",
-        "bus",
-        "client",
-        "daemon",
-        "devices",
-        "display_map",
-        "errors",
-        "files",
-        "gallery",
-        "plots",
-        "printing",
-        "report",
-        "study",
-        "terminal",
-        "texture",
+        "bench", "bringup", "bus", "client", "devices", "display", "errors", "estop", "files",
+        "gallery", "playback", "plots", "report", "server", "study", "terminal", "texture",
     },
     "__main__": {"cli"},
-}
+}  # fmt: skip
 """What a room may import besides itself; `tactile/__init__.py` only names where things live."""
 ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finger"}
 """Modules that import nothing of tactile."""
@@ -106,7 +72,7 @@ AT_HOME = {
     "PIL": {"texture.picture"},
     "matplotlib": {"plots"},
     "pymoo": {"study"},
-    "rich": {"bench.__init__", "cli", "gallery.terminal_view", "printing", "terminal"},
+    "rich": {"bench.__init__", "cli", "gallery.terminal_view", "terminal"},
     "typer": {"cli"},
 }
 """Libraries that only some rooms or modules may import."""
@@ -131,7 +97,7 @@ PROTOCOL_IMPORTERS = {"bench", "bus", "sim"}
 GENERATED = {"messages"}
 """Modules that a program writes, as long as they have to be."""
 
-AWAITED = {"daemon.server": 3, "daemon.shelf": 1}
+AWAITED = {"server.server": 3, "server.shelf": 1}
 """Tasks that somebody waits for, or that take their own exceptions, by module."""
 
 LONGEST_FILE = 500
@@ -223,13 +189,6 @@ def test_a_module_imports_only_what_its_room_may_know() -> None:
     assert {module: rooms for module, rooms in forbidden.items() if rooms} == {}
 
 
-def test_a_client_knows_of_the_daemon_only_what_is_said() -> None:
-    for module in SOURCES:
-        if room_of(module) == "client":
-            found = {name for name in own_imports(module) if room_of(name) == "daemon"}
-            assert found <= {"daemon.messages", "daemon.paths"}, module
-
-
 @pytest.mark.parametrize("module", ALONE)
 def test_a_module_that_stands_alone_imports_nothing_of_tactile(module: str) -> None:
     assert own_imports(module) == set(), ALONE[module]
@@ -280,7 +239,7 @@ def test_every_background_task_of_the_daemon_is_watched() -> None:
     """Else an exception ends it in silence."""
     unwatched: Counter[str] = Counter()
     for module in SOURCES:
-        if room_of(module) in ("daemon", "local"):
+        if room_of(module) in ("server", "local"):
             watched = {id(arg) for call in calls(module, "watched") for arg in call.args}
             tasks = [call for call in calls(module, "create_task") if id(call) not in watched]
             unwatched.update([module] * len(tasks))

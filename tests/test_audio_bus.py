@@ -39,7 +39,7 @@ from tactile.bus.audio_bus import AudioBus, find
 from tactile.bus.audio_process import Player
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.registry import open_bus, parse
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, BusStateError, InputError
 
 PIECE = 256
@@ -295,7 +295,7 @@ import numpy as np
 from tactile.bus import audio_bus, audio_process
 from tactile.bus.base import DriveBlock
 from tactile.bus.registry import open_bus
-from tactile.display import load_display
+from tactile.display.display import load_display
 bus = open_bus("audio:system", load_display({file!r}), accept_unsafe_hold=True)
 print("open", flush=True)
 bus.start()

@@ -9,8 +9,8 @@ from tactile.bench import floods
 from tactile.bench.daemon import NAME, Output
 from tactile.bench.estop import Times, is_silent
 from tactile.bench.floods import contact_packet, paced
-from tactile.daemon.messages import Contact
-from tactile.daemon.osc import read_packet, to_command
+from tactile.messages import Contact
+from tactile.server.osc import read_packet, to_command
 
 
 class Gate:

@@ -5,8 +5,8 @@ import random
 from collections import Counter
 
 from tactile.bench.fuzz_daemon import LEGAL, random_message, victim_figures
-from tactile.daemon.decoding import ENCODINGS, read
-from tactile.daemon.messages import JSON_PROTOCOL, Failure
+from tactile.messages import JSON_PROTOCOL, Failure
+from tactile.server.decoding import ENCODINGS, read
 
 
 def payload(frame: bytes) -> bytes:

@@ -16,14 +16,14 @@ from bringup_rig import CHANNELS, FOUR, LOADS, PF, RATE, Floats, Served, check_d
 from c_amplifier_rig import IDLE, MS, SENSE, SET, owned, playing
 
 from firmware_protocol import messages as m
+from tactile.bringup import bringup, probe
+from tactile.bringup.bringup import bring_up
+from tactile.bringup.probe import Load, Signal, judge, load_of
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.inspection import identify, measuring, readings
 from tactile.bus.link_bus import LinkBus
-from tactile.daemon import bringup, probe
-from tactile.daemon.bringup import bring_up
-from tactile.daemon.probe import Load, Signal, judge, load_of
 from tactile.devices import open_bus
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 INTERVAL = 10e-3
 """s between readings: the shortest that SENSE_MS has (SPEC.md, 4)."""

@@ -11,14 +11,14 @@ from bringup_rig import FOUR, LOADS, Served, check_drive, put_out, same, verdict
 from cli_rig import Command
 
 from firmware_protocol import messages as m
+from tactile.bringup import probe
+from tactile.bringup.bringup import Report, bring_up
+from tactile.bringup.probe import INTERVAL
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.inspection import amplifiers, identify, measuring, readings
 from tactile.bus.link_bus import LinkBus
-from tactile.daemon import probe
-from tactile.daemon.bringup import Report, bring_up
-from tactile.daemon.probe import INTERVAL
 from tactile.devices import open_bus
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 # What is put out, on any bus
 

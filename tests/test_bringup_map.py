@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from bringup_rig import FOUR, GRID, put_out, same
 
+from tactile.bringup.bringup import bring_up
 from tactile.bus.base import Bus
-from tactile.daemon.bringup import bring_up
-from tactile.display import load_display
-from tactile.display_map import Map, checked_target, write_map
+from tactile.display.display import load_display
+from tactile.display.edit import Map, checked_target, write_map
 from tactile.errors import InputError
 
 # What a person tells

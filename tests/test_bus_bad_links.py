@@ -24,7 +24,7 @@ from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.bus.base import Bus
 from tactile.bus.link_bus import LinkBus
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 
 DEADLINE = 60.0

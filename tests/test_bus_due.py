@@ -12,7 +12,7 @@ from tactile.bench.virtual import VirtualAmplifier, can_be_built
 from tactile.bus.base import DriveBlock
 from tactile.bus.link_bus import LinkBus
 from tactile.bus.registry import open_bus
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 BLOCK, BLOCKS = 16, 500
 CLOCK = 1e-3

@@ -15,7 +15,7 @@ from firmware_protocol.messages import State
 from tactile.bus.base import Bus, DriveBlock, Wiring
 from tactile.bus.mock_bus import MockBus
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, BusStateError
 
 WIRING = Wiring(channels=2, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=20e-3)

@@ -12,7 +12,7 @@ from tactile.bus.follower import Follower
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.bus.registry import open_bus
 from tactile.devices import KINDS
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 Floats = NDArray[np.float64]
 RATE = 8000.0

@@ -9,7 +9,7 @@ from tactile.bus.base import Bus, HostDeath, Rig
 from tactile.bus.mock_bus import open_mock
 from tactile.bus.registry import Address
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 
 SCHEMES = ("mock", "sim")

@@ -18,7 +18,7 @@ from tactile.bus.base import Counters, DriveBlock, DriveFrame
 from tactile.bus.board import config_of
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusStateError, InputError
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture

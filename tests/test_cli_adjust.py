@@ -9,7 +9,7 @@ from cli_rig import Command, assert_mistake
 from numpy.typing import NDArray
 from reference_beam import LOW_FINGER, Beam, response
 
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ from tactile.bus import registry
 from tactile.bus.base import DriveFrame
 from tactile.bus.mock_bus import open_mock
 from tactile.bus.modeled_bus import ModeledBus
-from tactile.daemon.session import run
 from tactile.devices import link_at, open_bus
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.errors import InputError
+from tactile.playback.runs import run
 from tactile.rendering.contact import Trajectory
 from tactile.texture.surface import load_texture
 

@@ -13,7 +13,7 @@ from tactile.bus.base import Bus, Rig
 from tactile.bus.registry import Address
 from tactile.errors import BusError
 from tactile.files import shipped
-from tactile.recording import Recorder
+from tactile.playback.recording import Recorder
 
 # Mistakes
 
@@ -269,7 +269,7 @@ def test_a_mistake_of_our_own_is_not_hidden(
     def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("tactile.daemon.session.run", broken)
+    monkeypatch.setattr("tactile.playback.runs.run", broken)
     monkeypatch.setattr(sys, "argv", ["tactile", "play", "wood-oak"])
     with pytest.raises(ZeroDivisionError):
         cli.main()

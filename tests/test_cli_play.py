@@ -11,8 +11,8 @@ import pytest
 from cli_rig import KEYS, SHORT, Command, recorded, started
 
 from tactile.bus import base
-from tactile.daemon.session import Summary
 from tactile.files import shipped
+from tactile.playback.runs import Summary
 
 # Play
 
@@ -185,7 +185,7 @@ def test_watched_it_plays_in_real_time_otherwise_as_fast_as_it_can(
         asked.append((realtime, watch is not None))
         return Summary("wood-oak", "reference-24", "mock:")
 
-    monkeypatch.setattr("tactile.daemon.session.run", run)
+    monkeypatch.setattr("tactile.playback.runs.run", run)
     for terminal in (False, True):
         monkeypatch.setattr(sys.stdout, "isatty", lambda terminal=terminal: terminal)
         for option in ([], ["--quiet"], ["--json"]):

@@ -11,7 +11,7 @@ from cli_rig import Command, assert_mistake
 from rich.console import Console
 from rich.segment import Segment
 
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.gallery.terminal_view import (
     TextureScreen,
     grating_lines,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from client_rig import PATIENCE, Daemon, Twin
 
-from tactile.daemon import messages as m
+from tactile import messages as m
 from tactile.errors import InputError
 
 WAVE: Any = {"sample_rate": 8000, "amplitude": 1e-6}

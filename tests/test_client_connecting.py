@@ -15,12 +15,11 @@ from client_rig import PATIENCE, Daemon, Script, Twin, fill, until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
-from tactile import client, local
+from tactile import client, local, paths
+from tactile import messages as m
 from tactile.client import base, websocket
-from tactile.daemon import messages as m
-from tactile.daemon import paths
-from tactile.daemon.config import Config
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
+from tactile.server.config import Config
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, until
 
 from tactile import client
+from tactile import messages as m
 from tactile.client import base
 from tactile.client.waveform import Waveform
 from tactile.clock import ModelClock
-from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, opened_session, until
 
+from tactile import messages as m
 from tactile.client import aio, base, websocket
-from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError, InputError
 
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
 from repeating import often
 
+from tactile import messages as m
 from tactile.client.outbox import Outbox
 from tactile.client.session import Session
 from tactile.client.transport import Receiver
 from tactile.clock import ModelClock
-from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
 
 DISPLAYS = ("left", "right")

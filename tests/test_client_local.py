@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from client_rig import MESSAGES, Script, Twin, opened_session, plain
 
+from tactile import messages as m
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
-from tactile.daemon import messages as m
 from tactile.errors import DisconnectedError
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, until
 
-from tactile.daemon import messages as m
+from tactile import messages as m
 from tactile.errors import ClientError, ClientTimeoutError, NotFoundError, RequestError
 
 

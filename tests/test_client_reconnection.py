@@ -8,9 +8,9 @@ import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, fill, plain, telemetry, until
 
 from tactile import client
+from tactile import messages as m
 from tactile.client import websocket
 from tactile.client.session import ClockOffset
-from tactile.daemon import messages as m
 from tactile.errors import ClientError, DisconnectedError
 
 

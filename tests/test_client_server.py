@@ -15,12 +15,12 @@ from client_rig import MESSAGES, PATIENCE, Daemon, Twin, count, plain, samples_o
 from daemon_rig import Hands
 
 from tactile import client
+from tactile import messages as m
 from tactile.client import base
 from tactile.client.wire import from_telemetry
-from tactile.daemon import messages as m
-from tactile.daemon.config import Config, ServerConfig
-from tactile.daemon.server import running
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
+from tactile.server.config import Config, ServerConfig
+from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
 

@@ -9,8 +9,8 @@ import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, server_time_us, telemetry, until
 
 from tactile import client
+from tactile import messages as m
 from tactile.client import websocket
-from tactile.daemon import messages as m
 from tactile.errors import ClientTimeoutError
 
 

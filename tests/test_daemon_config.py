@@ -16,8 +16,10 @@ from pathlib import Path
 import pytest
 from daemon_rig import until
 
-from tactile.daemon import logs, watchdog
-from tactile.daemon.config import (
+from tactile.errors import InputError
+from tactile.messages import Role
+from tactile.server import logs, watchdog
+from tactile.server.config import (
     Config,
     DisplayConfig,
     LogConfig,
@@ -26,9 +28,7 @@ from tactile.daemon.config import (
     load_config,
     read_tokens,
 )
-from tactile.daemon.logs import Logs
-from tactile.daemon.messages import Role
-from tactile.errors import InputError
+from tactile.server.logs import Logs
 
 PACKAGING = Path(__file__).parents[1] / "packaging"
 

@@ -23,8 +23,8 @@ import websockets.sync.client as websockets
 from websockets.typing import Subprotocol
 
 import tactile.client
+from tactile import messages
 from tactile.bench.virtual import VirtualAmplifier
-from tactile.daemon import messages
 from tactile.errors import TactileError
 
 pytestmark = pytest.mark.realtime

@@ -16,21 +16,21 @@ from typing import Any, TypeVar
 
 import pytest
 
-from tactile.daemon import children as child_processes
-from tactile.daemon import client as client_module
-from tactile.daemon import messages as m
-from tactile.daemon import playing as playing_module
-from tactile.daemon.client import Client
-from tactile.daemon.config import Config, DisplayConfig
-from tactile.daemon.host import Host
-from tactile.daemon.playing import Playing
+from tactile import messages as m
 from tactile.errors import BusError, InputError
+from tactile.server import children as child_processes
+from tactile.server import client as client_module
+from tactile.server import playing as playing_module
+from tactile.server.client import Client
+from tactile.server.config import Config, DisplayConfig
+from tactile.server.host import Host
+from tactile.server.playing import Playing
 
 T = TypeVar("T")
 NAME = "right"
 PATIENCE = 60.0
 """s until a test gives up; nothing that is tested depends on it."""
-PATIENT = "from tactile.daemon import playback_process as p; p.SILENCE = 600.0; main()"
+PATIENT = "from tactile.playback import process as p; p.SILENCE = 600.0; main()"
 """What a process runs: playback that waits for the server's heartbeats for long."""
 
 

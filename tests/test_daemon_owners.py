@@ -1,6 +1,6 @@
 """To whom high voltage belongs, and when it belongs to nobody."""
 
-from tactile.daemon.owners import Owners
+from tactile.server.owners import Owners
 
 ME, YOU = 1, 2
 

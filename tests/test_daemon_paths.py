@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile.daemon import paths
+from tactile import paths
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Unix sockets of Linux")
 

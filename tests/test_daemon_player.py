@@ -15,11 +15,11 @@ from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
 from tactile.bus.modeled_bus import ModeledBus
 from tactile.clock import ModelClock
-from tactile.daemon.player import Player, Samples
-from tactile.daemon.shared import Shared, Touch
-from tactile.daemon.waves import Curve, Singles, Voice
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
+from tactile.playback.loop import Player, Samples
+from tactile.playback.shared_memory import Shared, Touch
+from tactile.playback.waves import Curve, Singles, Voice
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.renderer import render

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from virtual_daemon import World, virtual_world
 
+from tactile import messages as m
 from tactile.bus.registry import register_bus
-from tactile.daemon import messages as m
-from tactile.daemon.config import load_config
-from tactile.daemon.host import Host
 from tactile.errors import BusError, InputError
+from tactile.server.config import load_config
+from tactile.server.host import Host
 
 
 class Daemon:

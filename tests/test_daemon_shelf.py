@@ -11,17 +11,17 @@ from daemon_rig import until
 from virtual_daemon import virtual_world
 from virtual_loop import LoopProcess
 
-from tactile.daemon import shelf, workbench
-from tactile.daemon.children import Child
-from tactile.daemon.orders import Opened
-from tactile.daemon.shelf import MOST_TEXTURES, Shelf, TooManyDrawingsError
-from tactile.daemon.workbench import Workbench
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.errors import BusError
+from tactile.playback.commands import Opened
+from tactile.server import shelf, workbench
+from tactile.server.children import Child
+from tactile.server.shelf import MOST_TEXTURES, Shelf, TooManyDrawingsError
+from tactile.server.workbench import Workbench
 
 HOW = Opened(sample_rate=8000.0)
 OAK = "wood-oak"
-WRITER = "tactile.daemon.drawing:_write"
+WRITER = "tactile.server.drawing:_write"
 
 
 class Bench:

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
 
-from tactile.daemon import messages as m
-from tactile.daemon import playback_process, shelf
-from tactile.daemon.client import Client
-from tactile.daemon.config import Config, DisplayConfig
-from tactile.daemon.orders import Setup
-from tactile.daemon.playing import hangs
+from tactile import messages as m
 from tactile.errors import BusError
+from tactile.playback import process as playback_process
+from tactile.playback.commands import Setup
+from tactile.server import shelf
+from tactile.server.client import Client
+from tactile.server.config import Config, DisplayConfig
+from tactile.server.playing import hangs
 
 NAME = "left"
 BACK = 2.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile.daemon.waves import Curve, Effect, Queue
+from tactile.playback.waves import Curve, Effect, Queue
 
 RATE = 8000.0
 N = 3

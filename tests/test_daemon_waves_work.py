@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.daemon.waves import Curve, Effect, Queue, Voice, affordable
+from tactile.playback.waves import Curve, Effect, Queue, Voice, affordable
 
 RATE = 8000.0
 N = 3

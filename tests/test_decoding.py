@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from tactile.daemon.decoding import ENCODINGS, Encoding, failed, read
-from tactile.daemon.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm, Failure
+from tactile.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm, Failure
+from tactile.server.decoding import ENCODINGS, Encoding, failed, read
 
 JSON, MSGPACK = ENCODINGS[JSON_PROTOCOL], ENCODINGS[MSGPACK_PROTOCOL]
 LARGEST_ID = 9007199254740992

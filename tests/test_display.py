@@ -15,7 +15,7 @@ from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import CFRP, PIEZO_3203HD
-from tactile.display import Limits, load_display
+from tactile.display.display import Limits, load_display
 from tactile.errors import InputError
 
 # What is shipped

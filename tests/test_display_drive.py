@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
-from tactile.display import Limits, load_response
+from tactile.display.display import Limits, load_response
 from tactile.errors import InputError, NotFoundError
 from tactile.rendering.equalizer import design
 

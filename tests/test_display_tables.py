@@ -12,8 +12,8 @@ import pytest
 
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import PIEZOS, SHIMS
-from tactile.display import load_display
-from tactile.display_map import write_tables
+from tactile.display.display import load_display
+from tactile.display.edit import write_tables
 from tactile.errors import InputError
 
 TEXT = """\

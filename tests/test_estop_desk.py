@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from tactile.daemon import estop_desk
-from tactile.daemon.children import Child
-from tactile.daemon.estop_desk import EstopDesk
-from tactile.daemon.latch import Latch
+from tactile.estop.latch import Latch
+from tactile.server import estop_desk
+from tactile.server.children import Child
+from tactile.server.estop_desk import EstopDesk
 
 
 async def test_a_process_that_cannot_be_started_is_tried_again(

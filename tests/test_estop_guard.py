@@ -20,19 +20,20 @@ from c_amplifier_rig import ESTOPPED
 from cli_rig import Command
 
 import tactile
+from tactile.bringup import bringup
+from tactile.bringup.bringup import bring_up
 from tactile.bus.base import Bus
 from tactile.bus.mock_bus import MockBus
-from tactile.daemon import bringup, estop_guard, session
-from tactile.daemon.bringup import bring_up
-from tactile.daemon.estop_guard import clear_device, guarded
-from tactile.daemon.estop_process import bind
-from tactile.daemon.estop_request import request_estop
-from tactile.daemon.latch import Latch
-from tactile.daemon.paths import estop_sockets, state_folder
-from tactile.daemon.playback import PlayedBlock
 from tactile.devices import open_bus
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.errors import BusError, InputError
+from tactile.estop.latch import Latch
+from tactile.estop.process import bind
+from tactile.estop.request import request_estop
+from tactile.paths import estop_sockets, state_folder
+from tactile.playback import estop_guard, runs
+from tactile.playback.estop_guard import clear_device, guarded
+from tactile.playback.offline import PlayedBlock
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
 
@@ -139,10 +140,10 @@ def test_a_run_ends_with_the_e_stop(display: Display, monkeypatch: pytest.Monkey
         if len(blocks) == 5:
             estop(buses[0])
 
-    buses = opened_by(session, monkeypatch)
+    buses = opened_by(runs, monkeypatch)
     oak, line = tactile.load_texture("wood-oak"), tactile.Trajectory.line(speed=0.08, duration=60.0)
     with pytest.raises(BusError, match=HELD):
-        session.run(display, oak, line, device=MOCK, watch=watch)
+        runs.run(display, oak, line, device=MOCK, watch=watch)
     assert len(blocks) == 5
     assert buses[0].state == "closed"
 
@@ -265,7 +266,7 @@ def test_an_e_stop_that_fails_is_told_and_the_next_is_taken(
 def test_a_program_that_plays_keeps_others_from_the_latch(
     bus: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tactile.daemon.latch.LOCK_WITHIN", -1.0)
+    monkeypatch.setattr("tactile.estop.latch.LOCK_WITHIN", -1.0)
     with guarded(bus, MOCK), pytest.raises(BusError, match="another"):
         use(bus, not_reached)
 

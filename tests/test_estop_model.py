@@ -29,10 +29,10 @@ from repeating import LONG
 from virtual_daemon import PlaybackProcess, small_display
 
 from firmware_protocol.messages import State
+from tactile import messages as m
 from tactile.bus.mock_bus import MockBus
-from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig
 from tactile.errors import BusError
+from tactile.server.config import Config, DisplayConfig
 
 T = TypeVar("T")
 NAMES = st.sampled_from(list(DEVICES))

@@ -21,11 +21,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile.clock import ModelClock
-from tactile.daemon import estop_request
-from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup, bind
-from tactile.daemon.estop_request import EstopAnswer, request_estop
-from tactile.daemon.latch import Latch
-from tactile.daemon.paths import estop_sockets, runtime_folder
+from tactile.estop import request as estop_request
+from tactile.estop.latch import Latch
+from tactile.estop.process import Desk, EstopReady, EstopSetup, bind
+from tactile.estop.request import EstopAnswer, request_estop
+from tactile.paths import estop_sockets, runtime_folder
 
 pytestmark = pytest.mark.skipif(
     not hasattr(socket, "AF_UNIX"), reason="datagrams of a Unix socket are read here"
@@ -220,7 +220,7 @@ def test_every_e_stop_is_saved_once_in_each_latch(
     assert story == ["waits", "right", "left", "waits", "right", "left", "waits"]
 
 
-PROGRAM = "from tactile.daemon.estop_process import main; main()"
+PROGRAM = "from tactile.estop.process import main; main()"
 
 
 def test_the_process_ends_with_the_server_whatever_became_of_that(

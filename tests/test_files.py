@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from refusals import NO_PANIC, has, refusal
 
 from tactile import files
-from tactile.display import load_display
-from tactile.display_file import DisplayFile
+from tactile.display.display import load_display
+from tactile.display.tables import DisplayFile
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor
 from tactile.texture.descriptor import Descriptor

@@ -17,9 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile.clock import ModelClock
-from tactile.daemon import latch as module
-from tactile.daemon.latch import CLEARED, Latch, Writer, file_name, inherit_estops
 from tactile.errors import BusError, InputError
+from tactile.estop import latch as module
+from tactile.estop.latch import CLEARED, Latch, Writer, file_name, inherit_estops
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
 WRITERS = list(Writer)
@@ -340,7 +340,7 @@ def test_an_e_stop_that_is_not_saved_stays_where_it_was(
 KILLED = """
 import os, sys
 from pathlib import Path
-from tactile.daemon.latch import Latch
+from tactile.estop.latch import Latch
 latch = Latch.open("mock:", Path(sys.argv[1]))
 print(latch.trip("by a program that is killed"), flush=True)
 sys.stdin.read()

@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace as changed
 
 from tactile.bench import library
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.texture.descriptor import Laws, textures
 from tactile.texture.surface import Partials, Texture, load_texture
 

@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.display import Limits
+from tactile.display.display import Limits
 from tactile.rendering.limiter import Limiter
 
 Floats = NDArray[np.float64]

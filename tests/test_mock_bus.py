@@ -28,7 +28,7 @@ from bus_contract import (
 from tactile.bus import base
 from tactile.bus.base import DriveBlock
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 
 SECOND = 8000
 

@@ -20,11 +20,11 @@ from pythonosc.osc_message_builder import OscMessageBuilder, build_msg
 from pythonosc.osc_packet import OscPacket
 from repeating import often
 
-from tactile.daemon import osc
-from tactile.daemon.messages import Arm, Clear, Contact, EStop, Failure, Gain, Select, Stop
-from tactile.daemon.osc import read_estops, read_packet, to_command
-from tactile.daemon.server import Server
 from tactile.errors import InputError
+from tactile.messages import Arm, Clear, Contact, EStop, Failure, Gain, Select, Stop
+from tactile.server import osc
+from tactile.server.osc import read_estops, read_packet, to_command
+from tactile.server.server import Server
 
 pytestmark = pytest.mark.usefixtures("patient")
 

@@ -7,9 +7,9 @@ import pytest
 from playback_rig import FADE, RATE, SINGLE, TRAJECTORIES, Played, played, stroke
 
 from tactile.clock import ModelClock
-from tactile.daemon.playback import PlayedBlock, play
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
+from tactile.playback.offline import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
 from tactile.texture.surface import Texture

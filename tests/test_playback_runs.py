@@ -20,12 +20,12 @@ from scipy.signal import butter, sosfilt
 
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.mock_bus import MockBus
-from tactile.daemon import session
-from tactile.daemon.playback import PlayedBlock
-from tactile.daemon.session import Summary, run
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, InputError, TactileError
+from tactile.playback import runs
+from tactile.playback.offline import PlayedBlock
+from tactile.playback.runs import Summary, run
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture
@@ -258,7 +258,7 @@ class Failing:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.bus: MockBus | None = None
-        monkeypatch.setattr(session, "open_bus", self._open)
+        monkeypatch.setattr(runs, "open_bus", self._open)
 
     def _open(self, url: str, display: Display, **_: object) -> Bus:
         bus = open_bus("mock:?keep=all", display)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile import plots
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from cli_rig import recorded
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
-from tactile.recording import Recorder
+from tactile.playback.recording import Recorder
 
 Floats = NDArray[np.float64]
 
@@ -182,7 +182,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_old_target_and_nothing_else(
     def fill() -> None:
         with Recorder(target) as recorder:
             recorder.add(values=np.ones(1000))
-            monkeypatch.setattr("tactile.recording.shutil.copyfileobj", full)
+            monkeypatch.setattr("tactile.playback.recording.shutil.copyfileobj", full)
 
     with pytest.raises(InputError, match="No space left"):
         fill()
@@ -241,7 +241,7 @@ def test_a_folder_that_may_not_be_written_is_an_input_error(
     def refused(*args: object, **options: object) -> str:
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("tactile.recording.tempfile.mkdtemp", refused)
+    monkeypatch.setattr("tactile.playback.recording.tempfile.mkdtemp", refused)
     with pytest.raises(InputError, match=r"a\.npz: cannot be written: Permission denied"):
         Recorder(tmp_path / "a.npz")
 

@@ -18,7 +18,7 @@ from strength_rig import few
 
 import tactile
 from tactile.actuator.amplifier import Amplifier
-from tactile.daemon.session import run as play
+from tactile.playback.runs import run as play
 from tactile.rendering.layer import Layer
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import Stroke

@@ -22,14 +22,14 @@ from daemon_rig import (
 )
 from websockets.typing import Subprotocol
 
-from tactile.daemon import connection
-from tactile.daemon.messages import (
+from tactile.messages import (
     Arm,
     Disarm,
     EStop,
     GetStats,
     Select,
 )
+from tactile.server import connection
 
 pytestmark = pytest.mark.usefixtures("patient")
 

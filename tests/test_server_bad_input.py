@@ -9,10 +9,10 @@ from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, talk
 from websockets.exceptions import ConnectionClosedError
 
 from tactile.clock import ModelClock
-from tactile.daemon import decoding
-from tactile.daemon.decoding import ENCODINGS, hint, read_estop
-from tactile.daemon.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Select
-from tactile.daemon.rates import TokenBucket
+from tactile.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Select
+from tactile.server import decoding
+from tactile.server.decoding import ENCODINGS, hint, read_estop
+from tactile.server.rates import TokenBucket
 
 LARGEST_MESSAGE = 64 * 1024
 """Bytes; of up to twice as many it is said what is wrong."""

@@ -25,10 +25,10 @@ from daemon_rig import (
 from osc_faults import mutated as osc_mutated
 from repeating import often
 
-from tactile.daemon import osc
-from tactile.daemon.config import Config, OscConfig, ServerConfig
-from tactile.daemon.messages import MSGPACK_PROTOCOL, Arm
-from tactile.daemon.server import running
+from tactile.messages import MSGPACK_PROTOCOL, Arm
+from tactile.server import osc
+from tactile.server.config import Config, OscConfig, ServerConfig
+from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
 

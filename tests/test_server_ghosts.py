@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, talking, until
 
-from tactile.daemon import requests
-from tactile.daemon.connection import Connection
-from tactile.daemon.messages import Arm, Command, Disarm, EStop, Select
-from tactile.daemon.metrics import Metrics
-from tactile.daemon.requests import Requests
-from tactile.daemon.server import Server
+from tactile.messages import Arm, Command, Disarm, EStop, Select
+from tactile.server import requests
+from tactile.server.connection import Connection
+from tactile.server.metrics import Metrics
+from tactile.server.requests import Requests
+from tactile.server.server import Server
 
 pytestmark = pytest.mark.usefixtures("patient")
 

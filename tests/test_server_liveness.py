@@ -3,8 +3,8 @@
 import pytest
 from daemon_rig import daemon, talking, until
 
-from tactile.daemon import listening, liveness
-from tactile.daemon.liveness import Due, SignsOfLife
+from tactile.server import listening, liveness
+from tactile.server.liveness import Due, SignsOfLife
 
 pytestmark = pytest.mark.usefixtures("patient")
 

@@ -16,14 +16,14 @@ from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, talking, u
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
-from tactile.daemon import connection, peers
-from tactile.daemon.config import Config, ServerConfig, TokenConfig
-from tactile.daemon.listening import listen_locally
-from tactile.daemon.messages import JSON_PROTOCOL, Role
-from tactile.daemon.paths import API_SOCKET
-from tactile.daemon.peers import Peer, local_peer, roles_of_user, tcp_peer, user_in
-from tactile.daemon.server import running
 from tactile.errors import InputError
+from tactile.messages import JSON_PROTOCOL, Role
+from tactile.paths import API_SOCKET
+from tactile.server import connection, peers
+from tactile.server.config import Config, ServerConfig, TokenConfig
+from tactile.server.listening import listen_locally
+from tactile.server.peers import Peer, local_peer, roles_of_user, tcp_peer, user_in
+from tactile.server.server import running
 
 pytestmark = [
     pytest.mark.usefixtures("patient"),

@@ -29,12 +29,12 @@ from prometheus_client.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from tactile.daemon import listening, sockets
-from tactile.daemon.config import Config, OscConfig, ServerConfig
-from tactile.daemon.listening import Listener, listen
-from tactile.daemon.messages import JSON_PROTOCOL
-from tactile.daemon.server import running
 from tactile.errors import InputError
+from tactile.messages import JSON_PROTOCOL
+from tactile.server import listening, sockets
+from tactile.server.config import Config, OscConfig, ServerConfig
+from tactile.server.listening import Listener, listen
+from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
 
@@ -192,8 +192,8 @@ PROCESS = """
     import sys
     sys.path.insert(0, {tests!r})
     import daemon_rig
-    from tactile.daemon import server
-    from tactile.daemon.config import Config, LogConfig, OscConfig, ServerConfig
+    from tactile.server import server
+    from tactile.server.config import Config, LogConfig, OscConfig, ServerConfig
 
     class Hands(daemon_rig.Hands):
         def beat(self):

@@ -29,12 +29,12 @@ from daemon_rig import (
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
-from tactile.daemon import connection, listening, places, sockets
-from tactile.daemon.config import ServerConfig
-from tactile.daemon.listening import listen
-from tactile.daemon.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
-from tactile.daemon.security import Tokens, host_name, refusal
 from tactile.errors import InputError
+from tactile.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
+from tactile.server import connection, listening, places, sockets
+from tactile.server.config import ServerConfig
+from tactile.server.listening import listen
+from tactile.server.security import Tokens, host_name, refusal
 
 pytestmark = pytest.mark.usefixtures("patient")
 

@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from tactile.daemon.tasks import watched
+from tactile.server.tasks import watched
 
 
 async def fail() -> None:

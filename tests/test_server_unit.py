@@ -32,7 +32,7 @@ def test_the_daemon_is_exposed_no_more_than_it_must_be() -> None:
 
 
 def test_playback_may_run_in_real_time() -> None:
-    """All that `tactile.daemon.priority` does, though it is among what is usually forbidden."""
+    """All that `tactile.playback.priority` does, though it is among what is usually forbidden."""
     assert values("RestrictRealtime") == []
     assert (values("LimitRTPRIO"), values("LimitMEMLOCK")) == (["50"], ["infinity"])
     filters = values("SystemCallFilter")

@@ -25,7 +25,7 @@ from sim_rig import (
 from tactile.actuator.plant import Plant
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.devices import open_bus
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("plant")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.errors import InputError
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render

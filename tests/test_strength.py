@@ -12,9 +12,9 @@ from scipy.integrate import quad
 from strength_rig import STROKE, authored, felt, few, played, ribs, skin, spectrum
 
 from tactile.actuator.finger import FingerLoad
-from tactile.daemon.session import run
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.errors import InputError
+from tactile.playback.runs import run
 from tactile.rendering import strength
 from tactile.rendering.commanded import EVENT_EDGES, commanded_lines
 from tactile.rendering.contact import Trajectory

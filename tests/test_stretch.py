@@ -30,7 +30,7 @@ from stretch_rig import (
 
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.plant import Plant
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import Bristles
 from tactile.sim import Fidelity

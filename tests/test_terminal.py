@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.segment import Segment
 
 from tactile import terminal
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.terminal import Picture, nice, pitch, rasterize
 from tactile.terminal.trace import Trace, braille
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage, imread
 from numpy.typing import NDArray
 
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.errors import InputError
 from tactile.gallery import views
 from tactile.gallery.views import Tile, View, view_texture

@@ -330,7 +330,7 @@ class LinkTime:
 
 
 class Process:
-    """In place of `tactile.daemon.children.Child`: the server's end of a process, and the process.
+    """In place of `tactile.server.children.Child`: the server's end of a process, and the process.
 
     Parameters
     ----------

@@ -43,18 +43,20 @@ from tactile.bus.mock_bus import MockBus, open_mock
 from tactile.bus.modeled_bus import ModeledBus, link_of, model_of, open_modeled
 from tactile.bus.parts.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
-from tactile.daemon import drawing, host, orders, playback_process
-from tactile.daemon.config import Config
-from tactile.daemon.estop_process import Desk, EstopReady, EstopSetup
-from tactile.daemon.host import Host
-from tactile.daemon.latch import Latch, Writer
-from tactile.daemon.orders import Opened, Setup
-from tactile.daemon.playback_process import Program
-from tactile.daemon.player import Player, Samples
-from tactile.daemon.server import running
-from tactile.daemon.shared import Shared
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.errors import TactileError
+from tactile.estop.latch import Latch, Writer
+from tactile.estop.process import Desk, EstopReady, EstopSetup
+from tactile.playback import commands
+from tactile.playback import process as playback_process
+from tactile.playback.commands import Opened, Setup
+from tactile.playback.loop import Player, Samples
+from tactile.playback.process import Program
+from tactile.playback.shared_memory import Shared
+from tactile.server import drawing, host
+from tactile.server.config import Config
+from tactile.server.host import Host
+from tactile.server.server import running
 
 T = TypeVar("T")
 Floats = NDArray[np.float64]
@@ -94,14 +96,14 @@ class DrawingProcess(Process):
     def receive(self, order: Any) -> None:
         assert isinstance(order, drawing.Request)
         try:
-            keep = orders.Keep(order.number, Stored(order))  # type: ignore[arg-type]
+            keep = commands.Keep(order.number, Stored(order))  # type: ignore[arg-type]
             made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
         except TactileError as error:
             made = drawing.Made(order.number, failure=str(error))
         self.clock.after(DRAWING, lambda: self.answer(made))
 
 
-DRAWN: dict[bytes, orders.Texture] = {}
+DRAWN: dict[bytes, commands.Texture] = {}
 """Textures that were drawn, by the pickles of requests but for their numbers."""
 
 
@@ -117,7 +119,7 @@ class Stored:
         return _drawn, (self._key,)
 
 
-def _drawn(key: bytes) -> orders.Texture:
+def _drawn(key: bytes) -> commands.Texture:
     return DRAWN[key]
 
 
@@ -215,9 +217,9 @@ class PlaybackProcess(Process):
 
 
 KINDS: dict[str, type[Process]] = {
-    "tactile.daemon.playback_process": PlaybackProcess,
-    "tactile.daemon.drawing": DrawingProcess,
-    "tactile.daemon.estop_process": EstopProcess,
+    "tactile.playback.process": PlaybackProcess,
+    "tactile.server.drawing": DrawingProcess,
+    "tactile.estop.process": EstopProcess,
 }
 
 
@@ -403,12 +405,12 @@ def _stand_ins(world: World) -> dict[str, object]:
     threads = world.threading
     return {
         "asyncio.to_thread": _inline,
-        "tactile.daemon.playing.Child": world.child,
-        "tactile.daemon.estop_desk.Child": world.child,
-        "tactile.daemon.workbench.Child": world.child,
-        "tactile.daemon.config.load_display": _display,
-        "tactile.daemon.host.shipped_textures": lambda: dict(_textures()),
-        "tactile.daemon.playback_process.threading": threads,
+        "tactile.server.playing.Child": world.child,
+        "tactile.server.estop_desk.Child": world.child,
+        "tactile.server.workbench.Child": world.child,
+        "tactile.server.config.load_display": _display,
+        "tactile.server.host.shipped_textures": lambda: dict(_textures()),
+        "tactile.playback.process.threading": threads,
         "tactile.bus.base.threading": threads,
         "tactile.bus.link_bus.threading": threads,
         "tactile.bus.parts.adapter.open_adapter": world.adapters.__getitem__,
@@ -447,7 +449,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         register_bus("mock", world.open_bus, link=link_of)
         stand_ins = {
             **_stand_ins(world),
-            "tactile.daemon.player.Samples.write": write,
+            "tactile.playback.loop.Samples.write": write,
             "tactile.bus.mock_bus.MockBus._put": put,
         }
         for name, instead in stand_ins.items():

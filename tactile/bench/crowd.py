@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
-from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig, ServerConfig
-from tactile.daemon.host import Host
-from tactile.daemon.server import running
-from tactile.display import load_display
+from tactile.display.display import load_display
+from tactile.server.config import Config, DisplayConfig, ServerConfig
+from tactile.server.host import Host
+from tactile.server.server import running
 
 RATE = 90.0
 """Hz at which each touches."""

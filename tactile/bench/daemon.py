@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.bench.figures import Figure, at_most
 from tactile.bench.virtual import VirtualAmplifier, workshop
-from tactile.display import load_display
+from tactile.display.display import load_display
 
 NAME = "tactile-bench"
 """Of the display: an e-stop that names it stops no other daemon's display."""

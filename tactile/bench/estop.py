@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import tactile.client
+from tactile import messages as m
 from tactile.bench.app import TEXTURE, begin_effect
 from tactile.bench.daemon import (
     NAME,
@@ -45,11 +46,10 @@ from tactile.bench.floods import (
 )
 from tactile.bench.virtual import can_be_built
 from tactile.client import Display
-from tactile.daemon import messages as m
-from tactile.daemon.estop_guard import clear_device
-from tactile.daemon.estop_request import request_estop
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.errors import ClientError, RequestError
+from tactile.estop.request import request_estop
+from tactile.playback.estop_guard import clear_device
 
 SHORT, LONG = 10, 200
 """Number of tries of each way under each load."""

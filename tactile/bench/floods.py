@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from tactile.bench.daemon import NAME, PATIENCE, frame, wait_for
-from tactile.daemon.messages import JSON_PROTOCOL
+from tactile.messages import JSON_PROTOCOL
 
 RATE = 90.0
 """Hz at which each of a crowd touches."""

@@ -30,7 +30,7 @@ from tactile.bus.link_bus import LinkBus
 from tactile.bus.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 

@@ -15,7 +15,7 @@ from tactile.bench.rendering import (
     ratio_db,
     swing,
 )
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
 from tactile.texture.descriptor import Friction, textures

@@ -17,6 +17,7 @@ from contextlib import ExitStack, closing, suppress
 from typing import Any
 
 import tactile.client
+from tactile import messages as m
 from tactile.bench.app import start_app
 from tactile.bench.crowd import resident
 from tactile.bench.daemon import (
@@ -32,7 +33,6 @@ from tactile.bench.figures import Figure, at_least, at_most, beside_machine
 from tactile.bench.floods import Load, burdened, drain, open_websocket
 from tactile.bench.virtual import can_be_built
 from tactile.client import Display
-from tactile.daemon import messages as m
 from tactile.errors import ClientError
 
 SECONDS = 600.0

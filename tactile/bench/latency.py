@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import State
+from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.bench.virtual import VirtualAmplifier, can_be_built, workshop
-from tactile.daemon import messages as m
-from tactile.daemon.config import Config, DisplayConfig, ServerConfig
-from tactile.daemon.host import Host
-from tactile.daemon.playing import Playing
-from tactile.daemon.server import running
-from tactile.daemon.shared import Touch, Trace
+from tactile.playback.shared_memory import Touch, Trace
 from tactile.rendering.limiter import LOOK_AHEAD
+from tactile.server.config import Config, DisplayConfig, ServerConfig
+from tactile.server.host import Host
+from tactile.server.playing import Playing
+from tactile.server.server import running
 
 Floats = NDArray[np.float64]
 

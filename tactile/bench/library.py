@@ -20,8 +20,8 @@ from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
 from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
-from tactile.daemon.session import run
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
+from tactile.playback.runs import run
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.stroke import HISTORY, Stroke

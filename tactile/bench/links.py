@@ -39,7 +39,7 @@ from tactile.bus.registry import open_bus
 from tactile.bus.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture

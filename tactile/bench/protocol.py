@@ -28,7 +28,7 @@ from tactile.bus.wire_time import (
     smbus_write_bits,
     uart_bits,
 )
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.texture.surface import load_texture, without_friction

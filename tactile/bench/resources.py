@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, seconds
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture, load_texture

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from firmware_protocol import spectrum as wire
 from tactile.bench.figures import RATE, Figure, Floats, at_most, seconds
 from tactile.bench.rendering import without_events
-from tactile.display import Display, load_display
+from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.rendering.spectrum import SpectrumRenderer

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
-from tactile.display import load_display
+from tactile.display.display import load_display
 from tactile.rendering.clock_map import ClockMap
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.finger_motion import MotionFilter, Numbers, Pair, Stillness

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tactile import messages as m
 from tactile.bench.figures import RATE, Figure, at_most
 from tactile.bus.base import Wiring
 from tactile.bus.mock_bus import MockBus
-from tactile.daemon import messages as m
-from tactile.daemon.player import BLOCK, Player
-from tactile.daemon.shared import Shared
-from tactile.daemon.waves import BLOCK_WORK, Curve, Voice
-from tactile.display import load_display
+from tactile.display.display import load_display
+from tactile.playback.loop import BLOCK, Player
+from tactile.playback.shared_memory import Shared
+from tactile.playback.waves import BLOCK_WORK, Curve, Voice
 
 CLIENTS = 60
 BLOCKS = 1000

@@ -24,7 +24,7 @@ def main() -> None:
     except (TactileError, OSError) as error:
         status = _complain(f"tactile: {error}")
         if rows := getattr(error, "rows", None):
-            from tactile.printing import print_budget
+            from tactile.cli.printing import print_budget
 
             print_budget(rows, "", console=Console(stderr=True))
     except Exception as error:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import tactile
 from tactile.cli.app import AsJson, DisplayOption, app
-from tactile.display_map import write_tables
+from tactile.display.edit import write_tables
 from tactile.errors import InputError
 
 if TYPE_CHECKING:

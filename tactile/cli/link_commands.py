@@ -13,7 +13,7 @@ from rich.table import Table
 
 import tactile
 from tactile.cli.app import AcceptHold, AsJson, DisplayOption, app
-from tactile.printing import print_budget, print_check
+from tactile.cli.printing import print_budget, print_check
 
 
 @app.command("devices")
@@ -94,7 +94,7 @@ def check_display(
     """
     from rich.progress import Progress
 
-    from tactile.daemon.bringup import bring_up
+    from tactile.bringup.bringup import bring_up
 
     console = Console(stderr=True)
     with Progress(

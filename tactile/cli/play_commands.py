@@ -60,7 +60,7 @@ def play(
 
     Example: tactile play wood-oak --speed-mm-s 80 --seconds 5 --record oak.npz
     """
-    from tactile.daemon.session import run
+    from tactile.playback.runs import run
 
     stroke = {
         "--speed-mm-s": speed_mm_s,
@@ -131,7 +131,7 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
     """Return a live terminal picture and what feeds it."""
     from rich.live import Live
 
-    from tactile.daemon.playback import PlayedBlock
+    from tactile.playback.offline import PlayedBlock
     from tactile.terminal import Picture
 
     picture = Picture(display, texture=texture, sample_rate=sample_rate)
@@ -197,8 +197,8 @@ def serve_displays(
 
     Example: tactile serve --config tactile.toml
     """
-    from tactile.daemon.config import load_config
-    from tactile.daemon.server import serve
+    from tactile.server.config import load_config
+    from tactile.server.server import serve
 
     told = load_config(config)
     names = ", ".join(f"{one.name} ({one.device})" for one in told.display)

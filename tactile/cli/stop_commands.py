@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from tactile.cli.app import AcceptHold, AsJson, app
-from tactile.daemon.estop_request import request_estop
+from tactile.estop.request import request_estop
 
 
 @app.command("estop")
@@ -110,7 +110,7 @@ def clear_display(
 def _clear_device(device: str, display: str, estop: int | None, accept_unsafe_hold: bool) -> int:
     """End the e-stop of a device that no daemon has; return its number, 0 where none held."""
     from tactile import load_display
-    from tactile.daemon.estop_guard import clear_device
+    from tactile.playback.estop_guard import clear_device
 
     def choose(number: int, reason: str) -> int:
         if estop is not None:

@@ -20,5 +20,5 @@ from tactile.client.wire import DisplayInfo as DisplayInfo
 from tactile.client.wire import Event as Event
 from tactile.client.wire import Stats as Stats
 from tactile.client.wire import Telemetry as Telemetry
-from tactile.daemon.messages import Layer as Layer
-from tactile.daemon.messages import TextureInfo as TextureInfo
+from tactile.messages import Layer as Layer
+from tactile.messages import TextureInfo as TextureInfo

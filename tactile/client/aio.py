@@ -19,6 +19,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
+from tactile import messages
 from tactile.client import wire
 from tactile.client.base import (
     CLIENT_NAME,
@@ -36,9 +37,8 @@ from tactile.client.base import (
 from tactile.client.events import LONGEST, Callback
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
-from tactile.daemon import messages
-from tactile.daemon.messages import Done, Reply, Request, TextureInfo
 from tactile.errors import ClientError, ClientTimeoutError
+from tactile.messages import Done, Reply, Request, TextureInfo
 
 logger = logging.getLogger("tactile.client")
 

@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
 
+from tactile import paths
 from tactile.client import wire
 from tactile.client.events import Callback
 from tactile.client.session import QUIETER, Session
@@ -15,8 +16,8 @@ from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
 from tactile.clock import MONOTONIC, Clock
-from tactile.daemon import paths
-from tactile.daemon.messages import (
+from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError
+from tactile.messages import (
     PATH,
     Append,
     Arm,
@@ -28,7 +29,6 @@ from tactile.daemon.messages import (
     Select,
     Welcome,
 )
-from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError
 
 PORT = 7411
 EXAMPLE_URL = f"ws://127.0.0.1:{PORT}{PATH}"

@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from tactile.daemon.messages import Command, Contact, EStop
+from tactile.messages import Command, Contact, EStop
 
 
 class Outbox:

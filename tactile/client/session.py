@@ -20,7 +20,14 @@ from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.wishes import EStops, Wishes
 from tactile.clock import Clock
-from tactile.daemon.messages import (
+from tactile.errors import (
+    ClientError,
+    DisconnectedError,
+    RefusedInputError,
+    RequestError,
+    UnknownNameError,
+)
+from tactile.messages import (
     Answer,
     Arm,
     Clear,
@@ -41,13 +48,6 @@ from tactile.daemon.messages import (
     Telemetry,
     Welcome,
 )  # fmt: skip
-from tactile.errors import (
-    ClientError,
-    DisconnectedError,
-    RefusedInputError,
-    RequestError,
-    UnknownNameError,
-)
 
 MOST_WAITING = 256
 """Requests at a time."""

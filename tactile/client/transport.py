@@ -18,7 +18,7 @@ own affair. A display in the same process needs nothing but this::
 from concurrent.futures import Future
 from typing import Protocol
 
-from tactile.daemon.messages import Answer, Command, Pong, Welcome
+from tactile.messages import Answer, Command, Pong, Welcome
 
 
 class Receiver(Protocol):

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from itertools import islice
 
 from tactile.client.wire import checked, to_index, to_items, to_number
-from tactile.daemon.messages import MOST_SAMPLES, Append
 from tactile.errors import InputError
+from tactile.messages import MOST_SAMPLES, Append
 
 
 def packed(samples: Iterable[float]) -> bytes:

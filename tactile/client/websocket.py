@@ -23,7 +23,8 @@ from websockets.typing import Subprotocol
 from tactile.client.base import UNIX
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
-from tactile.daemon.messages import (
+from tactile.errors import ClientError, InputError
+from tactile.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
     PATH,
@@ -34,7 +35,6 @@ from tactile.daemon.messages import (
     Failure,
     Welcome,
 )
-from tactile.errors import ClientError, InputError
 
 logger = logging.getLogger("tactile.client")
 

@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tactile.daemon import messages
-from tactile.daemon.messages import (
+from tactile import messages
+from tactile.errors import InputError
+from tactile.messages import (
     MOST_LAYERS,
     MOST_POINTS,
     Contact,
@@ -25,7 +26,6 @@ from tactile.daemon.messages import (
     Point,
     Transient,
 )
-from tactile.errors import InputError
 
 M = TypeVar("M", bound=Message)
 
@@ -137,7 +137,7 @@ class Event:
 
     Attributes
     ----------
-    kind : of `tactile.daemon.messages.Event`, or one of this side: "connected" (again),
+    kind : of `tactile.messages.Event`, or one of this side: "connected" (again),
         "disconnected", "refused" (a contact, or what was to be restored after a reconnection)
     display : its name, or "" where it concerns all
     detail : in one line

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from tactile.daemon.messages import (
+from tactile.messages import (
     Answer,
     Arm,
     Command,

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.rendering.commanded import law_factor

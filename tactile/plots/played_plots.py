@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.plots.style import BLUE, COLORS, GRAY, RED, check_file, new_figure, plain, save, tag
 

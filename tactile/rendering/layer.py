@@ -17,7 +17,7 @@ plays it.
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw

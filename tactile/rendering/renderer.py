@@ -14,7 +14,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory

@@ -54,7 +54,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.rendering.contact import LARGEST_SPEED
 from tactile.rendering.stroke import Stroke
 from tactile.texture.descriptor import Descriptor

@@ -43,7 +43,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.limiter import RELEASE

@@ -25,7 +25,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.rendering.commanded import Lines, law_factor
 from tactile.rendering.equalizer import roll_off
 from tactile.rendering.strength import (

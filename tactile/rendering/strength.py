@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering.commanded import Lines, commanded_lines
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED

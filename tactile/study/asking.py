@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.study.criteria import Conditions
 from tactile.study.parameters import FINGERS, names_of

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.display import COLUMNS
+from tactile.display.display import COLUMNS
 from tactile.errors import InputError
 from tactile.files import Row, nearest, numbers, read_columns
 

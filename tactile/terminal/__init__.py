@@ -24,7 +24,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.terminal.trace import Trace, braille
 
 Floats = NDArray[np.float64]

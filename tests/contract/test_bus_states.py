@@ -19,7 +19,7 @@ from bus_contract import (
 
 from tactile.bus import base
 from tactile.bus.base import DriveBlock, HostDeath, Wiring
-from tactile.display import Display
+from tactile.display.display import Display
 from tactile.errors import BusError, BusStateError
 
 

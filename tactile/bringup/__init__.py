@@ -1,0 +1,1 @@
+"""Bring-up: the first time that a display is driven, line by line."""

@@ -1,1 +1,0 @@
-"""Playing: the loop that brings renderer and bus together."""

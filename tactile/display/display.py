@@ -1,0 +1,435 @@
+"""A tactile display as a file, and the arrays that the renderer needs of it.
+
+The TOML file says where each contactor stands, which way it shears, which channel drives it, what
+bender, finger and amplifier it has, and what must never be exceeded. Contactors come as a
+``[grid]`` or one by one as ``[[contactor]]``. A measured response of amplifier and loaded bimorph
+may replace the model for some or all of them. Inside, everything is SI; the first contactor and the
+first channel are number 0.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile import files
+from tactile.actuator.amplifier import Amplifier
+from tactile.actuator.bimorph import Bimorph
+from tactile.actuator.finger import FingerLoad, FingerTable
+from tactile.actuator.materials import (
+    LARGEST_FIELD,
+    PIEZOS,
+    SHIMS,
+    VACUUM_PERMITTIVITY,
+    PiezoMaterial,
+    ShimMaterial,
+)
+from tactile.actuator.response import tip_response
+from tactile.display.tables import (
+    AmplifierTable,
+    BimorphTable,
+    Contactor,
+    DisplayFile,
+    Finger,
+    LimitsTable,
+)
+from tactile.errors import InputError
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
+
+COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "unit")
+UNITS = {"m/V": 1.0, "um/V": 1e-6, "µm/V": 1e-6, "nm/V": 1e-9}
+MEASURED_BAND = (20.0, 1000.0)
+"""Hz that a measured response must cover."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What the drive may ask of an amplifier and a bimorph.
+
+    Parameters
+    ----------
+    voltage : of the drive [V], on either side of zero; the electrodes see the amplifier's gain more
+    slew : of the drive [V/s]
+    current : of one channel [A], into its bimorph's capacitance; infinite for none
+    fade : length of the ordinary ramp [s]
+
+    Raises
+    ------
+    ValueError
+        Naming the limit that is not above zero; only the current may be infinite.
+    """
+
+    voltage: float
+    slew: float = 0.7e6
+    current: float = np.inf
+    fade: float = 20e-3
+
+    def __post_init__(self) -> None:
+        for name in ("voltage", "slew", "fade"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"Limits: {name} = {value} is not a finite number above 0")
+        if not self.current > 0:
+            raise ValueError(f"Limits: current = {self.current} A is not above 0")
+
+    def step(self, sample_rate: float, capacitance: float) -> float:
+        """Return the largest change of drive from one sample to the next [V].
+
+        ``capacitance`` is that of a bimorph times the amplifier's gain [F].
+        """
+        return min(self.slew, self.current / capacitance) / sample_rate
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured response of amplifier and loaded bimorph: shear per volt of drive.
+
+    Between its frequencies magnitude (in its logarithm) and unwrapped phase run straight; beyond
+    its ends both are held.
+    """
+
+    frequency: Floats
+    magnitude: Floats
+    phase: Floats
+
+    def at(self, frequency: Floats) -> Complex:
+        """Return the response [m/V] at frequencies (F,) [Hz]."""
+        size = np.exp(np.interp(frequency, self.frequency, np.log(self.magnitude)))
+        turn = np.interp(frequency, self.frequency, np.unwrap(self.phase))
+        return np.asarray(size * np.exp(1j * turn))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Display:
+    """An array of contactors.
+
+    Attributes
+    ----------
+    name : of the display
+    contactors : (N, 2) where they stand under the finger [m]
+    shear_direction : (N,) from the x axis [rad]
+    polarity : (N,) 1, or −1 where positive volts shear against ``shear_direction``
+    channel : (N,) the drive line of each
+    opening : along and across the shear direction [m]
+    projected : whether shear is projected on the direction of motion
+    bimorph, load, amplifier, limits : of every contactor
+    measured : responses that replace the model
+    kind : (N,) 0 for the model, k for ``measured[k − 1]``
+    """
+
+    name: str
+    contactors: Floats
+    shear_direction: Floats
+    polarity: Floats
+    channel: NDArray[np.intp]
+    opening: tuple[float, float]
+    projected: bool
+    bimorph: Bimorph
+    load: FingerLoad | FingerTable
+    amplifier: Amplifier
+    limits: Limits
+    measured: tuple[Measured, ...] = ()
+    kind: NDArray[np.intp]
+
+    @property
+    def channels(self) -> int:
+        """Drive lines of the amplifier, the unused ones below the highest included."""
+        return int(self.channel.max()) + 1
+
+    @property
+    def shear_axes(self) -> Floats:
+        """Unit vectors (N, 2) of the shear directions."""
+        return np.stack([np.cos(self.shear_direction), np.sin(self.shear_direction)], axis=1)
+
+    @property
+    def capacitance(self) -> float:
+        """Of one bimorph at rest, clamped segment included [F]: what the current limit is for."""
+        r = tip_response(self.bimorph, FingerLoad.none(), [1.0])
+        return float((r.admittance / (2j * np.pi * r.frequency)).real[0])
+
+    @property
+    def slew(self) -> float:
+        """Largest rate of drive that both the slew limit and the current limit allow [V/s]."""
+        return self.limits.step(1.0, self.capacitance * self.amplifier.gain)
+
+    @property
+    def load_forces(self) -> tuple[float, ...]:
+        """Normal forces [N] of the finger's table; one, for a load that does not depend on it."""
+        return self.load.normal_force if isinstance(self.load, FingerTable) else (1.0,)
+
+    def load_at(self, normal_force: float) -> FingerLoad:
+        """Return the finger's load at a normal force [N]."""
+        return self.load.at(normal_force) if isinstance(self.load, FingerTable) else self.load
+
+    def responses(self, frequency: Floats, sample_rate: float) -> Complex:
+        """Return shear per volt of drive, amplifier included.
+
+        Parameters
+        ----------
+        frequency : (F,) [Hz]
+        sample_rate : of the drive [Hz], for an amplifier that holds
+
+        Returns
+        -------
+        (L, C, F) complex ndarray
+            Per force of ``load_forces`` and per ``kind`` [m/V].
+        """
+        table = []
+        for force in self.load_forces:
+            model = tip_response(self.bimorph, self.load_at(force), frequency)
+            volts = self.amplifier.response(frequency, model.admittance, sample_rate)
+            table.append([model.displacement * volts, *(m.at(frequency) for m in self.measured)])
+        return np.array(table)
+
+    def to_channels(self, drive: Floats) -> Floats:
+        """Return drive (S, N) of contactors as (S, channels) of drive lines; unused ones at 0 V."""
+        lines = np.zeros((len(drive), self.channels))
+        lines[:, self.channel] = drive
+        return lines
+
+
+def load_display(
+    name_or_path: str | Path, *, load: FingerLoad | FingerTable | None = None
+) -> Display:
+    """Return a shipped display by its name, or one from a file.
+
+    Parameters
+    ----------
+    name_or_path : "reference-24", "reference-64", or a TOML file
+    load : instead of the finger in the file
+
+    Raises
+    ------
+    NotFoundError
+        With the nearest name.
+    InputError
+        One line: file, field, value and limit.
+    """
+    path = files.find("displays", name_or_path)
+    content = files.read(path, DisplayFile)
+    try:
+        display = _build(content, path, load)
+        _check_geometry(display)
+    except InputError as error:
+        if str(error).startswith(str(path.parent)):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return display
+
+
+def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
+    contactors = contactors_of(content)
+    measured, kind = _measured(content, contactors, path)
+    return Display(
+        name=content.display.id,
+        contactors=np.array([c.position_mm for c in contactors]) * 1e-3,
+        shear_direction=np.radians([c.shear_direction_deg for c in contactors]),
+        polarity=np.array([c.polarity for c in contactors], np.float64),
+        channel=np.array([c.channel for c in contactors], np.intp),
+        opening=(content.display.opening_mm[0] * 1e-3, content.display.opening_mm[1] * 1e-3),
+        projected=content.display.shear_projection == "motion",
+        bimorph=_bimorph(content.bimorph),
+        load=_load(content.finger) if load is None else load,
+        amplifier=_amplifier(content.amplifier),
+        limits=_limits(content.limits),
+        measured=measured,
+        kind=kind,
+    )
+
+
+def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
+    """Return a file's contactors, those of a grid one by one."""
+    if content.grid is None:
+        return content.contactor
+    g = content.grid
+    x = (np.arange(g.columns) - (g.columns - 1) / 2) * g.pitch_mm[0]
+    y = (np.arange(g.rows) - (g.rows - 1) / 2) * g.pitch_mm[1]
+    return tuple(
+        Contactor(
+            position_mm=(float(x[i % g.columns]), float(y[i // g.columns])),
+            channel=g.first_channel + i,
+            shear_direction_deg=g.shear_direction_deg,
+            polarity=g.polarity,
+        )
+        for i in range(g.columns * g.rows)
+    )
+
+
+def _bimorph(table: BimorphTable) -> Bimorph:
+    for key, known in (("piezo", PIEZOS), ("shim", SHIMS)):
+        name = getattr(table, key)
+        if name not in known:
+            raise InputError(f"bimorph.{key} = {name!r}: unknown; {files.nearest(name, [*known])}")
+    piezo = _adjusted(
+        PIEZOS[table.piezo],
+        s11E=_in_si(table.s11e_um2_per_n, 1e-12),
+        d31=_in_si(table.d31_pm_per_v, 1e-12),
+        eps33T=_in_si(table.eps33t_relative, VACUUM_PERMITTIVITY),
+        quality_factor=table.piezo_quality,
+        loss_tangent=table.loss_tangent,
+    )
+    return Bimorph(
+        width=table.width_mm * 1e-3,
+        length=table.length_mm * 1e-3,
+        clamped_length=table.clamped_length_mm * 1e-3,
+        piezo_height=table.piezo_height_mm * 1e-3,
+        shim_height=table.shim_height_mm * 1e-3,
+        piezo=piezo,
+        shim=_adjusted(SHIMS[table.shim], quality_factor=table.shim_quality),
+        layer_stiffening=table.layer_stiffening,
+        series=table.wiring == "series",
+    )
+
+
+def _in_si(value: float | None, unit: float) -> float | None:
+    return None if value is None else value * unit
+
+
+def _adjusted(material: Material, **constants: float | None) -> Material:
+    """Return a material with those constants replaced that are given."""
+    return replace(material, **{k: v for k, v in constants.items() if v is not None})
+
+
+def _load(finger: Finger) -> FingerLoad | FingerTable:
+    if finger.preset is not None:
+        return getattr(FingerLoad, finger.preset)()  # type: ignore[no-any-return]
+    if finger.table:
+        loads = tuple(
+            FingerLoad(k0=row.k0_n_per_m, d0=row.d0_n_s_per_m, branches=row.branches)
+            for row in finger.table
+        )
+        return FingerTable(
+            normal_force=tuple(row.normal_force_n for row in finger.table), loads=loads
+        )
+    assert finger.k0_n_per_m is not None
+    assert finger.d0_n_s_per_m is not None
+    return FingerLoad(k0=finger.k0_n_per_m, d0=finger.d0_n_s_per_m, branches=finger.branches)
+
+
+def _amplifier(table: AmplifierTable) -> Amplifier:
+    return Amplifier(
+        gain=table.gain,
+        bandwidth=math.inf if table.bandwidth_hz is None else table.bandwidth_hz,
+        output_resistance=table.output_resistance_ohm,
+        hold=table.hold,
+        delay=table.delay_us * 1e-6,
+        audio_full_scale=table.audio_full_scale_v,
+        ac_coupling=table.ac_coupling_hz or 0.0,
+    )
+
+
+def _limits(table: LimitsTable) -> Limits:
+    return Limits(
+        voltage=table.voltage_v,
+        slew=table.slew_v_per_us * 1e6,
+        current=math.inf if table.current_ma is None else table.current_ma * 1e-3,
+        fade=table.fade_ms * 1e-3,
+    )
+
+
+def _measured(
+    content: DisplayFile, contactors: tuple[Contactor, ...], path: Path
+) -> tuple[tuple[Measured, ...], NDArray[np.intp]]:
+    """Return the measured responses, and which of them each contactor has (0: none)."""
+    wanted: list[str | None] = [c.response for c in contactors]
+    own = [name is not None for name in wanted]
+    for i, group in enumerate(content.group):
+        for member in group.contactors or range(len(contactors)):
+            if member >= len(contactors):
+                raise InputError(f"group[{i}].contactors: {member} is not below {len(contactors)}")
+            if not own[member]:
+                wanted[member] = group.response
+    names = sorted({name for name in wanted if name is not None})
+    kind = [0 if name is None else names.index(name) + 1 for name in wanted]
+    return tuple(load_response(path.parent / name) for name in names), np.array(kind, np.intp)
+
+
+def load_response(path: str | Path) -> Measured:
+    """Read a measured response: a CSV of frequency_hz, magnitude, phase_deg, unit.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        One line: file, field, value and limit.
+    """
+    path = Path(path)
+    rows = files.read_columns(path, COLUMNS)
+    values = files.numbers(path, COLUMNS[:3], rows)
+    for row in rows:
+        if row.cells[3] not in UNITS:
+            raise InputError(
+                f"{path}: line {row.line}: unit = {row.cells[3]!r}: "
+                f"must be one of {', '.join(UNITS)}"
+            )
+    scale = np.array([UNITS[row.cells[3]] for row in rows])
+    if len(values) < 2 or np.any(np.diff(values[:, 0]) <= 0) or np.any(values[:, 1] <= 0):
+        raise InputError(f"{path}: needs ascending frequencies and magnitudes above 0, two or more")
+    low, high = MEASURED_BAND
+    if values[0, 0] > low or values[-1, 0] < high:
+        raise InputError(
+            f"{path}: frequency_hz: covers {values[0, 0]:g} … {values[-1, 0]:g} Hz, "
+            f"must cover {low:g} … {high:g} Hz"
+        )
+    return Measured(values[:, 0], values[:, 1] * scale, np.radians(values[:, 2]))
+
+
+def _check_geometry(display: Display) -> None:
+    """Refuse what cannot be built or must not be driven."""
+    highest = display.limits.voltage * display.amplifier.peak
+    layer = display.bimorph.layer_voltage / display.bimorph.piezo_height
+    field = highest * float(layer)
+    if field > LARGEST_FIELD:
+        largest = _three_digits_below(display.limits.voltage * LARGEST_FIELD / field)
+        swing = ", twice the drive's behind AC coupling," if display.amplifier.ac_coupling else ""
+        raise InputError(
+            f"limits.voltage_v = {display.limits.voltage:g}: {field / 1e3:.0f} V/mm in the piezo "
+            f"layers{swing} exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:g} V"
+        )
+    in_air = tip_response(display.bimorph, FingerLoad.none(), [0.0]).displacement[0]
+    travel = highest * float(np.abs(in_air))
+    needs = (float(display.bimorph.height) + 2 * travel, float(display.bimorph.width))
+    for need, has, side in zip(needs, display.opening, ("along", "across"), strict=True):
+        if need > has:
+            raise InputError(
+                f"display.opening_mm: {has * 1e3:g} mm {side} the shear direction, "
+                f"the bender with its travel needs {need * 1e3:.2f} mm"
+            )
+    channels, counts = np.unique(display.channel, return_counts=True)
+    if np.any(counts > 1):
+        raise InputError(f"channel {channels[np.argmax(counts)]} drives more than one contactor")
+    overlap = _first_overlap(display)
+    if overlap is not None:
+        raise InputError(
+            f"contactors {overlap[0]} and {overlap[1]} overlap: their openings of "
+            f"{display.opening[0] * 1e3:g} × {display.opening[1] * 1e3:g} mm meet"
+        )
+
+
+def _three_digits_below(value: float) -> float:
+    """Return a value rounded down to three significant digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / unit * (1 + 1e-12)) * unit
+
+
+def _first_overlap(display: Display) -> tuple[int, int] | None:
+    """Return the first two contactors whose openings meet: no side of either separates them."""
+    axis = display.shear_axes
+    frames = np.stack([axis, np.stack([-axis[:, 1], axis[:, 0]], axis=1)], axis=1)
+    half = np.asarray(display.opening) / 2
+    offset = display.contactors[None] - display.contactors[:, None]
+    reach = np.abs(np.einsum("iax,jbx->ijab", frames, frames)) @ half + half
+    apart = np.abs(np.einsum("iax,ijx->ija", frames, offset)) >= reach * (1 - 1e-9)
+    meets = ~(apart.any(axis=2) | apart.any(axis=2).T)
+    np.fill_diagonal(meets, False)
+    if not meets.any():
+        return None
+    first = np.argwhere(meets)[0]
+    return int(first[0]), int(first[1])

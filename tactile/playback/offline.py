@@ -1,0 +1,179 @@
+"""Playback: a trajectory rendered block by block onto a bus.
+
+The stream fades in at its beginning and out at its end. What is handed to the listener is aligned:
+the renderer's delay is taken off, so that a sample's drive, shear, place and time belong together.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
+from tactile.clock import Clock
+from tactile.display.display import Display
+from tactile.errors import BusError
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer
+from tactile.rendering.spectrum import SpectrumRenderer
+
+BLOCK = 64
+
+
+@dataclass(frozen=True)
+class PlayedBlock:
+    """What was sent, sample by sample.
+
+    Attributes
+    ----------
+    time : (S,) [s]
+    position, normal_force : (S, 2) [m] and (S,) [N] of the finger
+    drive, shear : (S, N) [V] and [m], as commanded
+    speed : of the finger at the block's end [m/s]
+    """
+
+    time: Floats
+    position: Floats
+    normal_force: Floats
+    drive: Floats
+    shear: Floats
+    speed: float
+
+
+def play(
+    display: Display,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    bus: Bus,
+    *,
+    sample_rate: float,
+    listen: Callable[[PlayedBlock], None],
+    clock: Clock | None = None,
+) -> None:
+    """Play a trajectory to its end.
+
+    Parameters
+    ----------
+    display, renderer, trajectory, bus : what plays what, where, on what; the bus idle
+    sample_rate : of the drive [Hz]
+    listen : called after each block
+    clock : by which to wait for each block's time, on a bus that does not; None to go ahead
+
+    Raises
+    ------
+    BusError
+        Where the bus fails; the stream is then aborted by the bus's ``with`` block.
+    """
+    fade = round(display.limits.fade * sample_rate)
+    last = round(trajectory.duration * sample_rate) - fade
+    renderer.fade_in()
+    begun, sent = 0.0, 0
+    delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
+    for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
+        if sent == max(last, 0):
+            renderer.fade_out()
+        drive, shear = renderer.block(position, normal_force, shear=True)
+        if not sent:  # the first block takes longest
+            bus.start()
+            begun = 0.0 if clock is None else clock.now()
+        bus.write(DriveBlock(sent, display.to_channels(drive)))
+        _check_estop(bus)
+        sent += len(drive)
+        played = delayed(position, normal_force, drive, shear)
+        if played is not None:
+            listen(played)
+        if clock is not None and not bus.paced:
+            clock.sleep(begun + sent / sample_rate - clock.now())
+    bus.stop()
+
+
+def play_frames(
+    display: Display,
+    renderer: SpectrumRenderer,
+    trajectory: Trajectory,
+    bus: Bus,
+    *,
+    sample_rate: float,
+) -> int:
+    """Play a trajectory as spectrum frames, on a bus that takes them; return how many.
+
+    The first frame rises from 0 V, and the last falls to it.
+
+    Parameters
+    ----------
+    display, renderer, trajectory, bus, sample_rate : as of `play`
+
+    Raises
+    ------
+    BusError
+        Where the bus fails.
+    """
+    bus.tune(renderer.carriers)
+    spacing = renderer.spacing
+    renderer.sample = spacing
+    count = max(int(trajectory.duration * sample_rate / spacing), 1)
+    lines = np.zeros((display.channels, len(renderer.carriers)), np.complex128)
+    for k in range(1, count + 1):
+        time = trajectory.time[0] + k * spacing / sample_rate
+        place, force = trajectory.at(time)
+        lines[display.channel] = renderer.frame(place, trajectory.velocity(time), float(force))
+        if k == 1:
+            bus.start()
+        bus.write_frame(DriveFrame(k * spacing, lines.copy()))
+        _check_estop(bus)
+    bus.write_frame(DriveFrame((count + 1) * spacing, np.zeros_like(lines)))
+    bus.stop()
+    return count
+
+
+def _check_estop(bus: Bus) -> None:
+    """Raise BusError where the rest of what is to be played would be dropped by an e-stop."""
+    if bus.state == "estopped":
+        raise BusError(f"e-stopped while playing: {bus.status.detail or 'clear it to play again'}")
+
+
+def _blocks(
+    trajectory: Trajectory, sample_rate: float, extra: int, cut: int
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the trajectory's blocks, with an edge where the fade begins."""
+    start = 0
+    for position, normal_force in trajectory.blocks(sample_rate, BLOCK, extra=extra):
+        at = cut - start
+        start += len(position)
+        if 0 < at < len(position):
+            yield position[:at], normal_force[:at]
+            position, normal_force = position[at:], normal_force[at:]
+        yield position, normal_force
+
+
+class _Delayed:
+    """Holds places back until their drive and shear come out of the renderer."""
+
+    def __init__(self, begin: float, sample_rate: float, delay: int) -> None:
+        self._begin, self._rate, self._delay = begin, sample_rate, delay
+        self._touch = np.zeros((0, 3))
+        self._count = -delay
+
+    def __call__(
+        self, position: Floats, normal_force: Floats, drive: Floats, shear: Floats
+    ) -> PlayedBlock | None:
+        touch = np.concatenate([self._touch, np.column_stack([position, normal_force])])
+        early = min(max(-self._count, 0), len(drive))
+        count = len(drive) - early
+        self._touch = touch[count:]
+        first = self._count + early
+        self._count += len(drive)
+        if not count:
+            return None
+        return PlayedBlock(
+            self._begin + (first + np.arange(count)) / self._rate,
+            touch[:count, :2],
+            touch[:count, 2],
+            drive[early:],
+            shear[early:],
+            self._speed(touch[:, :2], count - 1),
+        )
+
+    def _speed(self, place: Floats, at: int) -> float:
+        before, after = max(at - 1, 0), min(at + 1, len(place) - 1)
+        return float(np.hypot(*(place[after] - place[before]))) * self._rate / (after - before)

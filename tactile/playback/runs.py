@@ -1,0 +1,253 @@
+"""A whole run: display, texture, path and device brought together, played, judged and recorded."""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile.bus.base import Bus, Floats
+from tactile.clock import MONOTONIC
+from tactile.devices import open_bus
+from tactile.display.display import Display
+from tactile.errors import InputError
+from tactile.playback.estop_guard import guarded
+from tactile.playback.offline import PlayedBlock, play, play_frames
+from tactile.playback.recording import Recorder
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.equalizer import PASS_BAND
+from tactile.rendering.renderer import Renderer
+from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.rendering.strength import amplified
+from tactile.sim import Fidelity, SimulatedDisplay
+from tactile.texture.surface import Texture
+
+
+@dataclass
+class Summary:
+    """What came of a run; keys carry their units.
+
+    ``signal_to_error_db`` is played against commanded shear in 20–1000 Hz, on a simulated display;
+    ``attainable_um`` the peak shear that full drive attains at the worst frequency to 1000 Hz.
+    ``frames`` counts those of a link that takes spectrum frames; what samples would tell is then
+    not known, and limited and invalid are frames. ``status`` says what is wrong with the link.
+    """
+
+    texture: str
+    display: str
+    device: str
+    gain: float = 1.0
+    sample_rate_hz: float = 0.0
+    seconds: float = 0.0
+    samples: int = 0
+    frames: int = 0
+    peak_drive_v: float = 0.0
+    voltage_limit_v: float = 0.0
+    rms_shear_um: float = 0.0
+    peak_shear_um: float = 0.0
+    attainable_um: float = 0.0
+    equalizer_error_db: float = 0.0
+    limited_samples: int = 0
+    invalid_samples: int = 0
+    signal_to_error_db: float | None = None
+    peak_current_ma: float | None = None
+    status: str = ""
+    faults: dict[str, int] = field(default_factory=dict)
+    recording: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return asdict(self)
+
+
+class _Run:
+    """Takes the blocks as they are played and keeps account of them."""
+
+    def __init__(
+        self,
+        summary: Summary,
+        bus: Bus,
+        rate: float,
+        delay: int,
+        record: Path | None,
+        display: Display,
+    ) -> None:
+        self.summary, self._bus, self._rate = summary, bus, rate
+        self._simulated = bus if isinstance(bus, SimulatedDisplay) else None
+        self._recorder: Recorder | None = None
+        if record is not None:
+            self._recorder = Recorder(
+                record, sample_rate_hz=rate, contactors_mm=display.contactors * 1e3
+            )
+            summary.recording = str(record)
+        self._fidelity = Fidelity(rate)
+        self._preroll = delay
+        self._waiting: list[PlayedBlock] = []
+        self._felt = np.zeros((0, 0))
+        self._square = 0.0
+
+    def account(self, block: PlayedBlock) -> None:
+        """Count a block in."""
+        s = self.summary
+        s.samples += len(block.time)
+        s.peak_drive_v = max(s.peak_drive_v, float(np.abs(block.drive).max()))
+        s.peak_shear_um = max(s.peak_shear_um, float(np.abs(block.shear).max()) * 1e6)
+        self._square += float(np.mean(block.shear**2, axis=1).sum())
+
+    def paired(self, block: PlayedBlock | None) -> list[tuple[PlayedBlock, Floats | None]]:
+        """Return the blocks whose played shear is known by now, with it."""
+        if self._simulated is None:
+            return [] if block is None else [(block, None)]
+        if block is not None:
+            self._waiting.append(block)
+        felt = self._simulated.take_shear()
+        skipped = min(self._preroll, len(felt))
+        self._preroll -= skipped
+        self._felt = np.concatenate([self._felt.reshape(-1, felt.shape[1]), felt[skipped:]])
+        pairs: list[tuple[PlayedBlock, Floats | None]] = []
+        while self._waiting and len(self._felt) >= len(self._waiting[0].time):
+            done = self._waiting.pop(0)
+            count = len(done.time)
+            self._fidelity.add(done.shear, self._felt[:count])
+            pairs.append((done, self._felt[:count]))
+            self._felt = self._felt[count:]
+        return pairs
+
+    def play(
+        self,
+        display: Display,
+        renderer: Renderer,
+        trajectory: Trajectory,
+        watch: Callable[[PlayedBlock, Renderer], None] | None,
+        *,
+        realtime: bool,
+    ) -> None:
+        """Play to the end, and account for it."""
+
+        def listen(block: PlayedBlock) -> None:
+            self.account(block)
+            self._write(block)
+            if watch is not None:
+                watch(block, renderer)
+
+        with self._recorder if self._recorder is not None else nullcontext():
+            play(
+                display, renderer, trajectory, self._bus,
+                sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
+            )  # fmt: skip
+            if self._simulated is not None:
+                self._simulated.settle()
+            self._write(None)
+        self._finish(renderer)
+
+    def _write(self, block: PlayedBlock | None) -> None:
+        for done, felt in self.paired(block):
+            if self._recorder is not None:
+                self._recorder.add(**_rows(done, felt))
+
+    def _finish(self, renderer: Renderer) -> None:
+        """Complete the summary."""
+        s = self.summary
+        s.seconds = s.samples / self._rate
+        s.rms_shear_um = float(np.sqrt(self._square / max(s.samples, 1))) * 1e6
+        s.limited_samples = renderer.limiter.limited_samples
+        s.invalid_samples = renderer.invalid_samples + renderer.limiter.invalid_samples
+        band = renderer.frequency <= PASS_BAND
+        s.attainable_um = float(renderer.attainable[..., band].min()) * 1e6
+        s.equalizer_error_db = float(20 * np.log10(1 + renderer.filter.error))
+        if self._simulated is not None:
+            ratio = self._fidelity.signal_to_error_db
+            s.signal_to_error_db = ratio if np.isfinite(ratio) else None
+            s.peak_current_ma = self._simulated.peak_current * 1e3
+
+
+def run(
+    display: Display,
+    texture: Texture,
+    trajectory: Trajectory,
+    *,
+    device: str = "sim:",
+    gain: float = 1.0,
+    sample_rate: float | None = None,
+    seed: int = 0,
+    record: Path | None = None,
+    watch: Callable[[PlayedBlock, Renderer], None] | None = None,
+    realtime: bool = False,
+    accept_unsafe_hold: bool = False,
+) -> Summary:
+    """Play a texture along a trajectory on a device.
+
+    Parameters
+    ----------
+    display, texture, trajectory : what plays what, where
+    device : URL of the bus
+    gain : of the texture's displacement
+    sample_rate : of the drive [Hz]; by default what the device chooses
+    seed : of the surface's realization
+    record : ``.npz`` to write: drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
+        contactors_mm and, from a simulated display, shear_played_m
+    watch : called after each block; never, where the device takes spectrum frames
+    realtime : play in step with the clock
+    accept_unsafe_hold : as of `open_bus`
+
+    Raises
+    ------
+    TactileError
+        For a device or file that cannot be used.
+    """
+    summary = Summary(
+        texture.name, display.name, device, gain, voltage_limit_v=display.limits.voltage
+    )
+    if gain != 1:
+        texture = amplified(texture, gain)
+    with (
+        open_bus(
+            device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
+        ) as bus,
+        guarded(bus, device),
+    ):
+        rate = summary.sample_rate_hz = bus.wiring.sample_rate
+        if bus.frames is not None:
+            if record is not None:
+                raise InputError("--record: the link takes spectrum frames, which have no samples")
+            _play_frames(summary, display, texture, trajectory, bus, seed)
+        else:
+            renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
+            account = _Run(summary, bus, rate, renderer.delay, record, display)
+            account.play(display, renderer, trajectory, watch, realtime=realtime)
+        summary.status = bus.status.detail
+        summary.faults = bus.counters.faults()
+    return summary
+
+
+def _play_frames(
+    summary: Summary,
+    display: Display,
+    texture: Texture,
+    trajectory: Trajectory,
+    bus: Bus,
+    seed: int,
+) -> None:
+    assert bus.frames is not None
+    rate = bus.wiring.sample_rate
+    renderer = SpectrumRenderer(
+        display, texture,
+        carriers=bus.frames.carriers, frame_rate=bus.frames.rate, sample_rate=rate, seed=seed,
+    )  # fmt: skip
+    count = play_frames(display, renderer, trajectory, bus, sample_rate=rate)
+    summary.frames, summary.samples = count, count * renderer.spacing
+    summary.seconds = summary.samples / rate
+    summary.limited_samples = renderer.limited_frames
+    summary.invalid_samples = renderer.invalid_frames
+
+
+def _rows(block: PlayedBlock, felt: Floats | None) -> dict[str, Floats]:
+    rows = {
+        "drive_v": block.drive,
+        "shear_target_m": block.shear,
+        "time_s": block.time,
+        "position_mm": block.position * 1e3,
+    }
+    return rows if felt is None else rows | {"shear_played_m": felt}

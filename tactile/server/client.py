@@ -1,0 +1,376 @@
+"""One client as the host knows it: what its commands do, and what it holds.
+
+Names in a message choose among what there is; none reaches the file system. The rule of mixing and
+the roles are in `tactile.messages`.
+"""
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile import messages as m
+from tactile.clock import loop_time
+from tactile.errors import BusError
+from tactile.messages import Answer, Command, Contact, Event, Failure, Telemetry
+from tactile.playback import commands
+from tactile.playback.shared_memory import Touch
+from tactile.playback.waves import ENDING, Curve
+from tactile.rendering.clock_map import ClockMap
+from tactile.server.decoding import hint
+from tactile.server.playing import Part, Playing
+from tactile.server.requests import kind_of
+from tactile.server.shelf import TooManyDrawingsError
+from tactile.server.tasks import watched
+
+if TYPE_CHECKING:
+    from tactile.server.host import Host
+
+OUTBOX = 64
+"""Events and telemetry that wait for a client."""
+SILENT = "the program gave no sign of life; its waveforms and effects were faded"
+PLAY: frozenset[m.Role] = frozenset({"play"})
+ARM: frozenset[m.Role] = frozenset({"arm"})
+NEEDED: dict[type, frozenset[m.Role]] = {
+    **dict.fromkeys((m.Select, m.Play, m.Stop, m.Gain, m.Append, m.Effect), PLAY),
+    **dict.fromkeys((m.Arm, m.Clear), ARM),
+    m.Disarm: ARM | {"stop"},
+}
+"""Roles of which a client needs one for a command; whoever is let in may do all else."""
+
+
+class Client:
+    """A connection, as the host knows it.
+
+    Attributes
+    ----------
+    outbox : events and telemetry for it; full, the oldest telemetry goes
+    roles : what it may do, as of `tactile.messages`
+    """
+
+    def __init__(self, host: "Host", number: int, name: str, *, roles: frozenset[m.Role]) -> None:
+        self.number, self.name, self._host, self.roles = number, name, host, roles
+        self._sounds_until = -math.inf
+        self._left = False
+        self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(OUTBOX)
+        self._clocks: dict[str, ClockMap] = {}
+        self._telemetry: dict[str, asyncio.Task[None]] = {}
+
+    def post(self, what: Event | Telemetry) -> None:
+        """Put something in the outbox, if there is room."""
+        if self.outbox.full():
+            kept = [self.outbox.get_nowait() for _ in range(self.outbox.qsize())]
+            oldest = next((k for k, one in enumerate(kept) if isinstance(one, Telemetry)), 0)
+            for k, one in enumerate(kept):
+                if k != oldest:
+                    self.outbox.put_nowait(one)
+        self.outbox.put_nowait(what)
+
+    @property
+    def sounds(self) -> bool:
+        """Whether it has waveforms or effects that may still sound."""
+        return loop_time() < self._sounds_until
+
+    @property
+    def holds_voltage(self) -> bool:
+        """Whether it armed a display whose high voltage is on."""
+        return any(self.number in playing.owners.clients for playing in self._host.playing.values())
+
+    def quiet(self) -> None:
+        """Fade its waveforms and effects, since it gives no sign of life."""
+        self._sounds_until = -math.inf
+        for playing in self._host.playing.values():
+            if self.number in playing.parts:
+                self._host.run(partial(playing.ask, commands.Silence(self.number)))
+                self.post(Event(display=playing.config.name, kind="silent", detail=SILENT))
+
+    def give_up(self) -> None:
+        """Give up its share of high voltage, since it gives no sign of life."""
+        for playing in self._host.playing.values():
+            self._host.run(partial(playing.give_up, self.number))
+
+    def close(self) -> None:
+        """Lift the finger, let all fade; idempotent. Only what makes safe is done from now on."""
+        self._left = True
+        for task in self._telemetry.values():
+            task.cancel()
+        self._telemetry.clear()
+        self._host.drop(self)
+
+    def contact(self, message: Contact, arrival: float) -> Failure | None:
+        """Take where the finger is; ``arrival`` is on the monotonic clock [s]."""
+        playing = self._host.playing.get(message.display)
+        if playing is None:
+            return self._no_display(message.display)
+        if not PLAY & self.roles:
+            return self._refusal(message, PLAY)
+        when = arrival
+        if message.time_us is not None:
+            clock = self._clocks.setdefault(message.display, ClockMap())
+            when = clock(message.time_us * 1e-6, arrival)
+        x, y = message.position_mm
+        vx, vy = message.velocity_mm_s or (0.0, 0.0)
+        playing.touch(
+            self.number,
+            Touch(
+                self.number, when, arrival, x * 1e-3, y * 1e-3, vx * 1e-3, vy * 1e-3,
+                message.normal_force_n, message.velocity_mm_s is not None,
+            ),
+        )  # fmt: skip
+        return None
+
+    async def request(self, command: Command) -> Answer:
+        """Carry out a command; what is wrong with it is the answer."""
+        try:
+            return await self._answer(command)
+        except BusError as error:
+            return Failure(code="unavailable", message=str(error))
+
+    async def _answer(self, command: Command) -> Answer:
+        if isinstance(command, m.Ping):
+            return m.Pong(time_us=command.time_us, server_time_us=int(loop_time() * 1e6))
+        if isinstance(command, m.ListTextures):
+            return m.Textures(textures=self._host.textures())
+        if isinstance(command, m.EStop):
+            return self._estop(command)
+        if isinstance(command, m.Hello):
+            return Failure(code="malformed", message="hello was said already")
+        playing = self._host.playing.get(command.display)
+        if playing is None:
+            return self._no_display(command.display)
+        if isinstance(command, Contact):
+            return self.contact(command, loop_time()) or m.Done()
+        if self._left and not isinstance(command, m.Disarm):
+            return Failure(code="unavailable", message="the connection has ended")
+        needed = NEEDED.get(type(command))
+        if needed is not None and not needed & self.roles:
+            return self._refusal(command, needed)
+        return await self._ACTIONS[type(command)](self, playing, command)
+
+    def _no_display(self, name: str) -> Failure:
+        known = hint(name, list(self._host.playing))
+        return Failure(
+            code="unknown_display", message=f"no display {name!r}; {known}", field="display"
+        )
+
+    def _refusal(self, command: Command, needed: frozenset[m.Role]) -> Failure:
+        """Return why a command is refused, and what would allow it."""
+        wanted = " or ".join(repr(role) for role in sorted(needed))
+        has = ", ".join(repr(role) for role in sorted(self.roles)) or "none"
+        return Failure(
+            code="unauthorized",
+            message=f"{kind_of(command)} needs the role {wanted}, this connection has {has}; "
+            "its token gets roles from [[token]] in the configuration",
+        )
+
+    def _estop(self, command: m.EStop) -> Answer:
+        """Latch the e-stop; nothing here waits for anything."""
+        if command.display is not None and command.display not in self._host.playing:
+            return self._no_display(command.display)
+        reason = f"by the program {self.name!r}"
+        return m.Done(
+            estops={
+                name: playing.estop(reason)
+                for name, playing in self._host.playing.items()
+                if command.display in (None, name)
+            }
+        )
+
+    def _part(self, playing: Playing) -> Part:
+        return playing.parts.setdefault(self.number, Part())
+
+    async def _select(self, playing: Playing, command: m.Select) -> Answer:
+        known = {texture.name for texture in self._host.textures()}
+        for k, layer in enumerate(command.layers):
+            if layer.texture not in known:
+                near = hint(layer.texture, sorted(known))
+                return Failure(
+                    code="unknown_texture", field=f"layers[{k}].texture",
+                    message=f"no texture {layer.texture!r}; {near}",
+                )  # fmt: skip
+        try:
+            await playing.select(self.number, command.layers)
+        except TooManyDrawingsError as error:
+            return Failure(code="busy", message=str(error), field="layers")
+        return m.Done()
+
+    async def _scaled(self, playing: Playing) -> Answer:
+        part = self._part(playing)
+        await playing.ask(commands.Scale(self.number, part.gain, part.sounds))
+        return m.Done()
+
+    async def _play(self, playing: Playing, command: m.Play) -> Answer:
+        self._part(playing).sounds = True
+        return await self._scaled(playing)
+
+    async def _stop(self, playing: Playing, command: m.Stop) -> Answer:
+        self._part(playing).sounds = False
+        await playing.ask(commands.Silence(self.number))
+        return await self._scaled(playing)
+
+    async def _gain(self, playing: Playing, command: m.Gain) -> Answer:
+        self._part(playing).gain = command.gain
+        return await self._scaled(playing)
+
+    def _cannot_wave(self, playing: Playing) -> Failure | None:
+        if playing.how.carriers:
+            return Failure(
+                code="unsupported", field="display",
+                message="the link takes spectrum frames, which carry textures and no waveforms",
+            )  # fmt: skip
+        if playing.latch.holds:
+            return self._estopped(playing)
+        if playing.state == "armed":
+            return None
+        return Failure(code="not_armed", message="disarmed; arm it first", field="display")
+
+    async def _append(self, playing: Playing, command: m.Append) -> Answer:
+        failure = self._cannot_wave(playing)
+        if failure is not None:
+            return failure
+        contactors = len(playing.display.contactors)
+        if max(command.contactors, default=0) >= contactors:
+            return Failure(
+                code="invalid_field", field="contactors",
+                message=f"contactor {max(command.contactors)} is not below {contactors}",
+            )  # fmt: skip
+        if isinstance(command.samples, bytes):
+            whole = len(command.samples) // 4
+            samples = np.frombuffer(command.samples[: 4 * whole], "<f4")
+            if whole * 4 != len(command.samples) or whole > m.MOST_SAMPLES:
+                return Failure(
+                    code="invalid_field", field="samples",
+                    message=f"needs float32, at most {m.MOST_SAMPLES} of them",
+                )  # fmt: skip
+            if not (np.abs(samples) <= 1).all():
+                return Failure(
+                    code="invalid_field", field="samples", message="must be −1 … 1 throughout"
+                )
+        else:
+            samples = np.array(command.samples, np.float32)
+        self._part(playing)
+        taken, waiting = await playing.ask(
+            commands.Wave(
+                self.number, np.float32(command.amplitude_um * 1e-6) * samples,
+                command.sample_rate_hz, command.contactors, command.append,
+            )
+        )  # fmt: skip
+        self._sounds_until = max(self._sounds_until, loop_time() + waiting + ENDING)
+        return m.Appended(samples_consumed=int(taken), buffered_ms=1e3 * waiting)
+
+    async def _effect(self, playing: Playing, command: m.Effect) -> Answer:
+        failure = self._cannot_wave(playing)
+        if failure is not None:
+            return failure
+        self._part(playing)
+        curve = Curve(
+            command.amplitude_um * 1e-6,
+            _rows([(p.time_ms, p.value) for p in command.amplitude], 2),
+            _rows([(p.time_ms, p.frequency_hz) for p in command.frequency], 2),
+            _rows([(t.time_ms, t.value, t.frequency_hz) for t in command.transients], 3),
+            command.stream,
+        )
+        for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
+            if np.any(np.diff(rows[:, 0]) < 0):
+                return Failure(code="invalid_field", field=name, message="times must not descend")
+        await playing.ask(commands.Shape(self.number, curve))
+        self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
+        return m.Done()
+
+    @staticmethod
+    def _estopped(playing: Playing) -> Failure:
+        latch = playing.latch
+        return Failure(
+            code="estopped",
+            message=f"e-stop {latch.holds} holds, {latch.reason}; clear that one, then arm",
+            field="display",
+        )
+
+    async def _arm(self, playing: Playing, command: m.Arm) -> Answer:
+        if playing.latch.holds:
+            return self._estopped(playing)
+        await playing.arm(self.number)
+        return m.Done()
+
+    async def _disarm(self, playing: Playing, command: m.Disarm) -> Answer:
+        await playing.disarm()
+        return m.Done()
+
+    async def _clear(self, playing: Playing, command: m.Clear) -> Answer:
+        latch = playing.latch
+        if command.estop > latch.number:
+            latest = f"the latest of {playing.config.name!r} is {latch.number}"
+            return Failure(
+                code="invalid_field", field="estop",
+                message=f"there has been no e-stop {command.estop}; {latest}",
+            )  # fmt: skip
+        if latch.holds and command.estop != latch.holds:
+            return Failure(
+                code="estopped", field="estop",
+                message=f"e-stop {latch.holds} holds, {latch.reason}: it is newer than "
+                f"{command.estop}; a clear must name it",
+            )  # fmt: skip
+        await playing.clear(command.estop)
+        return m.Done()
+
+    async def _subscribe(self, playing: Playing, command: m.Subscribe) -> Answer:
+        name = command.display
+        before = self._telemetry.pop(name, None)
+        if before is not None:
+            before.cancel()
+        if command.rate_hz > 0:
+            sending = self._send_telemetry(name, 1 / command.rate_hz)
+            self._telemetry[name] = watched(asyncio.create_task(sending))
+        return m.Done()
+
+    async def _send_telemetry(self, name: str, interval: float) -> None:
+        while (playing := self._host.playing.get(name)) is not None:
+            self.post(snapshot(playing))
+            await asyncio.sleep(interval)
+
+    async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
+        r, latch = playing.report, playing.latch
+        return m.Stats(
+            display=playing.config.name,
+            state=playing.state,
+            link="up" if r.link == "up" and not playing.lost else "down",
+            detail=playing.failure or (latch.reason if latch.holds else r.detail),
+            touching=r.touching,
+            owner=playing.finger.client == self.number,
+            latency_ms=1e3 * r.latency,
+            counters=r.counters,
+            estop=latch.holds,
+        )
+
+    _ACTIONS: dict[type, Callable[..., Awaitable[Answer]]] = {  # noqa: RUF012
+        m.Select: _select, m.Play: _play, m.Stop: _stop, m.Gain: _gain, m.Append: _append,
+        m.Effect: _effect, m.Arm: _arm, m.Disarm: _disarm, m.Clear: _clear,
+        m.Subscribe: _subscribe, m.GetStats: _stats,
+    }  # fmt: skip
+
+
+def _rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:
+    """Return points as an array, their times in seconds."""
+    rows = np.array(points, np.float64).reshape(-1, width)
+    rows[:, 0] *= 1e-3
+    return rows
+
+
+def snapshot(playing: Playing) -> Telemetry:
+    """Return what a display does now."""
+    r = playing.report
+    return Telemetry(
+        display=playing.config.name,
+        time_us=round(r.time * 1e6),
+        state=playing.state,
+        position_mm=(r.position[0] * 1e3, r.position[1] * 1e3),
+        velocity_mm_s=(r.velocity[0] * 1e3, r.velocity[1] * 1e3),
+        normal_force_n=r.normal_force,
+        shear_um=tuple((playing.memory.shear * 1e6).tolist()),
+        drive_v=tuple(playing.memory.drive.tolist()),
+        counters=r.counters,
+    )

@@ -1,0 +1,404 @@
+"""One WebSocket's life: `Hello`, then messages in and answers out, until either side has enough.
+
+Contacts are handed on as they come, never behind anything. Requests are carried out one after the
+other beside them; an e-stop waits for none of them, and outlives the connection that asked for it.
+Whatever a client sends, or does not read, costs that client its connection and nobody else a block.
+"""
+
+import asyncio
+import logging
+import secrets
+from collections.abc import Coroutine
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from tactile.clock import loop_time
+from tactile.messages import (
+    API_VERSION,
+    Answer,
+    Command,
+    Contact,
+    EStop,
+    Failure,
+    Hello,
+    Ping,
+    Pong,
+    Role,
+    Welcome,
+)
+from tactile.server.config import ServerConfig
+from tactile.server.decoding import ENCODINGS, Encoding, failed, read, read_estop
+from tactile.server.liveness import SignsOfLife
+from tactile.server.metrics import Metrics
+from tactile.server.peers import Peer, is_local, judge, local_peer
+from tactile.server.places import Places
+from tactile.server.rates import TokenBucket
+from tactile.server.requests import Client, Host, Requests, id_of
+from tactile.server.security import Tokens
+from tactile.server.sockets import BoundedWebSocket
+from tactile.server.tasks import watched
+
+log = logging.getLogger("tactile.server")
+
+HELLO_WITHIN = 2.0
+READ_WITHIN = 2.0
+"""s after which a client that does not read is dropped."""
+PENALTY = 0.2
+"""s between a wrong token and the answer."""
+WRONG_TOKEN = "wrong token: must be one of server.token_file or [[token]] of the configuration"
+MOST_FAILURES = 100
+"""In a row."""
+MOST_ANSWERS = 256
+"""That wait."""
+
+
+class Close(NamedTuple):
+    """Why a connection ends; code 0 where the other side ended it."""
+
+    code: int
+    reason: str
+
+
+GONE = Close(0, "gone")
+SLOW = Close(4008, "does not read")
+FLOOD = Close(4008, "nothing but failures")
+TOO_LARGE = Close(1009, "too large")
+FULL = Close(4429, "too many clients")
+ENDING = Close(1001, "the daemon ends")
+BROKEN = Close(1011, "the daemon failed")
+
+
+class Welcomed(NamedTuple):
+    """A client that may come in: what it said, what it may do, and who it is."""
+
+    hello: Hello
+    roles: frozenset[Role]
+    peer: Peer | None
+
+
+class Site:
+    """What all connections share.
+
+    Parameters
+    ----------
+    host, config, metrics, tokens : of the daemon
+    version : of this package
+    """
+
+    def __init__(
+        self, host: Host, config: ServerConfig, metrics: Metrics, tokens: Tokens, version: str
+    ) -> None:
+        self.host, self.config, self.metrics = host, config, metrics
+        self.tokens, self.version = tokens, version
+        self.places: Places[Connection] = Places(config.most_clients)
+        self.ending = False
+
+    @property
+    def clients(self) -> int:
+        """How many clients there are."""
+        return len(self.places)
+
+    def end(self) -> None:
+        """Tell all clients that the daemon ends, and let in no more."""
+        self.ending = True
+        for connection in self.places:
+            connection.end(ENDING)
+
+
+async def talk(socket: WebSocket, site: Site) -> None:
+    """Serve a WebSocket until it ends."""
+    protocol = next((p for p in socket.scope["subprotocols"] if p in ENCODINGS), None)
+    await socket.accept(protocol)
+    if protocol is None:
+        await socket.close(1002, f"no subprotocol of {', '.join(ENCODINGS)}")
+        return
+    connection = Connection(socket, site, ENCODINGS[protocol])
+    ended = await connection.run()
+    if ended is not GONE:
+        with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):  # nobody would read it
+            async with asyncio.timeout(READ_WITHIN):
+                await connection.flush()
+                await socket.close(*ended)
+
+
+class Connection:
+    """A WebSocket that speaks one of our subprotocols."""
+
+    def __init__(self, socket: WebSocket, site: Site, encoding: Encoding) -> None:
+        self._socket, self._site, self._encoding = socket, site, encoding
+        self._link: BoundedWebSocket = socket.scope["state"]["link"]
+        self._traffic = site.metrics.of("websocket")
+        self._answers: asyncio.Queue[Answer] = asyncio.Queue(MOST_ANSWERS)
+        self._bucket = TokenBucket(site.config.messages_per_second)
+        self._signs = SignsOfLife()
+        self._failures = 0
+        self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
+        self._works: list[asyncio.Task[None]] = []
+        self._client: Client
+        self._requests: Requests
+
+    async def run(self) -> Close:
+        """Return why it ended; its client is closed then, and its place free."""
+        if self._site.ending:
+            return ENDING
+        welcomed = await self._greet()
+        if isinstance(welcomed, Close):
+            return welcomed
+        self._link.settle()
+        self._traffic.clients.inc()
+        try:
+            return await self._live(welcomed)
+        finally:
+            self._site.places.leave(self)
+            self._traffic.clients.dec()
+            self._link.unsettle()
+
+    async def _live(self, welcomed: Welcomed) -> Close:
+        """Serve a client, until it has no more to do with the host."""
+        hello = welcomed.hello
+        session = secrets.token_hex(4)
+        about = {"session": session, "client": hello.client}
+        who = {} if welcomed.peer is None else dict(welcomed.peer._asdict())
+        log.info("a client came", extra={"fields": about | who})
+        self._client = self._site.host.connect(hello.client, roles=welcomed.roles)
+        self._requests = Requests(self._client, self._traffic, self._answer, self._break)
+        try:
+            self._begin(self._receive())
+            self._begin(self._say(self._welcome(welcomed, session)))
+            ended = await self._ended
+        finally:
+            try:
+                self._client.close()  # before all else, which could fail
+            finally:
+                await self._finish()
+        reason = {"code": ended.code, "reason": ended.reason}
+        log.info("a client went", extra={"fields": about | reason})
+        return ended
+
+    async def _finish(self) -> None:
+        """End all that goes on for a client that was closed, within a bounded time."""
+        for task in self._works:
+            task.cancel()
+        await self._requests.finish()
+
+    # Hello
+
+    async def _greet(self) -> Welcomed | Close:
+        """Return the client, where it says `Hello` and is welcome; it has a place then."""
+        try:
+            async with asyncio.timeout(HELLO_WITHIN):
+                message = await self._socket.receive()
+        except TimeoutError:
+            late = failed("hello_first", f"no hello within {HELLO_WITHIN:g} s")
+            return await self._refuse(Close(4408, "no hello"), late)
+        if message["type"] != "websocket.receive":
+            return GONE
+        hello = read(self._data(message), self._encoding)
+        if isinstance(hello, Failure):
+            return await self._refuse(Close(4400, "no hello"), hello)
+        if not isinstance(hello, Hello):
+            first = "the first message must be a hello"
+            failure = failed("hello_first", first, field="type", to=id_of(hello))
+            return await self._refuse(Close(4400, "no hello"), failure)
+        return await self._judge(hello)
+
+    async def _judge(self, hello: Hello) -> Welcomed | Close:
+        roles, peer = await self._roles(hello.token)
+        if roles is None:
+            await asyncio.sleep(PENALTY)
+            failure = failed("unauthorized", WRONG_TOKEN, field="token", to=hello.id)
+            return await self._refuse(Close(4401, "unauthorized"), failure)
+        if hello.version != API_VERSION:
+            text = f"version = {hello.version}: must be {API_VERSION}"
+            failure = failed("wrong_version", text, field="version", to=hello.id)
+            return await self._refuse(Close(4406, "wrong version"), failure)
+        if self._site.ending:
+            return ENDING
+        if not self._site.places.take(self, loop_time()):
+            text = self._crowded()
+            return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
+        if self._site.places.is_reserved(self):
+            roles = frozenset()
+        return Welcomed(hello, roles, peer)
+
+    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, Peer | None]:
+        """Return what a client may do by its token or as a user, None where it may not come in."""
+        tokens, socket = self._site.tokens, self._link.socket
+        local = is_local(socket)
+        if tokens and (said or not local):
+            return tokens.roles(said), local_peer(socket) if local else None
+        return await judge(socket)
+
+    def _crowded(self) -> str:
+        most = self._site.config.most_clients
+        return f"there are {most} clients, as many as server.most_clients allows"
+
+    async def _refuse(self, close: Close, failure: Failure) -> Close:
+        self._traffic.failure(failure.code)
+        self._queue(failure)
+        return close
+
+    def _welcome(self, welcomed: Welcomed, session: str) -> Welcome:
+        return Welcome(
+            id=welcomed.hello.id,
+            server=f"tactile {self._site.version}",
+            version=API_VERSION,
+            session=session,
+            displays=self._site.host.displays,
+            may_arm="arm" in welcomed.roles,
+            roles=tuple(sorted(welcomed.roles)),
+            time_us=int(loop_time() * 1e6),
+            messages_per_second=self._site.config.messages_per_second,
+        )
+
+    # In
+
+    def _begin(self, work: Coroutine[Any, Any, Close]) -> None:
+        """Begin a part of the connection; whatever part ends first ends all of it."""
+        self._works.append(watched(asyncio.create_task(self._work(work)), self._break))
+
+    async def _work(self, work: Coroutine[Any, Any, Close]) -> None:
+        try:
+            self.end(await work)
+        except TimeoutError:
+            self.end(SLOW)
+        except (WebSocketDisconnect, RuntimeError):
+            self.end(GONE)
+
+    def end(self, close: Close) -> None:
+        """End the connection; the first reason counts."""
+        if not self._ended.done():
+            self._ended.set_result(close)
+
+    def make_room(self) -> None:
+        """End, since a newer client takes its place."""
+        self.end(FULL)
+
+    def _break(self, error: BaseException) -> None:
+        self.end(BROKEN)
+
+    def look(self, passed: float) -> None:
+        """Ask for a sign of life after some time [s], and do what its absence demands."""
+        try:
+            client = self._client
+            at_stake = client.sounds or client.holds_voltage
+            due = self._signs.step(passed, self._link.received, at_stake=at_stake)
+            if due.ping:
+                self._link.ping()
+            if due.quiet:
+                client.quiet()
+            if due.give_up:
+                client.give_up()
+        except Exception as error:
+            log.exception("a client could not be watched")
+            self._break(error)
+
+    async def _receive(self) -> Close:
+        while True:
+            message = await self._socket.receive()
+            if message["type"] != "websocket.receive":
+                return GONE
+            if self._ended.done():
+                return self._ended.result()
+            self._take(self._data(message), loop_time())
+
+    @staticmethod
+    def _data(message: Any) -> str | bytes:
+        text: str | None = message.get("text")
+        data: str | bytes = message["bytes"] if text is None else text
+        return data
+
+    def _take(self, data: str | bytes, arrival: float) -> None:
+        """Handle a message without waiting for anything."""
+        within = self._bucket.take(arrival)
+        if not within and read_estop(data, self._encoding) is None:
+            self._refuse_to_hurry(arrival)
+            return
+        try:
+            failure = self._handle(read(data, self._encoding), arrival)
+        except Exception:
+            log.exception("a message failed")
+            failure = failed("internal", "the daemon failed; its log says how")
+        if failure is not None:
+            self._answer(failure)
+
+    def _handle(self, command: Command | Failure, arrival: float) -> Failure | None:
+        if not isinstance(command, EStop | Failure) and self._site.places.is_reserved(self):
+            text = f"{self._crowded()}; this connection may only e-stop"
+            return failed("too_many_clients", text, to=id_of(command))
+        if type(command) is Contact:
+            failure = self._client.contact(command, arrival)
+            self._failures = self._failures if failure else 0
+            self._traffic.message("contact", loop_time() - arrival)
+            return failure
+        if isinstance(command, Failure):
+            if command.code == "too_large":
+                self.end(TOO_LARGE)
+            return command
+        if isinstance(command, Ping):
+            came = int(arrival * 1e6)
+            self._answer(Pong(id=command.id, time_us=command.time_us, server_time_us=came))
+            self._traffic.message("ping", loop_time() - arrival)
+            return None
+        if isinstance(command, Hello):
+            return failed("unsupported", "hello was said already", field="type", to=command.id)
+        return self._requests.offer(command)
+
+    def _refuse_to_hurry(self, now: float) -> None:
+        """Drop a message of a client that sends too many, and say so once a second."""
+        self._traffic.drop("too_fast")
+        if self._bucket.is_to_be_told(now):
+            rate = self._site.config.messages_per_second
+            text = f"{self._bucket.refused} messages dropped: at most {rate} a second"
+            self._traffic.failure("too_fast")
+            self._queue(failed("too_fast", text))
+
+    # Out
+
+    def _answer(self, answer: Answer) -> None:
+        if isinstance(answer, Failure):
+            self._traffic.failure(answer.code)
+            self._failures += 1
+            if self._failures > MOST_FAILURES:
+                self.end(FLOOD)
+        else:
+            self._failures = 0
+        self._queue(answer)
+
+    def _queue(self, answer: Answer) -> None:
+        try:
+            self._answers.put_nowait(answer)
+        except asyncio.QueueFull:
+            self._traffic.drop("unread")
+            self.end(SLOW)
+
+    async def _say(self, welcome: Welcome) -> Close:
+        await self._send(welcome)
+        self._begin(self._pump(self._client.outbox))
+        return await self._pump(self._answers)
+
+    async def flush(self) -> None:
+        """Send the answers that wait."""
+        while not self._answers.empty():
+            await self._send(self._answers.get_nowait())
+
+    async def _pump(self, queue: "asyncio.Queue[Any]") -> Close:
+        while True:
+            await self._send(await queue.get())
+
+    async def _send(self, answer: Answer) -> None:
+        """Send a message.
+
+        Raises
+        ------
+        TimeoutError, WebSocketDisconnect, RuntimeError
+            Where the client does not read, or is gone.
+        """
+        data = self._encoding.encode(answer)
+        async with asyncio.timeout(READ_WITHIN):
+            if self._encoding.kind == "text":
+                await self._socket.send({"type": "websocket.send", "text": data.decode()})
+            else:
+                await self._socket.send({"type": "websocket.send", "bytes": data})

@@ -1,0 +1,34 @@
+"""What clients are told of a display."""
+
+import math
+
+from tactile.display.display import Display
+from tactile.estop.latch import Latch
+from tactile.messages import DisplayInfo
+from tactile.playback.commands import Opened
+
+
+def describe(
+    name: str, display: Display, how: Opened, *, latency: float, latch: Latch
+) -> DisplayInfo:
+    """Return what clients are told of a display that was opened.
+
+    Parameters
+    ----------
+    name : of the display, for clients
+    display : the display
+    how : how its device plays
+    latency : from a contact to the skin [s]
+    latch : its e-stop latch
+    """
+    return DisplayInfo(
+        name=name,
+        contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in display.contactors),
+        shear_direction_deg=tuple(math.degrees(a) for a in display.shear_direction.tolist()),
+        sample_rate_hz=how.sample_rate,
+        voltage_limit_v=display.limits.voltage,
+        waveforms=not how.carriers,
+        latency_ms=1e3 * latency,
+        estop=latch.holds,
+        latest_estop=latch.number,
+    )

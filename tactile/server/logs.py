@@ -1,0 +1,186 @@
+"""Logs of the daemon: lines of text or of JSON, written by a thread that nobody waits for.
+
+A full disk, a closed standard error or one that nobody reads costs lines, which are counted, and
+nothing else. Fields come as ``extra={"fields": {...}}``; no token is ever among them.
+"""
+
+import json
+import logging
+import os
+import queue
+import sys
+import time
+from collections.abc import Callable
+from logging.handlers import QueueHandler, QueueListener
+from typing import Any
+
+from tactile.clock import MONOTONIC
+from tactile.errors import InputError
+from tactile.server.config import LogConfig
+
+MOST_WAITING = 1000
+"""Records."""
+MOST_ALIKE = 10
+"""Records of one kind in a second; more are counted."""
+PATIENCE = 1.0
+"""s that the end waits for the last lines."""
+
+
+def fields_of(record: logging.LogRecord) -> dict[str, Any]:
+    """Return what a record holds besides its message."""
+    fields: dict[str, Any] = getattr(record, "fields", {})
+    return fields
+
+
+class TextFormatter(logging.Formatter):
+    """``2025-11-21T20:25:00.123Z INFO server: client connected session=…``."""
+
+    converter = staticmethod(time.gmtime)
+
+    def __init__(self) -> None:
+        super().__init__(
+            "%(asctime)s.%(msecs)03dZ %(levelname)s %(short)s: %(message)s%(rest)s",
+            "%Y-%m-%dT%H:%M:%S",
+        )
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        record.short = record.name.rpartition(".")[2]
+        record.rest = "".join(f" {key}={value!r}" for key, value in fields_of(record).items())
+        return super().format(record)
+
+
+class JsonFormatter(TextFormatter):
+    """One JSON object in a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        line = {
+            "time": f"{self.formatTime(record, self.datefmt)}.{int(record.msecs):03d}Z",
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+            **fields_of(record),
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, ensure_ascii=False, default=str)
+
+
+class Gate(QueueHandler):
+    """Hands records to the thread that writes, as long as there is room; counts what it drops."""
+
+    def __init__(self, waiting: "queue.Queue[Any]", clock: Callable[[], float]) -> None:
+        super().__init__(waiting)
+        self.dropped = 0
+        self._clock, self._second, self._alike = clock, 0, dict[str, int]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Queue a record, unless there were many of its kind in this second."""
+        second = int(self._clock())
+        if second != self._second:
+            self._second, self._alike = second, {}
+        kind = f"{record.name} {str(record.msg)[:80]}"
+        count = self._alike[kind] = self._alike.get(kind, 0) + 1
+        if count > MOST_ALIKE:
+            self.dropped += 1
+        else:
+            super().emit(record)
+
+    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
+        """Return the record as it is: the thread formats it."""
+        return record
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 — logging's name
+        """Count what found no room."""
+        self.dropped += 1
+
+
+class Lines(logging.Handler):
+    """Writes lines to a file descriptor, unbuffered; what cannot be written is counted.
+
+    Only one thread writes. There is neither a lock nor a buffer that the end of the program would
+    wait for, should that thread wait for somebody who does not read.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self.lock = None
+        self.failed = 0
+        self._descriptor = descriptor
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record."""
+        try:
+            line = (self.format(record) + "\n").encode("utf-8", "backslashreplace")
+            while line:
+                line = line[os.write(self._descriptor, line) :]
+        except (OSError, ValueError, TypeError):
+            self.failed += 1
+
+
+class Writer(QueueListener):
+    """The thread that writes."""
+
+    def __init__(self, waiting: "queue.Queue[Any]", sink: logging.Handler) -> None:
+        super().__init__(waiting, sink)
+        self._waiting = waiting
+
+    def stop(self) -> None:
+        """Write what waits, but do not wait for who does not read."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        try:
+            self._waiting.put(None, timeout=PATIENCE / 2)
+        except queue.Full:
+            return
+        thread.join(PATIENCE)
+
+
+class Logs:
+    """The daemon's logging while it runs; `close` puts back what was there before.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be opened.
+    """
+
+    def __init__(self, config: LogConfig, *, clock: Callable[[], float] = MONOTONIC.now) -> None:
+        self._sink = Lines(_descriptor(config.file))
+        self._sink.setFormatter(JsonFormatter() if config.format == "json" else TextFormatter())
+        waiting: queue.Queue[Any] = queue.Queue(MOST_WAITING)
+        self._gate, self._writer = Gate(waiting, clock), Writer(waiting, self._sink)
+        self._root = logging.getLogger()
+        self._before = self._root.handlers[:], self._root.level
+        self._root.handlers[:] = [self._gate]
+        self._root.setLevel(config.level.upper())
+        self._writer.start()
+
+    @property
+    def dropped(self) -> int:
+        """Records that were not written: too many, no room, or no disk."""
+        return self._gate.dropped + self._sink.failed
+
+    def close(self) -> None:
+        """Write what waits, for a second at most. Idempotent."""
+        if self._gate in self._root.handlers:
+            self._root.handlers[:] = self._before[0]
+            self._root.setLevel(self._before[1])
+            self._writer.stop()
+
+
+def _descriptor(file: str | None) -> int:
+    """Return where to write: the end of a file, or standard error if there is one."""
+    if not file:
+        if sys.stderr is None:
+            return os.open(os.devnull, os.O_WRONLY)
+        try:
+            return os.dup(sys.stderr.fileno())
+        except (OSError, ValueError):
+            return os.open(os.devnull, os.O_WRONLY)
+    try:
+        return os.open(file, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o640)
+    except OSError as error:
+        raise InputError(f"log.file = {file!r}: cannot be written: {error.strerror}") from error

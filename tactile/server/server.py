@@ -1,0 +1,276 @@
+"""The daemon: a WebSocket at ``/v1``, its schema, health and figures over HTTP, OSC beside it.
+
+Order at the end: nobody is let in and everybody is told, the displays fade and are disarmed, and
+only then are connections cut. `serve` is the process, `running` the same inside another program.
+"""
+
+import asyncio
+import json
+import logging
+import signal
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from tactile import messages
+from tactile.errors import InputError, TactileError
+from tactile.playback.priority import shorten_collections
+from tactile.server import watchdog
+from tactile.server.config import Config, read_tokens
+from tactile.server.connection import Site, talk
+from tactile.server.listening import Listener, bound_sockets
+from tactile.server.liveness import look_after
+from tactile.server.logs import Logs
+from tactile.server.metrics import Metrics
+from tactile.server.osc import ROOM, OscProtocol
+from tactile.server.requests import Host
+from tactile.server.security import Door, Tokens
+from tactile.server.tasks import watched
+
+log = logging.getLogger("tactile.server")
+
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Server:
+    """A daemon that runs.
+
+    Attributes
+    ----------
+    url : for `tactile.connect`
+    port : TCP port
+    site : what its connections share, the host among it
+    serving : ends where listening failed
+    """
+
+    url: str
+    port: int
+    site: Site
+    serving: "asyncio.Task[None]"
+
+    @property
+    def host(self) -> Host:
+        """All displays and who plays on them."""
+        return self.site.host
+
+    @property
+    def metrics(self) -> Metrics:
+        """All that is counted."""
+        return self.site.metrics
+
+
+def application(site: Site) -> ASGIApp:
+    """Return all that is served, behind the door."""
+    described = json.dumps(messages.schema()).encode()
+
+    async def connect(socket: WebSocket) -> None:
+        await talk(socket, site)
+
+    async def about(request: Request) -> Response:
+        return PlainTextResponse(f"tactile {site.version}: WebSocket at {messages.PATH}\n")
+
+    async def health(request: Request) -> Response:
+        good = site.host.healthy() and not site.ending
+        names = [display.name for display in site.host.displays]
+        content = {"status": "ok" if good else "failing", "displays": names}
+        return JSONResponse(content, 200 if good else 503)
+
+    async def figures(request: Request) -> Response:
+        return Response(site.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+    async def shape(request: Request) -> Response:
+        return Response(described, media_type="application/schema+json")
+
+    app = Starlette(
+        routes=[
+            WebSocketRoute(messages.PATH, connect),
+            Route("/", about),
+            Route("/healthz", health),
+            Route("/metrics", figures),
+            Route(f"{messages.PATH}/schema", shape),
+        ]
+    )
+    app.router.redirect_slashes = False
+    return Door(app, site.config, site.tokens)
+
+
+@asynccontextmanager
+async def _osc(config: Config, site: Site) -> AsyncIterator[None]:
+    """Listen for OSC, where it is wanted.
+
+    Raises
+    ------
+    InputError
+        Where the port is taken.
+    """
+    if not config.osc.port:
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
+        link.setblocking(False)
+        try:
+            link.bind((LOOPBACK, config.osc.port))
+        except OSError as error:
+            text = f"osc.port = {config.osc.port}: {error.strerror}; 0 is off"
+            raise InputError(text) from error
+        protocol = OscProtocol(link, site.host, site.metrics, config.server.messages_per_second)
+        transport, _ = await loop.create_datagram_endpoint(lambda: protocol, sock=link)
+        watching = watched(asyncio.create_task(protocol.forget_silent()))
+        try:
+            yield
+        finally:
+            transport.close()
+            watching.cancel()
+            await protocol.finish()
+
+
+def _host(config: Config) -> Host:
+    from tactile.server.host import Host as Displays
+
+    return Displays(config)
+
+
+def _version() -> str:
+    try:
+        return version("tactile-display")
+    except PackageNotFoundError:
+        return "0"
+
+
+@asynccontextmanager
+async def running(
+    config: Config,
+    *,
+    host: Host | None = None,
+    dropped_logs: Callable[[], float] = lambda: 0,
+) -> AsyncIterator[Server]:
+    """Run the daemon in this event loop; port 0 takes one that is free.
+
+    Parameters
+    ----------
+    config : as of `load_config`
+    host : what to serve; that of the configuration, unless given
+    dropped_logs : how many lines of the log were not written
+
+    Raises
+    ------
+    InputError
+        Where it cannot listen.
+    """
+    tokens = Tokens(read_tokens(config))
+    host = _host(config) if host is None else host
+    with bound_sockets(config.server, guarded=bool(tokens)) as sockets:
+        site = Site(host, config.server, Metrics(host, dropped_logs), tokens, _version())
+        listener = Listener(application(site), site)
+        try:
+            await host.start()
+            async with _osc(config, site), _looking_after(site):
+                serving = asyncio.create_task(listener.serve(sockets))
+                try:
+                    while not listener.started and not serving.done():
+                        await asyncio.sleep(0.002)
+                    yield Server(_url(sockets[0]), sockets[0].getsockname()[1], site, serving)
+                finally:
+                    site.end()
+                    await host.close()
+                    listener.should_exit = True
+                    await serving
+        finally:
+            await host.close()
+
+
+@asynccontextmanager
+async def _looking_after(site: Site) -> AsyncIterator[None]:
+    """See whether the clients live; without that nothing may stay armed."""
+    task = watched(asyncio.create_task(look_after(lambda: site.places)), site.host.degrade)
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.wait({task})
+
+
+def _url(listening: socket.socket) -> str:
+    address, port = listening.getsockname()[:2]
+    name = {"0.0.0.0": LOOPBACK, "::": "::1"}.get(address, address)
+    return f"ws://{f'[{name}]' if ':' in name else name}:{port}{messages.PATH}"
+
+
+def serve(config: Config, ready: Callable[[Server], None] | None = None) -> None:
+    """Run the daemon until SIGINT or SIGTERM; SIGHUP reads textures and configuration again.
+
+    Raises
+    ------
+    TactileError
+        Where it cannot begin.
+    """
+    logs = Logs(config.log)
+    try:
+        asyncio.run(_serve(config, logs, ready))
+    finally:
+        logs.close()
+
+
+async def _serve(config: Config, logs: Logs, ready: Callable[[Server], None] | None) -> None:
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+
+    def stop() -> None:
+        end.set()
+        for number in (signal.SIGINT, signal.SIGTERM):  # the next one ends it at once
+            loop.remove_signal_handler(number)
+
+    with suppress(NotImplementedError):  # where there are no such signals
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, stop)
+    async with running(config, dropped_logs=lambda: logs.dropped) as server:
+        reloading = Reloading(server.host)
+        with suppress(NotImplementedError, AttributeError):
+            loop.add_signal_handler(signal.SIGHUP, reloading.begin)
+        beating = watched(asyncio.create_task(watchdog.keep_alive(server.host.beat)))
+        shorten_collections()
+        log.info("listening", extra={"fields": {"url": server.url, "osc": config.osc.port}})
+        watchdog.notify("READY=1")
+        if ready is not None:
+            ready(server)
+        ended = asyncio.create_task(end.wait())
+        await asyncio.wait({ended, server.serving}, return_when=asyncio.FIRST_COMPLETED)
+        watchdog.notify("STOPPING=1")
+        log.info("ending")
+        for task in (ended, beating, *reloading.tasks):
+            task.cancel()
+
+
+class Reloading:
+    """Reads textures and configuration again, one after the other; a mistake is logged."""
+
+    def __init__(self, host: Host) -> None:
+        self.tasks: set[asyncio.Task[None]] = set()
+        self._host, self._lock = host, asyncio.Lock()
+
+    def begin(self) -> None:
+        """Begin to reload."""
+        task = asyncio.create_task(self._reload())
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+
+    async def _reload(self) -> None:
+        async with self._lock:
+            try:
+                await self._host.reload()
+                log.info("reloaded")
+            except TactileError as error:
+                log.error("not reloaded", extra={"fields": {"why": str(error)}})
+            except Exception:
+                log.exception("not reloaded")

@@ -6,7 +6,7 @@ no test notices is printed with its line: it wants a test, or a line in ``equiva
 reason why it changes nothing that anybody could see.
 
     .ci/mutants.py                          all modules, 15 faults each (hours)
-    .ci/mutants.py bus/session c/tactile_link --count 30
+    .ci/mutants.py bus/link/session c/tactile_link --count 30
 """
 
 import argparse
@@ -49,9 +49,9 @@ AMPLIFIER = (
     "test_protocol_agreement"
 )
 TESTS = {
-    "bus/session": LINKS,
-    "bus/stream": LINKS,
-    "bus/link_bus": LINKS,
+    "bus/link/session": LINKS,
+    "bus/link/stream": LINKS,
+    "bus/link/link_bus": LINKS,
     "server/playing": HOST,
     "server/decoding": "test_decoding test_server_bad_input test_server",
     "estop/latch": f"test_latch test_estop_process {HOST}",
@@ -61,7 +61,7 @@ TESTS = {
     "rendering/equalizer": "test_equalizer test_display_drive test_renderer",
     "rendering/renderer": "test_renderer test_playback test_spectrum",
     "rendering/skin_stretch": "test_stretch test_stretch_in_time test_strength",
-    "rendering/tracking": "test_tracking test_tracking_clients",
+    "tracking/tracker": "test_tracking test_tracking_clients",
     "texture/surface": "test_texture test_texture_envelope test_relief test_library",
     "texture/measures": "test_measures test_fitting",
     "texture/fitting": "test_fitting test_cli_fit",

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.bus.base import DriveBlock
-from tactile.bus.modeled_bus import Heard, ModeledBus
 from tactile.bus.registry import open_bus
+from tactile.bus.simulated.modeled_bus import Heard, ModeledBus
 from tactile.devices import KINDS
 from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory

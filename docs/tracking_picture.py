@@ -8,8 +8,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tactile.rendering.clock_map import ClockMap
-from tactile.rendering.tracking import ContactTracker
+from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.tracker import ContactTracker
 
 HERE = Path(__file__).parent
 BLUE, RED, GRAY = "#0072B2", "#D55E00", "#666666"

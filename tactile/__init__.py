@@ -52,15 +52,15 @@ if TYPE_CHECKING:
     from tactile.rendering.renderer import Rendering as Rendering
     from tactile.rendering.renderer import render as render
     from tactile.rendering.spectrum import SpectrumRenderer as SpectrumRenderer
-    from tactile.rendering.spending import spend as spend
-    from tactile.rendering.strength import EqualGains as EqualGains
-    from tactile.rendering.strength import Gain as Gain
-    from tactile.rendering.strength import SteadyStroke as SteadyStroke
-    from tactile.rendering.strength import Strength as Strength
-    from tactile.rendering.strength import amplified as amplified
-    from tactile.rendering.strength import automatic_gain as automatic_gain
-    from tactile.rendering.strength import equal_gain as equal_gain
-    from tactile.rendering.strength import texture_strength as texture_strength
+    from tactile.strength.spending import spend as spend
+    from tactile.strength.strength import EqualGains as EqualGains
+    from tactile.strength.strength import Gain as Gain
+    from tactile.strength.strength import SteadyStroke as SteadyStroke
+    from tactile.strength.strength import Strength as Strength
+    from tactile.strength.strength import amplified as amplified
+    from tactile.strength.strength import automatic_gain as automatic_gain
+    from tactile.strength.strength import equal_gain as equal_gain
+    from tactile.strength.strength import texture_strength as texture_strength
     from tactile.texture.descriptor import textures as textures
     from tactile.texture.descriptor_file import as_toml as as_toml
     from tactile.texture.formats import load_effect as load_effect
@@ -101,8 +101,8 @@ _HOMES = {
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),
-    "rendering.spending": ("spend",),
-    "rendering.strength": (
+    "strength.spending": ("spend",),
+    "strength.strength": (
         "EqualGains",
         "Gain",
         "SteadyStroke",

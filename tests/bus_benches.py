@@ -1,8 +1,8 @@
 """Buses under contract, each with what tells its tests what was put out.
 
 A bus in memory remembers that itself. Behind a real one is the amplifier in C, which writes each
-instant to a file; `put_out` maps that as `tactile.bus.modeled_bus` does. A new bus joins with a
-`Bench` and its name in `BENCHES`; audio cards and chips have files of their own.
+instant to a file; `put_out` maps that as `tactile.bus.simulated.modeled_bus` does. A new bus joins
+with a `Bench` and its name in `BENCHES`; audio cards and chips have files of their own.
 """
 
 import functools
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.bus.base import Bus
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError

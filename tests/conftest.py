@@ -142,7 +142,7 @@ def calf() -> Texture:
 def brief(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Shorten the trial of strength, for time; the full one is for CI."""
     if request.node.get_closest_marker("ci") is None:
-        monkeypatch.setattr("tactile.rendering.strength.PLACES", 4)
+        monkeypatch.setattr("tactile.strength.strength.PLACES", 4)
 
 
 # The amplifier in C
@@ -220,8 +220,8 @@ def unhurried_links(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Slcan opens without the 2 s that python-can gives an Arduino to boot.
     """
-    monkeypatch.setattr("tactile.bus.link_bus.OPENING", 60.0)
-    monkeypatch.setattr("tactile.bus.link_bus.STARTING", 60.0)
+    monkeypatch.setattr("tactile.bus.link.link_bus.OPENING", 60.0)
+    monkeypatch.setattr("tactile.bus.link.link_bus.STARTING", 60.0)
     clock = SimpleNamespace(time=time.time, sleep=lambda seconds: None)
     monkeypatch.setattr("can.interfaces.slcan.time", clock)
 
@@ -277,7 +277,7 @@ def serve(
 
     for limit in ("session.SILENCE", "link_bus.OPENING", "link_bus.STARTING"):
         monkeypatch.setattr(f"tactile.bus.{limit}", 60.0)
-    monkeypatch.setattr("tactile.bus.peer.TRIES", 40)
+    monkeypatch.setattr("tactile.bus.link.peer.TRIES", 40)
     with serving(virtual_amplifier, tmp_path / "out") as start:
         yield start
 

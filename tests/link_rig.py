@@ -19,9 +19,9 @@ from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.packet import Packet
 from tactile.bus.base import DriveBlock
-from tactile.bus.line_model import Faults
-from tactile.bus.modeled_bus import ModeledBus
-from tactile.bus.phases import Phase
+from tactile.bus.link.phases import Phase
+from tactile.bus.simulated.line_model import Faults
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 
 Floats = NDArray[np.float64]

@@ -16,10 +16,10 @@ from chip_models import (
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.parts.adapter import Place
-from tactile.bus.parts.bos1921 import Bos1921Bus
-from tactile.bus.parts.chip_bus import ChipBus
-from tactile.bus.parts.drv2667 import Drv2667Bus
+from tactile.bus.chips.adapter import Place
+from tactile.bus.chips.bos1921 import Bos1921Bus
+from tactile.bus.chips.chip_bus import ChipBus
+from tactile.bus.chips.drv2667 import Drv2667Bus
 
 Floats = NDArray[np.float64]
 

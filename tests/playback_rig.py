@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.offline import PlayedBlock, play

@@ -14,8 +14,8 @@ from virtual_daemon import Floats, World
 from virtual_loop import LoopProcess
 
 from firmware_protocol.machine import Played
-from tactile.bus.line_model import Model
 from tactile.bus.registry import parse
+from tactile.bus.simulated.line_model import Model
 from tactile.client import aio
 from tactile.client.websocket import TaskTransport
 from tactile.errors import ClientError

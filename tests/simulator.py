@@ -36,10 +36,10 @@ from virtual_loop import Datagrams
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
 from tactile.bus.base import DriveBlock
-from tactile.bus.line_model import Model
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.link.stream import Stream
 from tactile.bus.registry import Address
-from tactile.bus.stream import Stream
+from tactile.bus.simulated.line_model import Model
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.client import aio
 from tactile.client.base import UNIX
 from tactile.errors import ClientError, RequestError

@@ -14,7 +14,7 @@ from scipy.signal import welch
 from tactile.display.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Rendering, render
-from tactile.rendering.strength import SteadyStroke
+from tactile.strength.strength import SteadyStroke
 from tactile.texture.perception import channel_sensation
 from tactile.texture.surface import Texture, load_texture, without_friction
 

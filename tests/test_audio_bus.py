@@ -34,9 +34,10 @@ from audio_rig import (
     waves,
 )
 
-from tactile.bus import audio_bus, audio_process
-from tactile.bus.audio_bus import AudioBus, find
-from tactile.bus.audio_process import Player
+from tactile.bus.audio import audio_bus
+from tactile.bus.audio import process as audio_process
+from tactile.bus.audio.audio_bus import AudioBus, find
+from tactile.bus.audio.process import Player
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.registry import open_bus, parse
 from tactile.display.display import Display
@@ -127,7 +128,7 @@ def test_a_portaudio_that_finds_no_end_is_given_up(
 
 
 def test_the_host_imports_no_sounddevice() -> None:
-    code = "import sys, tactile.bus.audio_bus; print('sounddevice' in sys.modules)"
+    code = "import sys, tactile.bus.audio.audio_bus; print('sounddevice' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout == "False\n"
 

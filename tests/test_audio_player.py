@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from audio_rig import ANY, CODE, FADE, FULL_SCALE, RATE, SLEW, STEP, VOLTAGE, WIRE, Floats, waves
 
-from tactile.bus.audio_devices import Device, choose, rate_of
-from tactile.bus.audio_player import Output
+from tactile.bus.audio.devices import Device, choose, rate_of
+from tactile.bus.audio.player import Output
 from tactile.bus.base import Wiring
 from tactile.errors import BusError, InputError, NotFoundError
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile.bus import audio_bus
-from tactile.bus.audio_bus import AudioBus
-from tactile.bus.audio_player import Opened, Order, Told
+from tactile.bus.audio import audio_bus
+from tactile.bus.audio.audio_bus import AudioBus
+from tactile.bus.audio.player import Opened, Order, Told
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.errors import BusError, BusStateError
 

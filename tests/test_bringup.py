@@ -20,8 +20,8 @@ from tactile.bringup import bringup, probe
 from tactile.bringup.bringup import bring_up
 from tactile.bringup.probe import Load, Signal, judge, load_of
 from tactile.bus.base import Bus, DriveBlock
-from tactile.bus.inspection import identify, measuring, readings
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.inspection import identify, measuring, readings
+from tactile.bus.link.link_bus import LinkBus
 from tactile.devices import open_bus
 from tactile.display.display import load_display
 

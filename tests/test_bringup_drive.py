@@ -15,8 +15,8 @@ from tactile.bringup import probe
 from tactile.bringup.bringup import Report, bring_up
 from tactile.bringup.probe import INTERVAL
 from tactile.bus.base import Bus, DriveBlock
-from tactile.bus.inspection import amplifiers, identify, measuring, readings
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.inspection import amplifiers, identify, measuring, readings
+from tactile.bus.link.link_bus import LinkBus
 from tactile.devices import open_bus
 from tactile.display.display import load_display
 

@@ -22,7 +22,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.bus.base import Bus
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError
@@ -45,13 +45,13 @@ def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let what answers take its time, and be silent meanwhile."""
     for limit in ("link_bus.OPENING", "link_bus.STARTING", "link_bus.ENDING", "session.SILENCE"):
         monkeypatch.setattr(f"tactile.bus.{limit}", DEADLINE)
-    monkeypatch.setattr("tactile.bus.peer.TRIES", 40)
+    monkeypatch.setattr("tactile.bus.link.peer.TRIES", 40)
 
 
 @pytest.fixture
 def short_opening(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for an answer, where there is none, for 0.5 s rather than 2."""
-    monkeypatch.setattr("tactile.bus.link_bus.OPENING", 0.5)
+    monkeypatch.setattr("tactile.bus.link.link_bus.OPENING", 0.5)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import pytest
 from firmware_protocol.messages import State
 from tactile.bench.virtual import VirtualAmplifier, can_be_built
 from tactile.bus.base import DriveBlock
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.registry import open_bus
 from tactile.display.display import load_display
 

@@ -13,7 +13,7 @@ import pytest
 
 from firmware_protocol.messages import State
 from tactile.bus.base import Bus, DriveBlock, Wiring
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, BusStateError

@@ -8,9 +8,9 @@ from link_rig import Bench
 from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.follower import Follower
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.link.follower import Follower
 from tactile.bus.registry import open_bus
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import KINDS
 from tactile.display.display import load_display
 

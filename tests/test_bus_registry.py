@@ -6,8 +6,8 @@ import pytest
 
 from tactile.bus import registry
 from tactile.bus.base import Bus, HostDeath, Rig
-from tactile.bus.mock_bus import open_mock
 from tactile.bus.registry import Address
+from tactile.bus.simulated.mock_bus import open_mock
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError

@@ -13,10 +13,10 @@ from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.config import Config
 from firmware_protocol.messages import FULL_SCALE_CODE
-from tactile.bus import modeled_bus
 from tactile.bus.base import Counters, DriveBlock, DriveFrame
 from tactile.bus.board import config_of
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.simulated import modeled_bus
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusStateError, InputError

@@ -8,8 +8,8 @@ from cli_rig import Command, assert_mistake
 
 from tactile.bus import registry
 from tactile.bus.base import DriveFrame
-from tactile.bus.mock_bus import open_mock
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.simulated.mock_bus import open_mock
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import link_at, open_bus
 from tactile.display.display import load_display
 from tactile.errors import InputError

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from virtual_clock import LinkTime
 
 from tactile.bus.base import Wiring
-from tactile.bus.mock_bus import MockBus
-from tactile.bus.modeled_bus import ModeledBus
+from tactile.bus.simulated.mock_bus import MockBus
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
@@ -23,8 +23,8 @@ from tactile.playback.waves import Curve, Singles, Voice
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import Layer
 from tactile.rendering.renderer import render
-from tactile.rendering.tracking import ContactTracker
 from tactile.texture.surface import load_texture
+from tactile.tracking.tracker import ContactTracker
 
 Floats = NDArray[np.float64]
 RATE = 8000.0

@@ -23,7 +23,7 @@ import tactile
 from tactile.bringup import bringup
 from tactile.bringup.bringup import bring_up
 from tactile.bus.base import Bus
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display.display import Display, load_display
 from tactile.errors import BusError, InputError

@@ -30,7 +30,7 @@ from virtual_daemon import PlaybackProcess, small_display
 
 from firmware_protocol.messages import State
 from tactile import messages as m
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.errors import BusError
 from tactile.server.config import Config, DisplayConfig
 

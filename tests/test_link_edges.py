@@ -14,8 +14,8 @@ from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
 from tactile.bus.base import Counters, DriveFrame, Wiring
 from tactile.bus.budget import Plan
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.session import Session
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.session import Session
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Unlimited
 from tactile.devices import open_bus

@@ -31,11 +31,11 @@ from repeating import often
 from firmware_protocol import messages as m
 from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
-from tactile.bus import line_model, modeled_bus
 from tactile.bus.base import Wiring
 from tactile.bus.board import config_of
-from tactile.bus.line_model import Faults
-from tactile.bus.session import Session
+from tactile.bus.link.session import Session
+from tactile.bus.simulated import line_model, modeled_bus
+from tactile.bus.simulated.line_model import Faults
 from tactile.errors import BusError
 
 EVERY = pytest.mark.parametrize("link", MOST)

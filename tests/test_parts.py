@@ -22,11 +22,11 @@ from parts_rig import (
 )
 
 from tactile.bus.base import DriveBlock
-from tactile.bus.parts import bos1921, drv2667
-from tactile.bus.parts.adapter import transfer_bits
-from tactile.bus.parts.chip import codes_of, ramp_codes, stretch
-from tactile.bus.parts.occupancy import RATES, Occupancy, measured_rates
-from tactile.bus.parts.pump import share
+from tactile.bus.chips import bos1921, drv2667
+from tactile.bus.chips.adapter import transfer_bits
+from tactile.bus.chips.chip import codes_of, ramp_codes, stretch
+from tactile.bus.chips.occupancy import RATES, Occupancy, measured_rates
+from tactile.bus.chips.pump import share
 from tactile.bus.registry import open_bus
 from tactile.errors import BusStateError, InputError
 

@@ -13,8 +13,8 @@ from repeating import often
 
 from firmware_protocol.messages import State
 from tactile.bus.base import DriveBlock
-from tactile.bus.parts.adapter import Place
-from tactile.bus.parts.drv2667 import Drv2667
+from tactile.bus.chips.adapter import Place
+from tactile.bus.chips.drv2667 import Drv2667
 from tactile.clock import ModelClock
 from tactile.errors import BusStateError
 

@@ -11,11 +11,11 @@ from chip_models import Bos1921Model, ChipModel, Drv2667Model, ModelBus
 from parts_rig import FakeDisplay, FakeLimits, level
 
 from tactile.bus.base import Bus, DriveBlock, HostDeath
-from tactile.bus.parts import adapter, bos1921, drv2667
-from tactile.bus.parts.adapter import Target
-from tactile.bus.parts.bos1921 import Bos1921Bus
-from tactile.bus.parts.chip import ChipCounters
-from tactile.bus.parts.drv2667 import Drv2667, Drv2667Bus
+from tactile.bus.chips import adapter, bos1921, drv2667
+from tactile.bus.chips.adapter import Target
+from tactile.bus.chips.bos1921 import Bos1921Bus
+from tactile.bus.chips.chip import ChipCounters
+from tactile.bus.chips.drv2667 import Drv2667, Drv2667Bus
 from tactile.bus.registry import find_devices, open_bus
 from tactile.clock import ModelClock
 from tactile.errors import BusError, InputError

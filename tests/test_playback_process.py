@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile.bus.base import Wiring
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.clock import ModelClock
 from tactile.display.display import Display
 from tactile.estop.latch import Latch, Writer

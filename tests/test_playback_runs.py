@@ -19,7 +19,7 @@ from playback_rig import FIDELITY, RATE, SLIDE, Floats, played, stroke, swing
 from scipy.signal import butter, sosfilt
 
 from tactile.bus.base import Bus, DriveBlock
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError, TactileError

@@ -12,7 +12,8 @@ from slow_codec import slow_crc
 from firmware_protocol import clock, generate, i2c_link
 from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC
 from firmware_protocol.packet import decode_packet
-from tactile.bus import aside, session, stream, wire
+from tactile.bus import wire
+from tactile.bus.link import aside, session, stream
 
 SCHEMA = generate.load()
 SPEC = re.sub(

@@ -15,12 +15,12 @@ from tactile.actuator.finger import FingerLoad
 from tactile.display.display import Display, load_display
 from tactile.errors import InputError
 from tactile.playback.runs import run
-from tactile.rendering import strength
-from tactile.rendering.commanded import EVENT_EDGES, commanded_lines
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import roll_off
 from tactile.rendering.renderer import Renderer, render
-from tactile.rendering.strength import (
+from tactile.strength import strength
+from tactile.strength.commanded import EVENT_EDGES, commanded_lines
+from tactile.strength.strength import (
     SteadyStroke,
     amplified,
     automatic_gain,

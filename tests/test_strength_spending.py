@@ -8,8 +8,8 @@ from scipy.optimize import linprog
 from strength_rig import STROKE, authored, felt, few
 
 from tactile.display.display import Display
-from tactile.rendering import spending
-from tactile.rendering.strength import automatic_gain, reach
+from tactile.strength import spending
+from tactile.strength.strength import automatic_gain, reach
 from tactile.texture.perception import band_sensation
 from tactile.texture.surface import Texture
 

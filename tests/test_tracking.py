@@ -8,8 +8,8 @@ from tracking_rig import BLOCK, LATENCY, RATE, ROUNDING, Run, needs_slide, speed
 
 from tactile.bench import tracking as bench
 from tactile.bench.tracking import Client, Held, misses, rms, tracked
-from tactile.rendering.finger_motion import MotionFilter, Noise
-from tactile.rendering.tracking import ContactTracker, Path
+from tactile.tracking.finger_motion import MotionFilter, Noise
+from tactile.tracking.tracker import ContactTracker, Path
 
 GOAL = 0.3
 """mm by which a tracked place may be off, rms: README's goal."""

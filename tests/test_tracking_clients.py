@@ -12,8 +12,8 @@ from tracking_rig import Floats, Run, speeds, stroke
 
 from tactile.bench import tracking as bench
 from tactile.bench.tracking import Client
-from tactile.rendering.clock_map import ClockMap
-from tactile.rendering.tracking import ContactTracker
+from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.tracker import ContactTracker
 
 # What clients may send
 

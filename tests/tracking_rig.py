@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile.bench import tracking as bench
-from tactile.rendering.tracking import ContactTracker
+from tactile.tracking.tracker import ContactTracker
 
 Floats = NDArray[np.float64]
 

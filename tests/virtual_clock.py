@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import greenlet
 
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
 
 if TYPE_CHECKING:
     from virtual_daemon import World
@@ -269,7 +269,7 @@ class VirtualLock:
 
 
 class ChipThread:
-    """In place of `tactile.bus.parts.pump.ThreadRunner`: the thread that writes to chips.
+    """In place of `tactile.bus.chips.pump.ThreadRunner`: the thread that writes to chips.
 
     Parameters
     ----------

@@ -38,11 +38,11 @@ from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import Played
 from tactile.bus.base import RATE, Bus, Rig, Wiring
-from tactile.bus.line_model import Model
-from tactile.bus.mock_bus import MockBus, open_mock
-from tactile.bus.modeled_bus import ModeledBus, link_of, model_of, open_modeled
-from tactile.bus.parts.chip_bus import ChipBus
+from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
+from tactile.bus.simulated.line_model import Model
+from tactile.bus.simulated.mock_bus import MockBus, open_mock
+from tactile.bus.simulated.modeled_bus import ModeledBus, link_of, model_of, open_modeled
 from tactile.display.display import Display, load_display
 from tactile.errors import TactileError
 from tactile.estop.latch import Latch, Writer
@@ -412,9 +412,9 @@ def _stand_ins(world: World) -> dict[str, object]:
         "tactile.server.host.shipped_textures": lambda: dict(_textures()),
         "tactile.playback.process.threading": threads,
         "tactile.bus.base.threading": threads,
-        "tactile.bus.link_bus.threading": threads,
-        "tactile.bus.parts.adapter.open_adapter": world.adapters.__getitem__,
-        "tactile.bus.parts.drv2667.ThreadRunner": lambda: ChipThread(world.clock),
+        "tactile.bus.link.link_bus.threading": threads,
+        "tactile.bus.chips.adapter.open_adapter": world.adapters.__getitem__,
+        "tactile.bus.chips.drv2667.ThreadRunner": lambda: ChipThread(world.clock),
     }
 
 
@@ -450,7 +450,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         stand_ins = {
             **_stand_ins(world),
             "tactile.playback.loop.Samples.write": write,
-            "tactile.bus.mock_bus.MockBus._put": put,
+            "tactile.bus.simulated.mock_bus.MockBus._put": put,
         }
         for name, instead in stand_ins.items():
             stack.enter_context(patch(name, instead))

@@ -21,8 +21,8 @@ from tactile.actuator.amplifier import Amplifier
 from tactile.bench.figures import Figure, Floats, at_least, at_most
 from tactile.bench.protocol import oak_drive
 from tactile.bus.base import DriveBlock
-from tactile.bus.modeled_bus import ModeledBus
 from tactile.bus.registry import open_bus
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.bus.wire_time import Can, I2c, Link, Uart, can_bits, fd_bits, i2c_bits, uart_bits
 
 

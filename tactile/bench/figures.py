@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bench.metronome import STEP, beating
-from tactile.bus.stream import LEAD, LONGEST_LEAD, MOST_LEAD
+from tactile.bus.link.stream import LEAD, LONGEST_LEAD, MOST_LEAD
 
 Floats = NDArray[np.float64]
 

@@ -26,8 +26,8 @@ from tactile.bench.virtual import (
 from tactile.bus.base import DriveFrame, Wiring
 from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanWire
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.stream import LONGEST_LEAD
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC
 from tactile.display.display import Display, load_display

@@ -34,9 +34,9 @@ from tactile.bench.virtual import (
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.can_bus import CanWire
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.stream import LONGEST_LEAD
 from tactile.bus.registry import open_bus
-from tactile.bus.stream import LONGEST_LEAD
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC
 from tactile.display.display import Display, load_display

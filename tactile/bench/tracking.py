@@ -24,12 +24,12 @@ from scipy.signal import butter, sosfilt
 
 from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
 from tactile.display.display import load_display
-from tactile.rendering.clock_map import ClockMap
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.finger_motion import MotionFilter, Numbers, Pair, Stillness
 from tactile.rendering.renderer import Renderer
-from tactile.rendering.tracking import ContactTracker
 from tactile.texture.surface import load_texture
+from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.finger_motion import MotionFilter, Numbers, Pair, Stillness
+from tactile.tracking.tracker import ContactTracker
 
 BLOCK = 16
 LATENCY = 0.012

@@ -11,7 +11,7 @@ import numpy as np
 from tactile import messages as m
 from tactile.bench.figures import RATE, Figure, at_most
 from tactile.bus.base import Wiring
-from tactile.bus.mock_bus import MockBus
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import load_display
 from tactile.playback.loop import BLOCK, Player
 from tactile.playback.shared_memory import Shared

@@ -28,7 +28,7 @@ from tactile.bringup.probe import (
     train,
 )
 from tactile.bus.base import Bus
-from tactile.bus.inspection import AmplifierFacts, amplifiers, identify, measuring, readings
+from tactile.bus.link.inspection import AmplifierFacts, amplifiers, identify, measuring, readings
 from tactile.devices import open_bus
 from tactile.display.display import Display, load_display
 from tactile.display.edit import Map, checked_target, write_map

@@ -23,8 +23,8 @@ from typing import Any
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.packet import Packet, encode_packet
 from tactile.bus.base import Rig
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.link_url import LINK_OPTIONS, open_link
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError

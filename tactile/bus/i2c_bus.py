@@ -27,8 +27,8 @@ from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX, Flag, Po
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import Rig
 from tactile.bus.budget import PULSE_INTERVAL
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.link_url import LINK_OPTIONS, open_link
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError

@@ -19,8 +19,8 @@ from typing import Any
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import DELIMITER, SerialDecoder, encode_frame
 from tactile.bus.base import Rig
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.link_url import LINK_OPTIONS, open_link
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import number
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError

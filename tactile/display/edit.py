@@ -111,9 +111,9 @@ def write_tables(
     ----------
     source : a display's name or file
     target : file to write; with ``force`` it may be the same
-    bimorph : keys of ``[bimorph]`` (`display_file.BimorphTable`), with their units; keys that are
+    bimorph : keys of ``[bimorph]`` (`tables.BimorphTable`), with their units; keys that are
         not named stay
-    finger : all of ``[finger]`` (`display_file.Finger`): k0_n_per_m, d0_n_s_per_m and branches, or
+    finger : all of ``[finger]`` (`tables.Finger`): k0_n_per_m, d0_n_s_per_m and branches, or
         preset; what it said before goes
     force : overwrites a target that is there already
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.rendering.commanded import law_factor
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
 from tactile.rendering.shear import EventField
+from tactile.strength.commanded import law_factor
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Events, Periodic

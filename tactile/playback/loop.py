@@ -26,7 +26,7 @@ from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
 from tactile.rendering.spectrum import FrameLimiter, SpectrumRenderer, band_carriers
 from tactile.rendering.stroke import Motion
-from tactile.rendering.tracking import ContactTracker
+from tactile.tracking.tracker import ContactTracker
 
 BLOCK = 16
 """Samples: 2 ms at 8 kHz."""

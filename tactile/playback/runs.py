@@ -20,8 +20,8 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
-from tactile.rendering.strength import amplified
 from tactile.sim import Fidelity, SimulatedDisplay
+from tactile.strength.strength import amplified
 from tactile.texture.surface import Texture
 
 

@@ -20,12 +20,12 @@ from tactile.messages import Answer, Command, Contact, Event, Failure, Telemetry
 from tactile.playback import commands
 from tactile.playback.shared_memory import Touch
 from tactile.playback.waves import ENDING, Curve
-from tactile.rendering.clock_map import ClockMap
 from tactile.server.decoding import hint
 from tactile.server.playing import Part, Playing
 from tactile.server.requests import kind_of
 from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import watched
+from tactile.tracking.clock_map import ClockMap
 
 if TYPE_CHECKING:
     from tactile.server.host import Host

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import FULL_SCALE_CODE, SampleFormat
 from tactile.bus.base import Bus, DriveBlock
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.registry import open_bus
 from tactile.errors import BusError
 

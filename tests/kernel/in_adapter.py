@@ -13,9 +13,9 @@ from gs_usb_adapter import GsUsb
 from guest_tools import command, virtual_amplifier, wait_for
 
 from firmware_protocol.messages import State
-from tactile.bus import link_bus
 from tactile.bus.can_bus import CanWire, find
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link import link_bus
+from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.wire import STALL
 from tactile.errors import BusError
 

@@ -9,7 +9,7 @@ from bus_tools import CODE, Floats, Rig, play, playing
 from guest_tools import wait_for
 from numpy.typing import NDArray
 
-from tactile.bus.audio_bus import AudioBus
+from tactile.bus.audio.audio_bus import AudioBus
 from tactile.bus.registry import open_bus
 
 CARD, EAR = "Loopback: PCM (hw:0,0)", "Loopback: PCM (hw:0,1)"

@@ -22,7 +22,8 @@ from guest_tools import WAIT, command, virtual_amplifier, wait_for
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import State
-from tactile.bus import can_bus, link_bus
+from tactile.bus import can_bus
+from tactile.bus.link import link_bus
 from tactile.bus.registry import find_devices
 from tactile.errors import BusError
 

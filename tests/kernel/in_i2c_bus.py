@@ -30,9 +30,9 @@ from firmware_protocol.config import Config
 from firmware_protocol.machine import Played
 from firmware_protocol.messages import State
 from tactile.bus import i2c_bus
-from tactile.bus.parts import bos1921, drv2667
-from tactile.bus.parts.chip import ChipCounters
-from tactile.bus.parts.chip_bus import ChipBus
+from tactile.bus.chips import bos1921, drv2667
+from tactile.bus.chips.chip import ChipCounters
+from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import open_bus
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError

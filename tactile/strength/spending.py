@@ -26,9 +26,9 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from tactile.display.display import Display
-from tactile.rendering.commanded import Lines, law_factor
 from tactile.rendering.equalizer import roll_off
-from tactile.rendering.strength import (
+from tactile.strength.commanded import Lines, law_factor
+from tactile.strength.strength import (
     Reach,
     SteadyStroke,
     amplified,

@@ -14,7 +14,7 @@ from firmware_protocol.host import Host
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
-from tactile.bus.aside import RETRY, TRIES, Aside
+from tactile.bus.link.aside import RETRY, TRIES, Aside
 
 ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status}
 """What answers a request; ACK the others."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from firmware_protocol.messages import EstopReason, Fault, State
-from tactile.bus.peer import Peer
+from tactile.bus.link.peer import Peer
 
 INPUT_OPEN = "e-stop input open: release the button, then clear"
 

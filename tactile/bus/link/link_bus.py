@@ -16,9 +16,9 @@ from firmware_protocol import messages as m
 from firmware_protocol.messages import Message
 from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Frames, Status, Wiring
 from tactile.bus.budget import Plan
-from tactile.bus.peer import Peer
-from tactile.bus.phases import Phase, Want
-from tactile.bus.session import Session
+from tactile.bus.link.peer import Peer
+from tactile.bus.link.phases import Phase, Want
+from tactile.bus.link.session import Session
 from tactile.bus.wire import Wire, WireError
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError

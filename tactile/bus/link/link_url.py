@@ -6,10 +6,10 @@ from firmware_protocol import messages as m
 from tactile.bus.base import RATE, Rig, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
-from tactile.bus.link_bus import LinkBus
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.stream import LEAST_LEAD, LONGEST_LEAD
 from tactile.bus.options import flag, number, sample_format
 from tactile.bus.registry import Address
-from tactile.bus.stream import LEAST_LEAD, LONGEST_LEAD
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Link
 

@@ -20,8 +20,8 @@ from firmware_protocol.messages import Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
 from tactile.bus.base import Counters, Floats
 from tactile.bus.budget import Plan, spectrum_group
-from tactile.bus.follower import HALF, Follower, Piece
-from tactile.bus.peer import Peer
+from tactile.bus.link.follower import HALF, Follower, Piece
+from tactile.bus.link.peer import Peer
 
 Complex = NDArray[np.complex128]
 

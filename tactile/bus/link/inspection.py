@@ -15,8 +15,8 @@ from firmware_protocol import messages as m
 from firmware_protocol.messages import FULL_SCALE_CODE, Feature, Parameter, SampleFormat
 from firmware_protocol.player import distance
 from tactile.bus.base import Bus, Floats
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.peer import Peer
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.peer import Peer
 
 TRIES = 5
 """Requests to begin or to end measuring; a busy machine may miss all repetitions of one."""

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from tactile.display.display import Display
 from tactile.errors import InputError
-from tactile.rendering.commanded import Lines, commanded_lines
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED
 from tactile.rendering.limiter import Limiter
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.shear import CONTACT_FORCE
 from tactile.rendering.skin_stretch import STROKE_SHARE
+from tactile.strength.commanded import Lines, commanded_lines
 from tactile.texture import perception
 from tactile.texture.surface import GOLDEN, Texture, without_friction
 

@@ -17,13 +17,13 @@ from firmware_protocol import spectrum
 from firmware_protocol.host import refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
-from tactile.bus.aside import RETRY
 from tactile.bus.base import Counters, Floats, Wiring
 from tactile.bus.budget import Plan, check_limits
-from tactile.bus.peer import Peer
-from tactile.bus.phases import Phase, Want
-from tactile.bus.stopped import INPUT_OPEN, open_input, why_stopped
-from tactile.bus.stream import Stream
+from tactile.bus.link.aside import RETRY
+from tactile.bus.link.peer import Peer
+from tactile.bus.link.phases import Phase, Want
+from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
+from tactile.bus.link.stream import Stream
 from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
 

@@ -25,9 +25,9 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from tactile.bus import audio_process
-from tactile.bus.audio_player import Order, Told
-from tactile.bus.audio_process import ANSWER, Player, opened
+from tactile.bus.audio import process as audio_process
+from tactile.bus.audio.player import Order, Told
+from tactile.bus.audio.process import ANSWER, Player, opened
 from tactile.bus.base import Bus, DriveBlock, Floats, Rig, Status, Wiring
 from tactile.bus.board import MOST_CHANNELS
 from tactile.bus.registry import Address, Found, register_bus

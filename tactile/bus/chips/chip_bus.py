@@ -7,11 +7,11 @@ from typing import Literal
 from firmware_protocol.messages import FADE_MS, SampleFormat
 from tactile.bus.base import Bus, DriveBlock, Floats, Status, Wiring
 from tactile.bus.board import MOST_CHANNELS, Board, config_of
-from tactile.bus.parts import adapter
-from tactile.bus.parts.adapter import I2c
-from tactile.bus.parts.chip import BURST, Chip, ChipCounters
-from tactile.bus.parts.occupancy import RATE, RATES
-from tactile.bus.parts.pump import QUEUE, Pump, Runner
+from tactile.bus.chips import adapter
+from tactile.bus.chips.adapter import I2c
+from tactile.bus.chips.chip import BURST, Chip, ChipCounters
+from tactile.bus.chips.occupancy import RATE, RATES
+from tactile.bus.chips.pump import QUEUE, Pump, Runner
 from tactile.errors import BusError, InputError
 
 START_WAIT = 5.0

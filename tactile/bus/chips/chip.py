@@ -14,8 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from tactile.bus.base import Counters, Floats
-from tactile.bus.parts.adapter import Target
-from tactile.bus.parts.occupancy import RATE
+from tactile.bus.chips.adapter import Target
+from tactile.bus.chips.occupancy import RATE
 from tactile.clock import Clock
 
 TRIES = 4

@@ -16,8 +16,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from tactile.bus.audio_devices import Device
-from tactile.bus.audio_player import Failed, Opened, Order, Told
+from tactile.bus.audio.devices import Device
+from tactile.bus.audio.player import Failed, Opened, Order, Told
 from tactile.bus.base import Floats
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
@@ -26,7 +26,7 @@ OPENING = 20.0
 """s for PortAudio to look for cards, some of which take long, and to open one."""
 ANSWER = 1.0
 """s for the player to answer."""
-PROGRAM = "import sys; sys.path[:] = {!r}; from tactile.bus.audio_player import main; main()"
+PROGRAM = "import sys; sys.path[:] = {!r}; from tactile.bus.audio.player import main; main()"
 """With the host's path, so that the same tactile is found."""
 KINDS = {"InputError": InputError, "NotFoundError": NotFoundError}
 

@@ -15,9 +15,9 @@ import numpy as np
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.bus.base import RATE, Bus, DriveBlock, Floats, Rig, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
-from tactile.bus.modeled_bus import link_of, open_modeled
 from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus
+from tactile.bus.simulated.modeled_bus import link_of, open_modeled
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 

@@ -18,12 +18,12 @@ from tactile.bus.base import RATE, Floats, Rig, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
-from tactile.bus.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
-from tactile.bus.link_bus import LinkBus
-from tactile.bus.link_url import LINK_OPTIONS, lead_of, planner
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.link_url import LINK_OPTIONS, lead_of, planner
 from tactile.bus.options import flag, number, whole
 from tactile.bus.registry import Address
 from tactile.bus.serial_bus import SerialWire
+from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
 from tactile.clock import Clock, ModelClock

@@ -29,16 +29,16 @@ import math
 from collections.abc import Iterator, Sequence
 
 from tactile.bus.base import Rig, Wiring
-from tactile.bus.parts import adapter
-from tactile.bus.parts.adapter import I2c, Place, Target, transfer_bits
-from tactile.bus.parts.chip import (
+from tactile.bus.chips import adapter
+from tactile.bus.chips.adapter import I2c, Place, Target, transfer_bits
+from tactile.bus.chips.chip import (
     BURST,
     Chip,
     ChipCounters,
     LostError,
     was_taken_nothing,
 )
-from tactile.bus.parts.chip_bus import (
+from tactile.bus.chips.chip_bus import (
     ChipBus,
     checked_estop,
     checked_rate,
@@ -46,8 +46,8 @@ from tactile.bus.parts.chip_bus import (
     opened,
     step_codes,
 )
-from tactile.bus.parts.occupancy import RATE, RATES, Occupancy, measured_rates
-from tactile.bus.parts.pump import Runner, ThreadRunner
+from tactile.bus.chips.occupancy import RATE, RATES, Occupancy, measured_rates
+from tactile.bus.chips.pump import Runner, ThreadRunner
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.clock import Clock
 from tactile.errors import BusError, InputError

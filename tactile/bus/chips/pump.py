@@ -19,8 +19,8 @@ import numpy as np
 
 from tactile.bus.base import Floats
 from tactile.bus.board import Board
-from tactile.bus.parts.chip import BURST, LEAST, Chip, ChipCounters, LostError
-from tactile.bus.parts.occupancy import RATE
+from tactile.bus.chips.chip import BURST, LEAST, Chip, ChipCounters, LostError
+from tactile.bus.chips.occupancy import RATE
 from tactile.clock import Clock, MonotonicClock
 from tactile.errors import BusError
 

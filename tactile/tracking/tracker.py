@@ -4,7 +4,7 @@ A client samples the finger 30 to 1000 times a second and sends what it sees; th
 with jitter, some late, some never. The playback loop renders blocks that reach the skin 8 to 14 ms
 from now. `ContactTracker.add` takes samples, `ContactTracker.at` answers for the times of a block:
 
-1. **Motion** (`tactile.rendering.finger_motion`): Kalman filters turn samples into place, velocity
+1. **Motion** (`tactile.tracking.finger_motion`): Kalman filters turn samples into place, velocity
    and acceleration at the newest sample. Such a state predicts a *course* p(s), s after the sample.
    Up to 60 ms ahead the course is what the filters predict; beyond, its clock runs slower and
    slower, and it comes to rest within another 20 ms: u(s) = H + D (1 − exp(−(s − H)/D)).
@@ -44,7 +44,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_POSITION, LARGEST_SPEED
-from tactile.rendering.finger_motion import (
+from tactile.tracking.finger_motion import (
     FORGETTING,
     FORGOTTEN,
     MotionFilter,

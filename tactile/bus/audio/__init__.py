@@ -1,0 +1,1 @@
+"""Amplifiers behind an audio card, which a process of its own feeds."""

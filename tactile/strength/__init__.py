@@ -1,0 +1,1 @@
+"""Perceptual strength: how strong a texture is on a display, and the gain that its limits allow."""

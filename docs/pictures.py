@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import tactile
-from tactile.plots import plot_played, plot_response
+from tactile.show.plots import plot_played, plot_response
 from tactile.texture.surface import without_friction
 
 HERE = Path(__file__).parent

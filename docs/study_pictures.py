@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import xarray
 
-from tactile.plots import plot_length_map, plot_pareto
 from tactile.study.criteria import Conditions
 from tactile.study.optimizing import Task, attained, find_designs, judge
 from tactile.study.paper import FINGERS, over_length
+from tactile.study.plots import plot_length_map, plot_pareto
 from tactile.study.recommending import recommend
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import solve_study

@@ -9,8 +9,8 @@ from pathlib import Path
 from PIL import Image
 
 import tactile
-from tactile.gallery.views import tile, view_texture
-from tactile.plots import plot_sheet, plot_texture
+from tactile.show.plots import plot_sheet, plot_texture
+from tactile.show.views import tile, view_texture
 
 HERE = Path(__file__).parent
 SPEED = 0.08

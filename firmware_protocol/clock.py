@@ -9,9 +9,9 @@ the host's lead over it.
 Klipper's clocksync, the model, feeds a regression with the shortest round trip. The two tightest
 bounds need not belong to one exchange: of n exponential delays the shortest lies 1/n of the mean
 above the floor, while those of the shortest of n round trips lie √n times as far. With as long a
-memory the error is a third to a half less (`tactile bench clock` measures both). The line in the
-middle of the widest band between all of 64 bounds, after Moon, Skelly & Towsley (INFOCOM 1999), was
-no better on exponential delays and twice as bad where short ones are rare, as on CAN.
+memory the error is a third to a half less (`python -m benchmarks clock` measures both). The line
+in the middle of the widest band between all of 64 bounds, after Moon, Skelly & Towsley (INFOCOM
+1999), was no better on exponential delays and twice as bad where short ones are rare, as on CAN.
 
 What no exchange can show is a floor that is longer one way: half the difference is error. Make both
 packets of one length, or pass `t1` later and `t4` earlier by what each needs on the wire, and set

@@ -8,8 +8,8 @@ import numpy as np
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
+from benchmarks.friction import STICKY, friction_only
 from tactile.actuator.finger import FingerLoad
-from tactile.bench.friction import STICKY, friction_only
 from tactile.display.display import Display, load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import FrictionLaw

@@ -50,21 +50,14 @@ MAP: dict[str, set[str]] = {
     },
     "client": {"clock", "errors", "messages", "paths"},
     "local": {"client", "messages", "server"},
-    "study": {"actuator", "clock", "display", "errors", "files"},
-    "terminal": {"display"},
-    "gallery": {"display", "errors", "files", "rendering", "strength", "terminal", "texture"},
-    "plots": {
-        "actuator", "display", "errors", "files", "gallery", "rendering", "study", "texture",
+    "show": {
+        "actuator", "display", "errors", "files", "rendering", "strength", "texture",
     },
-    "report": {"errors", "plots", "study"},
-    "bench": {
-        "actuator", "bus", "client", "clock", "display", "errors", "estop", "messages", "playback",
-        "rendering", "server", "sim", "strength", "study", "texture", "tracking",
-    },
+    "study": {"actuator", "clock", "display", "errors", "files", "show"},
+    "bench": {"bus", "clock", "devices", "display", "errors", "rendering", "texture"},
     "cli": {
         "bench", "bringup", "bus", "client", "devices", "display", "errors", "estop", "files",
-        "gallery", "playback", "plots", "report", "server", "strength", "study", "terminal",
-        "texture",
+        "playback", "server", "show", "strength", "study", "texture",
     },
     "__main__": {"cli"},
 }  # fmt: skip
@@ -73,14 +66,12 @@ ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finge
 """Modules that import nothing of tactile."""
 AT_HOME = {
     "PIL": {"texture.picture"},
-    "matplotlib": {"plots"},
+    "matplotlib": {"show", "study"},
     "pymoo": {"study"},
-    "rich": {"bench.__init__", "cli", "gallery.terminal_view", "terminal"},
+    "rich": {"bench.__init__", "cli", "show.live", "show.still"},
     "typer": {"cli"},
 }
 """Libraries that only some rooms or modules may import."""
-COMPARED = {"construct", "crccheck", "crcmod", "isotp", "vibromaf"}
-"""Libraries that the benchmarks measure beside ours where they are installed; none is needed."""
 PACKAGED = {
     "PIL": "pillow",
     "serial": "pyserial",
@@ -95,7 +86,7 @@ BY_NAME = {"__init__", "sim"}
 
 PROTOCOL_MAY_IMPORT = {"numpy", "cobs"}
 """Besides the standard library: the protocol knows no physics and no bus."""
-PROTOCOL_IMPORTERS = {"bench", "bus", "sim"}
+PROTOCOL_IMPORTERS = {"bus", "sim"}
 """Rooms of tactile that know how drive goes over the wire."""
 GENERATED = {"messages"}
 """Modules that a program writes, as long as they have to be."""
@@ -117,7 +108,9 @@ PROTOCOL_TREES = {
     if path.stem not in GENERATED
 }
 AROUND = [
-    path for folder in ("tests", "docs", "examples") for path in (PROJECT / folder).rglob("*.py")
+    path
+    for folder in ("tests", "docs", "examples", "benchmarks")
+    for path in (PROJECT / folder).rglob("*.py")
 ]
 """Files outside the package that are held to its lengths."""
 TREES = {module: ast.parse(path.read_text("utf-8")) for module, path in SOURCES.items()}
@@ -306,7 +299,7 @@ def test_every_library_is_a_declared_dependency() -> None:
     ]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}
     used = {name for module in SOURCES for name in foreign_imports(module)} | {"cobs"}
-    used -= set(sys.stdlib_module_names) | {"firmware_protocol"} | COMPARED
+    used -= set(sys.stdlib_module_names) | {"firmware_protocol"}
     assert {PACKAGED.get(name, name) for name in used} == names
 
 
@@ -375,7 +368,7 @@ def test_a_client_loads_neither_rendering_nor_drivers() -> None:
 
 
 def test_the_command_line_loads_no_plots_until_they_are_drawn() -> None:
-    assert "matplotlib" not in loaded_after("import tactile.cli, tactile.plots")
+    assert "matplotlib" not in loaded_after("import tactile.cli, tactile.show.plots")
 
 
 # Names and sizes

@@ -8,11 +8,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tactile.bench import deaths
-from tactile.bench.app import SOUNDS
-from tactile.bench.daemon import Output, Recorder, frame, joined, last_after
-from tactile.bench.deaths import Outcomes, is_over, plays, schedule
-from tactile.bench.virtual import Records, can_be_built
+from benchmarks import deaths
+from benchmarks.app import SOUNDS
+from benchmarks.daemon import Output, Recorder, frame, joined, last_after
+from benchmarks.deaths import Outcomes, is_over, plays, schedule
+from benchmarks.virtual import Records, can_be_built
 
 RATE = 1000
 BEGUN, FAULT = 50.0, 51.0

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from tactile.bench import floods
-from tactile.bench.daemon import NAME, Output
-from tactile.bench.estop import Times, is_silent
-from tactile.bench.floods import contact_packet, paced
+from benchmarks import floods
+from benchmarks.daemon import NAME, Output
+from benchmarks.estop import Times, is_silent
+from benchmarks.floods import contact_packet, paced
 from tactile.messages import Contact
 from tactile.server.osc import read_packet, to_command
 

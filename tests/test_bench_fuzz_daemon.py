@@ -4,7 +4,7 @@ import json
 import random
 from collections import Counter
 
-from tactile.bench.fuzz_daemon import LEGAL, random_message, victim_figures
+from benchmarks.fuzz_daemon import LEGAL, random_message, victim_figures
 from tactile.messages import JSON_PROTOCOL, Failure
 from tactile.server.decoding import ENCODINGS, read
 

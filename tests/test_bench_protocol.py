@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.messages import SampleFormat
-from firmware_protocol.packet import Packet
-from tactile.bench import BENCHMARKS, LONG
-from tactile.bench.faults import (
+from benchmarks import BENCHMARKS, LONG
+from benchmarks.faults import (
     HARMS,
     SPOILERS,
     Account,
     harmed_frames,
     spoilt_stream,
 )
-from tactile.bench.protocol import measure_formats, measure_links, signal_to_error_db
+from benchmarks.protocol import measure_formats, measure_links, signal_to_error_db
+from firmware_protocol.messages import SampleFormat
+from firmware_protocol.packet import Packet
 
 
 def test_links_carry_what_is_promised() -> None:

@@ -1,7 +1,7 @@
 """The benchmark of design studies: registered, and beside the yardstick of this checkout."""
 
-from tactile.bench import BENCHMARKS
-from tactile.bench.study import REFERENCE, measure_study, sweep_robustly
+from benchmarks import BENCHMARKS
+from benchmarks.study import REFERENCE, measure_study, sweep_robustly
 
 
 def test_studies_are_measured_beside_the_finite_elements_of_the_checkout() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.virtual import VirtualAmplifier, can_be_built
 from firmware_protocol.messages import State
-from tactile.bench.virtual import VirtualAmplifier, can_be_built
 from tactile.bus.base import DriveBlock
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.registry import open_bus

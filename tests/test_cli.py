@@ -12,6 +12,8 @@ from cli_rig import Command, started
 
 import tactile
 from tactile import bench, cli
+from tactile.bench import link
+from tactile.bench.figures import at_least, at_most
 
 # The other commands
 
@@ -110,28 +112,46 @@ def test_response_draws_a_plot(command: Command) -> None:
 
 @pytest.mark.ci
 def test_bench_as_json_is_a_list_of_figures_with_their_goals(tmp_path: Path) -> None:
-    result = started("bench", "matrix", "--json", cwd=tmp_path)
+    result = started("bench", "memory", "--json", cwd=tmp_path)
     assert (result.code, result.err) == (0, "")
     figures = {figure["name"]: figure for figure in result.json}
-    error = figures["matrix.error_against_exponential"]
-    assert set(error) == set(bench.Figure.__dataclass_fields__)
-    assert error["reached"] is True
-    assert 0 <= error["value"] <= 1e-9
-    assert figures["matrix.speed_over_scipy_expm"]["reached"] is None
+    assert set(figures) == {"memory.play_10_s", "memory.growth_10_to_60_s"}
+    growth = figures["memory.growth_10_to_60_s"]
+    assert set(growth) == set(bench.Figure.__dataclass_fields__)
+    assert (growth["goal"], growth["reached"]) == ("≤ 2", True)
+    assert figures["memory.play_10_s"]["reached"] is None
 
 
 def test_bench_tells_a_person_what_was_not_reached(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def two() -> Any:
-        yield bench.at_most("two.missed", 2.0, "dB", 1.0)
-        yield bench.at_least("two.reached", 2.0, "dB", 1.0)
+        yield at_most("two.missed", 2.0, "dB", 1.0)
+        yield at_least("two.reached", 2.0, "dB", 1.0)
 
     monkeypatch.setattr(bench, "BENCHMARKS", {"two": two})
     result = command("bench")
     lines = {line.split()[0]: line for line in result.out.splitlines()}
     assert lines["two.missed"].rstrip().endswith("NOT REACHED")
     assert lines["two.reached"].rstrip().endswith(" reached")
+
+
+def test_bench_measures_the_link_of_a_device(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A modeled link takes a few milliseconds at most for two time stamps."""
+    monkeypatch.setattr(link, "DURATION", 0.0)
+    result = command("bench", "--device", "mock:?link=canfd&boards=2", "--json")
+    figures = {figure["name"]: figure["value"] for figure in result.json}
+    trips = [value for name, value in figures.items() if name.endswith(".round_trip")]
+    assert len(trips) == 2
+    assert all(0 < trip < 20 for trip in trips)
+
+
+def test_bench_says_that_a_device_without_the_protocol_has_no_round_trip(command: Command) -> None:
+    result = command("bench", "--device", "sim:")
+    assert (result.code, result.out) == (2, "")
+    assert result.err == "tactile: sim:: no amplifier there speaks the protocol, so none answers\n"
 
 
 # Help
@@ -159,7 +179,7 @@ def test_every_example_of_a_help_text_can_be_asked_for(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Run each, the long ones with the work taken out."""
-    monkeypatch.setattr(bench, "BENCHMARKS", {})
+    monkeypatch.setattr(bench, "BENCHMARKS", dict.fromkeys(bench.BENCHMARKS, list))
     examples = set()
     for name in ([], ["play"], ["textures"], ["response"], ["bench"]):
         text = " ".join(command(*name, "--help").out.split())

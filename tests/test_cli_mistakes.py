@@ -118,12 +118,12 @@ OTHERS = {
     "plot into a missing folder": (["response", "--plot", "missing/a.png"], "missing/a.png"),
     "plot of an unknown kind": (["response", "--plot", "a.xyz"], "a.xyz"),
     "texture to tell of": (["textures", "wood-ok", "--json"], "did you mean 'wood-oak'?"),
-    "unknown benchmark": (["bench", "matrx"], "no benchmark 'matrx'; did you mean 'matrix'?"),
+    "unknown benchmark": (["bench", "memry"], "no benchmark 'memry'; did you mean 'memory'?"),
     "picture without a scale": (
         ["relief", "a.png", "-o", "a.toml", "--category", "wood"],
         "--um-per-level is needed",
     ),
-    "second benchmark": (["bench", "matrix", "xyzzy"], "no benchmark 'xyzzy'; there is: "),
+    "second benchmark": (["bench", "memory", "xyzzy"], "no benchmark 'xyzzy'; there is: "),
 }
 
 

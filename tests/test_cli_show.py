@@ -12,15 +12,15 @@ from rich.console import Console
 from rich.segment import Segment
 
 from tactile.display.display import load_display
-from tactile.gallery.terminal_view import (
+from tactile.show.live import palette
+from tactile.show.still import (
     TextureScreen,
     grating_lines,
     marked_bar,
     screen_lines,
     surface_lines,
 )
-from tactile.gallery.views import View, view_texture
-from tactile.terminal import palette
+from tactile.show.views import View, view_texture
 from tactile.texture.surface import load_texture
 
 

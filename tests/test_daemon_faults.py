@@ -2,7 +2,7 @@
 
 The daemon is a process of its own, as a user starts it; a program plays through it from another
 one, a stroke or an effect of a minute; the C amplifier on a pty records what it puts out. How soon
-it is silent is measured by ``tactile bench deaths``; deaths in any order, at any moment, are
+it is silent is measured by ``python -m benchmarks deaths``; deaths in any order, at any moment, are
 simulated (`simulator`).
 """
 
@@ -23,8 +23,8 @@ import websockets.sync.client as websockets
 from websockets.typing import Subprotocol
 
 import tactile.client
+from benchmarks.virtual import VirtualAmplifier
 from tactile import messages
-from tactile.bench.virtual import VirtualAmplifier
 from tactile.errors import TactileError
 
 pytestmark = pytest.mark.realtime

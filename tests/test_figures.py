@@ -1,8 +1,8 @@
-"""The promised figures that no clock decides, as `tactile bench` measures them."""
+"""The promised figures that no clock decides, as the benchmarks measures them."""
 
 import pytest
 
-from tactile.bench import BENCHMARKS
+from benchmarks import BENCHMARKS
 
 
 @pytest.mark.ci

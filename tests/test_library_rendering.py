@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from tactile.bench import library
+from benchmarks import library
 from tactile.display.display import load_display
 from tactile.texture.descriptor import Laws, textures
 from tactile.texture.surface import Partials, Texture, load_texture

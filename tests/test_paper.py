@@ -15,8 +15,8 @@ from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force, tip_response
 from tactile.cli.app import app
 from tactile.errors import InputError
-from tactile.report import paper_folder, write_paper
 from tactile.study.paper import FIGURES, KINDS, Claim, PaperFigure, claims
+from tactile.study.report import paper_folder, write_paper
 from tactile.study.sweep import solve_study
 
 

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from tactile import plots
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
 from tactile.display.display import load_display
 from tactile.errors import InputError
+from tactile.show import plots
 
 Floats = NDArray[np.float64]
 
@@ -319,7 +319,7 @@ def test_without_matplotlib_one_line_tells_what_to_install(
 @pytest.mark.ci
 def test_matplotlib_is_imported_late_and_its_state_left_alone() -> None:
     script = (
-        "import sys, tactile.plots as p\n"
+        "import sys, tactile.show.plots as p\n"
         "assert not [m for m in sys.modules if m.startswith('matplotlib')]\n"
         "p.response_figure({}, voltage=1.0)\n"
         "assert 'matplotlib.figure' in sys.modules\n"

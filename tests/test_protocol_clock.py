@@ -14,9 +14,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from benchmarks import clock as bench
 from firmware_protocol import clock as protocol_clock
 from firmware_protocol.clock import ClockEstimator, Exchange
-from tactile.bench import clock as bench
 
 TICK_HZ = 1e9
 """A tick of 1 ns, so that the closed forms are not lost in rounding."""

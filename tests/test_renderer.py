@@ -39,7 +39,7 @@ FIRST = (
 """Textures played under both fingers; all others under one, by turns, in the longer run."""
 STRONG = {"rubber-crumb": 35, "textile-towel": 18}
 """Textures whose bursts want more than 100 V under the heavily loading finger, and what is kept of
-them [dB]; `tactile bench library` names what any texture loses."""
+them [dB]; `python -m benchmarks library` names what any texture loses."""
 EACH = [(name, finger) for name in FIRST for finger in ("low", "high")] + [
     pytest.param(name, ("low", "high")[k % 2], marks=pytest.mark.ci)
     for k, name in enumerate(sorted({*tactile.textures()} - {*FIRST}))

@@ -10,7 +10,8 @@ import pytest
 import xarray
 
 from tactile.errors import InputError
-from tactile.report import (
+from tactile.study.criteria import Conditions
+from tactile.study.report import (
     Picture,
     Section,
     Table,
@@ -18,9 +19,8 @@ from tactile.report import (
     study_report,
     write_report,
 )
-from tactile.report.page import html_of
-from tactile.report.studies import chosen_design
-from tactile.study.criteria import Conditions
+from tactile.study.report.page import html_of
+from tactile.study.report.studies import chosen_design
 from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import Study, solve_study
 

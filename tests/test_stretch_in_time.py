@@ -24,8 +24,8 @@ from stretch_rig import (
     stroke,
 )
 
+from benchmarks.rendering import grating_texture
 from tactile.actuator.finger import FingerLoad
-from tactile.bench.rendering import grating_texture
 from tactile.rendering.layer import Layer
 from tactile.rendering.renderer import Ramp, Renderer
 from tactile.rendering.skin_stretch import (

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from tactile import plots
 from tactile.errors import InputError
+from tactile.study import plots
 
 LENGTH = np.arange(2.0, 21.0)
 FREQUENCY = np.linspace(0.0, 1000.0, 21)

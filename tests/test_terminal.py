@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.live import Live
 from rich.segment import Segment
 
-from tactile import terminal
 from tactile.display.display import Display, load_display
-from tactile.terminal import Picture, nice, pitch, rasterize
-from tactile.terminal.trace import Trace, braille
+from tactile.show import live as terminal
+from tactile.show.live import Picture, nice, pitch, rasterize
+from tactile.show.trace import Trace, braille
 
 Floats = NDArray[np.float64]
 Pixels = dict[tuple[int, int], tuple[int, int, int]]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from tactile.display.display import load_display
 from tactile.errors import InputError
-from tactile.gallery import views
-from tactile.gallery.views import Tile, View, view_texture
-from tactile.plots import plot_sheet, plot_texture, sheet_figure, texture_figure
+from tactile.show import views
+from tactile.show.plots import plot_sheet, plot_texture, sheet_figure, texture_figure
+from tactile.show.views import Tile, View, view_texture
 from tactile.strength.commanded import commanded_lines
 from tactile.texture.perception import band_sensation, detection_threshold
 from tactile.texture.surface import Texture, load_texture

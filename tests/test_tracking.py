@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tracking_rig import BLOCK, LATENCY, RATE, ROUNDING, Run, needs_slide, speeds, stroke
 
-from tactile.bench import tracking as bench
-from tactile.bench.tracking import Client, Held, misses, rms, tracked
+from benchmarks import tracking as bench
+from benchmarks.tracking import Client, Held, misses, rms, tracked
 from tactile.tracking.finger_motion import MotionFilter, Noise
 from tactile.tracking.tracker import ContactTracker, Path
 

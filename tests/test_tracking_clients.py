@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracking_rig import Floats, Run, speeds, stroke
 
-from tactile.bench import tracking as bench
-from tactile.bench.tracking import Client
+from benchmarks import tracking as bench
+from benchmarks.tracking import Client
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.tracker import ContactTracker
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile.bench import tracking as bench
+from benchmarks import tracking as bench
 from tactile.tracking.tracker import ContactTracker
 
 Floats = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Resources: how fast rendering is, and how much memory a long play takes."""
+"""What a machine can do: rendering speed, memory of a long play, and how late a loop wakes."""
 
 import math
 import os
@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, seconds
+from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, beside_machine, seconds
+from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -80,9 +81,26 @@ def measure_memory(longest: int = 60) -> Iterator[Figure]:
     yield at_most(f"memory.growth_10_to_{longest}_s", peaks[1] - peaks[0], "MiB", 2)
 
 
-def measure_soak() -> Iterator[Figure]:
-    """Compare resident memory of ten minutes of play with that of 10 s."""
-    yield from measure_memory(600)
+def measure_jitter(duration: float = 10.0, clock: Clock = MONOTONIC) -> Iterator[Figure]:
+    """Measure by how much a bare loop on each processor wakes late for a block of 2 ms.
+
+    Parameters
+    ----------
+    duration : time to measure [s]
+    clock : clock by which to wait
+
+    Yields
+    ------
+    Figure
+        Percentiles of the lateness [ms], and how many of 10 000 blocks would be lost at each lead
+        time that a link may have.
+    """
+
+    def wait() -> Iterator[Figure]:
+        clock.sleep(duration)
+        yield from ()
+
+    yield from beside_machine("jitter", wait())
 
 
 def peak_memory(command: list[str]) -> int:

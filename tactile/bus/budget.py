@@ -48,7 +48,7 @@ LOWER_RATES = (5000, 4000, 2500)
 SAMPLES_PER_HERTZ = 2.5
 """Least sample rate over the band that it is to carry."""
 PCM_FORMATS = (SampleFormat.PCM16, SampleFormat.PCM12, SampleFormat.BFP8)
-"""In order of what they keep of a texture: 80, 60 and 43 dB (`tactile bench protocol`)."""
+"""In order of what they keep of a texture: 80, 60 and 43 dB (`python -m benchmarks protocol`)."""
 SPECTRA = ((16, 50.0), (8, 100.0))
 """Carriers and frames a second."""
 PACKET_SECONDS = (2e-3, 4e-3)

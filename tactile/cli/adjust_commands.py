@@ -66,7 +66,7 @@ def adjust_display(
     """
     _check_options(load, admittance, velocity, stiffness=stiffness, branches=branches)
     if plot is not None:
-        from tactile.plots import check_file
+        from tactile.show.plots import check_file
 
         check_file(plot)
     shown = tactile.load_display(display)
@@ -79,7 +79,7 @@ def adjust_display(
     if out is not None:
         write_tables(display, out, **tables, force=force)
     if plot is not None:
-        from tactile.plots import plot_adjusted
+        from tactile.study.plots import plot_adjusted
 
         plot_adjusted(plot, result.comparisons)
     if as_json:

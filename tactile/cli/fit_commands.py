@@ -68,7 +68,7 @@ def fit_recordings(
     about = _about(out, category, description, source, licence)
     check_target(out, about.id, force=force)
     if plot is not None:
-        from tactile.plots import check_file
+        from tactile.show.plots import check_file
 
         check_file(plot)
     if quantity not in UNITS:
@@ -95,7 +95,7 @@ def fit_recordings(
         )  # fmt: skip
     write(fit.descriptor, out, _comments(fit), force=force)
     if plot is not None:
-        from tactile.plots import plot_fit
+        from tactile.show.plots import plot_fit
 
         plot_fit(plot, fit, verdict)
     if as_json:

@@ -42,7 +42,7 @@ def tell_response(
     loads = {f.value: getattr(tactile.FingerLoad, f.value)() for f in load or list(Finger)}
     figures = response_figures(shown.bimorph, loads, shown.limits.voltage)
     if plot is not None:
-        from tactile.plots import plot_response
+        from tactile.show.plots import plot_response
 
         curves = {
             name: tactile.tip_response(shown.bimorph, finger, _plot_frequencies())
@@ -72,29 +72,30 @@ def _plot_frequencies() -> Any:
 @app.command("bench")
 def run_benchmarks(
     only: Annotated[
-        list[str] | None, typer.Argument(help="Names of benchmarks; all of them by default.")
+        list[str] | None, typer.Argument(help="speed, memory or jitter; by default all of them.")
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Also those that take minutes.")] = False,
+    device: Annotated[
+        str | None, typer.Option(help="Measure the link of this device instead, by its URL.")
+    ] = None,
+    display: DisplayOption = "reference-24",
     as_json: AsJson = False,
 ) -> None:
-    """Measure every figure this project promises, beside other libraries where there are any.
+    """Measure this machine: rendering speed, memory and jitter, or the round trip of a link.
 
-    Example: tactile bench --json
+    Example: tactile bench speed jitter
     """
-    from tactile.bench import BENCHMARKS, LONG, measure
+    from tactile.bench import BENCHMARKS, measure, measure_link
+    from tactile.cli.printing import print_figures
 
     for name in only or []:
-        if name not in BENCHMARKS | LONG:
-            known = [*BENCHMARKS, *LONG]
-            raise InputError(f"no benchmark {name!r}; {nearest(name, known)}")
-    figures = measure(only or [*BENCHMARKS, *(LONG if long else [])])
+        if name not in BENCHMARKS:
+            raise InputError(f"no benchmark {name!r}; {nearest(name, list(BENCHMARKS))}")
+    chosen = [BENCHMARKS[name] for name in only or ([] if device else BENCHMARKS)]
+    if device is not None:
+        shown = tactile.load_display(display)
+        chosen.append(lambda: measure_link(device, shown))
+    figures = [figure.as_dict() for figure in measure(chosen)]
     if as_json:
-        typer.echo(json.dumps([figure.as_dict() for figure in figures], indent=1))
-        return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("figure", "measured", "goal", ""):
-        table.add_column(heading, justify="right" if heading == "measured" else "left")
-    for f in figures:
-        mark = "" if f.reached is None else ("reached" if f.reached else "NOT REACHED")
-        table.add_row(f.name, f"{f.value:.4g} {f.unit}", f.goal, mark)
-    Console().print(table)
+        typer.echo(json.dumps(figures, indent=1))
+    else:
+        print_figures(figures)

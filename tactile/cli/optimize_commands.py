@@ -176,7 +176,7 @@ def _limit(name: str, text: str) -> tuple[str, tuple[float, float]]:
 def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path | None) -> None:
     """Raise InputError for what cannot be written, before anything is computed for it."""
     if report is not None:
-        from tactile.report import check_report
+        from tactile.study.report import check_report
 
         check_report(report)
     if out is not None:
@@ -186,7 +186,7 @@ def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path
         if out.suffix == ".zarr" and out.exists():
             raise InputError(f"{out}: is there already; remove it, or name another")
     if plot is not None:
-        from tactile.plots import check_file
+        from tactile.show.plots import check_file
 
         check_file(plot)
         if len(task.objectives) == 1:
@@ -250,13 +250,13 @@ def _keep(
 
         save(front, out)
     if plot is not None:
-        from tactile.plots import plot_pareto
+        from tactile.study.plots import plot_pareto
         from tactile.study.recommending import recommend
 
         plot_pareto(plot, front, front.attrs["objectives"].split(), knee=recommend(front).place)
     if report is not None:
-        from tactile.report import front_report, write_report
         from tactile.study.recommending import recommend
+        from tactile.study.report import front_report, write_report
 
         advice = recommend(front)
         sections = front_report(front, knee=advice.place)

@@ -24,8 +24,8 @@ def write_all(
 
     Example: tactile paper results
     """
-    from tactile.report import write_paper
     from tactile.study.paper import KINDS
+    from tactile.study.report import write_paper
 
     console = Console(stderr=True, quiet=as_json)
     with console.status("") as status:

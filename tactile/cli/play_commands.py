@@ -132,7 +132,7 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
     from rich.live import Live
 
     from tactile.playback.offline import PlayedBlock
-    from tactile.terminal import Picture
+    from tactile.show.live import Picture
 
     picture = Picture(display, texture=texture, sample_rate=sample_rate)
 

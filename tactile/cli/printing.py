@@ -54,6 +54,22 @@ def print_check(r: dict[str, Any], *, console: Console | None = None) -> None:
         out.print("all lines are good" if whole else "no fault found in what was looked at")
 
 
+def print_figures(figures: list[dict[str, Any]]) -> None:
+    """Print measured figures beside their goals.
+
+    Parameters
+    ----------
+    figures : name, value, unit, goal and reached of each, as `Figure.as_dict` returns them
+    """
+    table = Table(box=None, pad_edge=False)
+    for heading in ("figure", "measured", "goal", ""):
+        table.add_column(heading, justify="right" if heading == "measured" else "left")
+    for f in figures:
+        mark = {None: "", True: "reached", False: "NOT REACHED"}[f["reached"]]
+        table.add_row(f["name"], f"{f['value']:.4g} {f['unit']}", f["goal"], mark)
+    Console().print(table)
+
+
 def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -29,17 +29,17 @@ def show_texture(
 
     Example: tactile show wood-oak --speed-mm-s 80 --plot oak.png
     """
-    from tactile.gallery.views import view_figures, view_texture
+    from tactile.show.views import view_figures, view_texture
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     if plot is not None:
-        from tactile.plots.style import check_file
+        from tactile.show.plots.style import check_file
 
         check_file(plot)
     shown = tactile.load_display(display)
     view = view_texture(tactile.load_texture(texture), shown, speed=speed)
     if plot is not None:
-        from tactile.plots import plot_texture
+        from tactile.show.plots import plot_texture
 
         plot_texture(plot, view)
     if as_json:
@@ -47,7 +47,7 @@ def show_texture(
     elif plot is not None:
         typer.echo(f"drawn: {plot}")
     else:
-        from tactile.gallery.terminal_view import TextureScreen
+        from tactile.show.still import TextureScreen
 
         Console().print(TextureScreen(view))
 
@@ -64,9 +64,9 @@ def draw_sheet(
     """
     from rich.progress import track
 
-    from tactile.gallery.views import names_of, tile
-    from tactile.plots import plot_sheet
-    from tactile.plots.style import check_file
+    from tactile.show.plots import plot_sheet
+    from tactile.show.plots.style import check_file
+    from tactile.show.views import names_of, tile
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_file(plot)

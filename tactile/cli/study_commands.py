@@ -116,25 +116,25 @@ def _check_files(out: Path | None, plot: Path | None, report: Path | None) -> No
     if out is not None:
         check_store(out)
     if plot is not None:
-        from tactile.plots import check_file
+        from tactile.show.plots import check_file
 
         check_file(plot)
     if report is not None:
-        from tactile.report import check_report
+        from tactile.study.report import check_report
 
         check_report(report)
 
 
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:
     if plot is not None:
-        from tactile.plots import plot_criterion, plot_response_phase
+        from tactile.study.plots import plot_criterion, plot_response_phase
 
         if study.criteria:
             plot_criterion(plot, data, variable(study.criteria[0]), share=share)
         else:
             plot_response_phase(plot, data, RESPONSES[study.responses[0]].variable)
     if report is not None:
-        from tactile.report import study_report, write_report
+        from tactile.study.report import study_report, write_report
 
         write_report(
             report,

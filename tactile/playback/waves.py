@@ -46,8 +46,8 @@ MOST_TRANSIENTS = 16
 """Of an effect, that sound at once; more are dropped. At 160 Hz, two periods each, these are 1280
 taps a second, more than can be told from a tone (assumed). They cost as much as the rest of it."""
 BLOCK_WORK = 12_000
-"""For the waves of all clients in a block: 0.36 of its 2 ms at 30 ns a unit, as `tactile bench
-waves` measures it."""
+"""For the waves of all clients in a block: 0.36 of its 2 ms at 30 ns a unit, as `python -m
+benchmarks waves` measures it."""
 EFFECT_WORK = 1000
 """Of an effect in a block without its transients, the same for any few samples."""
 TRANSIENT_WORK = 4

@@ -4,7 +4,7 @@ The variance of skin displacement along a stroke is a sum over the three parts: 
 density times its width; of a grating, half the square of each harmonic; of sparse events, see
 `event_power`. Displacement holds at the reference speed and force, before ``contact_length_mm``;
 what an isotropic surface adds below its lowest band is not counted. What a realized surface has at
-another speed and force, with both, is `tactile.gallery.views.texture_rms`.
+another speed and force, with both, is `tactile.show.views.texture_rms`.
 """
 
 import math

@@ -16,7 +16,7 @@ and covariances, since they share times and noise.
 The noise of the samples is estimated from what no smooth motion explains: the divided difference
 of four samples, which is zero on every parabola, scaled so that its variance is that of one sample.
 
-Measured in the same tracker (`tactile.bench.tracking`: 90 Hz, delays of 5 ms rms, noise 0.05 mm,
+Measured in the same tracker (`benchmarks.tracking`: 90 Hz, delays of 5 ms rms, noise 0.05 mm,
 12 ms ahead), rms error in mm on a steady stroke, a 1 Hz swing of 200 mm/s and a recorded slide at
 once and five times its speed:
 

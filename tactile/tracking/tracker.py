@@ -28,7 +28,7 @@ samples added at the same times the path is the same however the blocks are cut.
 
 What prediction can do is bounded. At 90 Hz the newest sample is 5.5 ms old in the mean, its delay
 comes to that, and 12 ms lie ahead; a finger that sets off at 6.6 m/s² goes 0.5 mm in 12 ms and
-1.5 mm in 21.5 ms before anything that is played can know (`tactile.bench.tracking`).
+1.5 mm in 21.5 ms before anything that is played can know (`benchmarks.tracking`).
 
 LaViola ("Double exponential smoothing: an alternative to Kalman filter-based predictive
 tracking", EGVE 2003) found smoothing as good as single Kalman filters; both are measured beside

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile.bench import fit
+from benchmarks import fit
 from tactile.bench.figures import Figure
 
 pytestmark = pytest.mark.ci

@@ -39,6 +39,7 @@ class AmplifierFacts:
     buffer : samples that it keeps
     measures, holds : voltage and current of its channels; each sample until the next (zero-order)
     drift_ppm : of its clock against the host's, as known by now
+    round_trip : shortest time of a recent exchange of time stamps with it [s]; 0 if none is known
     """
 
     node: int
@@ -57,6 +58,7 @@ class AmplifierFacts:
     measures: bool
     holds: bool
     drift_ppm: float
+    round_trip: float
 
     def has(self, channel: int) -> bool:
         """Tell whether a drive line is its."""
@@ -131,6 +133,7 @@ def _facts(peer: Peer, first: int) -> AmplifierFacts:
         measures=bool(caps.features & Feature.SENSES),
         holds=bool(caps.features & Feature.ZERO_ORDER_HOLD),
         drift_ppm=0.0 if peer.clock is None else peer.clock.drift_ppm,
+        round_trip=0.0 if peer.clock is None else peer.clock.round_trip,
     )
 
 

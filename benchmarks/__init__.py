@@ -1,0 +1,78 @@
+"""Benchmarks of every figure that the project promises: accuracy, fidelity, speed and memory.
+
+Each benchmark is a function that yields figures; a figure has a goal, or none where it is there to
+compare with. Where another library does the same work it is measured in the same run. BLAS is held
+to one thread. ``python -m benchmarks`` runs them.
+"""
+
+from functools import partial
+
+from benchmarks.actuator import measure_matrix, measure_plant, measure_response
+from benchmarks.budgets import measure_budgets
+from benchmarks.clock import measure_clock
+from benchmarks.cluster import measure_dask, measure_million
+from benchmarks.crowd import measure_crowd, measure_crowd_long, measure_hour
+from benchmarks.deaths import measure_deaths, measure_deaths_long
+from benchmarks.estop import measure_estop, measure_estop_long, measure_estop_play
+from benchmarks.faults import measure_faults
+from benchmarks.fit import measure_fit
+from benchmarks.friction import measure_friction
+from benchmarks.fuzz import measure_fuzz
+from benchmarks.fuzz_daemon import measure_fuzz_daemon
+from benchmarks.latency import measure_latency, measure_latency_long
+from benchmarks.library import measure_library
+from benchmarks.links import measure_links, measure_streams_long
+from benchmarks.optimize import measure_optimize
+from benchmarks.protocol import measure_protocol
+from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
+from benchmarks.spectrum import measure_spectrum
+from benchmarks.study import measure_study
+from benchmarks.tracking import measure_tracking
+from benchmarks.waves import measure_waves
+from tactile.bench import Benchmark
+from tactile.bench.resources import measure_jitter, measure_memory, measure_speed
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "matrix": measure_matrix,
+    "response": measure_response,
+    "grating": measure_grating,
+    "wood": measure_wood,
+    "friction": measure_friction,
+    "bands": measure_bands,
+    "place": measure_place,
+    "speed": measure_speed,
+    "spectrum": measure_spectrum,
+    "plant": measure_plant,
+    "study": measure_study,
+    "memory": measure_memory,
+    "jitter": measure_jitter,
+    "clock": measure_clock,
+    "protocol": measure_protocol,
+    "faults": measure_faults,
+    "budgets": measure_budgets,
+    "links": measure_links,
+    "fit": measure_fit,
+    "tracking": measure_tracking,
+    "latency": measure_latency,
+    "waves": measure_waves,
+    "crowd": measure_crowd,
+    "optimize": measure_optimize,
+    "deaths": measure_deaths,
+    "estop": measure_estop,
+}
+LONG: dict[str, Benchmark] = {
+    "soak": partial(measure_memory, 600),
+    "fuzz": measure_fuzz,
+    "fuzz-daemon": measure_fuzz_daemon,
+    "streams": measure_streams_long,
+    "latency-long": measure_latency_long,
+    "deaths-long": measure_deaths_long,
+    "estop-long": measure_estop_long,
+    "estop-play": measure_estop_play,
+    "hour": measure_hour,
+    "crowd-long": measure_crowd_long,
+    "library": measure_library,
+    "dask": measure_dask,
+    "million": measure_million,
+}
+"""Benchmarks that take minutes."""

@@ -1,0 +1,108 @@
+"""Programs that play through a daemon until somebody ends them, each in a process of its own.
+
+They are forked from a process that has loaded the SDK, so that one begins within milliseconds.
+"""
+
+import math
+import multiprocessing
+import time
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+
+import tactile.client
+import tactile.client.websocket  # loaded before the fork
+from benchmarks.daemon import NAME, PATIENCE
+from tactile.client import Display
+from tactile.errors import ClientError
+
+LASTS = 120.0
+"""s after which a program ends by itself, where it is not said otherwise."""
+RATE = 90.0
+"""Hz at which a finger is told."""
+FREQUENCY, AMPLITUDE = 160.0, 20e-6
+"""Hz and m of the shear of waveforms and effects."""
+SAMPLE_RATE, AHEAD = 8000, 0.4
+"""Hz of the waveform; s of it that wait in the daemon."""
+EFFECT = 60.0
+"""s, the longest effect that may be asked for."""
+TEXTURE = "wood-oak"
+
+
+def get_ready(display: Display, sound: str) -> None:
+    """Select and arm as soon as the daemon allows it: playback may be started again just now.
+
+    Raises
+    ------
+    ClientError
+        Where it does not for too long.
+    """
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        try:
+            if sound == "stroke":
+                display.select(TEXTURE, timeout=PATIENCE)
+            return display.arm()
+        except ClientError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
+
+
+def play_stroke(display: Display, lasts: float) -> None:
+    """Move a finger over oak, to and fro."""
+    begun = time.monotonic()
+    while (now := time.monotonic() - begun) < lasts:
+        speed = 0.08 * math.cos(2 * now)
+        place = 0.04 * math.sin(2 * now)
+        display.touch((place, 0.0), velocity=(speed, 0.0), normal_force=0.5)
+        time.sleep(1 / RATE)
+
+
+def play_waveform(display: Display, lasts: float) -> None:
+    """Append to a waveform so that it never ends."""
+    period = round(SAMPLE_RATE / FREQUENCY)
+    wave = [math.sin(2 * math.pi * k / period) for k in range(2 * period + 2000)]
+    begun, offset = time.monotonic(), 0
+    while time.monotonic() - begun < lasts:
+        appended = display.append(
+            wave[offset : offset + 2000], sample_rate=SAMPLE_RATE, amplitude=AMPLITUDE
+        )
+        offset = (offset + appended.samples_consumed) % period
+        time.sleep(max(0.05, appended.buffered - AHEAD))
+
+
+def play_effect(display: Display, lasts: float) -> None:
+    """Play an effect of a minute, and do nothing more."""
+    begin_effect(display)
+    time.sleep(lasts)
+
+
+def begin_effect(display: Display) -> None:
+    """Ask for an effect of a minute."""
+    display.effect(
+        AMPLITUDE,
+        amplitude_points=[(0.0, 1.0), (EFFECT, 1.0)],
+        frequency_points=[(0.0, FREQUENCY)],
+    )
+
+
+SOUNDS: dict[str, Callable[[Display, float], None]] = {
+    "stroke": play_stroke,
+    "waveform": play_waveform,
+    "effect": play_effect,
+}
+
+
+def _be_app(url: str, sound: str, lasts: float) -> None:
+    with tactile.client.connect(url, display=NAME, timeout=PATIENCE) as display:
+        get_ready(display, sound)
+        SOUNDS[sound](display, lasts)
+
+
+def start_app(url: str, sound: str, lasts: float = LASTS) -> BaseProcess:
+    """Start a program that plays one of `SOUNDS` for so long [s], and return its process."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    process = context.Process(target=_be_app, args=(url, sound, lasts), daemon=True)
+    process.start()
+    return process

@@ -1,0 +1,269 @@
+"""A daemon in a process of its own that plays on the C amplifier, and what the amplifier put out.
+
+Whatever is done to the processes, the amplifier's own record says by its own clock when volts were
+last put out and until when high voltage was on.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.virtual import VirtualAmplifier, workshop
+from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile.bench.figures import Figure, at_most
+from tactile.display.display import load_display
+
+NAME = "tactile-bench"
+"""Of the display: an e-stop that names it stops no other daemon's display."""
+PATIENCE = 60.0
+"""s in which whatever is waited for must happen."""
+POLL = 0.02
+"""s between looks."""
+CHUNK = 1 << 22
+"""Bytes of records that are read at a time."""
+
+
+class Output(NamedTuple):
+    """What the amplifier put out.
+
+    Attributes
+    ----------
+    times (K,) : of each instant, on the monotonic clock [s]
+    is_loud (K,) : whether any channel was not at 0 V
+    high_voltage (K,) : whether it was on
+    """
+
+    times: NDArray[np.float64]
+    is_loud: NDArray[np.bool_]
+    high_voltage: NDArray[np.bool_]
+
+    def since(self, moment: float) -> "Output":
+        """Return what was put out after a moment [s]."""
+        first = int(np.searchsorted(self.times, moment, side="right"))
+        return Output(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
+
+
+def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: float) -> float:
+    """Return how long after a moment something was last set [s]; 0 where it never was after it."""
+    after = times[is_set & (times > moment)]
+    return float(after.max() - moment) if len(after) else 0.0
+
+
+class Recorder:
+    """Reads an amplifier's record as it grows, and keeps how far it went.
+
+    Parameters
+    ----------
+    amplifier : that puts out
+
+    Attributes
+    ----------
+    largest : of all codes, without sign
+    largest_step : between two instants [codes]
+    """
+
+    def __init__(self, amplifier: VirtualAmplifier) -> None:
+        self._amplifier = amplifier
+        self._last = np.zeros((1, 1), np.int32)
+        self.largest = self.largest_step = 0
+
+    def read(self) -> Output:
+        """Return what was put out since the last call."""
+        parts = [Output(np.empty(0), np.empty(0, bool), np.empty(0, bool))]
+        while len((records := self._amplifier.take(CHUNK)).codes):
+            self._measure(records.codes.astype(np.int32))
+            parts.append(
+                Output(
+                    self._amplifier.powered_up + records.tick.astype(np.float64) * 1e-6,
+                    np.asarray(records.codes.any(axis=1)),
+                    records.high_voltage != 0,
+                )
+            )
+        return joined(parts)
+
+    def _measure(self, codes: NDArray[np.int32]) -> None:
+        before = np.broadcast_to(self._last, (1, codes.shape[1]))
+        steps = np.abs(np.diff(codes, axis=0, prepend=before))
+        self.largest = max(self.largest, int(np.abs(codes).max()))
+        self.largest_step = max(self.largest_step, int(steps.max()))
+        self._last = codes[-1:]
+
+    def figures(self, name: str) -> Iterator[Figure]:
+        """Yield how far it went, as parts of its limits."""
+        display = load_display("reference-24")
+        slew = min(display.slew / 8000.0 / display.limits.voltage, 2.0) * FULL_SCALE_CODE
+        yield at_most(f"{name}.largest_voltage", self.largest / FULL_SCALE_CODE, "of limit", 1)
+        yield at_most(f"{name}.largest_step", self.largest_step / slew, "of slew", 1)
+
+
+def joined(parts: list[Output]) -> Output:
+    """Return what was put out in several spans as one."""
+    return Output(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE) -> None:
+    """Return when something happens.
+
+    Raises
+    ------
+    TimeoutError
+        Where it does not.
+    """
+    deadline = time.monotonic() + within
+    while not happens():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what}: not within {within:g} s")
+        time.sleep(POLL)
+
+
+def send_signal(pid: int, number: signal.Signals) -> None:
+    """Send a signal to a process, where it is still there."""
+    with suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+def is_alive(pid: int) -> bool:
+    """Return whether a process runs, or is stopped."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    return False
+
+
+def children_of(pid: int) -> dict[str, int]:
+    """Return the processes that a server started: "playback_process", "drawing" and others."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
+                words = (entry / "cmdline").read_text()
+                for kind in ("playback_process", "drawing", "estop_process"):
+                    if kind in words and is_alive(int(entry.name)):
+                        found[kind] = int(entry.name)
+    return found
+
+
+class Daemon:
+    """`tactile serve` in a process of its own, on an amplifier.
+
+    Parameters
+    ----------
+    folder : for its configuration and its log
+    device : path of the amplifier's pty
+    worn : whether the finger stays on the display
+    log : file of the log
+    osc : port, 0 for none
+    server : further lines of the table ``server``
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        device: str,
+        *,
+        worn: bool = True,
+        log: str = "log",
+        osc: int = 0,
+        server: str = "",
+    ) -> None:
+        self._config, self._stderr = folder / "tactile.toml", folder / "stderr"
+        self._config.write_text(
+            f'[server]\nport = 0\n{server}\n[osc]\nport = {osc}\n[log]\nfile = "{log}"\n'
+            f'[[display]]\nname = "{NAME}"\ndevice = "serial://{device}"\n'
+            f"worn = {str(worn).lower()}\n"
+        )
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until it listens."""
+        words = ["-m", "tactile", "serve", "--config", str(self._config)]
+        with self._stderr.open("a") as stderr:
+            self._process = subprocess.Popen(
+                [sys.executable, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
+            )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().split()
+        if not line:
+            code, why = self._process.wait(), self._stderr.read_text()[-2000:]
+            raise RuntimeError(f"the daemon did not start: exit code {code}: {why}")
+        self.url = line[0]
+
+    @property
+    def pid(self) -> int:
+        """Of the server."""
+        return self._process.pid
+
+    @property
+    def port(self) -> int:
+        """Of the WebSocket."""
+        return int(self.url.rpartition(":")[2].partition("/")[0])
+
+    def playback(self) -> int:
+        """Return the process that plays; waits while it is started again."""
+        wait_for("playback runs", lambda: "playback_process" in children_of(self.pid))
+        return children_of(self.pid)["playback_process"]
+
+    def is_running(self) -> bool:
+        """Return whether its server has not ended."""
+        return self._process.poll() is None
+
+    def restart(self) -> None:
+        """Start it again where its server has ended."""
+        if not self.is_running():
+            self.close()
+            self.start()
+
+    def close(self) -> None:
+        """End it, whatever state it is in, and wait until its processes are gone."""
+        left = children_of(self.pid)
+        if self.is_running():
+            self._process.kill()
+        self._process.wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        for pid in left.values():
+            send_signal(pid, signal.SIGCONT)
+        wait_for("its processes are gone", lambda: not any(map(is_alive, left.values())))
+
+
+@contextmanager
+def own_folders() -> Iterator[Path]:
+    """Give daemons that are started meanwhile folders of their own for state and sockets."""
+    names = {"STATE_DIRECTORY": "state", "RUNTIME_DIRECTORY": "run"}
+    before = {name: os.environ.get(name) for name in names}
+    with TemporaryDirectory(prefix="t-") as folder:
+        os.environ.update({name: str(Path(folder, part)) for name, part in names.items()})
+        try:
+            yield Path(folder)
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name)
+                if value is not None:
+                    os.environ[name] = value
+
+
+@contextmanager
+def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
+    """Give the C amplifier on a pty, and a folder for a daemon that plays on it."""
+    with ExitStack() as stack:
+        stack.enter_context(own_folders())
+        folder = stack.enter_context(workshop())
+        yield stack.enter_context(closing(VirtualAmplifier(folder, "--pty"))), folder
+
+
+def frame(message: object) -> bytes:
+    """Return a message as a text frame of a client's WebSocket, masked with zeros."""
+    payload = json.dumps(message).encode()
+    size = len(payload)
+    length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + size.to_bytes(2)
+    return b"\x81" + length + bytes(4) + payload

@@ -1,0 +1,309 @@
+"""Whatever dies, hangs or runs out while something plays: how long until 0 V, and high voltage off.
+
+In each try a program plays a stroke, a waveform or a long effect through a daemon to the C
+amplifier on a pty, with the display worn and not worn; then something happens to the program, to
+the server, to playback, to the link, to the disk or to descriptors. Times are those of the
+amplifier's record.
+"""
+
+import os
+import random
+import signal
+import socket
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from itertools import count, product
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.app import SOUNDS, start_app
+from benchmarks.daemon import (
+    PATIENCE,
+    POLL,
+    Daemon,
+    Output,
+    Recorder,
+    amplifier_and_folder,
+    joined,
+    last_after,
+    send_signal,
+)
+from benchmarks.virtual import can_be_built
+from tactile.bench.figures import Figure, at_most, beside_machine
+
+if sys.platform == "linux":
+    import resource
+
+SHORT, LONG = 2, 200
+"""Tries of each fault."""
+SILENT_WITHIN, OFF_WITHIN = 0.3, 1.0
+"""s from a fault to 0 V and to high voltage off."""
+WATCHED = 1.2
+"""s after a fault that are watched at most."""
+CALM = 0.15
+"""s at 0 V without high voltage after which there is nothing more to watch."""
+HEARD = 0.1
+"""s for which something must have played before a fault."""
+ATTEMPTS = 5
+"""To have something play."""
+SPARE, CONNECTIONS = 4, 64
+"""Descriptors left to a server, and connections that use them up."""
+SEED = 14
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a fault meets: an app that plays through a daemon over a link (a descriptor)."""
+
+    daemon: Daemon
+    app: BaseProcess
+    playback: int
+    link: int
+
+    @property
+    def app_pid(self) -> int:
+        """Of the app's process."""
+        assert self.app.pid is not None
+        return self.app.pid
+
+
+Fault = Callable[[Scene], AbstractContextManager[float]]
+"""What happens to a scene: it yields when it happened [s], and is over at its end."""
+
+
+@contextmanager
+def _signaled(pid: int, number: signal.Signals) -> Iterator[float]:
+    moment = time.monotonic()
+    send_signal(pid, number)
+    try:
+        yield moment
+    finally:
+        send_signal(pid, signal.SIGCONT)
+
+
+@contextmanager
+def _link_lost(scene: Scene) -> Iterator[float]:
+    """Let nothing that the host sends reach the amplifier."""
+    moment = time.monotonic()
+    termios.tcflow(scene.link, termios.TCOOFF)
+    try:
+        yield moment
+    finally:
+        termios.tcflow(scene.link, termios.TCOON)
+
+
+@contextmanager
+def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
+    """Leave the server no descriptor, then kill the app."""
+    pid, folder = scene.daemon.pid, Path(f"/proc/{scene.daemon.pid}/fd")
+    before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    limit = max(int(fd.name) for fd in folder.iterdir()) + 1 + SPARE
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (limit, before[1]))
+    try:
+        with ExitStack() as stack:
+            for _ in range(CONNECTIONS):
+                link = stack.enter_context(socket.socket())
+                link.setblocking(False)
+                link.connect_ex(("127.0.0.1", scene.daemon.port))
+            time.sleep(5 * POLL)
+            with _signaled(scene.app_pid, signal.SIGKILL) as moment:
+                yield moment
+    finally:
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
+
+
+FAULTS: dict[str, Fault] = {
+    "app_killed": lambda scene: _signaled(scene.app_pid, signal.SIGKILL),
+    "app_stopped": lambda scene: _signaled(scene.app_pid, signal.SIGSTOP),
+    "server_killed": lambda scene: _signaled(scene.daemon.pid, signal.SIGKILL),
+    "server_stopped": lambda scene: _signaled(scene.daemon.pid, signal.SIGSTOP),
+    "playback_killed": lambda scene: _signaled(scene.playback, signal.SIGKILL),
+    "playback_stopped": lambda scene: _signaled(scene.playback, signal.SIGSTOP),
+    "link_lost": _link_lost,
+    "descriptors": _descriptors_exhausted,
+}
+FULL_DISK: dict[str, Fault] = {"disk_full": FAULTS["app_killed"]}
+"""Of a daemon whose log's disk is full all the time."""
+
+
+@dataclass
+class Outcomes:
+    """What became of the tries of one fault: times to 0 V and to high voltage off [s]."""
+
+    silent: list[float] = field(default_factory=list)
+    off: list[float] = field(default_factory=list)
+
+    def add(self, output: Output, moment: float) -> bool:
+        """Take what was put out around a fault; return whether all was off in time."""
+        self.silent.append(last_after(output.times, output.is_loud, moment))
+        self.off.append(last_after(output.times, output.high_voltage, moment))
+        return self.silent[-1] <= SILENT_WITHIN and self.off[-1] <= OFF_WITHIN
+
+    def failures(self) -> int:
+        """Return in how many tries something was on for too long."""
+        silent, off = np.array(self.silent), np.array(self.off)
+        return int(np.sum((silent > SILENT_WITHIN) | (off > OFF_WITHIN)))
+
+    def figures(self, name: str) -> Iterator[Figure]:
+        """Yield the figures of a fault."""
+        yield Figure(f"{name}.tries", float(len(self.silent)), "")
+        yield at_most(f"{name}.failures", float(self.failures()), "", 0)
+        for part, times, limit in (
+            ("silent", self.silent, SILENT_WITHIN),
+            ("off", self.off, OFF_WITHIN),
+        ):
+            yield Figure(f"{name}.{part}.p99", float(np.percentile(times, 99)), "s")
+            yield at_most(f"{name}.{part}.worst", max(times), "s", limit)
+
+
+def plays(output: Output) -> bool:
+    """Return whether, by what was put out last, something plays."""
+    if not len(output.times) or output.times[-1] - output.times[0] < HEARD:
+        return False
+    last = output.since(output.times[-1] - HEARD)
+    return bool(last.is_loud.mean() > 0.5 and last.high_voltage.all())
+
+
+def is_over(output: Output, moment: float) -> bool:
+    """Return whether all is off since a while, and for as long after a fault as it must be."""
+    if not len(output.times) or output.times[-1] < moment + SILENT_WITHIN + CALM:
+        return False
+    last = output.since(output.times[-1] - CALM)
+    return not (last.is_loud | last.high_voltage).any()
+
+
+class Tries:
+    """Tries of faults with one daemon, which is started again where it died.
+
+    Parameters
+    ----------
+    daemon : that plays
+    recorder : of its amplifier
+    link : descriptor of the amplifier's pty, at the host's end
+    """
+
+    def __init__(self, daemon: Daemon, recorder: Recorder, link: int) -> None:
+        self._daemon, self._recorder, self._link = daemon, recorder, link
+
+    def carry_out(self, sound: str, fault: Fault, outcomes: Outcomes, wait: float) -> None:
+        """Play a sound, wait [s], let a fault happen, and add what came of it."""
+        self._daemon.restart()
+        app = self._playing(sound)
+        try:
+            scene = Scene(self._daemon, app, self._daemon.playback(), self._link)
+            time.sleep(wait)
+            before = self._recorder.read()
+            with fault(scene) as moment:
+                output = joined([before, self._watched(moment)])
+        finally:
+            app.kill()
+            app.join()
+        if not outcomes.add(output, moment):
+            self._daemon.close()  # what is left of it would spoil the next try
+
+    def _playing(self, sound: str) -> BaseProcess:
+        """Return an app that plays."""
+        for _ in range(ATTEMPTS):
+            app = start_app(self._daemon.url, sound)
+            self._recorder.read()
+            if self._is_heard(app):
+                return app
+            if app.is_alive():  # else it met playback as it was started again
+                self._daemon.close()
+                self._daemon.start()
+            app.kill()
+            app.join()
+        raise TimeoutError(f"a {sound} did not play in {ATTEMPTS} attempts of {PATIENCE:g} s")
+
+    def _is_heard(self, app: BaseProcess) -> bool:
+        deadline = time.monotonic() + PATIENCE
+        output = self._recorder.read()
+        while not plays(output):
+            if time.monotonic() > deadline or not app.is_alive():
+                return False
+            time.sleep(POLL)
+            output = joined([output, self._recorder.read()])
+            output = output.since(time.monotonic() - 5 * HEARD)
+        return True
+
+    def _watched(self, moment: float) -> Output:
+        """Return what is put out until all is off, or for as long as is watched."""
+        parts = [self._recorder.read()]
+        while not is_over(output := joined(parts), moment):
+            if len(output.times) and output.times[-1] > moment + WATCHED:
+                break
+            if time.monotonic() > moment + PATIENCE:
+                raise TimeoutError(f"the amplifier recorded nothing for {PATIENCE:g} s")
+            time.sleep(POLL)
+            parts = [output, self._recorder.read()]
+        return output
+
+
+def schedule(faults: list[str], tries: range, rng: random.Random) -> list[tuple[str, str]]:
+    """Return pairs of sound and fault in random order: each fault with all sounds in turn.
+
+    Parameters
+    ----------
+    faults : names
+    tries : numbers of the tries of each
+    rng : draws the order
+    """
+    sounds = list(SOUNDS)
+    pairs = [
+        (sounds[(k + shift) % len(sounds)], fault)
+        for shift, fault in enumerate(faults)
+        for k in tries
+    ]
+    rng.shuffle(pairs)
+    return pairs
+
+
+def measure_deaths(tries: int = SHORT) -> Iterator[Figure]:
+    """Measure how soon all is off after each fault."""
+    if sys.platform == "linux" and can_be_built():
+        name = "deaths-long" if tries == LONG else "deaths"
+        yield from beside_machine(name, _measured(name, tries))
+
+
+def _measured(name: str, tries: int) -> Iterator[Figure]:
+    outcomes = {fault: Outcomes() for fault in FAULTS | FULL_DISK}
+    rng, done = random.Random(SEED), count(1)
+    for (log, faults), worn in product((("log", FAULTS), ("/dev/full", FULL_DISK)), (True, False)):
+        share = range(tries)[: tries // 2] if worn else range(tries)[tries // 2 :]
+        with _tries(worn=worn, log=log) as (one, recorder):
+            for sound, fault in schedule(list(faults), share, rng):
+                one.carry_out(sound, faults[fault], outcomes[fault], rng.uniform(0, 2 * HEARD))
+                _tell(name, next(done), tries * len(outcomes))
+        yield from recorder.figures(f"{name}.{'worn' if worn else 'not_worn'}.{Path(log).name}")
+    for fault, outcome in outcomes.items():
+        yield from outcome.figures(f"{name}.{fault}")
+
+
+@contextmanager
+def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, Recorder]]:
+    """Give tries with a daemon of their own."""
+    with amplifier_and_folder() as (amplifier, folder):
+        link = os.open(amplifier.path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            recorder = Recorder(amplifier)
+            with closing(Daemon(folder, amplifier.path, worn=worn, log=log)) as daemon:
+                yield Tries(daemon, recorder, link), recorder
+        finally:
+            os.close(link)
+
+
+def _tell(name: str, done: int, of: int) -> None:
+    """Say on a terminal how far it is."""
+    if sys.stderr.isatty():
+        print(f"\r{name}: {done} of {of}", end="" if done < of else "\n", file=sys.stderr)
+
+
+def measure_deaths_long() -> Iterator[Figure]:
+    """Measure it in hundreds of tries of each fault."""
+    yield from measure_deaths(LONG)

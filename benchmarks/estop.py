@@ -1,0 +1,375 @@
+"""Time from an e-stop to its answer and to 0 V, whatever else goes on, by the amplifier's clock.
+
+An effect plays through a daemon, a process of its own, to the C amplifier on a pty. An e-stop is
+sent over a WebSocket of the SDK that was there before, or as `tactile estop` does. After each one
+arming must be refused until it is cleared by its number. The same is measured of `tactile play`,
+which drives the amplifier without a daemon.
+"""
+
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+import tactile.client
+from benchmarks.app import TEXTURE, begin_effect
+from benchmarks.daemon import (
+    NAME,
+    PATIENCE,
+    POLL,
+    Daemon,
+    Output,
+    Recorder,
+    amplifier_and_folder,
+    joined,
+    last_after,
+    send_signal,
+    wait_for,
+)
+from benchmarks.deaths import HEARD, plays
+from benchmarks.floods import (
+    Load,
+    burdened,
+    flood_osc,
+    open_connections,
+    send_messages,
+    touch_together,
+)
+from benchmarks.virtual import can_be_built
+from tactile import messages as m
+from tactile.bench.figures import Figure, at_most, beside_machine
+from tactile.client import Display
+from tactile.display.display import load_display
+from tactile.errors import ClientError, RequestError
+from tactile.estop.request import request_estop
+from tactile.playback.estop_guard import clear_device
+
+SHORT, LONG = 10, 200
+"""Number of tries of each way under each load."""
+PLAYS = 100
+"""Number of tries with `tactile play`."""
+P99, WORST = 50.0, 100.0
+"""Limits of the time to the answer and to 0 V [ms]."""
+WATCHED = 0.3
+"""Time after an e-stop that is watched [s]."""
+WAIT = 0.2
+"""Least time that a load lasts before an e-stop [s]."""
+TRY = 8.0
+"""Longest time that a load lasts for each try [s]."""
+CLIENTS = 50
+"""Number of apps that touch together."""
+MESSAGES, SENDERS = 100_000, 4
+"""Rate of messages [1/s], and number of processes that send them."""
+CONNECTIONS, PACKETS = 5000, 20_000
+"""Rates of TCP connections and of OSC packets [1/s]."""
+NO_LIMIT = "messages_per_second = 100000"
+"""Line of the server's configuration by which a flood reaches it."""
+SEED = 14
+
+
+@dataclass
+class Times:
+    """Times to the answer and to 0 V, of one way under one load [s]; and what went wrong.
+
+    Attributes
+    ----------
+    unanswered : e-stops that were refused or not answered
+    forgotten : e-stops after which the display could be armed
+    """
+
+    answered: list[float] = field(default_factory=list)
+    silent: list[float] = field(default_factory=list)
+    unanswered: int = 0
+    forgotten: int = 0
+
+    def figures(self, name: str) -> Iterator[Figure]:
+        """Yield the figures."""
+        yield Figure(f"{name}.tries", float(len(self.silent)), "")
+        yield at_most(f"{name}.unanswered", float(self.unanswered), "", 0)
+        yield at_most(f"{name}.forgotten", float(self.forgotten), "", 0)
+        for part, times in (("answered", self.answered), ("silent", self.silent)):
+            late = 1e3 * np.array(times or [np.nan])
+            yield Figure(f"{name}.{part}.p50", float(np.percentile(late, 50)), "ms")
+            yield at_most(f"{name}.{part}.p99", float(np.percentile(late, 99)), "ms", P99)
+            yield at_most(f"{name}.{part}.worst", float(late.max()), "ms", WORST)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A daemon, its amplifier's recorder, and a program that is connected to it."""
+
+    daemon: Daemon
+    recorder: Recorder
+    display: Display
+    osc_port: int
+    load: Load | None = None
+
+
+def _stop_by_command(name: str) -> bool:
+    """Do what `tactile estop` does, and return whether an e-stop was latched.
+
+    Parameters
+    ----------
+    name : of the display, or URL of the device
+    """
+    return any(answer.estops for answer in request_estop(name))
+
+
+def _over_socket(rig: Rig) -> bool:
+    try:
+        rig.display.estop(timeout=PATIENCE)
+    except ClientError:
+        return False
+    return True
+
+
+def _as_command(rig: Rig) -> bool:
+    return _stop_by_command(NAME)
+
+
+WAYS: dict[str, Callable[[Rig], bool]] = {"websocket": _over_socket, "command": _as_command}
+
+
+@contextmanager
+def _server_stopped(rig: Rig) -> Iterator[None]:
+    send_signal(rig.daemon.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        send_signal(rig.daemon.pid, signal.SIGCONT)
+
+
+@contextmanager
+def _playback_restarting(rig: Rig) -> Iterator[None]:
+    """Kill playback, and go on when the amplifier has noticed."""
+    send_signal(rig.daemon.playback(), signal.SIGKILL)
+    wait_for("0 V", lambda: is_silent(rig.recorder.read()))
+    yield
+
+
+def is_silent(output: Output) -> bool:
+    """Return whether nothing was put out in the last instants.
+
+    Parameters
+    ----------
+    output : record of the amplifier
+    """
+    return len(output.times) > 0 and not output.is_loud[-20:].any()
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What goes on while an e-stop is sent.
+
+    Attributes
+    ----------
+    ways : keys of `WAYS` that there are then
+    load : let from a while before each e-stop on; gets the rig and for how long there is one [s]
+    at_once : in each try from just before the e-stop until all is recorded
+    """
+
+    ways: tuple[str, ...] = tuple(WAYS)
+    load: Callable[[Rig, float], AbstractContextManager[Load | None]] = lambda rig, s: nullcontext()
+    at_once: Callable[[Rig], AbstractContextManager[None]] = lambda rig: nullcontext()
+
+
+CONDITIONS: dict[str, Condition] = {
+    "idle": Condition(),
+    "clients": Condition(load=lambda rig, s: burdened(touch_together, rig.daemon.url, CLIENTS, s)),
+    "messages": Condition(
+        load=lambda rig, s: burdened(
+            send_messages, rig.daemon.port, MESSAGES / SENDERS, s, processes=SENDERS
+        )
+    ),
+    "connections": Condition(
+        load=lambda rig, s: burdened(open_connections, rig.daemon.port, CONNECTIONS, s)
+    ),
+    "osc": Condition(load=lambda rig, s: burdened(flood_osc, rig.osc_port, PACKETS, s)),
+    "playback_restarting": Condition(at_once=_playback_restarting),
+    "server_stopped": Condition(ways=("command",), at_once=_server_stopped),
+}
+
+
+def carry_out(rig: Rig, way: str, condition: Condition, times: Times, wait: float) -> None:
+    """Send an e-stop while an effect plays, add how long it took, and clear it by its number.
+
+    Parameters
+    ----------
+    rig, way, condition : what plays, a key of `WAYS`, what goes on besides
+    times : to which is added
+    wait : how long that goes on before the e-stop [s]
+    """
+    _play(rig)
+    with rig.load.on() if rig.load else nullcontext():
+        time.sleep(wait)
+        with condition.at_once(rig):
+            _stop(times, rig.recorder, lambda: WAYS[way](rig))
+    times.forgotten += not is_refused(rig.display)
+    _clear(rig.display)
+
+
+def _stop(times: Times, recorder: Recorder, request: Callable[[], bool]) -> None:
+    """Send an e-stop, which returns whether it was answered, and add how long all took."""
+    sent = time.monotonic()
+    if request():
+        times.answered.append(time.monotonic() - sent)
+    else:
+        times.unanswered += 1
+    output = _watched(recorder, sent)
+    times.silent.append(last_after(output.times, output.is_loud, sent))
+
+
+def _play(rig: Rig) -> None:
+    """Arm, and have an effect play."""
+    deadline = time.monotonic() + PATIENCE
+    output = rig.recorder.read()
+    while not plays(output):
+        try:
+            rig.display.arm(timeout=PATIENCE)
+            begin_effect(rig.display)
+        except ClientError:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(2 * HEARD)
+        output = joined([output, rig.recorder.read()]).since(time.monotonic() - 5 * HEARD)
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"an effect did not play within {PATIENCE:g} s")
+
+
+def _watched(recorder: Recorder, sent: float) -> Output:
+    """Return what is put out from an e-stop on."""
+    parts = [recorder.read()]
+
+    def all_recorded() -> bool:
+        parts.append(recorder.read())
+        return any(len(part.times) and part.times[-1] > sent + WATCHED for part in parts)
+
+    wait_for("the amplifier's record", all_recorded)
+    return joined(parts)
+
+
+def is_refused(display: Display) -> bool:
+    """Return whether an e-stop refuses to arm; playback may have to be started for the answer.
+
+    Parameters
+    ----------
+    display : that was e-stopped
+    """
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        try:
+            display.arm(timeout=PATIENCE)
+        except ClientError as error:  # one that is not connected connects again
+            if isinstance(error, RequestError) and error.code == "estopped":
+                return True
+        else:
+            return False
+        time.sleep(POLL)
+    return False
+
+
+def _clear(display: Display) -> None:
+    """End the e-stop that holds."""
+    ask, deadline = display.connection._ask, time.monotonic() + PATIENCE
+    while True:
+        try:
+            estop = ask(m.GetStats(display=NAME), m.Stats, PATIENCE).estop
+            if not estop:
+                return
+            ask(m.Clear(display=NAME, estop=estop), m.Done, PATIENCE)
+        except ClientError:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(POLL)
+
+
+def measure_estop(tries: int = SHORT) -> Iterator[Figure]:
+    """Measure e-stops while different things go on.
+
+    Parameters
+    ----------
+    tries : of each way in each condition
+    """
+    if sys.platform == "linux" and can_be_built():
+        name = "estop-long" if tries == LONG else "estop"
+        yield from beside_machine(name, _measured(name, tries))
+
+
+def _measured(name: str, tries: int) -> Iterator[Figure]:
+    rng = random.Random(SEED)
+    for kind, condition in CONDITIONS.items():
+        with _rig() as rig, condition.load(rig, tries * len(WAYS) * TRY) as load:
+            rig = replace(rig, load=load)
+            for way in condition.ways:
+                times = Times()
+                for _ in range(tries):
+                    carry_out(rig, way, condition, times, rng.uniform(WAIT, 2 * WAIT))
+                yield from times.figures(f"{name}.{kind}.{way}")
+            if load is not None:
+                yield Figure(f"{name}.{kind}.rate", load.rate(), "1/s")
+            yield from rig.recorder.figures(f"{name}.{kind}")
+
+
+def measure_estop_play() -> Iterator[Figure]:
+    """Measure e-stops of `tactile play`, which must then be refused to play again."""
+    if sys.platform == "linux" and can_be_built():
+        yield from beside_machine("estop-play", _measured_play("estop-play", PLAYS))
+
+
+def _measured_play(name: str, tries: int) -> Iterator[Figure]:
+    times, display = Times(), load_display("reference-24")
+    with amplifier_and_folder() as (amplifier, _):
+        recorder, device = Recorder(amplifier), f"serial://{amplifier.path}"
+        words = [sys.executable, "-m", "tactile", "play", TEXTURE, "--quiet", "--device", device]
+        for _ in range(tries):
+            player = subprocess.Popen([*words, "--seconds", "3600"], stderr=subprocess.DEVNULL)
+            try:
+                wait_for("a texture", lambda: plays(_latest(recorder)))
+                _stop(times, recorder, lambda: _stop_by_command(device))
+            finally:
+                player.kill()
+                player.wait()
+            again = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
+            times.forgotten += again.returncode == 0
+            clear_device(device, display, lambda number, _: number, accept_unsafe_hold=False)
+        yield from times.figures(name)
+        yield from recorder.figures(name)
+
+
+def _latest(recorder: Recorder) -> Output:
+    """Return what the amplifier puts out from now on, for as long as `plays` looks at."""
+    recorder.read()
+    time.sleep(2 * HEARD)
+    return recorder.read()
+
+
+@contextmanager
+def _rig() -> Iterator[Rig]:
+    """Give a daemon, and a program that is connected to it."""
+    with ExitStack() as stack:
+        amplifier, folder = stack.enter_context(amplifier_and_folder())
+        port = free_udp_port()
+        daemon = Daemon(folder, amplifier.path, osc=port, server=NO_LIMIT)
+        stack.enter_context(closing(daemon))
+        display = tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE)
+        stack.enter_context(display)
+        yield Rig(daemon, Recorder(amplifier), display, port)
+
+
+def free_udp_port() -> int:
+    """Return a port that nobody listens at."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        return int(link.getsockname()[1])
+
+
+def measure_estop_long() -> Iterator[Figure]:
+    """Measure hundreds of e-stops of each kind."""
+    yield from measure_estop(LONG)

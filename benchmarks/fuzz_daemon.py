@@ -1,0 +1,222 @@
+"""Random messages, legal and not, from several clients of a daemon that hang up at any moment.
+
+The amplifier's record is the oracle for voltages. Playback must be the same process at the end; a
+program that strokes beside it must keep its blocks; and of those who hung up nothing may be left.
+"""
+
+import random
+import re
+import signal
+import socket
+import struct
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from typing import Any
+
+import tactile.client
+from benchmarks.app import start_app
+from benchmarks.crowd import resident
+from benchmarks.daemon import (
+    NAME,
+    PATIENCE,
+    Daemon,
+    Recorder,
+    amplifier_and_folder,
+    frame,
+    send_signal,
+)
+from benchmarks.floods import Load, burdened, drain, open_websocket
+from benchmarks.virtual import can_be_built
+from tactile import messages as m
+from tactile.bench.figures import Figure, at_least, at_most, beside_machine
+from tactile.client import Display
+from tactile.errors import ClientError
+
+SECONDS = 600.0
+CLIENTS = 4
+PLACES = 64
+"""Clients that a daemon takes by default."""
+HANG_UPS = 2000
+"""At least, in all."""
+SETTLED = 0.2
+"""Of the time after which memory has grown to what it needs."""
+SEED = 14
+ODD: list[Any] = [
+    None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 500,
+    "estop", -0.0,
+]  # fmt: skip
+"""What a field may hold instead."""
+LEGAL: dict[str, Callable[[random.Random], dict[str, Any]]] = {
+    "arm": lambda rng: {},
+    "disarm": lambda rng: {},
+    "estop": lambda rng: {},
+    "clear": lambda rng: {"estop": rng.randrange(1, 300)},
+    "gain": lambda rng: {"gain": rng.random()},
+    "stop": lambda rng: {},
+    "play": lambda rng: {},
+    "get_stats": lambda rng: {},
+    "subscribe": lambda rng: {"rate_hz": rng.choice([0, 10, 100])},
+    "select": lambda rng: {"layers": [{"texture": "wood-oak", "seed": rng.randrange(2)}]},
+    "contact": lambda rng: {
+        "position_mm": [rng.uniform(-50, 50), 0],
+        "normal_force_n": rng.choice([0, 0.5, 50]),
+    },
+    "append": lambda rng: {
+        "sample_rate_hz": rng.choice([100, 8000, 48_000]),
+        "amplitude_um": 500,
+        "samples": [rng.choice([-1, 1]) for _ in range(rng.randrange(400))],
+        "append": rng.random() < 0.5,
+    },
+    "effect": lambda rng: {
+        "amplitude_um": rng.choice([0, 500]),
+        "amplitude": [[0, 1], [rng.uniform(0, 60_000), 1]],
+        "frequency": [[0, rng.uniform(0, 1000)]],
+        "transients": [[rng.uniform(0, 60_000), 1, 160] for _ in range(rng.choice([0, 500]))],
+    },
+}
+"""What a request holds besides its type, its display and its number."""
+
+
+RARE = {"estop": 0.02, "disarm": 0.02}
+"""How often what silences the display is sent, where all else is sent once."""
+
+
+def random_message(rng: random.Random) -> bytes:
+    """Return a frame with a message: legal, with an odd field, or with broken bytes."""
+    (kind,) = rng.choices(list(LEGAL), [RARE.get(kind, 1.0) for kind in LEGAL])
+    message: dict[str, Any] = {"type": kind, "display": NAME, **LEGAL[kind](rng)}
+    if kind != "contact":
+        message["id"] = rng.randrange(1000)
+    if rng.random() < 0.3:
+        message[rng.choice(list(message))] = rng.choice(ODD)
+    made = bytearray(frame(message))
+    if rng.random() < 0.05:
+        made[rng.randrange(len(made))] = rng.randrange(256)
+    return bytes(made)
+
+
+def hang_up(link: socket.socket) -> None:
+    """Close a connection without a word, as a process that dies does."""
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    link.close()
+
+
+def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
+    """Be a client that sends random messages and hangs up, again and again; count that."""
+    rng, end = random.Random(f"{seed} {time.monotonic_ns()}"), time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            link = open_websocket(port)
+        except OSError:
+            time.sleep(0.1)
+            continue
+        try:
+            for _ in range(rng.randrange(1, 40)):
+                link.sendall(random_message(rng))
+                drain(link)
+                time.sleep(rng.choice([0, 0, 0.002, 0.01]))
+        except OSError:
+            pass  # the server closed it
+        hang_up(link)
+        load.count(1)
+
+
+def clients_of(daemon: Daemon) -> float:
+    """Return how many clients a daemon counts."""
+    with urllib.request.urlopen(
+        f"http://127.0.0.1:{daemon.port}/metrics", timeout=PATIENCE
+    ) as page:
+        text = page.read().decode()
+    found = re.search(r'^tactile_clients\{transport="websocket"\} (\S+)', text, re.MULTILINE)
+    return float(found[1]) if found else 0.0
+
+
+def free_places(daemon: Daemon, most: int = PLACES) -> int:
+    """Return how many clients are let in at once."""
+    with ExitStack() as stack:
+        links = [stack.enter_context(open_websocket(daemon.port)) for _ in range(most)]
+        return sum(b'"welcome"' in link.recv(1 << 16) for link in links)
+
+
+def counters_of(daemon: Daemon) -> dict[str, int]:
+    """Return what playback counted."""
+    with tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as display:
+        ask = display.connection._ask
+        return ask(m.GetStats(display=NAME), m.Stats, PATIENCE).counters
+
+
+def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
+    """Measure what is left of a daemon after a while of random messages."""
+    if sys.platform == "linux" and can_be_built():
+        yield from beside_machine("fuzz-daemon", _measured(seconds))
+
+
+def _measured(seconds: float) -> Iterator[Figure]:
+    with amplifier_and_folder() as (amplifier, folder):
+        recorder = Recorder(amplifier)
+        with closing(Daemon(folder, amplifier.path)) as daemon:
+            playback, before = daemon.playback(), counters_of(daemon)
+            victim = start_app(daemon.url, "stroke", lasts=seconds + PATIENCE)
+            with (
+                tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as keeper,
+                burdened(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
+            ):
+                memory = list(_observed(daemon, recorder, keeper, seconds))
+                hang_ups = load.sent.value
+            after = counters_of(daemon)
+            send_signal(victim.pid or 0, signal.SIGKILL)
+            victim.join()
+            yield at_least("fuzz-daemon.hang_ups", float(hang_ups), "", HANG_UPS)
+            yield at_most("fuzz-daemon.playback_died", daemon.playback() != playback, "", 0)
+            yield from recorder.figures("fuzz-daemon")
+            yield from victim_figures(before, after)
+            yield from _what_is_left(daemon, memory)
+
+
+def _observed(
+    daemon: Daemon, recorder: Recorder, keeper: Display, seconds: float
+) -> Iterator[float]:
+    """Yield the server's memory [MiB] each second; read the record, and keep it armed meanwhile."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        for _ in range(10):
+            time.sleep(0.1)
+            recorder.read()
+            with suppress(ClientError):
+                clear_and_arm(keeper)
+        yield resident(daemon.pid)
+
+
+def clear_and_arm(display: Display) -> None:
+    """Have a display play on, where random messages stopped it."""
+    ask = display.connection._ask
+    stats = ask(m.GetStats(display=NAME), m.Stats, PATIENCE)
+    if stats.estop:
+        ask(m.Clear(display=NAME, estop=stats.estop), m.Done, PATIENCE)
+    if stats.state != "armed":
+        display.arm(timeout=PATIENCE)
+
+
+def victim_figures(before: dict[str, int], after: dict[str, int]) -> Iterator[Figure]:
+    """Yield what playback lost meanwhile, by its counters before and after."""
+    names = ("blocks", "late_blocks", "skipped_samples", "underruns")
+    change = {name: after.get(name, 0) - before.get(name, 0) for name in names}
+    bad = change["late_blocks"] + change["skipped_samples"] / 16
+    yield Figure("fuzz-daemon.blocks", float(change["blocks"]), "")
+    late = 1e4 * bad / max(change["blocks"], 1)
+    yield at_most("fuzz-daemon.late_blocks", late, "of 10 000", 10)
+    yield Figure("fuzz-daemon.underruns", float(change["underruns"]), "")
+
+
+def _what_is_left(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
+    deadline = time.monotonic() + 5.0
+    while (ghosts := clients_of(daemon)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    yield at_most("fuzz-daemon.ghosts", ghosts, "", 0)
+    yield at_least("fuzz-daemon.free_places", float(free_places(daemon)), "", PLACES)
+    settled = memory[int(SETTLED * len(memory)) :]
+    growth = settled[-1] - settled[0] if settled else 0.0
+    yield at_most("fuzz-daemon.server_growth", growth, "MiB", 2)

@@ -1,0 +1,167 @@
+"""From a contact message to the first sample that depends on it, by the amplifier's own clock.
+
+A client in a process of its own sends a place a thousand times a second, over the WebSocket, to the
+daemon; its playback plays oak on 24 contactors to the C amplifier on a pty. Which contacts each
+block was rendered from is in the trace that playback leaves; when the amplifier put that block
+out, in the amplifier's record. The first sample that can differ for a contact is the first of the
+next block, as many samples later as the limiter looks ahead.
+"""
+
+import asyncio
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.virtual import VirtualAmplifier, can_be_built, workshop
+from firmware_protocol.messages import State
+from tactile import messages as m
+from tactile.bench.figures import Figure, at_most, beside_machine
+from tactile.playback.shared_memory import Touch, Trace
+from tactile.rendering.limiter import LOOK_AHEAD
+from tactile.server.config import Config, DisplayConfig, ServerConfig
+from tactile.server.host import Host
+from tactile.server.playing import Playing
+from tactile.server.server import running
+
+Floats = NDArray[np.float64]
+
+RATE = 1000.0
+"""Messages a second."""
+SHORT, LONG = 10.0, 300.0
+"""s of messages."""
+SPEED, STROKE = 0.08, 0.04
+"""m/s and m of the finger that goes to and fro."""
+CLIENT = "from benchmarks.latency import send; send({!r}, {!r}, {!r})"
+NAME = "bench"
+FORCE, MARK = 0.5, 1e-9
+"""N; each message tells its number by a force that nobody feels."""
+
+
+def send(url: str, seconds: float, file: str) -> None:
+    """Send places at `RATE` for a while, and leave the times at which each was sent."""
+    import tactile.client
+
+    count = int(seconds * RATE)
+    sent = np.zeros(count)
+    with tactile.client.connect(url) as display:
+        display.select("wood-oak", timeout=20.0)
+        display.arm(timeout=10.0)
+        begun = time.monotonic() + 0.2
+        for k in range(count):
+            while (left := begun + k / RATE - time.monotonic()) > 0:
+                time.sleep(left)
+            x = STROKE * np.sin(SPEED / STROKE * k / RATE)
+            sent[k] = time.monotonic()
+            display.touch((float(x), 0.0), normal_force=FORCE + k * MARK)
+        time.sleep(0.3)
+        np.save(file, sent)
+        display.disarm(timeout=5.0)
+
+
+class Traced:
+    """Collects what playback was rendered from, as it plays."""
+
+    def __init__(self, playing: Playing) -> None:
+        self._playing, self._next, self._touch = playing, 0, playing.touch
+        self.traces: list[Trace] = []
+        self.numbers: list[int] = []
+        """Of the messages whose contacts came, in that order; the client drops what is old."""
+        setattr(playing, "touch", self._noted)  # noqa: B010
+
+    def _noted(self, client: int, touch: Touch) -> None:
+        self._touch(client, touch)
+        self.numbers.append(round((touch.normal_force - FORCE) / MARK))
+
+    async def follow(self) -> None:
+        """Collect until cancelled."""
+        while True:
+            self.take()
+            await asyncio.sleep(1.0)
+
+    def take(self) -> None:
+        """Collect what is new."""
+        self._next, found = self._playing.memory.traces(self._next)
+        self.traces += found
+
+
+async def _session(folder: Path, device: str, seconds: float) -> tuple[Traced, Floats, m.Stats]:
+    config = Config(
+        server=ServerConfig(port=0, socket=""),
+        display=(DisplayConfig(name=NAME, device=device),),
+    )
+    host = Host(config)
+    async with running(config, host=host) as server:
+        traced = Traced(host.playing[NAME])
+        task = asyncio.create_task(traced.follow())
+        words = CLIENT.format(server.url, seconds, str(folder / "sent.npy"))
+        client = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
+        if await client.wait():
+            raise subprocess.CalledProcessError(client.returncode or 1, "client")
+        task.cancel()
+        traced.take()
+        stats = await host.connect("bench", roles=frozenset({"watch"})).request(
+            m.GetStats(display=NAME)
+        )
+        assert isinstance(stats, m.Stats)
+    sent = np.load(folder / "sent.npy")
+    numbers = [n for n in traced.numbers if n >= 0]
+    return traced, sent[numbers], stats
+
+
+def latencies(traces: list[Trace], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
+    """Return the time from each message to the first sample that depends on it (K,) [s].
+
+    Messages that came before the first block, or after the last, are left out.
+    """
+    records = amplifier.take()
+    playing = records.state == State.RUNNING
+    ticks, positions = records.tick[playing], records.position[playing].astype(np.int64)
+    times = amplifier.powered_up + ticks.astype(np.float64) * 1e-6
+    block = np.array([t.position for t in traces])
+    seen = np.array([t.contacts for t in traces])
+    due = np.array([t.due for t in traces])
+    wanted = block + LOOK_AHEAD
+    nearest = np.clip(np.searchsorted(times, due), 1, len(times) - 1)
+    nearest -= due - times[nearest - 1] < times[nearest] - due
+    apart = np.rint(np.median(positions[nearest] - wanted)).astype(np.int64)
+    when = dict(zip((positions - apart).tolist(), times.tolist(), strict=True))
+    played = np.array([when.get(int(p), np.nan) for p in wanted])
+    first = np.searchsorted(seen, np.arange(len(sent)), side="right")
+    inside = (first > 0) & (first < len(traces))
+    late = played[first[inside]] - sent[inside]
+    return np.asarray(late[np.isfinite(late)])
+
+
+def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
+    """Measure it over a pty, with samples and with spectrum frames."""
+    if not can_be_built():
+        return
+    yield from beside_machine("latency", _measured("latency", "", seconds, goals=True))
+    yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
+
+
+def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterator[Figure]:
+    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
+        device = f"serial://{amplifier.path}{options}"
+        traced, sent, stats = asyncio.run(_session(folder, device, seconds))
+        time.sleep(0.1)
+        late = 1e3 * latencies(traced.traces, sent, amplifier)
+    yield Figure(f"{name}.messages", float(len(late)), "")
+    for part, goal in ((50, 12), (99, 20), (99.9, 40)):
+        value = float(np.percentile(late, part))
+        figure = f"{name}.p{part:g}"
+        yield at_most(figure, value, "ms", goal) if goals else Figure(figure, value, "ms")
+    yield Figure(f"{name}.most", float(late.max()), "ms")
+    for counter in ("late_blocks", "skipped_samples", "underruns", "lost_contacts"):
+        yield Figure(f"{name}.{counter}", float(stats.counters[counter]), "")
+
+
+def measure_latency_long() -> Iterator[Figure]:
+    """Measure it for five minutes each."""
+    yield from measure_latency(LONG)

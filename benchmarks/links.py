@@ -1,0 +1,284 @@
+"""Links: what gets through to the C amplifier in real time, and what that costs.
+
+The drive is rendered as it is played and sent in blocks of 16, as far ahead as an amplifier has
+room for: where the finger goes is known beforehand. Then what the amplifier has put out is compared
+with it position by position: with what the frames say, which must be the same to the last bit, and
+with the renderer's drive. Where the amplifier bridged or faded, because the machine stood still for
+longer, samples differ; they are counted, and no step may exceed the slew limit. Bare loops run
+beside it and tell for how long the machine stood still (`tactile.bench.metronome`).
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.frames import stream_frames
+from benchmarks.virtual import (
+    SocketCan,
+    VirtualAmplifier,
+    can_be_built,
+    real_time,
+    to_and_fro,
+    workshop,
+)
+from firmware_protocol import samples
+from firmware_protocol.host import codes_of
+from firmware_protocol.messages import FULL_SCALE_CODE, State
+from tactile.bench.figures import RATE, Figure, at_most, beside_machine
+from tactile.bus.base import DriveBlock, Wiring
+from tactile.bus.budget import Ability, Plan, plan
+from tactile.bus.can_bus import CanWire
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.stream import LONGEST_LEAD
+from tactile.bus.registry import open_bus
+from tactile.bus.wire_time import Can
+from tactile.clock import MONOTONIC
+from tactile.display.display import Display, load_display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer
+from tactile.texture.surface import load_texture
+
+BLOCK = 16
+RENDERED = 4 * BLOCK
+"""Samples that are rendered at a time: less than half the work, where it is known what comes."""
+SHORT, LONG = 5.0, 600.0
+"""s of a stream."""
+CHUNK = 1 << 22
+"""Bytes of records that are compared at a time."""
+ALIKE = 0.9
+"""Of them that agree, where frames are cut as is thought."""
+
+Codes = NDArray[np.int16]
+Indices = NDArray[np.int64] | NDArray[np.int32]
+Marks = NDArray[np.bool_]
+
+
+@dataclass
+class Ledger:
+    """What was put out, compared with what was sent.
+
+    Attributes
+    ----------
+    compared, differing : samples, and those that are not what the frames say
+    largest_step : [codes]
+    error, power : sums of squares [codes²], against the renderer's drive
+    """
+
+    compared: int = 0
+    differing: int = 0
+    largest_step: int = 0
+    error: float = 0.0
+    power: float = 0.0
+    _cut: int = 0
+
+    def compare(self, bus: LinkBus, amplifier: VirtualAmplifier, sent: Codes) -> None:
+        """Read all that the amplifier put out; ``sent`` are codes (S, C) from position 0 on."""
+        (peer,) = bus.peers
+        last = None
+        while len((records := amplifier.take(CHUNK)).codes):
+            codes = records.codes.astype(np.int32)
+            steps = np.abs(np.diff(codes, axis=0, prepend=codes[:1] if last is None else last))
+            self.largest_step, last = max(self.largest_step, int(steps.max())), codes[-1:]
+            playing = (records.state == State.RUNNING) & (records.tick >= peer.begun)
+            position = records.position[playing].astype(np.int64) - peer.wire_end(0)
+            inside = (position >= 0) & (position < len(sent))
+            if inside.any():
+                self._compare(bus.plan, position[inside], codes[playing][inside], sent)
+
+    def _compare(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> None:
+        start = int(position[0])
+        drive = np.asarray(sent[start : int(position[-1]) + 1]).astype(np.float64)
+        right = self._right(plan, position, codes, sent)
+        self.compared += len(position)
+        self.differing += int((~right).sum())
+        difference = codes[right] - drive[position - start][right]
+        self.error += float(np.sum(difference**2))
+        self.power += float(np.sum(drive[position - start][right] ** 2))
+
+    def _right(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> Marks:
+        """Tell which instants (N,) are what the frames say, cut where most of them are.
+
+        BFP8 rounds the samples of a packet together, and after a link that was lost packets begin
+        wherever the stroke was then.
+        """
+        found = np.zeros(len(position), bool)
+        for cut in [self._cut, *range(plan.packet_samples)]:
+            right = (codes == _framed(plan, position, sent, cut)).all(axis=1)
+            if right.sum() > found.sum():
+                found, self._cut = right, cut
+            if found.mean() > ALIKE:
+                break
+        return found
+
+
+def _framed(plan: Plan, position: Indices, sent: Codes, cut: int) -> Codes:
+    """Return what frames tell of samples at positions, each frame from cut + k S to the next."""
+    kind, size = plan.sample_format, plan.packet_samples
+    assert kind is not None
+    low = int(position[0]) - (int(position[0]) - cut) % size
+    edges = range(low, int(position[-1]) + 1, size)
+    parts = [np.asarray(sent[max(k, 0) : k + size]) for k in edges]
+    told = [samples.decode(kind, samples.encode(kind, part), *part.shape) for part in parts]
+    return np.concatenate(told)[position - max(low, 0)]
+
+
+def _figures(
+    name: str, bus: LinkBus, ledger: Ledger, duration: float, slew_step: float
+) -> Iterator[Figure]:
+    c, status = bus.counters, bus.peers[0].host.status
+    blocks = max(c.blocks, 1)
+    yield Figure(f"{name}.seconds", duration, "s")
+    yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
+    yield at_most(f"{name}.lost_blocks", float(c.dropped_samples / BLOCK), "blocks", 0)
+    yield at_most(f"{name}.late_blocks", 1e4 * c.late_blocks / blocks, "of 10 000", 1)
+    yield at_most(f"{name}.disconnects", float(c.disconnects), "", 0)
+    yield Figure(f"{name}.underruns", float(c.underruns), "")
+    if status is not None:
+        yield Figure(f"{name}.lost_in_amplifier", float(status.lost_samples), "samples")
+    yield Figure(f"{name}.compared", float(ledger.compared), "samples")
+    differing = 100 * ledger.differing / max(ledger.compared, 1)
+    yield at_most(f"{name}.differing_from_frames", differing, "%", 0)
+    yield at_most(f"{name}.largest_step", ledger.largest_step / slew_step, "of slew", 1)
+    ratio = 10 * np.log10(ledger.power / max(ledger.error, 1e-30))
+    yield Figure(f"{name}.signal_to_error", float(ratio), "dB")
+
+
+def _slew_step(display: Display, rate: float) -> float:
+    full = display.limits.voltage
+    return min(display.slew / rate / full, 2.0) * FULL_SCALE_CODE
+
+
+def _play(
+    bus: LinkBus, renderer: Renderer, display: Display, file: IO[bytes], way: Trajectory
+) -> None:
+    """Play, and keep what was sent."""
+    renderer.fade_in()
+    sent = 0
+    for position, force in way.blocks(bus.wiring.sample_rate, RENDERED):
+        drive = display.to_channels(renderer.block(position, force)).astype(np.float64)
+        if not sent:
+            bus.start()
+        file.write(codes_of(drive, display.limits.voltage).tobytes())
+        for k in range(0, len(drive), BLOCK):
+            block = drive[k : k + BLOCK]
+            bus.write(DriveBlock(sent, block))
+            sent += len(block)
+    bus.stop()
+
+
+def _stream(
+    name: str, folder: Path, bus: LinkBus, amplifier: VirtualAmplifier, seconds: float
+) -> Iterator[Figure]:
+    display, rate = load_display("reference-24"), bus.wiring.sample_rate
+    renderer = Renderer(display, load_texture("wood-oak"), sample_rate=rate)
+    path, way = folder / "sent", to_and_fro(seconds)
+    with path.open("wb") as file, real_time():
+        _play(bus, renderer, display, file, way)
+    time.sleep(0.1)
+    ledger = Ledger()
+    sent = np.memmap(path, np.int16, "r").reshape(-1, display.channels)
+    ledger.compare(bus, amplifier, sent)
+    yield from _figures(name, bus, ledger, len(sent) / rate, _slew_step(display, rate))
+
+
+def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
+    with workshop() as folder:
+        amplifier = VirtualAmplifier(folder, "--pty")
+        url = f"serial://{amplifier.path}?{options}&rearm=true&lead_ms={1e3 * LONGEST_LEAD:g}"
+        with open_bus(url, load_display("reference-24")) as bus:
+            assert isinstance(bus, LinkBus)
+            yield from _stream(name, folder, bus, amplifier, seconds)
+        amplifier.close()
+
+
+def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
+    """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
+    return LinkBus(
+        Wiring.of(display, RATE),
+        lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, MONOTONIC),
+        lambda caps: plan(link, display.channels, Ability.of(caps)),
+        nodes=[1],
+        rearm=True,
+        lead=LONGEST_LEAD,
+    )
+
+
+def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
+    with workshop() as folder:
+        amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")
+        with _can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
+            assert isinstance(bus, LinkBus)
+            yield from _stream(name, folder, bus, amplifier, seconds)
+        amplifier.close()
+
+
+STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
+    "links.uart_3M.bfp8": partial(_serial, options="baud=3000000&format=bfp8"),
+    "links.usb.pcm12": partial(_serial, options="format=pcm12"),
+    "links.canfd_1_5": _can_fd,
+    "links.can_1.spectrum": stream_frames,
+}
+
+
+def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
+    """Stream oak to the C amplifier over each link at its bit time, a metronome beside it."""
+    if not can_be_built():
+        return
+    for name, stream in STREAMS.items():
+        yield from beside_machine(name, stream(name, seconds))
+
+
+def measure_streams_long() -> Iterator[Figure]:
+    """Stream for ten minutes each."""
+    yield from measure_streams(LONG)
+
+
+def measure_cost() -> Iterator[Figure]:
+    """Measure what streaming takes of a core: 64 channels at 8 kHz over a pty, blocks of 16."""
+    if not can_be_built():
+        return
+    display = load_display("reference-64")
+    stroke = Trajectory.line(speed=0.08, duration=1.0)
+    renderer = Renderer(display, load_texture("wood-oak"))
+    blocks = [display.to_channels(renderer.block(p, f)) for p, f in stroke.blocks(8000.0, BLOCK)]
+    with workshop() as folder:
+        amplifier = VirtualAmplifier(folder, "--pty", channels=64)
+        with open_bus(f"serial://{amplifier.path}", display) as bus:
+            bus.start()
+            begun, used = time.monotonic(), time.process_time()
+            for k in range(int(SHORT * 8000 / BLOCK)):
+                bus.write(DriveBlock(k * BLOCK, blocks[k % len(blocks)]))
+            share = (time.process_time() - used) / (time.monotonic() - begun)
+        amplifier.close()
+    yield at_most("links.cost.64_channels", 100 * share, "% of a core", 25)
+    yield Figure("links.cost.pyserial_alone", 100 * _pyserial_alone(), "% of a core")
+
+
+def _pyserial_alone() -> float:
+    """Return the share that pyserial takes for as many bytes in as many writes, nothing else."""
+    import serial
+
+    data = bytes(64 * BLOCK + 64 + 40)
+    with workshop() as folder:
+        amplifier = VirtualAmplifier(folder, "--pty")
+        port = serial.Serial(amplifier.path, timeout=0)
+        begun, used = time.monotonic(), time.process_time()
+        for k in range(int(SHORT * 8000 / BLOCK)):
+            port.write(data)
+            time.sleep(max(0.0, begun + (k + 1) * BLOCK / 8000 - time.monotonic()))
+        share = (time.process_time() - used) / (time.monotonic() - begun)
+        port.close()
+        amplifier.close()
+    return share
+
+
+def measure_links() -> Iterator[Figure]:
+    """Measure all of it, briefly."""
+    yield from measure_cost()
+    yield from measure_streams()

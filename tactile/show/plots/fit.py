@@ -1,0 +1,112 @@
+"""A texture's fit: recordings, what was fitted to them, and how that does on others."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, check_file, new_figure, plain, save
+from tactile.texture.fitting import Fit
+from tactile.texture.judging import Verdict
+
+Floats = NDArray[np.float64]
+
+HERTZ = (10, 20, 50, 100, 200, 500, 1000)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def plot_fit(path: str | Path, fit: Fit, verdict: Verdict) -> None:
+    """Draw a fit, and save it.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    fit, verdict : by `tactile.texture.judging.fit_texture`
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing, or the file cannot be written.
+    """
+    check_file(path)
+    save(fit_figure(fit, verdict), path)
+
+
+def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":
+    """Return bands of recordings and texture, and what separates a fit from the held-out half."""
+    figure = new_figure(8.0, 7.0)
+    bands, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    _bands(bands, fit)
+    _errors(errors, fit, verdict)
+    about = fit.descriptor.texture
+    count = f"{len(fit.names)} recording{'s' if len(fit.names) > 1 else ''}"
+    figure.suptitle(f"{about.id}: {about.description}, from {count}", fontsize=11)
+    return figure
+
+
+def _bands(axes: "Axes", fit: Fit) -> None:
+    stochastic, reference = fit.descriptor.stochastic, fit.descriptor.reference
+    assert stochastic is not None
+    k, level = fit.center * 1e-3, np.asarray(stochastic.level_db)
+    law = fit.level - np.nanmean(fit.level - level, axis=1, keepdims=True)
+    for row in law:
+        axes.plot(k, row, color="#b8b8b8", linewidth=1.0)
+    axes.plot([], [], color="#b8b8b8", linewidth=1.0, label="recordings, brought to its level")
+    if stochastic.level_sd_db:
+        sd = np.asarray(stochastic.level_sd_db)
+        axes.fill_between(k, level - sd, level + sd, color=BLUE, alpha=0.15, linewidth=0)
+    axes.plot(
+        k, level, "o-", color=BLUE, linewidth=2.0, markersize=4, label="texture, ± its spread"
+    )
+    for grating in fit.descriptor.periodic:
+        orders = np.flatnonzero(grating.harmonics_um) + 1
+        top = level.max() + 3
+        axes.vlines(orders / grating.wavelength_mm, level.min() - 3, top, RED, linewidth=1.0)
+        axes.text(
+            1 / grating.wavelength_mm, top, f"{grating.wavelength_mm:g} mm", color=RED, ha="center"
+        )
+    axes.set(xscale="log", ylabel="level [dB re 1 µm² mm]")
+    speed = reference.speed_mm_s
+
+    def to_hz(per_mm: ArrayLike) -> Floats:
+        return np.asarray(per_mm, np.float64) * speed
+
+    def to_place(hz: ArrayLike) -> Floats:
+        return np.asarray(hz, np.float64) / speed
+
+    top = axes.secondary_xaxis("top", functions=(to_hz, to_place))
+    top.set_xlabel(f"frequency at {speed:g} mm/s [Hz]")
+    top.set_xticks(HERTZ, labels=[f"{hz:g}" for hz in HERTZ])
+    top.tick_params(axis="x", which="minor", labeltop=False)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.legend(frameon=False, loc="lower left")
+    plain(axes)
+
+
+def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
+    k = fit.center * 1e-3
+    sides = (
+        ("recordings themselves", verdict.ceiling, GRAY, "--"),
+        ("this texture", verdict.rendering, BLUE, "-"),
+        ("autoregressive, order 8", verdict.autoregressive, COLORS[2], "-."),
+        ("white noise", verdict.white, COLORS[4], ":"),
+    )
+    axes.axhline(0, color="black", linewidth=0.8)
+    for name, side, color, line in sides:
+        axes.plot(
+            k, side.level - verdict.held_out, line, color=color, linewidth=1.8,
+            label=f"{name}, {side.rms_db:.2f} dB rms",
+        )  # fmt: skip
+    near = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
+    most = 1.1 * float(np.nanmax(np.abs(near))) + 1
+    axes.set(
+        xscale="log", ylim=(-most, 1.8 * most), xlabel="spatial frequency [cycles/mm]",
+        ylabel="above what was held out [dB]",
+    )  # fmt: skip
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.legend(frameon=False, ncols=2, fontsize=9, loc="upper left")
+    plain(axes)

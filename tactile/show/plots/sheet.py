@@ -1,0 +1,139 @@
+"""A sheet of many textures: a tile of each one's surface and a strip of its spectrum.
+
+Tiles stand by category. Within a category, color has one scale, named above its tiles, so that a
+strong texture looks strong beside its kind; strips have one scale throughout.
+"""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile.show.plots.style import GRAY, axes_at, check_file, new_figure, save
+from tactile.show.plots.texture import DIVERGING, color_end, draw_spectrum
+from tactile.show.views import NORMAL_FORCE, TILE_SIDE, Tile
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = 9
+TILE, STRIP = 1.3, 0.42
+"""Inches: a tile's side, a strip's height."""
+RULE, GAP = 0.18, 0.12
+"""Inches from a category's top to its line, and on to its tiles."""
+CELL_WIDTH, CELL_HEIGHT = TILE + 0.16, RULE + GAP + TILE + 0.36 + STRIP + 0.3
+MARGIN, HEAD, FOOT = 0.3, 0.75, 0.75
+BAND = (10.0, 1000.0)
+"""Hz of a strip."""
+LEVELS = (0.01, 100.0)
+"""µm of a strip."""
+
+
+def plot_sheet(path: str | Path, tiles: Sequence[Tile], *, speed: float) -> None:
+    """Draw a sheet of textures, and save it.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    tiles : of `tactile.show.views.tile`, in any order
+    speed : at which they were taken [m/s]
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing, or the file cannot be written.
+    """
+    check_file(path)
+    save(sheet_figure(tiles, speed=speed), path)
+
+
+def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
+    """Return a sheet of textures, by category and name.
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing.
+    """
+    ordered = sorted(tiles, key=lambda one: (one.category, one.name))
+    columns = min(COLUMNS, max(len(ordered), 4))
+    rows = -(-len(ordered) // columns)
+    size = 2 * MARGIN + columns * CELL_WIDTH, HEAD + FOOT + rows * CELL_HEIGHT
+    figure = new_figure(*size)
+    figure.set_layout_engine("none")
+    _write(figure, MARGIN, size[1] - 0.3, f"{len(ordered)} textures", 15, weight="bold")
+    ends = category_ends(ordered)
+    for k, one in enumerate(ordered):
+        row, column = divmod(k, columns)
+        left = MARGIN + column * CELL_WIDTH
+        top = size[1] - HEAD - row * CELL_HEIGHT
+        if not column or ordered[k - 1].category != one.category:
+            last = (row + 1) * columns
+            count = sum(other.category == one.category for other in ordered[k:last])
+            again = k > 0 and ordered[k - 1].category == one.category
+            _category(figure, left, top, count, one.category, ends[one.category], again)
+        _draw(figure, left, top - RULE - GAP, one, ends[one.category])
+    _legend(figure, speed)
+    return figure
+
+
+def category_ends(tiles: Sequence[Tile]) -> dict[str, float]:
+    """Return the end of each category's color scale [m], that of its strongest texture."""
+    ends: dict[str, float] = {}
+    for one in tiles:
+        ends[one.category] = max(ends.get(one.category, 0.0), color_end(one.surface))
+    return ends
+
+
+def _category(
+    figure: "Figure", left: float, top: float, count: int, name: str, end: float, again: bool
+) -> None:
+    """Write a category over its tiles in a row, with the scale of its colors."""
+    from matplotlib.lines import Line2D
+
+    across, up = figure.get_size_inches()
+    right = left + count * CELL_WIDTH - (CELL_WIDTH - TILE)
+    y = top - RULE
+    line = Line2D([left / across, right / across], [y / up, y / up], color="black", linewidth=1.0)
+    figure.add_artist(line)
+    _write(figure, left, y + 0.13, f"{name} …" if again else name, 10, weight="bold")
+    scale = f"± {end * 1e6:.2g} µm"
+    _write(figure, right, y + 0.13, scale, 8, ha="right", color=GRAY)
+
+
+def _draw(figure: "Figure", left: float, top: float, one: Tile, end: float) -> None:
+    """Draw a tile with its name, and the strip of its spectrum below."""
+    surface = axes_at(figure, left, top - TILE, TILE, TILE)
+    surface.imshow(one.surface, DIVERGING, vmin=-end, vmax=end, origin="lower")
+    surface.set(xticks=[], yticks=[])
+    name = one.name.removeprefix(f"{one.category}-")
+    size = 9 if len(name) <= 17 else 9 * 17 / len(name)
+    _write(figure, left, top - TILE - 0.11, name, size)
+    _write(figure, left, top - TILE - 0.26, f"{one.rms * 1e6:.2g} µm rms", 8, color=GRAY)
+    strip = axes_at(figure, left, top - TILE - 0.36 - STRIP, TILE, STRIP)
+    draw_spectrum(strip, one.spectrum, bold=0.6)
+    strip.set(xlim=BAND, ylim=LEVELS)
+    strip.tick_params(which="both", bottom=False, left=False, labelbottom=False, labelleft=False)
+    for axes in (surface, strip):
+        axes.spines[:].set(color="#999999", linewidth=0.5)
+
+
+def _legend(figure: "Figure", speed: float) -> None:
+    """Write below what tiles and strips show."""
+    side = TILE_SIDE * 1e3
+    width = int((figure.get_figwidth() - 2 * MARGIN) * 14.5)
+    said = (
+        f"Tiles: tangential displacement over {side:g} × {side:g} mm; red is shear along the "
+        f"stroke (left to right, {speed * 1e3:g} mm/s, {NORMAL_FORCE:g} N), blue against it; one "
+        "scale per category. Strips: peak of each third octave, "
+        f"{LEVELS[0]:g} to {LEVELS[1]:g} µm over {BAND[0]:g} to {BAND[1]:g} Hz, both logarithmic: "
+        "blue the surface, green sparse events, stems gratings, against the tangential "
+        "detection threshold (dashed, gray)."
+    )
+    _write(figure, MARGIN, 0.38, textwrap.fill(said, width), 9, color="#333333")
+
+
+def _write(figure: "Figure", x: float, y: float, text: str, size: float, **how: Any) -> None:
+    """Write text at a place [inch] of the figure, centered in height."""
+    across, up = figure.get_size_inches()
+    figure.text(x / across, y / up, text, fontsize=size, va="center", **how)

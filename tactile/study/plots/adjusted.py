@@ -1,0 +1,110 @@
+"""How the model lies on what was measured: dots, the fit with its band, and the start."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tactile.show.plots.style import BLUE, GRAY, RED, check_file, new_figure, plain, save
+from tactile.study.adjusted import Comparison
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHOWN = {
+    "displacement": ("tip per volt [µm/V]", 1e6),
+    "velocity": ("tip per volt [mm/(s V)]", 1e3),
+    "force": ("force per volt [mN/V]", 1e3),
+    "admittance": ("admittance [µS]", 1e6),
+}
+"""Label of each kind of measurement, and its unit's number in one of SI."""
+
+
+def plot_adjusted(path: str | Path, comparisons: "Sequence[Comparison]") -> None:
+    """Draw fits beside their measurements, and save them.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    comparisons : one a column
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing, or the file cannot be written.
+    """
+    check_file(path)
+    save(adjusted_figure(comparisons), path)
+
+
+def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
+    """Return magnitude, phase and misfit of each measurement and its fit.
+
+    Parameters
+    ----------
+    comparisons : one a column
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing.
+    """
+    figure = new_figure(6.5 * len(comparisons), 8.0)
+    grid = figure.subplots(
+        3, len(comparisons), sharex="col", squeeze=False, height_ratios=(3, 2, 2)
+    )
+    for comparison, (size, phase, misfit) in zip(comparisons, grid.T, strict=True):
+        _draw_response(size, phase, comparison)
+        _draw_misfit(misfit, comparison)
+        size.set_title(
+            f"{comparison.measurement.name}: {comparison.rms_db:.2g} dB rms, "
+            f"{comparison.worst_db:.2g} dB at worst",
+            loc="left", fontsize=10,
+        )  # fmt: skip
+        for axes in (size, phase, misfit):
+            plain(axes)
+    return figure
+
+
+def _draw_response(size: "Axes", phase: "Axes", c: Comparison) -> None:
+    frequency = c.measurement.frequency
+    label, scale = SHOWN[c.measurement.kind]
+    lines = (
+        (c.started, GRAY, "--", "before"),
+        (c.predicted, BLUE, "-", "fit, with its 95 % band"),
+    )
+    unwrapped = np.degrees(np.unwrap(np.angle(c.predicted)))
+    for value, color, style, name in lines:
+        turn = unwrapped + np.degrees(np.angle(value / c.predicted))
+        size.plot(frequency, np.abs(value) * scale, style, color=color, linewidth=1.6, label=name)
+        phase.plot(frequency, turn, style, color=color, linewidth=1.6)
+    around = np.abs(c.predicted) * scale * 10 ** (np.array([[-1], [1]]) * c.band_db / 20)
+    size.fill_between(frequency, *around, color=BLUE, alpha=0.2, linewidth=0)
+    phase.fill_between(
+        frequency,
+        unwrapped - c.band_deg,
+        unwrapped + c.band_deg,
+        color=BLUE,
+        alpha=0.2,
+        linewidth=0,
+    )
+    value = c.measurement.value
+    turn = unwrapped + np.degrees(np.angle(value / c.predicted))
+    size.plot(frequency, np.abs(value) * scale, ".", color=RED, markersize=5, label="measured")
+    phase.plot(frequency, turn, ".", color=RED, markersize=5)
+    size.set(xscale="log", yscale="log", ylabel=label)
+    size.legend(frameon=False, fontsize=9)
+    phase.set(ylabel="phase [°]")
+    size.yaxis.set_major_formatter("{x:g}")
+
+
+def _draw_misfit(axes: "Axes", c: Comparison) -> None:
+    frequency = c.measurement.frequency
+    axes.axhline(0, color="black", linewidth=0.8)
+    axes.fill_between(frequency, -c.band_db, c.band_db, color=BLUE, alpha=0.2, linewidth=0)
+    axes.plot(frequency, c.misfit_db, ".", color=RED, markersize=5)
+    axes.set(ylabel="fit over measured [dB]", xlabel="frequency [Hz]")
+    axes.xaxis.set_major_formatter("{x:g}")

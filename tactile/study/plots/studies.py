@@ -1,0 +1,467 @@
+"""Pictures of a study: responses, a map over length and frequency, a criterion, fronts, tolerances.
+
+All take a labeled data set as `tactile.study.sweep.solve_study` makes it; names and units are read
+from its attributes (`tactile.study.plots.labels`).
+"""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError
+from tactile.show.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
+from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
+from tactile.study.plots.labels import (
+    Line,
+    axis_of,
+    banded,
+    label,
+    lines_of,
+    over_frequency,
+    told_range,
+    told_share,
+    variable_of,
+)
+from tactile.study.ranges import SHARE, Range, overlap, within
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Ends = list[tuple[float, str, str]]
+"""Values, names and colors at the right ends of lines."""
+
+WIDTH = 1.8
+"""Points."""
+MAP_COLORS = "cividis"
+"""Even in lightness, and the same to the color-blind (Nuñez et al. 2018, PLoS ONE 13:e0199239)."""
+STEP = 3.0
+"""dB between the contours of a map."""
+DEEPEST = 30.0
+"""dB below its highest level that a map tells apart; antinodes go much deeper."""
+BAND = (5.0, 50.0, 95.0)
+"""Percent of scenarios below the lower end, the line and the upper end of a tolerance band."""
+WORST = 4.0
+"""Times the best at which a criterion of which less is better leaves its picture."""
+
+
+# Responses
+
+
+def plot_response_phase(path: str | Path, data: "xarray.Dataset", variable: str) -> None:
+    """Draw size and phase of responses over frequency, and save them.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    data : of a study that keeps the response
+    variable : of ``data``, complex over ``frequency_hz``, as ``displacement_um_per_v``
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing, the file cannot be written, there is no such variable, or it
+        has more than six lines.
+    """
+    check_file(path)
+    save(response_phase_figure(data, variable), path)
+
+
+def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
+    """Return size above phase, one line for each design; see `plot_response_phase`."""
+    values = over_frequency(data, variable)
+    frequency = values[FREQUENCY].values
+    figure = new_figure(7.0, 5.6)
+    size, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    ends: tuple[Ends, Ends] = ([], [])
+    for line in lines_of(values, (FREQUENCY,)):
+        turn = np.degrees(np.unwrap(np.angle(line.values.values)))
+        sizes = np.abs(line.values.values)
+        for axes, drawn, end in ((size, sizes, ends[0]), (phase, turn, ends[1])):
+            axes.plot(frequency, drawn, **_look(line))
+            end.append((float(drawn[-1]), line.name, line.color))
+    size.set(yscale="log", ylabel=_side(values, 34))
+    phase.set(ylabel="phase [°]")
+    _scale_frequency(phase, frequency)
+    _quarter_turns(phase)
+    size.yaxis.set_major_formatter("{x:g}")
+    for axes, end in zip((size, phase), ends, strict=True):
+        plain(axes)
+        _name(axes, end)
+    return figure
+
+
+def _look(line: Line) -> dict[str, Any]:
+    return {"color": line.color, "linestyle": line.dashes, "linewidth": WIDTH}
+
+
+def _side(values: "xarray.DataArray", width: int) -> str:
+    """Return the label of a vertical axis, in lines of so many letters."""
+    return textwrap.fill(label(values), width)
+
+
+def _scale_frequency(axes: "Axes", frequency: Floats) -> None:
+    """Scale a frequency axis by octaves where it has more than three of them and no 0 Hz."""
+    if frequency[0] > 0 and frequency[-1] / frequency[0] > 8:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlim=(float(frequency[0]), float(frequency[-1])), xlabel="frequency [Hz]")
+
+
+def _quarter_turns(axes: "Axes") -> None:
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = axes.get_ylim()
+    axes.set_ylim(90 * np.floor(low / 90 + 0.1) - 5, 90 * np.ceil(high / 90 - 0.1) + 5)
+    axes.yaxis.set_major_locator(MultipleLocator(90))
+
+
+def _name(axes: "Axes", ends: Ends) -> None:
+    """Write the names of lines beside their ends, where there is more than one."""
+    if len(ends) > 1:
+        name_ends(axes, ends)
+
+
+# Map over an axis and frequency
+
+
+def plot_length_map(
+    path: str | Path,
+    data: "xarray.Dataset",
+    variable: str = "displacement_um_per_v",
+    *,
+    axis: str | None = None,
+    share: float = SHARE,
+    in_db: bool = True,
+) -> None:
+    """Draw the level over an axis and frequency under each finger, and what is good enough.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    data : of a study that keeps the response
+    variable : of ``data``, over ``frequency_hz``
+    axis : along which it is drawn; the first of numbers where it is None, as ``length_mm``
+    share : of the best smallest size in the band that is good enough
+    in_db : the level in dB re one unit, else the size in the unit
+
+    Raises
+    ------
+    InputError
+        As `plot_response_phase`, and where there is no such axis.
+    """
+    check_file(path)
+    save(length_map_figure(data, variable, axis=axis, share=share, in_db=in_db), path)
+
+
+def length_map_figure(
+    data: "xarray.Dataset",
+    variable: str = "displacement_um_per_v",
+    *,
+    axis: str | None = None,
+    share: float = SHARE,
+    in_db: bool = True,
+) -> "Figure":
+    """Return a map for each finger above its smallest size; see `plot_length_map`."""
+    values = over_frequency(data, variable)
+    along = axis_of(values, axis)
+    values = values.sortby(along)
+    lines = lines_of(values, (along, FREQUENCY))
+    figure = new_figure(1.6 + 3.4 * len(lines), 5.8)
+    grid = figure.subplots(
+        2, len(lines), sharex=True, sharey="row", height_ratios=(5, 3), squeeze=False
+    )
+    levels = _levels(np.abs(values.values), in_db)
+    for line, (above, below) in zip(lines, grid.T, strict=True):
+        good, smallest = _smallest(data, line, along, share)
+        image = _map(above, line, along, levels, in_db)
+        above.set_title(line.name, fontsize=11, color=line.color)
+        below.plot(values[along].values, smallest, color=line.color, linewidth=WIDTH)
+        _mark_range(above, below, good, line, share, str(values[along].attrs.get("units", "")))
+        below.set(xlabel=label(values[along]))
+        plain(below)
+    unit = str(values.attrs.get("units", ""))
+    name = f"level [dB re 1 {unit}]" if in_db else label(values)
+    figure.colorbar(
+        image,
+        ax=grid[0].tolist(),
+        label=name,
+        ticks=levels[::2],
+        extend="min" if in_db else "neither",
+    )
+    grid[0, 0].set_ylabel("frequency [Hz]")
+    grid[1, 0].set(ylabel=f"smallest in\nthe band [{unit}]", ylim=(0, None))
+    return figure
+
+
+def _levels(size: Floats, in_db: bool) -> Floats:
+    """Return the contours of all maps, ascending; colors run between the outer two."""
+    if not in_db:
+        return np.linspace(0.0, float(size.max()), 11)
+    top = STEP * np.ceil(20 * np.log10(size.max()) / STEP)
+    with np.errstate(divide="ignore"):
+        bottom = STEP * np.floor(20 * np.log10(size.min()) / STEP)
+    return np.arange(max(bottom, top - DEEPEST), top + STEP / 2, STEP)
+
+
+def _smallest(data: "xarray.Dataset", line: Line, along: str, share: float) -> tuple[Range, Floats]:
+    """Return the smallest size in the band along an axis, and the range that is good enough."""
+    smallest = np.abs(banded(data, line.values).transpose(along, FREQUENCY).values).min(axis=1)
+    return within(line.values[along].values, smallest, share=share), smallest
+
+
+def _map(axes: "Axes", line: Line, along: str, levels: Floats, in_db: bool) -> Any:
+    """Draw levels over an axis and frequency, with contours."""
+    size = np.abs(line.values.transpose(FREQUENCY, along).values)
+    with np.errstate(divide="ignore"):
+        shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
+    x, f = line.values[along].values, line.values[FREQUENCY].values
+    image = axes.pcolormesh(
+        x, f, shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
+        rasterized=True,
+    )  # fmt: skip
+    curves = axes.contour(x, f, shown, levels[1:], colors="white", linewidths=0.6, linestyles="-")
+    axes.clabel(curves, levels[2::2], fmt="%g", fontsize=7)
+    _scale_frequency(axes, f)
+    axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
+    return image
+
+
+def _mark_range(
+    above: "Axes", below: "Axes", good: Range, line: Line, share: float, unit: str
+) -> None:
+    """Mark the ends of a range in a map, shade it in the curve below, and tell it."""
+    for end in (good.low, good.high):
+        above.axvline(end, color="black", linewidth=1.4)
+        above.axvline(end, color="white", linewidth=1.2, linestyle=(0, (4, 3)))
+    below.axvspan(good.low, good.high, color=line.color, alpha=0.18, linewidth=0)
+    below.axhline(share * good.value, color=GRAY, linewidth=0.8, linestyle=(0, (1, 1.5)))
+    told = f"{100 * share:g} % of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
+    place: dict[str, Any] = {
+        "transform": below.transAxes,
+        "ha": "right",
+        "va": "top",
+        "fontsize": 8,
+    }
+    below.text(0.98, 0.96, told, color=line.color, **place)
+
+
+# A criterion along an axis
+
+
+def plot_criterion(
+    path: str | Path,
+    data: "xarray.Dataset",
+    variable: str,
+    *,
+    axis: str | None = None,
+    share: float = SHARE,
+) -> None:
+    """Draw a criterion along an axis under each finger, what is good enough, and what all share.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    data : of a study
+    variable : of ``data``, a criterion, as ``smallest_displacement_um_per_v``
+    axis : along which it is drawn; the first of numbers where it is None
+    share : of the best that is good enough
+
+    Raises
+    ------
+    InputError
+        As `plot_length_map`.
+    """
+    check_file(path)
+    save(criterion_figure(data, variable, axis=axis, share=share), path)
+
+
+def criterion_figure(
+    data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
+) -> "Figure":
+    """Return a line for each finger, shaded below where it is good enough; see `plot_criterion`."""
+    values = variable_of(data, variable)
+    along = axis_of(values, axis)
+    values = values.sortby(along)
+    figure = new_figure(7.0, 4.8)
+    axes = figure.subplots()
+    x, unit, sign = values[along].values, str(values[along].attrs.get("units", "")), sign_of(values)
+    ranges: list[Range] = []
+    for line in lines_of(values, (along,)):
+        told = line.name
+        if sign:
+            good = range_of(line.values, share)
+            ranges.append(good)
+            told = f"{line.name}  {told_range(good, unit)}".strip()
+            _shade(axes, x, line, good)
+        axes.plot(x, line.values.values, **_look(line), label=told)
+    _overlap(axes, ranges, unit)
+    axes.set(xlabel=label(values[along]), ylabel=_side(values, 44), xlim=(x[0], x[-1]))
+    if sign:
+        best = max(good.value for good in ranges)
+        is_open = sign > 0 or in_decibels(values)
+        axes.set_ylim(0, None if is_open else min(axes.get_ylim()[1], WORST * best))
+    plain(axes)
+    if axes.get_legend_handles_labels()[1]:
+        title = told_share(share, values) if sign else None
+        figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
+                      alignment="left", title_fontsize=9)  # fmt: skip
+    return figure
+
+
+def _shade(axes: "Axes", x: Floats, line: Line, good: Range) -> None:
+    """Shade below a line where it is good enough."""
+    inside = np.concatenate([[good.low], x[(x > good.low) & (x < good.high)], [good.high]])
+    height = np.interp(inside, x, line.values.values)
+    axes.fill_between(inside, height, color=line.color, alpha=0.22, linewidth=0)
+
+
+def _overlap(axes: "Axes", ranges: list[Range], unit: str) -> None:
+    """Mark what all ranges share."""
+    shared = overlap(ranges) if len(ranges) > 1 else None
+    if shared is None:
+        return
+    told = f"all of them  {shared[0]:.3g} … {shared[1]:.3g} {unit}"
+    axes.axvspan(
+        *shared, facecolor="none", edgecolor="#b0b0b0", hatch="///", linewidth=0, zorder=0,
+        label=told,
+    )  # fmt: skip
+
+
+# Fronts
+
+
+def plot_pareto(
+    path: str | Path,
+    front: "xarray.Dataset",
+    objectives: Sequence[str],
+    *,
+    cloud: "xarray.Dataset | None" = None,
+    knee: int | None = None,
+) -> None:
+    """Draw a Pareto front over two objectives, a third as color, and save it.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    front : designs that none beats, along one dimension
+    objectives : two or three variables of ``front``, with ``units`` and ``long_name``
+    cloud : other feasible designs, with the same variables
+    knee : place along the front of the design to mark
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing, the file cannot be written, a variable is missing, or the
+        objectives are not two or three.
+    """
+    check_file(path)
+    save(pareto_figure(front, objectives, cloud=cloud, knee=knee), path)
+
+
+def pareto_figure(
+    front: "xarray.Dataset",
+    objectives: Sequence[str],
+    *,
+    cloud: "xarray.Dataset | None" = None,
+    knee: int | None = None,
+) -> "Figure":
+    """Return a front over two objectives; see `plot_pareto`."""
+    if len(objectives) not in (2, 3):
+        raise InputError(f"{len(objectives)} objectives: a front is drawn over two or three")
+    x, y, *third = (variable_of(front, name) for name in objectives)
+    figure = new_figure(7.0, 4.8)
+    axes = figure.subplots()
+    if cloud is not None:
+        others = [np.ravel(variable_of(cloud, str(v.name)).values) for v in (x, y)]
+        axes.plot(*others, ".", color="#c4c4c4", markersize=3, rasterized=True)
+        axes.plot([], [], ".", color="#c4c4c4", markersize=8, label="feasible")
+    if third:
+        dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
+                            edgecolors="#444444", label="front", zorder=3)  # fmt: skip
+        figure.colorbar(dots, label=_side(third[0], 44) + _better(third[0]))
+    else:
+        order = np.argsort(x.values)
+        reached = "steps-pre" if sign_of(x) > 0 else "steps-post"
+        axes.plot(x.values[order], y.values[order], "o-", color=BLUE, markersize=5, label="front",
+                  drawstyle=reached, linewidth=1.0)  # fmt: skip
+    if knee is not None:
+        _mark_knee(axes, x, y, knee)
+    axes.set(xlabel=label(x) + _better(x), ylabel=_side(y, 44) + _better(y))
+    plain(axes)
+    axes.margins(0.06)
+    figure.legend(loc="outside upper left", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def _better(values: "xarray.DataArray") -> str:
+    """Return which way is better, as an end of a label."""
+    return {1: "\n(more is better →)", -1: "\n(← less is better)", 0: ""}[sign_of(values)]
+
+
+def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee: int) -> None:
+    at, up = float(x.values[knee]), float(y.values[knee])
+    units = [str(v.attrs.get("units", "")) for v in (x, y)]
+    told = f"knee: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
+    axes.plot(at, up, "*", color=RED, markersize=17, markeredgecolor="white", label=told, zorder=4,
+              linestyle="none")  # fmt: skip
+
+
+# Tolerances
+
+
+def plot_tolerance(
+    path: str | Path, data: "xarray.Dataset", variable: str, *, axis: str | None = None
+) -> None:
+    """Draw the median over scenarios and where 90 % of them are, along an axis or frequency.
+
+    Parameters
+    ----------
+    path : of a .png, .svg or .pdf file
+    data : of a study with scenarios
+    variable : of ``data``; of a response the size is drawn over frequency
+    axis : along which a criterion is drawn; the first of numbers where it is None
+
+    Raises
+    ------
+    InputError
+        As `plot_length_map`, and where the study has no scenarios.
+    """
+    check_file(path)
+    save(tolerance_figure(data, variable, axis=axis), path)
+
+
+def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
+    """Return median and band over scenarios; see `plot_tolerance`."""
+    values = variable_of(data, variable)
+    if SCENARIO not in values.dims:
+        raise InputError(f"{variable}: has no scenarios; give the study some")
+    along = FREQUENCY if FREQUENCY in values.dims else axis_of(values, axis)
+    values = values.sortby(along)
+    figure = new_figure(7.0, 4.4)
+    axes = figure.subplots()
+    x = values[along].values
+    ends: Ends = []
+    for line in lines_of(values, (along, SCENARIO)):
+        size = np.abs(line.values.transpose(SCENARIO, along).values)
+        low, middle, high = np.percentile(size, BAND, axis=0)
+        axes.fill_between(x, low, high, color=line.color, alpha=0.22, linewidth=0)
+        axes.plot(x, middle, **_look(line))
+        ends.append((float(middle[-1]), line.name, line.color))
+    axes.set(xlabel=label(values[along]), ylabel=_side(values, 40), ylim=(0, None))
+    if along == FREQUENCY:
+        _scale_frequency(axes, x)
+    else:
+        axes.set_xlim(x[0], x[-1])
+    count = values.sizes[SCENARIO]
+    told = f"line: median, band: {BAND[0]:g} … {BAND[2]:g} % of {count} scenarios"
+    axes.set_title(told, fontsize=9, loc="left", color=GRAY)
+    plain(axes)
+    _name(axes, ends)
+    return figure

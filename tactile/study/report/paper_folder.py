@@ -1,0 +1,178 @@
+"""A folder with all that the paper shows and claims: pictures, data, a table, and one report."""
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile.errors import InputError
+from tactile.show.plots import drawn, save
+from tactile.show.plots.style import new_figure
+from tactile.study.extras import study_extra
+from tactile.study.findings import FREQUENCY
+from tactile.study.paper import FIGURES, KINDS, REFERENCE, SMALLEST, Claim, PaperFigure, claims
+from tactile.study.plots import length_map_figure, response_phase_figure
+from tactile.study.report.page import Picture, Section, Table, write_report
+from tactile.study.report.studies import provenance_sections
+from tactile.study.sweep import solve_study
+
+if TYPE_CHECKING:
+    import xarray
+
+TITLE = "A piezoelectric bender for a tactile display: the paper, and what we find"
+SURROGATE = (
+    "The paper's figure of parameters is not available as text. The design here is a surrogate "
+    "from data sheets and assumptions, and the height of its shim was chosen to meet the paper's "
+    "ranges of length. Of the paper's text only title, abstract and introduction were at hand; its "
+    "numbers are those that our design page cites. Where it prints none, shapes can be compared, "
+    "levels cannot."
+)
+MET = {True: "yes", False: "no"}
+
+
+def write_paper(
+    folder: str | Path, progress: Callable[[str], None] = lambda name: None
+) -> list[Claim]:
+    """Write every figure, its data, the claims and one report that holds all of them.
+
+    Parameters
+    ----------
+    folder : made where it is missing; files of the same names are replaced
+    progress : is told of each part before it is made
+
+    Returns
+    -------
+    list of Claim
+        As in ``claims.csv``.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written, or matplotlib or xarray is missing.
+    """
+    folder = Path(folder)
+    _prepare(folder)
+    sections = []
+    for entry in FIGURES:
+        progress(entry.name)
+        data = solve_study(entry.study())
+        sections.append(_write_figure(folder, entry, data))
+    progress("claims")
+    found = claims()
+    _write(folder / "claims.csv", _claims_csv(found))
+    write_report(
+        folder / "report.html",
+        TITLE,
+        [*_claim_sections(found), *sections, *provenance_sections(data)],
+        subtitle=REFERENCE,
+    )
+    return found
+
+
+def _prepare(folder: Path) -> None:
+    """See that all libraries are there, make the folder, and see that it takes a file."""
+    with study_extra("a study"):
+        import xarray  # noqa: F401
+    new_figure(1.0, 1.0)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "report.html").touch()
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+
+
+def _write_figure(folder: Path, entry: PaperFigure, data: "xarray.Dataset") -> Section:
+    """Write a figure and its data; return its part of the report."""
+    figure = figure_of(entry, data)
+    save(figure, folder / f"{entry.name}.png")
+    image = drawn(figure)
+    _write(folder / f"{entry.name}.svg", image)
+    _write(folder / f"{entry.name}.csv", _table_of(entry, data))
+    _write(folder / f"{entry.name}.nc", bytes(in_real_numbers(data).to_netcdf(engine="scipy")))
+    picture = Picture(image, entry.title, entry.caption)
+    files = f"Files: {entry.name}.png, .svg, .csv and .nc."
+    return Section(entry.title, (picture, files))
+
+
+def figure_of(entry: PaperFigure, data: "xarray.Dataset") -> Any:
+    """Return a figure of the paper (matplotlib's), drawn from its data."""
+    if entry.is_map:
+        return length_map_figure(data, entry.variable)
+    return response_phase_figure(data, entry.variable)
+
+
+def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
+    """Return a figure's lines as CSV: size and phase, or the smallest along the length."""
+    if entry.is_map:
+        columns = {"length_mm": data["length_mm"].values, SMALLEST: data[SMALLEST].values[0]}
+    else:
+        values = data[entry.variable].values[0]
+        columns = {
+            FREQUENCY: data[FREQUENCY].values,
+            entry.variable: np.abs(values),
+            "phase_deg": np.degrees(np.unwrap(np.angle(values))),
+        }
+    rows = zip(*([f"{x:.9g}" for x in column] for column in columns.values()), strict=True)
+    return _csv([list(columns), *map(list, rows)])
+
+
+def in_real_numbers(data: "xarray.Dataset") -> "xarray.Dataset":
+    """Return a data set whose complex variables are ``…_real`` and ``…_imaginary``, for NetCDF."""
+    found = data
+    for name, values in data.data_vars.items():
+        if values.dtype.kind == "c":
+            parts = {f"{name}_real": values.real, f"{name}_imaginary": values.imag}
+            found = found.drop_vars(str(name)).assign(
+                {key: part.assign_attrs(values.attrs) for key, part in parts.items()}
+            )
+    return found
+
+
+HEADINGS = ("claim", "unit", "stated", "found", "difference", "within", "met", "stated by", "kind")
+
+
+def _row(claim: Claim) -> tuple[str, ...]:
+    numbers = (claim.stated, claim.found, claim.difference, claim.limit)
+    stated, found, difference, limit = (f"{number:.4g}" for number in numbers)
+    return (
+        claim.statement, claim.unit, stated, found, difference, limit, MET[claim.is_met],
+        claim.by, claim.kind,
+    )  # fmt: skip
+
+
+def _claims_csv(found: list[Claim]) -> bytes:
+    return _csv([list(HEADINGS), *(list(_row(claim)) for claim in found)])
+
+
+def _claim_sections(found: list[Claim]) -> list[Section]:
+    """Return the claims by kind, each with what that kind means."""
+    met = sum(claim.is_met for claim in found)
+    head = Section("What this is", (SURROGATE, f"{met} of {len(found)} claims are met."))
+    sections = [head]
+    heads = ("claim", "stated", "found", "difference", "within", "unit", "met")
+    for kind, meaning in KINDS.items():
+        rows = []
+        for claim in found:
+            if claim.kind == kind:
+                words, unit, stated, value, difference, limit, is_met, *_ = _row(claim)
+                rows.append((words, stated, value, difference, limit, unit, is_met))
+        by = sorted({claim.by for claim in found if claim.kind == kind})
+        title = f"Claims: {kind} (stated by the {', '.join(by)})".replace("the our", "our")
+        sections.append(Section(title, (meaning, Table(heads, tuple(rows)))))
+    return sections
+
+
+def _csv(rows: list[list[str]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error

@@ -1,0 +1,333 @@
+"""Sections of a report on a study, and on a front of designs.
+
+What was asked, the best, ranges and where fingers agree, maps, tolerances, and how the data came to
+be; everything is read from the data set and its attributes.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile.errors import InputError
+from tactile.show.plots import drawn
+from tactile.study.findings import (
+    FINGER,
+    FREQUENCY,
+    SCENARIO,
+    WORST,
+    agreed,
+    number_axes,
+    range_of,
+    reached,
+    sign_of,
+)
+from tactile.study.plots import (
+    criterion_figure,
+    length_map_figure,
+    pareto_figure,
+    response_phase_figure,
+    tolerance_figure,
+)
+from tactile.study.plots.labels import (
+    label,
+    lines_of,
+    told_of,
+    told_range,
+    told_share,
+)
+from tactile.study.ranges import SHARE, overlap
+from tactile.study.report.page import Picture, Section, Table
+
+if TYPE_CHECKING:
+    import xarray
+
+MOST_DESIGNS = 40
+"""Of a front that are told in a table, evenly picked."""
+DESIGN_ATTRIBUTES = ("base", "fixed", "fingers", "conditions", "bounds", "limits")
+"""Attributes that hold values as JSON."""
+
+
+def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Section]:
+    """Return the sections of a study, as `tactile.study.sweep.solve_study` makes it.
+
+    Parameters
+    ----------
+    data : of `solve_study` or `load_study`
+    share : of the best that is good enough
+
+    Raises
+    ------
+    InputError
+        Where matplotlib is missing.
+    """
+    judged = [str(name) for name, values in data.data_vars.items() if "criterion" in values.attrs]
+    curves = [str(name) for name, values in data.data_vars.items() if FREQUENCY in values.dims]
+    sections = [Section("What was asked", (_asked(data),))]
+    ranked = [name for name in judged if sign_of(data[name])]
+    if ranked:
+        sections.append(
+            Section("The best", tuple(filter(None, (_best(data, ranked), _agreed(data)))))
+        )
+    sections += [_criterion(data, name, share) for name in judged]
+    sections += [_response(data, name, share) for name in curves]
+    if SCENARIO in data.dims:
+        sections += [_tolerance(data, name) for name in (*judged, *curves)]
+    return [s for s in sections if s.content] + provenance_sections(data)
+
+
+def front_report(
+    front: "xarray.Dataset", *, cloud: "xarray.Dataset | None" = None, knee: int | None = None
+) -> list[Section]:
+    """Return the sections of a front.
+
+    Parameters
+    ----------
+    front : designs along ``design``; its attribute ``objectives`` names one to three of its
+        variables, divided by spaces
+    cloud, knee : see `tactile.show.plots.plot_pareto`
+
+    Raises
+    ------
+    InputError
+        Where matplotlib or the objectives are missing.
+    """
+    objectives = str(front.attrs.get("objectives", "")).split()
+    if not objectives:
+        raise InputError("this data set names no objectives: it is no front of designs")
+    content: list[str | Picture | Table] = []
+    if len(objectives) > 1:
+        figure = pareto_figure(front, objectives, cloud=cloud, knee=knee)
+        told = ", ".join(label(front[name]) for name in objectives)
+        words = "Designs that no other found beats in every objective"
+        content.append(Picture(drawn(figure), f"{words}: {told}", f"{words}: {told}."))
+    content.append(_designs(front, knee))
+    return [Section("The front", tuple(content)), *provenance_sections(front)]
+
+
+# What was asked, and the best
+
+
+def _asked(data: "xarray.Dataset") -> Table:
+    rows = []
+    for name in data.dims:
+        axis = data[name]
+        if name == SCENARIO:
+            rows.append(("scenarios", f"{axis.size}", "fingers and tolerances, drawn at random"))
+        elif axis.dtype.kind in "fiu":
+            rows.append((label(axis), f"{axis.size}", f"{axis.min():.4g} … {axis.max():.4g}"))
+        else:
+            rows.append((label(axis), f"{axis.size}", ", ".join(map(str, axis.values))))
+    designs = int(np.prod([n for d, n in data.sizes.items() if d not in (FREQUENCY, SCENARIO)]))
+    return Table(("axis", "values", "which"), tuple(rows), f"{designs} designs in all.")
+
+
+def _best(data: "xarray.Dataset", names: list[str]) -> Table:
+    """Return the best of each criterion under each finger, and which design it is."""
+    rows = []
+    for name in names:
+        values = reached(data[name])
+        for finger in lines_of(values, [str(d) for d in values.dims if d != FINGER]):
+            rest = finger.values * sign_of(values)
+            if not bool(np.isfinite(rest).any()):
+                continue
+            place = rest.argmax(list(finger.values.dims))
+            found = finger.values.isel(place)
+            design = ", ".join(f"{d} = {_cell(found[d].item())}" for d in finger.values.dims)
+            unit = str(values.attrs.get("units", ""))
+            rows.append(
+                (label(values).split(" [")[0], finger.name, f"{found.item():.4g} {unit}", design)
+            )
+    robust = (
+        f"With scenarios: what {1 - WORST:.0%} of them attain." if SCENARIO in data.dims else ""
+    )
+    return Table(("criterion", "finger", "best", "design"), tuple(rows), robust)
+
+
+def _agreed(data: "xarray.Dataset") -> str:
+    """Return the design that suits all fingers best."""
+    place = chosen_design(data)
+    told = ", ".join(told_of(data[d], k) for d, k in place.items())
+    return f"By the first criterion this suits the fingers best: {told}." if told else ""
+
+
+def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
+    """Return a criterion along each axis of numbers, the best over all others but the finger."""
+    found = {}
+    for axis in number_axes(values):
+        others = [d for d in values.dims if d not in (FINGER, axis)]
+        best = values.min if sign_of(values) < 0 else values.max
+        found[axis] = best(others, keep_attrs=True).rename(values.name)
+    return found
+
+
+def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
+    """Return a place on each axis of numbers: what suits all fingers best, else the middle.
+
+    It is judged by the first criterion of which more or less is better.
+    """
+    for values in data.data_vars.values():
+        if sign := sign_of(values):
+            kept = number_axes(values)
+            one = reached(values)
+            size = (agreed(one) if FINGER in one.dims else one * sign).transpose(*kept, ...)
+            worst = size.min([d for d in size.dims if d not in kept])
+            if kept and bool(np.isfinite(worst).any()):
+                return {str(d): int(k) for d, k in worst.argmax(kept).items()}
+    return {axis: data.sizes[axis] // 2 for axis in number_axes(data)}
+
+
+# Pictures
+
+
+def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Picture | str:
+    """Return a picture, or the reason why there is none."""
+    try:
+        return Picture(drawn(draw()), alternative, caption)
+    except InputError as error:
+        return f"Not drawn: {error}"
+
+
+def _criterion(data: "xarray.Dataset", name: str, share: float) -> Section:
+    """Return a criterion along each axis, with what is good enough under each finger."""
+    values = reached(data[name])
+    content: list[str | Picture | Table] = []
+    for axis, profile in _profiles(values).items():
+        others = len([d for d in values.dims if d not in (FINGER, axis) and values.sizes[d] > 1])
+        words = f"{label(values)} along {label(values[axis])}"
+        extreme = "best" if sign_of(values) else "largest"
+        caption = f"{words}, the {extreme} over all other axes." if others else f"{words}."
+        part = profile.to_dataset(name=name)
+        draw = partial(criterion_figure, part, name, axis=axis, share=share)
+        content.append(_pictured(draw, words, caption))
+        if sign_of(values):
+            content.append(_ranges(profile, axis, share, is_all=not others))
+    return Section(_sentence(label(values).split(" [")[0]), tuple(content))
+
+
+def _ranges(profile: "xarray.DataArray", axis: str, share: float, *, is_all: bool) -> Table:
+    """Return what is good enough under each finger, and what all share.
+
+    They share it only where there is no other axis, along which each might have its own best.
+    """
+    profile = profile.sortby(axis)
+    unit = str(profile[axis].attrs.get("units", ""))
+    lines = lines_of(profile, (axis,))
+    found = [range_of(line.values, share) for line in lines]
+    rows = [(line.name or "all", told_range(r, unit)) for line, r in zip(lines, found, strict=True)]
+    if len(found) > 1 and is_all:
+        shared = overlap(found)
+        told = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
+        rows.append(("shared by all", told))
+    told = profile[axis].attrs.get("long_name", axis)
+    heads = ("finger", f"{told}, {told_share(share, profile)}")
+    return Table(heads, tuple(rows))
+
+
+def _response(data: "xarray.Dataset", name: str, share: float) -> Section:
+    """Return maps of a response over each axis of numbers, else the response itself."""
+    values = data[name]
+    title = _sentence(label(values).split(" [")[0])
+    if SCENARIO in values.dims:
+        return Section(title, ())
+    content = []
+    for axis in number_axes(values):
+        part, at = _slice(data, name, axis)
+        words = f"{label(values)} over {label(values[axis])} and frequency{at}"
+        caption = f"Level of the {words}; below, the smallest in the band and what is good enough."
+        draw = partial(length_map_figure, part, name, axis=axis, share=share)
+        content.append(_pictured(draw, words, caption))
+    if not content:
+        words = f"Size and phase of the {label(values)}"
+        draw = partial(response_phase_figure, data, name)
+        content = [_pictured(draw, words, f"{words}.")]
+    return Section(title, tuple(content))
+
+
+def _slice(data: "xarray.Dataset", name: str, axis: str = "") -> tuple["xarray.Dataset", str]:
+    """Return a variable with all axes of numbers but one at the chosen design, and those told."""
+    values = data[name]
+    place = {d: k for d, k in chosen_design(data).items() if d in values.dims and d != axis}
+    place = {d: k for d, k in place.items() if values.sizes[d] > 1}
+    told = ", ".join(told_of(values[d], k) for d, k in place.items())
+    return data[[name]].isel(place), f", at {told}" if told else ""
+
+
+def _tolerance(data: "xarray.Dataset", name: str) -> Section:
+    """Return what scenarios make of a variable, along each axis or at the chosen design."""
+    values = data[name]
+    if SCENARIO not in values.dims:
+        return Section("", ())
+    content = []
+    for axis in [""] if FREQUENCY in values.dims else number_axes(values):
+        part, at = _slice(data, name, axis)
+        words = f"Median and 5 to 95 % of the scenarios: {label(values)}{at}"
+        draw = partial(tolerance_figure, part, name, axis=axis or None)
+        content.append(_pictured(draw, words, f"{words}."))
+    return Section(f"Tolerance of the {label(values).split(' [')[0]}", tuple(content))
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:]
+
+
+# Fronts and provenance
+
+
+def _designs(front: "xarray.Dataset", knee: int | None) -> Table:
+    """Return the designs of a front, each a row."""
+    columns = [
+        name for name in (*front.coords, *front.data_vars) if front[name].dims == ("design",)
+    ]
+    size = front.sizes["design"]
+    shown = np.unique(np.linspace(0, size - 1, min(size, MOST_DESIGNS)).round().astype(int))
+    if knee is not None:
+        shown = np.union1d(shown, [knee])
+    rows = tuple(
+        (
+            f"{k + 1}" + (" (knee)" if k == knee else ""),
+            *(_cell(front[c].values[k]) for c in columns),
+        )
+        for k in shown
+    )
+    caption = "" if len(shown) == size else f"{len(shown)} of {size} designs."
+    return Table(("design", *(label(front[c]) for c in columns)), rows, caption)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float | int | np.number) else str(value)
+
+
+def provenance_sections(data: "xarray.Dataset") -> list[Section]:
+    """Return how a data set came to be, and the values of what was not varied."""
+    plain = [(k, str(v)) for k, v in data.attrs.items() if k not in DESIGN_ATTRIBUTES]
+    rows = [
+        (f"{name}: {path}" if path else name, text)
+        for name in DESIGN_ATTRIBUTES
+        if name in data.attrs
+        for path, text in _leaves(json.loads(data.attrs[name]))
+    ]
+    sections = (
+        [Section("Parameters", (Table(("parameter (SI)", "value"), tuple(rows)),))] if rows else []
+    )
+    return [
+        *sections,
+        Section("How it came to be", (Table(("", "said"), tuple(map(_row, plain))),)),
+    ]
+
+
+def _row(pair: tuple[Any, str]) -> tuple[str, ...]:
+    return str(pair[0]).replace("_", " "), pair[1]
+
+
+def _leaves(value: Any, path: str = "") -> list[tuple[str, str]]:
+    """Return the numbers and words within JSON, with where they are."""
+    if isinstance(value, dict):
+        return [
+            leaf for key, part in value.items() for leaf in _leaves(part, f"{path} {key}".strip())
+        ]
+    if isinstance(value, float):
+        return [(path, f"{value:.6g}")]
+    return [(path, json.dumps(value, ensure_ascii=False).strip('"'))]

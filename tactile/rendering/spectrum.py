@@ -34,8 +34,8 @@ slope the slew: no clamp ever acts, at the price of 1–2 dB below what a limite
 
 **Not carried**: sparse events and streamed waveforms, which are no partials. `python -m
 benchmarks spectrum` tells what textures with events lose by it. Nor friction (`skin_stretch`),
-which has a memory of the way that frames, each made from where the finger is now, do not have: on a link of
-frames no texture stretches the skin.
+which has a memory of the way that frames, each made from where the finger is now, do not have: on
+a link of frames no texture stretches the skin.
 """
 
 import math

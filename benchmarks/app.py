@@ -12,7 +12,7 @@ from multiprocessing.process import BaseProcess
 import tactile.client
 import tactile.client.websocket  # loaded before the fork
 from benchmarks.daemon import NAME, PATIENCE
-from tactile.client import Display
+from tactile.client import RemoteDisplay
 from tactile.errors import ClientError
 
 LASTS = 120.0
@@ -28,7 +28,7 @@ EFFECT = 60.0
 TEXTURE = "wood-oak"
 
 
-def get_ready(display: Display, sound: str) -> None:
+def get_ready(display: RemoteDisplay, sound: str) -> None:
     """Select and arm as soon as the daemon allows it: playback may be started again just now.
 
     Raises
@@ -48,7 +48,7 @@ def get_ready(display: Display, sound: str) -> None:
             time.sleep(0.05)
 
 
-def play_stroke(display: Display, lasts: float) -> None:
+def play_stroke(display: RemoteDisplay, lasts: float) -> None:
     """Move a finger over oak, to and fro."""
     begun = time.monotonic()
     while (now := time.monotonic() - begun) < lasts:
@@ -58,7 +58,7 @@ def play_stroke(display: Display, lasts: float) -> None:
         time.sleep(1 / RATE)
 
 
-def play_waveform(display: Display, lasts: float) -> None:
+def play_waveform(display: RemoteDisplay, lasts: float) -> None:
     """Append to a waveform so that it never ends."""
     period = round(SAMPLE_RATE / FREQUENCY)
     wave = [math.sin(2 * math.pi * k / period) for k in range(2 * period + 2000)]
@@ -71,13 +71,13 @@ def play_waveform(display: Display, lasts: float) -> None:
         time.sleep(max(0.05, appended.buffered - AHEAD))
 
 
-def play_effect(display: Display, lasts: float) -> None:
+def play_effect(display: RemoteDisplay, lasts: float) -> None:
     """Play an effect of a minute, and do nothing more."""
     begin_effect(display)
     time.sleep(lasts)
 
 
-def begin_effect(display: Display) -> None:
+def begin_effect(display: RemoteDisplay) -> None:
     """Ask for an effect of a minute."""
     display.effect(
         AMPLITUDE,
@@ -86,7 +86,7 @@ def begin_effect(display: Display) -> None:
     )
 
 
-SOUNDS: dict[str, Callable[[Display, float], None]] = {
+SOUNDS: dict[str, Callable[[RemoteDisplay, float], None]] = {
     "stroke": play_stroke,
     "waveform": play_waveform,
     "effect": play_effect,

@@ -42,7 +42,7 @@ TIME_FRAMES, REPLY_FRAMES = 3, 5
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkDelays:
     """Delays out and back, and what of either the host knows and takes off [s]."""
 
     out: Delay
@@ -51,7 +51,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Clock:
+class DriftingClock:
     """An amplifier's clock that reads `start` ticks at host time 0."""
 
     drift_ppm: float = DRIFT_PPM
@@ -101,23 +101,23 @@ def timed_out(latency: float, rng: np.random.Generator, sent: float) -> float:
     return wait + polled(FRAME, rng, sent)
 
 
-def can_usb(frames: int) -> Link:
+def can_usb(frames: int) -> LinkDelays:
     """Return the link by the frames of TIME, the time of all without stuffing taken off."""
     known = frames * CAN_FRAME_BITS * CAN_BIT, REPLY_FRAMES * CAN_FRAME_BITS * CAN_BIT
-    return Link(partial(over_can, frames), partial(over_can, REPLY_FRAMES), known)
+    return LinkDelays(partial(over_can, frames), partial(over_can, REPLY_FRAMES), known)
 
 
-def ftdi(latency: float) -> Link:
+def ftdi(latency: float) -> LinkDelays:
     """Return an FTDI serial adapter by its latency timer [s]; the wire's time is taken off."""
-    return Link(partial(polled, FRAME), partial(timed_out, latency))
+    return LinkDelays(partial(polled, FRAME), partial(timed_out, latency))
 
 
-LINKS: dict[str, Link] = {
-    "jitter": Link(jittery, jittery),
+LINKS: dict[str, LinkDelays] = {
+    "jitter": LinkDelays(jittery, jittery),
     "can_usb": can_usb(TIME_FRAMES),
     "can_usb_padded": can_usb(REPLY_FRAMES),
-    "usb_full_speed": Link(partial(polled, FRAME), partial(polled, FRAME)),
-    "usb_in_step": Link(in_step, partial(polled, FRAME)),
+    "usb_full_speed": LinkDelays(partial(polled, FRAME), partial(polled, FRAME)),
+    "usb_in_step": LinkDelays(in_step, partial(polled, FRAME)),
     "ftdi_1ms": ftdi(1e-3),
     "ftdi_16ms": ftdi(16e-3),
 }
@@ -215,7 +215,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 def exchanges(
-    link: Link, clock: Clock, rng: np.random.Generator, interval: float | None = None
+    link: LinkDelays, clock: DriftingClock, rng: np.random.Generator, interval: float | None = None
 ) -> Iterator[Exchange]:
     """Yield what the host sees from host time 100 s on; it probes when the estimator would.
 
@@ -236,7 +236,7 @@ def exchanges(
         now = max(arrived, due)
 
 
-def followed(estimator: Estimator, seen: list[Exchange], clock: Clock, seed: int) -> Floats:
+def followed(estimator: Estimator, seen: list[Exchange], clock: DriftingClock, seed: int) -> Floats:
     """Return (time since the first exchange, error) [s] at 4 random instants per exchange."""
     rng = np.random.default_rng(seed)
     found: list[tuple[float, float]] = []
@@ -248,9 +248,11 @@ def followed(estimator: Estimator, seen: list[Exchange], clock: Clock, seed: int
     return np.array(found)
 
 
-def trial(link: Link, estimator: Callable[[], Estimator], interval: float | None = None) -> Floats:
+def trial(
+    link: LinkDelays, estimator: Callable[[], Estimator], interval: float | None = None
+) -> Floats:
     """Return (time, error) [s] of all seeds."""
-    clock, runs = Clock(), []
+    clock, runs = DriftingClock(), []
     for seed in SEEDS:
         seen = list(exchanges(link, clock, np.random.default_rng(seed), interval))
         runs.append(followed(estimator(), seen, clock, seed))
@@ -288,7 +290,7 @@ def _at_first(found: Floats) -> float:
 
 def _cost() -> float:
     """Return the time that an exchange takes [s]."""
-    seen = list(exchanges(LINKS["jitter"], Clock(), np.random.default_rng(0)))
+    seen = list(exchanges(LINKS["jitter"], DriftingClock(), np.random.default_rng(0)))
 
     def feed() -> None:
         estimator = ClockEstimator(TICK_HZ)

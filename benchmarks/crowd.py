@@ -23,7 +23,7 @@ from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.display.display import load_display
-from tactile.server.config import Config, DisplayConfig, ServerConfig
+from tactile.server.config import DaemonConfig, DisplayConfig, ServerConfig
 from tactile.server.host import Host
 from tactile.server.server import running
 
@@ -103,7 +103,7 @@ class Steps:
 
 
 async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure]:
-    config = Config(
+    config = DaemonConfig(
         server=ServerConfig(port=0, socket="", most_clients=crowd.clients + 10),
         display=(DisplayConfig(name=NAME, device=f"serial://{amplifier.path}"),),
     )
@@ -126,7 +126,7 @@ async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure
         stats = await host.connect("bench", roles=frozenset({"watch"})).request(
             m.GetStats(display=NAME)
         )
-        assert isinstance(stats, m.Stats)
+        assert isinstance(stats, m.StatsReply)
     steps.take()
     return _figures(stats.counters, np.array(memory), steps.largest, crowd)
 

@@ -34,7 +34,7 @@ CHUNK = 1 << 22
 """Bytes of records that are read at a time."""
 
 
-class Output(NamedTuple):
+class AmplifierOutput(NamedTuple):
     """What the amplifier put out.
 
     Attributes
@@ -48,10 +48,10 @@ class Output(NamedTuple):
     is_loud: NDArray[np.bool_]
     high_voltage: NDArray[np.bool_]
 
-    def since(self, moment: float) -> "Output":
+    def since(self, moment: float) -> "AmplifierOutput":
         """Return what was put out after a moment [s]."""
         first = int(np.searchsorted(self.times, moment, side="right"))
-        return Output(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
+        return AmplifierOutput(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
 
 
 def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: float) -> float:
@@ -60,7 +60,7 @@ def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: fl
     return float(after.max() - moment) if len(after) else 0.0
 
 
-class Recorder:
+class OutputRecorder:
     """Reads an amplifier's record as it grows, and keeps how far it went.
 
     Parameters
@@ -78,13 +78,13 @@ class Recorder:
         self._last = np.zeros((1, 1), np.int32)
         self.largest = self.largest_step = 0
 
-    def read(self) -> Output:
+    def read(self) -> AmplifierOutput:
         """Return what was put out since the last call."""
-        parts = [Output(np.empty(0), np.empty(0, bool), np.empty(0, bool))]
+        parts = [AmplifierOutput(np.empty(0), np.empty(0, bool), np.empty(0, bool))]
         while len((records := self._amplifier.take(CHUNK)).codes):
             self._measure(records.codes.astype(np.int32))
             parts.append(
-                Output(
+                AmplifierOutput(
                     self._amplifier.powered_up + records.tick.astype(np.float64) * 1e-6,
                     np.asarray(records.codes.any(axis=1)),
                     records.high_voltage != 0,
@@ -107,9 +107,9 @@ class Recorder:
         yield at_most(f"{name}.largest_step", self.largest_step / slew, "of slew", 1)
 
 
-def joined(parts: list[Output]) -> Output:
+def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
     """Return what was put out in several spans as one."""
-    return Output(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return AmplifierOutput(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE) -> None:

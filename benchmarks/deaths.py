@@ -26,9 +26,9 @@ from benchmarks.app import SOUNDS, start_app
 from benchmarks.daemon import (
     PATIENCE,
     POLL,
+    AmplifierOutput,
     Daemon,
-    Output,
-    Recorder,
+    OutputRecorder,
     amplifier_and_folder,
     joined,
     last_after,
@@ -139,7 +139,7 @@ class Outcomes:
     silent: list[float] = field(default_factory=list)
     off: list[float] = field(default_factory=list)
 
-    def add(self, output: Output, moment: float) -> bool:
+    def add(self, output: AmplifierOutput, moment: float) -> bool:
         """Take what was put out around a fault; return whether all was off in time."""
         self.silent.append(last_after(output.times, output.is_loud, moment))
         self.off.append(last_after(output.times, output.high_voltage, moment))
@@ -162,7 +162,7 @@ class Outcomes:
             yield at_most(f"{name}.{part}.worst", max(times), "s", limit)
 
 
-def plays(output: Output) -> bool:
+def plays(output: AmplifierOutput) -> bool:
     """Return whether, by what was put out last, something plays."""
     if not len(output.times) or output.times[-1] - output.times[0] < HEARD:
         return False
@@ -170,7 +170,7 @@ def plays(output: Output) -> bool:
     return bool(last.is_loud.mean() > 0.5 and last.high_voltage.all())
 
 
-def is_over(output: Output, moment: float) -> bool:
+def is_over(output: AmplifierOutput, moment: float) -> bool:
     """Return whether all is off since a while, and for as long after a fault as it must be."""
     if not len(output.times) or output.times[-1] < moment + SILENT_WITHIN + CALM:
         return False
@@ -188,7 +188,7 @@ class Tries:
     link : descriptor of the amplifier's pty, at the host's end
     """
 
-    def __init__(self, daemon: Daemon, recorder: Recorder, link: int) -> None:
+    def __init__(self, daemon: Daemon, recorder: OutputRecorder, link: int) -> None:
         self._daemon, self._recorder, self._link = daemon, recorder, link
 
     def carry_out(self, sound: str, fault: Fault, outcomes: Outcomes, wait: float) -> None:
@@ -232,7 +232,7 @@ class Tries:
             output = output.since(time.monotonic() - 5 * HEARD)
         return True
 
-    def _watched(self, moment: float) -> Output:
+    def _watched(self, moment: float) -> AmplifierOutput:
         """Return what is put out until all is off, or for as long as is watched."""
         parts = [self._recorder.read()]
         while not is_over(output := joined(parts), moment):
@@ -286,12 +286,12 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
 
 
 @contextmanager
-def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, Recorder]]:
+def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, OutputRecorder]]:
     """Give tries with a daemon of their own."""
     with amplifier_and_folder() as (amplifier, folder):
         link = os.open(amplifier.path, os.O_RDWR | os.O_NOCTTY)
         try:
-            recorder = Recorder(amplifier)
+            recorder = OutputRecorder(amplifier)
             with closing(Daemon(folder, amplifier.path, worn=worn, log=log)) as daemon:
                 yield Tries(daemon, recorder, link), recorder
         finally:

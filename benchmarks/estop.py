@@ -24,9 +24,9 @@ from benchmarks.daemon import (
     NAME,
     PATIENCE,
     POLL,
+    AmplifierOutput,
     Daemon,
-    Output,
-    Recorder,
+    OutputRecorder,
     amplifier_and_folder,
     joined,
     last_after,
@@ -35,7 +35,7 @@ from benchmarks.daemon import (
 )
 from benchmarks.deaths import HEARD, plays
 from benchmarks.floods import (
-    Load,
+    Burden,
     burdened,
     flood_osc,
     open_connections,
@@ -45,7 +45,7 @@ from benchmarks.floods import (
 from benchmarks.virtual import can_be_built
 from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
-from tactile.client import Display
+from tactile.client import RemoteDisplay
 from tactile.display.display import load_display
 from tactile.errors import ClientError, RequestError
 from tactile.estop.request import request_estop
@@ -102,14 +102,14 @@ class Times:
 
 
 @dataclass(frozen=True)
-class Rig:
+class EstopRig:
     """A daemon, its amplifier's recorder, and a program that is connected to it."""
 
     daemon: Daemon
-    recorder: Recorder
-    display: Display
+    recorder: OutputRecorder
+    display: RemoteDisplay
     osc_port: int
-    load: Load | None = None
+    load: Burden | None = None
 
 
 def _stop_by_command(name: str) -> bool:
@@ -122,7 +122,7 @@ def _stop_by_command(name: str) -> bool:
     return any(answer.estops for answer in request_estop(name))
 
 
-def _over_socket(rig: Rig) -> bool:
+def _over_socket(rig: EstopRig) -> bool:
     try:
         rig.display.estop(timeout=PATIENCE)
     except ClientError:
@@ -130,15 +130,15 @@ def _over_socket(rig: Rig) -> bool:
     return True
 
 
-def _as_command(rig: Rig) -> bool:
+def _as_command(rig: EstopRig) -> bool:
     return _stop_by_command(NAME)
 
 
-WAYS: dict[str, Callable[[Rig], bool]] = {"websocket": _over_socket, "command": _as_command}
+WAYS: dict[str, Callable[[EstopRig], bool]] = {"websocket": _over_socket, "command": _as_command}
 
 
 @contextmanager
-def _server_stopped(rig: Rig) -> Iterator[None]:
+def _server_stopped(rig: EstopRig) -> Iterator[None]:
     send_signal(rig.daemon.pid, signal.SIGSTOP)
     try:
         yield
@@ -147,14 +147,14 @@ def _server_stopped(rig: Rig) -> Iterator[None]:
 
 
 @contextmanager
-def _playback_restarting(rig: Rig) -> Iterator[None]:
+def _playback_restarting(rig: EstopRig) -> Iterator[None]:
     """Kill playback, and go on when the amplifier has noticed."""
     send_signal(rig.daemon.playback(), signal.SIGKILL)
     wait_for("0 V", lambda: is_silent(rig.recorder.read()))
     yield
 
 
-def is_silent(output: Output) -> bool:
+def is_silent(output: AmplifierOutput) -> bool:
     """Return whether nothing was put out in the last instants.
 
     Parameters
@@ -176,8 +176,10 @@ class Condition:
     """
 
     ways: tuple[str, ...] = tuple(WAYS)
-    load: Callable[[Rig, float], AbstractContextManager[Load | None]] = lambda rig, s: nullcontext()
-    at_once: Callable[[Rig], AbstractContextManager[None]] = lambda rig: nullcontext()
+    load: Callable[[EstopRig, float], AbstractContextManager[Burden | None]] = lambda rig, s: (
+        nullcontext()
+    )
+    at_once: Callable[[EstopRig], AbstractContextManager[None]] = lambda rig: nullcontext()
 
 
 CONDITIONS: dict[str, Condition] = {
@@ -197,7 +199,7 @@ CONDITIONS: dict[str, Condition] = {
 }
 
 
-def carry_out(rig: Rig, way: str, condition: Condition, times: Times, wait: float) -> None:
+def carry_out(rig: EstopRig, way: str, condition: Condition, times: Times, wait: float) -> None:
     """Send an e-stop while an effect plays, add how long it took, and clear it by its number.
 
     Parameters
@@ -215,7 +217,7 @@ def carry_out(rig: Rig, way: str, condition: Condition, times: Times, wait: floa
     _clear(rig.display)
 
 
-def _stop(times: Times, recorder: Recorder, request: Callable[[], bool]) -> None:
+def _stop(times: Times, recorder: OutputRecorder, request: Callable[[], bool]) -> None:
     """Send an e-stop, which returns whether it was answered, and add how long all took."""
     sent = time.monotonic()
     if request():
@@ -226,7 +228,7 @@ def _stop(times: Times, recorder: Recorder, request: Callable[[], bool]) -> None
     times.silent.append(last_after(output.times, output.is_loud, sent))
 
 
-def _play(rig: Rig) -> None:
+def _play(rig: EstopRig) -> None:
     """Arm, and have an effect play."""
     deadline = time.monotonic() + PATIENCE
     output = rig.recorder.read()
@@ -243,7 +245,7 @@ def _play(rig: Rig) -> None:
             raise TimeoutError(f"an effect did not play within {PATIENCE:g} s")
 
 
-def _watched(recorder: Recorder, sent: float) -> Output:
+def _watched(recorder: OutputRecorder, sent: float) -> AmplifierOutput:
     """Return what is put out from an e-stop on."""
     parts = [recorder.read()]
 
@@ -255,7 +257,7 @@ def _watched(recorder: Recorder, sent: float) -> Output:
     return joined(parts)
 
 
-def is_refused(display: Display) -> bool:
+def is_refused(display: RemoteDisplay) -> bool:
     """Return whether an e-stop refuses to arm; playback may have to be started for the answer.
 
     Parameters
@@ -275,15 +277,15 @@ def is_refused(display: Display) -> bool:
     return False
 
 
-def _clear(display: Display) -> None:
+def _clear(display: RemoteDisplay) -> None:
     """End the e-stop that holds."""
     ask, deadline = display.connection._ask, time.monotonic() + PATIENCE
     while True:
         try:
-            estop = ask(m.GetStats(display=NAME), m.Stats, PATIENCE).estop
+            estop = ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE).estop
             if not estop:
                 return
-            ask(m.Clear(display=NAME, estop=estop), m.Done, PATIENCE)
+            ask(m.ClearEstop(display=NAME, estop=estop), m.Done, PATIENCE)
         except ClientError:
             if time.monotonic() > deadline:
                 raise
@@ -326,7 +328,7 @@ def measure_estop_play() -> Iterator[Figure]:
 def _measured_play(name: str, tries: int) -> Iterator[Figure]:
     times, display = Times(), load_display("reference-24")
     with amplifier_and_folder() as (amplifier, _):
-        recorder, device = Recorder(amplifier), f"serial://{amplifier.path}"
+        recorder, device = OutputRecorder(amplifier), f"serial://{amplifier.path}"
         words = [sys.executable, "-m", "tactile", "play", TEXTURE, "--quiet", "--device", device]
         for _ in range(tries):
             player = subprocess.Popen([*words, "--seconds", "3600"], stderr=subprocess.DEVNULL)
@@ -343,7 +345,7 @@ def _measured_play(name: str, tries: int) -> Iterator[Figure]:
         yield from recorder.figures(name)
 
 
-def _latest(recorder: Recorder) -> Output:
+def _latest(recorder: OutputRecorder) -> AmplifierOutput:
     """Return what the amplifier puts out from now on, for as long as `plays` looks at."""
     recorder.read()
     time.sleep(2 * HEARD)
@@ -351,7 +353,7 @@ def _latest(recorder: Recorder) -> Output:
 
 
 @contextmanager
-def _rig() -> Iterator[Rig]:
+def _rig() -> Iterator[EstopRig]:
     """Give a daemon, and a program that is connected to it."""
     with ExitStack() as stack:
         amplifier, folder = stack.enter_context(amplifier_and_folder())
@@ -360,7 +362,7 @@ def _rig() -> Iterator[Rig]:
         stack.enter_context(closing(daemon))
         display = tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE)
         stack.enter_context(display)
-        yield Rig(daemon, Recorder(amplifier), display, port)
+        yield EstopRig(daemon, OutputRecorder(amplifier), display, port)
 
 
 def free_udp_port() -> int:

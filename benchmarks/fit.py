@@ -16,7 +16,7 @@ import numpy as np
 from tactile.bench.figures import Figure, Floats, at_least, at_most
 from tactile.texture import measures
 from tactile.texture.descriptor import About
-from tactile.texture.fitting import Measurement, describe, measure_slides
+from tactile.texture.fitting import RecordingMeasures, describe, measure_slides
 from tactile.texture.judging import fit_texture, predict, rendered_strokes
 from tactile.texture.recorded_slide import Recorded, load_recorded
 
@@ -39,7 +39,7 @@ def recordings() -> Path | None:
     return folder if (folder / "biotac").is_dir() else None
 
 
-def biotac(folder: Path) -> dict[str, Measurement]:
+def biotac(folder: Path) -> dict[str, RecordingMeasures]:
     """Return what was measured of each material's slides."""
     with np.load(folder / "biotac" / "biotac.npz") as archive:
         signal, material = archive["signal"].astype(np.float64), archive["material"]
@@ -63,7 +63,7 @@ def halvings(count: int) -> Iterator[tuple[list[int], list[int]]]:
         yield list(one), [k for k in range(count) if k not in one]
 
 
-def fabric(folder: Path, name: str, speeds: tuple[str, ...], reference: float) -> Measurement:
+def fabric(folder: Path, name: str, speeds: tuple[str, ...], reference: float) -> RecordingMeasures:
     """Return what was measured of denim or corduroy at some speeds."""
     slides = [
         load_recorded(
@@ -102,7 +102,7 @@ def _speed() -> Figure:
     return at_most("fit.one_minute", time.perf_counter() - begun, "s", 5)
 
 
-def _distances(materials: dict[str, Measurement]) -> Iterator[Figure]:
+def _distances(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
     verdicts = [
         predict(found.part(one), found.part(other), ABOUT)
         for found in materials.values()
@@ -119,7 +119,7 @@ def _distances(materials: dict[str, Measurement]) -> Iterator[Figure]:
             yield Figure(f"fit.biotac.{name}", rms, "dB rms")
 
 
-def _identified(materials: dict[str, Measurement]) -> Iterator[Figure]:
+def _identified(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
     """Tell 12 materials by their bands: recordings of one half, and textures fitted to it.
 
     The nearest mean (least rms over bands) of the other half's recordings wins.
@@ -141,7 +141,7 @@ def _nearest(level: Floats, known: Floats) -> int:
     return int(np.argmin(np.mean((known - level) ** 2, axis=1)))
 
 
-def _strokes(seen: Measurement) -> list[Floats]:
+def _strokes(seen: RecordingMeasures) -> list[Floats]:
     """Return levels of strokes as long as a recording over the texture, at the recordings' level.
 
     Uncalibrated textures are brought to an assumed level, which is taken off again.

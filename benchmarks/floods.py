@@ -30,7 +30,7 @@ OPEN = 200
 HOST = "127.0.0.1"
 
 
-class Load:
+class Burden:
     """Processes that burden a daemon while they are let.
 
     Attributes
@@ -68,16 +68,16 @@ class Load:
 
 
 @contextmanager
-def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -> Iterator[Load]:
+def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -> Iterator[Burden]:
     """Have a flood ready in processes of its own meanwhile.
 
     Parameters
     ----------
-    flood : gets the `Load`, then the options
+    flood : gets the `Burden`, then the options
     options : of the flood
     processes : that send it, each all of it
     """
-    load = Load()
+    load = Burden()
     context = multiprocessing.get_context("forkserver")
     started = [
         context.Process(target=flood, args=(load, *options), daemon=True) for _ in range(processes)
@@ -92,7 +92,7 @@ def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -
             process.join()
 
 
-def paced(load: Load, rate: float, seconds: float) -> Iterator[int]:
+def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
     """Yield how many to send, again and again, while a load is let; count them.
 
     Parameters
@@ -115,12 +115,12 @@ def paced(load: Load, rate: float, seconds: float) -> Iterator[int]:
         time.sleep(BATCH)
 
 
-def touch_together(load: Load, url: str, clients: int, seconds: float) -> None:
+def touch_together(load: Burden, url: str, clients: int, seconds: float) -> None:
     """Be so many programs, each of which touches at `RATE`."""
     asyncio.run(_touch_together(load, url, clients, seconds))
 
 
-async def _touch_together(load: Load, url: str, clients: int, seconds: float) -> None:
+async def _touch_together(load: Burden, url: str, clients: int, seconds: float) -> None:
     from tactile.client import aio
 
     async def one(number: int) -> None:
@@ -135,7 +135,7 @@ async def _touch_together(load: Load, url: str, clients: int, seconds: float) ->
     await asyncio.gather(*(one(number) for number in range(clients)))
 
 
-def send_messages(load: Load, port: int, rate: float, seconds: float) -> None:
+def send_messages(load: Burden, port: int, rate: float, seconds: float) -> None:
     """Send contacts over a WebSocket, and open another one where the server closes it."""
     contact = {"type": "contact", "display": NAME, "position_mm": [1, 0], "normal_force_n": 0.5}
     one = frame(contact)
@@ -178,7 +178,7 @@ def drain(link: socket.socket) -> None:
             raise ConnectionError
 
 
-def open_connections(load: Load, port: int, rate: float, seconds: float) -> None:
+def open_connections(load: Burden, port: int, rate: float, seconds: float) -> None:
     """Open connections that say nothing; only the last few of them stay open."""
     links: deque[socket.socket] = deque()
     at_once = struct.pack("ii", 1, 0)  # closed by a reset: no port is kept waiting
@@ -200,7 +200,7 @@ def contact_packet() -> bytes:
     return padded + b",fff\0\0\0\0" + struct.pack(">fff", 1.0, 0.0, 0.5)
 
 
-def flood_osc(load: Load, port: int, rate: float, seconds: float) -> None:
+def flood_osc(load: Burden, port: int, rate: float, seconds: float) -> None:
     """Send contacts as OSC packets."""
     packet = contact_packet()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

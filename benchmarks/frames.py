@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.virtual import (
     Records,
-    SocketCan,
     VirtualAmplifier,
+    VirtualSocketCan,
     real_time,
     to_and_fro,
     workshop,
@@ -153,7 +153,7 @@ def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
     sent: deque[tuple[int, m.Spectrum]] = deque()
 
     def connect() -> CanWire:
-        wire = Listening(SocketCan(folder, fd=False), link, MONOTONIC)
+        wire = Listening(VirtualSocketCan(folder, fd=False), link, MONOTONIC)
         wire.frames = sent
         return wire
 

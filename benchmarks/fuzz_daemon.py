@@ -23,16 +23,16 @@ from benchmarks.daemon import (
     NAME,
     PATIENCE,
     Daemon,
-    Recorder,
+    OutputRecorder,
     amplifier_and_folder,
     frame,
     send_signal,
 )
-from benchmarks.floods import Load, burdened, drain, open_websocket
+from benchmarks.floods import Burden, burdened, drain, open_websocket
 from benchmarks.virtual import can_be_built
 from tactile import messages as m
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
-from tactile.client import Display
+from tactile.client import RemoteDisplay
 from tactile.errors import ClientError
 
 SECONDS = 600.0
@@ -104,7 +104,7 @@ def hang_up(link: socket.socket) -> None:
     link.close()
 
 
-def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
+def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
     """Be a client that sends random messages and hangs up, again and again; count that."""
     rng, end = random.Random(f"{seed} {time.monotonic_ns()}"), time.monotonic() + seconds
     while time.monotonic() < end:
@@ -145,7 +145,7 @@ def counters_of(daemon: Daemon) -> dict[str, int]:
     """Return what playback counted."""
     with tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as display:
         ask = display.connection._ask
-        return ask(m.GetStats(display=NAME), m.Stats, PATIENCE).counters
+        return ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE).counters
 
 
 def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
@@ -156,7 +156,7 @@ def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
 
 def _measured(seconds: float) -> Iterator[Figure]:
     with amplifier_and_folder() as (amplifier, folder):
-        recorder = Recorder(amplifier)
+        recorder = OutputRecorder(amplifier)
         with closing(Daemon(folder, amplifier.path)) as daemon:
             playback, before = daemon.playback(), counters_of(daemon)
             victim = start_app(daemon.url, "stroke", lasts=seconds + PATIENCE)
@@ -177,7 +177,7 @@ def _measured(seconds: float) -> Iterator[Figure]:
 
 
 def _observed(
-    daemon: Daemon, recorder: Recorder, keeper: Display, seconds: float
+    daemon: Daemon, recorder: OutputRecorder, keeper: RemoteDisplay, seconds: float
 ) -> Iterator[float]:
     """Yield the server's memory [MiB] each second; read the record, and keep it armed meanwhile."""
     end = time.monotonic() + seconds
@@ -190,12 +190,12 @@ def _observed(
         yield resident(daemon.pid)
 
 
-def clear_and_arm(display: Display) -> None:
+def clear_and_arm(display: RemoteDisplay) -> None:
     """Have a display play on, where random messages stopped it."""
     ask = display.connection._ask
-    stats = ask(m.GetStats(display=NAME), m.Stats, PATIENCE)
+    stats = ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE)
     if stats.estop:
-        ask(m.Clear(display=NAME, estop=stats.estop), m.Done, PATIENCE)
+        ask(m.ClearEstop(display=NAME, estop=stats.estop), m.Done, PATIENCE)
     if stats.state != "armed":
         display.arm(timeout=PATIENCE)
 

@@ -22,9 +22,9 @@ from benchmarks.virtual import VirtualAmplifier, can_be_built, workshop
 from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
-from tactile.playback.shared_memory import Touch, Trace
+from tactile.playback.shared_memory import BlockTrace, Touch
 from tactile.rendering.limiter import LOOK_AHEAD
-from tactile.server.config import Config, DisplayConfig, ServerConfig
+from tactile.server.config import DaemonConfig, DisplayConfig, ServerConfig
 from tactile.server.host import Host
 from tactile.server.playing import Playing
 from tactile.server.server import running
@@ -69,7 +69,7 @@ class Traced:
 
     def __init__(self, playing: Playing) -> None:
         self._playing, self._next, self._touch = playing, 0, playing.touch
-        self.traces: list[Trace] = []
+        self.traces: list[BlockTrace] = []
         self.numbers: list[int] = []
         """Of the messages whose contacts came, in that order; the client drops what is old."""
         setattr(playing, "touch", self._noted)  # noqa: B010
@@ -90,8 +90,10 @@ class Traced:
         self.traces += found
 
 
-async def _session(folder: Path, device: str, seconds: float) -> tuple[Traced, Floats, m.Stats]:
-    config = Config(
+async def _session(
+    folder: Path, device: str, seconds: float
+) -> tuple[Traced, Floats, m.StatsReply]:
+    config = DaemonConfig(
         server=ServerConfig(port=0, socket=""),
         display=(DisplayConfig(name=NAME, device=device),),
     )
@@ -108,13 +110,13 @@ async def _session(folder: Path, device: str, seconds: float) -> tuple[Traced, F
         stats = await host.connect("bench", roles=frozenset({"watch"})).request(
             m.GetStats(display=NAME)
         )
-        assert isinstance(stats, m.Stats)
+        assert isinstance(stats, m.StatsReply)
     sent = np.load(folder / "sent.npy")
     numbers = [n for n in traced.numbers if n >= 0]
     return traced, sent[numbers], stats
 
 
-def latencies(traces: list[Trace], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
+def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
     """Return the time from each message to the first sample that depends on it (K,) [s].
 
     Messages that came before the first block, or after the last, are left out.

@@ -1,11 +1,11 @@
 """The library of textures: what is rendered is what each descriptor says, and what is played.
 
-**Rendered**: long straight cuts by the `Layer` that plays, at the reference speed and without laws,
-measured with what a fit measures recordings with. The bands' part alone is cut, under its envelope,
-as the numbers of ``[stochastic]`` are about it; lines of a grating are the same at all contactors
-but for their phase. An isotropic surface is cut in 16 directions, each of another seed, a
-grained one along its direction.
-**Played**: every texture on ``sim:``, shear commanded against shear played, of the same seed.
+**Rendered**: long straight cuts by the `RealizedLayer` that plays, at the reference speed and
+without laws, measured with what a fit measures recordings with. The bands' part alone is cut, under
+its envelope, as the numbers of ``[stochastic]`` are about it; lines of a grating are the same at
+all contactors but for their phase. An isotropic surface is cut in 16 directions, each of another
+seed, a grained one along its direction. **Played**: every texture on ``sim:``, shear commanded
+against shear played, of the same seed.
 
 Figures name the worst texture; one beyond a goal has a figure of its own.
 """
@@ -23,7 +23,7 @@ from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
 from tactile.display.display import Display, load_display
 from tactile.playback.runs import run
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.stroke import HISTORY, Stroke
 from tactile.sim import Fidelity
 from tactile.texture import measures
@@ -88,7 +88,7 @@ def cut(
     along = np.array([np.cos(angle), np.sin(angle)])
     turn = np.array([along, [-along[1], along[0]]])
     display = replace(load_display("reference-24"), contactors=offsets @ turn, projected=False)
-    layer, reference = Layer(display, texture, seed=seed), texture.descriptor.reference
+    layer, reference = RealizedLayer(display, texture, seed=seed), texture.descriptor.reference
     count, parts = round(length / STEP), []
     for start in range(0, count, 2000):
         way = np.arange(start, min(start + 2000, count)) * STEP
@@ -216,7 +216,7 @@ def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Float
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedStroke:
     """How a stroke was played: signal-to-error ratio [dB] in 20–1000 Hz, ST-SIM, and what is lost.
 
     ``similarity`` is NaN without the package ``vibromaf``. ``limited`` is the share of samples
@@ -229,7 +229,9 @@ class Played:
     loss: float
 
 
-def played(texture: Texture, display: Display, speed: float, *, duration: float = 0.7) -> Played:
+def played(
+    texture: Texture, display: Display, speed: float, *, duration: float = 0.7
+) -> PlayedStroke:
     """Play a stroke at the reference force on ``sim:`` and judge it.
 
     Parameters
@@ -251,7 +253,7 @@ def played(texture: Texture, display: Display, speed: float, *, duration: float 
     judge = Fidelity(RATE)
     judge.add(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED])
     heard = [np.sqrt(np.mean(shear[SKIPPED:-SKIPPED] ** 2)) for shear in (felt, commanded)]
-    return Played(
+    return PlayedStroke(
         judge.signal_to_error_db,
         similarity(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED]),
         summary.limited_samples / summary.samples,

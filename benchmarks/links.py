@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks.frames import stream_frames
 from benchmarks.virtual import (
-    SocketCan,
     VirtualAmplifier,
+    VirtualSocketCan,
     can_be_built,
     real_time,
     to_and_fro,
@@ -201,7 +201,7 @@ def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
     """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
     return LinkBus(
         Wiring.of(display, RATE),
-        lambda: CanWire(SocketCan(folder, fd=link.data is not None), link, MONOTONIC),
+        lambda: CanWire(VirtualSocketCan(folder, fd=link.data is not None), link, MONOTONIC),
         lambda caps: plan(link, display.channels, Ability.of(caps)),
         nodes=[1],
         rearm=True,

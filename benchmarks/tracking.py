@@ -54,7 +54,7 @@ Place = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
-class Client:
+class SamplingClient:
     """How samples are taken and sent.
 
     Attributes
@@ -76,29 +76,29 @@ class Client:
 
 
 @dataclass(frozen=True)
-class Stroke:
+class FingerPath:
     """A way over the surface, from time 0 on; before, it is as at its beginning."""
 
     place: Place
     duration: float
 
 
-def recorded(speed: float = 1.0) -> Stroke:
+def recorded(speed: float = 1.0) -> FingerPath:
     """Return the recorded slide, faster; 40 mm/s over 91 mm at its own speed."""
     slide = Trajectory.from_csv(SLIDE)
-    return Stroke(
+    return FingerPath(
         lambda t: slide.at(np.clip(t * speed, 0, slide.duration))[0], slide.duration / speed
     )
 
 
-def sine(duration: float = 4.0) -> Stroke:
+def sine(duration: float = 4.0) -> FingerPath:
     """Return 1 Hz back and forth, peak 200 mm/s, turning as it begins."""
-    return Stroke(lambda t: _along_x(0.2 / (2 * np.pi) * np.cos(2 * np.pi * t)), duration)
+    return FingerPath(lambda t: _along_x(0.2 / (2 * np.pi) * np.cos(2 * np.pi * t)), duration)
 
 
-def line(speed: float, duration: float = 5.0) -> Stroke:
+def line(speed: float, duration: float = 5.0) -> FingerPath:
     """Return a straight stroke that has been going on."""
-    return Stroke(lambda t: _along_x(speed * t), duration)
+    return FingerPath(lambda t: _along_x(speed * t), duration)
 
 
 def _along_x(x: Floats) -> Floats:
@@ -106,7 +106,7 @@ def _along_x(x: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Stream:
+class SampleStream:
     """Samples as they arrive: the client's times, places, velocities and arrivals."""
 
     time: Floats
@@ -115,7 +115,7 @@ class Stream:
     arrival: Floats
 
 
-def sampled(stroke: Stroke, client: Client, seed: int) -> Stream:
+def sampled(stroke: FingerPath, client: SamplingClient, seed: int) -> SampleStream:
     """Return a client's samples of a stroke, from `LEAD` before it."""
     rng = np.random.default_rng(seed)
     time = np.arange(-LEAD, stroke.duration, 1 / client.rate) + rng.uniform(0, 1 / client.rate)
@@ -124,12 +124,12 @@ def sampled(stroke: Stroke, client: Client, seed: int) -> Stream:
     pace = (stroke.place(time + 1e-4) - stroke.place(time - 1e-4)) / 2e-4
     pace += rng.normal(0, 0.005, pace.shape)
     arrival = np.maximum.accumulate(time + DELAYS[client.delay](rng, len(time)))
-    return Stream(time, place, pace, arrival)
+    return SampleStream(time, place, pace, arrival)
 
 
 def tracked(
-    stroke: Stroke,
-    client: Client,
+    stroke: FingerPath,
+    client: SamplingClient,
     seed: int = 0,
     *,
     tracker: ContactTracker | None = None,
@@ -156,8 +156,8 @@ def tracked(
 
 
 def misses(
-    stroke: Stroke,
-    client: Client,
+    stroke: FingerPath,
+    client: SamplingClient,
     seeds: int,
     make: Callable[[], ContactTracker] = ContactTracker,
 ) -> Floats:
@@ -169,7 +169,7 @@ def misses(
     return np.concatenate(found)
 
 
-def genie(stroke: Stroke, client: Client, seeds: int) -> Floats:
+def genie(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
     """Return the error (S,) [mm] of who knows the newest sample's motion exactly."""
     found, h = [], 2e-3
     for seed in range(seeds):
@@ -184,7 +184,7 @@ def genie(stroke: Stroke, client: Client, seeds: int) -> Floats:
     return np.concatenate(found)
 
 
-def blind(stroke: Stroke, client: Client, seeds: int) -> Floats:
+def blind(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
     """Return the error (S,) [mm] that nobody can help on the slide's onset and end."""
     found = []
     brakes, step = BRAKES * stroke.duration, 0.04 * stroke.duration
@@ -294,7 +294,7 @@ RIVALS: dict[str, Callable[[], MotionFilter]] = {
 }
 
 
-def strokes() -> dict[str, tuple[Stroke, int]]:
+def strokes() -> dict[str, tuple[FingerPath, int]]:
     """Return the paths that are judged, and of how many streams; recorded ones where there are."""
     found = {"sine": (sine(), 4)}
     if SLIDE.exists():
@@ -309,7 +309,7 @@ def _spread(name: str, found: Floats) -> Iterator[Figure]:
 
 def measure_errors() -> Iterator[Figure]:
     """Measure the place's error with and without prediction, and by other clients."""
-    plain = Client()
+    plain = SamplingClient()
     others = {
         "heavy_jitter": replace(plain, delay="heavy"),
         "even_jitter": replace(plain, delay="even"),
@@ -348,7 +348,7 @@ def measure_rivals() -> Iterator[Figure]:
     paths = strokes() | {"line": (line(0.08), 2)}
     for rival, make in RIVALS.items():
         for name, (stroke, seeds) in paths.items():
-            found = misses(stroke, Client(), seeds, partial(_with, make))
+            found = misses(stroke, SamplingClient(), seeds, partial(_with, make))
             yield Figure(f"tracking.rivals.{name}.{rival}.rms", rms(found), "mm")
 
 
@@ -356,9 +356,9 @@ def measure_gratings() -> Iterator[Figure]:
     """Slide over a 1 mm grating, at 80 mm/s and as recorded."""
     steady = line(0.08)
     for name, client in (
-        ("", Client()),
-        (".heavy_jitter", Client(delay="heavy")),
-        (".stamped_on_arrival", Client(stamped=False)),
+        ("", SamplingClient()),
+        (".heavy_jitter", SamplingClient(delay="heavy")),
+        (".stamped_on_arrival", SamplingClient(stamped=False)),
     ):
         for end, make in (("", ContactTracker), (".not_predicted", Held)):
             found = []
@@ -373,7 +373,7 @@ def measure_gratings() -> Iterator[Figure]:
     if SLIDE.exists():
         slide = recorded()
         for end, make in (("", ContactTracker), (".not_predicted", Held)):
-            times, place, _ = tracked(slide, Client(), tracker=make())
+            times, place, _ = tracked(slide, SamplingClient(), tracker=make())
             true = slide.place(times)[:, 1 if np.ptp(slide.place(times)[:, 1]) > 0.05 else 0]
             inside = (times > 0.3) & (times < 2.2) & (np.gradient(true) > 0)
             axis = 1 if np.ptp(place[:, 1]) > 0.05 else 0
@@ -382,7 +382,9 @@ def measure_gratings() -> Iterator[Figure]:
             yield Figure(label, part, "%") if end else at_least(label, part, "%", 90)
 
 
-def played(stroke: Stroke, client: Client, *, seed: int = 0, still: bool = True) -> float:
+def played(
+    stroke: FingerPath, client: SamplingClient, *, seed: int = 0, still: bool = True
+) -> float:
     """Return the rms [m] of what wood is commanded to do above 5 Hz, the first 1 s left out."""
     renderer = Renderer(load_display("reference-24"), load_texture("wood-oak"), sample_rate=RATE)
     _, place, force = tracked(
@@ -412,7 +414,7 @@ def restless() -> ContactTracker:
 
 def measure_rest() -> Iterator[Figure]:
     """Compare what the skin does under a resting finger and under one that slides."""
-    slides, client = played(line(0.08, 6.0), Client()), Client()
+    slides, client = played(line(0.08, 6.0), SamplingClient()), SamplingClient()
     for name, still in (("rest", True), ("rest.without_dead_band", False)):
         rests = played(line(0.0, 6.0), client, still=still)
         level = 20 * np.log10(max(rests / slides, 1e-10))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import firmware_protocol
 from firmware_protocol.can_link import Frame
-from tactile.bus.can_bus import Channel
+from tactile.bus.can_bus import CanChannel
 from tactile.bus.wire import WireError
 from tactile.rendering.contact import Trajectory
 
@@ -161,7 +161,7 @@ def workshop() -> Iterator[Path]:
         yield Path(folder)
 
 
-class SocketCan(Channel):
+class VirtualSocketCan(CanChannel):
     """CAN frames to an amplifier's datagram socket."""
 
     def __init__(self, folder: Path, *, fd: bool) -> None:

@@ -13,7 +13,7 @@ from tactile.bench.figures import RATE, Figure, at_most
 from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import load_display
-from tactile.playback.loop import BLOCK, Player
+from tactile.playback.loop import BLOCK, PlaybackLoop
 from tactile.playback.shared_memory import Shared
 from tactile.playback.waves import BLOCK_WORK, Curve, Voice
 
@@ -56,10 +56,10 @@ def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
                 return
 
 
-def _player() -> Player:
+def _player() -> PlaybackLoop:
     display = load_display("reference-24")
     memory = Shared.create(len(display.contactors))
-    return Player(display, MockBus(Wiring.of(display, RATE)), memory)
+    return PlaybackLoop(display, MockBus(Wiring.of(display, RATE)), memory)
 
 
 def _microseconds(clients: int, curve: Curve | None, *, cuts: int = 0) -> tuple[float, ...]:

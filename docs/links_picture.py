@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from firmware_protocol.machine import Played
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.bus.base import DriveBlock
 from tactile.bus.registry import open_bus
@@ -32,10 +32,10 @@ URL = "mock:?link=serial&bit_rate=3000000&rearm=true"
 BLOCK, SECONDS, PULLED, AWAY = 16, 1.6, 0.5, 0.25
 BLUE, RED, GRAY = "#0072B2", "#D55E00", "#666666"
 
-runs: list[Played] = []
+runs: list[PlayedRun] = []
 
 
-def listening(self: Heard, run: Played, begun: int, end: int | None) -> None:
+def listening(self: Heard, run: PlayedRun, begun: int, end: int | None) -> None:
     """Remember what is put out, with its ticks."""
     runs.append(run)
 

@@ -9,9 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from firmware_protocol import messages as m
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
-from firmware_protocol.host import Host, codes_of, pcm
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig
+from firmware_protocol.host import AmplifierHost, codes_of, pcm
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 
 HERE = Path(__file__).parent
@@ -24,8 +24,8 @@ class Scene:
     """A host that streams a sine of 60 V to one amplifier, as far as it is told to."""
 
     def __init__(self) -> None:
-        self.amplifier = Amplifier(Config(channels=1))
-        self.host = Host(SESSION, 1)
+        self.amplifier = ReferenceAmplifier(AmplifierConfig(channels=1))
+        self.host = AmplifierHost(SESSION, 1)
         self.now = 0
         for message in (
             m.Hello(SESSION, m.MAJOR, m.MINOR, m.SCHEMA_CRC),

@@ -49,7 +49,7 @@ class Recorded:
 
 
 def run(
-    display: tactile.client.Display, locate: Callable[[float], Point], seconds: float
+    display: tactile.client.RemoteDisplay, locate: Callable[[float], Point], seconds: float
 ) -> tuple[int, int]:
     """Be the frame loop; return how many frames there were, and in how many it touched."""
     frames = touches = 0

@@ -15,7 +15,7 @@ from tactile.client import aio
 RATE = 120.0  # Hz, of the tracker
 
 
-async def stroke(display: aio.Display, texture: str, frequency: float, seconds: float) -> int:
+async def stroke(display: aio.AsyncDisplay, texture: str, frequency: float, seconds: float) -> int:
     """Stroke to and fro, and return how often the place was told."""
     await display.select((texture, 0.8))
     await display.arm()

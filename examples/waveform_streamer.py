@@ -46,7 +46,7 @@ def recorded(path: Path, seconds: float) -> tuple[list[float], float]:
 
 
 def stream(
-    display: tactile.client.Display, samples: Sequence[float], rate: float, amplitude: float
+    display: tactile.client.RemoteDisplay, samples: Sequence[float], rate: float, amplitude: float
 ) -> int:
     """Hand over all samples, as there is room for them; return how many messages it took."""
     sent = calls = 0
@@ -58,7 +58,7 @@ def stream(
     return calls
 
 
-def hold(display: tactile.client.Display, seconds: float) -> None:
+def hold(display: tactile.client.RemoteDisplay, seconds: float) -> None:
     """Say for a while that the finger rests there: in air, waveforms play 34 dB down."""
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:

@@ -51,7 +51,7 @@ class Refusal(NamedTuple):
 Reply = Message | Refusal | None
 
 
-class Amplifier(Machine):
+class ReferenceAmplifier(Machine):
     """A whole amplifier but for its link; parameters and attributes as of `Machine`."""
 
     _addressed = True
@@ -322,25 +322,25 @@ SETTING_RANGES = {
     Parameter.PULSE_MS: (1, 100),
     Parameter.LOG_LEVEL: (0, 4),
 }
-Handler = Callable[[Amplifier, Any], Reply]
+Handler = Callable[[ReferenceAmplifier, Any], Reply]
 HANDLERS: dict[type[Message], tuple[str, Handler]] = {
-    m.Hello: ("hello_other", Amplifier._hello),
-    m.Time: ("", Amplifier._time),
-    m.Sync: ("", Amplifier._take_sync),
-    m.Start: ("start", Amplifier._start),
-    m.Stop: ("stop", Amplifier._stop),
-    m.Arm: ("arm", Amplifier._arm),
-    m.Disarm: ("disarm", Amplifier._disarm),
-    m.Estop: ("estop", Amplifier._estop),
-    m.ClearFault: ("clear_fault", Amplifier._clear_fault),
-    m.Heartbeat: ("", Amplifier._take_heartbeat),
-    m.Limits: ("limits", Amplifier._lower),
-    m.Get: ("", Amplifier._get),
-    m.Set: ("", Amplifier._set),
-    m.Identify: ("", Amplifier._identify),
-    m.Poll: ("", Amplifier._poll),
-    m.Pcm: ("", Amplifier._pcm),
-    m.Carriers: ("carriers", Amplifier._carriers),
-    m.Spectrum: ("", Amplifier._spectrum),
+    m.Hello: ("hello_other", ReferenceAmplifier._hello),
+    m.Time: ("", ReferenceAmplifier._time),
+    m.Sync: ("", ReferenceAmplifier._take_sync),
+    m.Start: ("start", ReferenceAmplifier._start),
+    m.Stop: ("stop", ReferenceAmplifier._stop),
+    m.Arm: ("arm", ReferenceAmplifier._arm),
+    m.Disarm: ("disarm", ReferenceAmplifier._disarm),
+    m.Estop: ("estop", ReferenceAmplifier._estop),
+    m.ClearFault: ("clear_fault", ReferenceAmplifier._clear_fault),
+    m.Heartbeat: ("", ReferenceAmplifier._take_heartbeat),
+    m.Limits: ("limits", ReferenceAmplifier._lower),
+    m.Get: ("", ReferenceAmplifier._get),
+    m.Set: ("", ReferenceAmplifier._set),
+    m.Identify: ("", ReferenceAmplifier._identify),
+    m.Poll: ("", ReferenceAmplifier._poll),
+    m.Pcm: ("", ReferenceAmplifier._pcm),
+    m.Carriers: ("carriers", ReferenceAmplifier._carriers),
+    m.Spectrum: ("", ReferenceAmplifier._spectrum),
 }
 """Event of the state table, and what handles it, by message."""

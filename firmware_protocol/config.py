@@ -10,7 +10,7 @@ FORMATS = sum(1 << f for f in SampleFormat)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class AmplifierConfig:
     """What an amplifier is; names and units as in CAPS, ``fifo`` being fifo_samples.
 
     ``estop_input`` is whether it has an e-stop input, which is mandatory above 60 V (6.3).
@@ -49,7 +49,7 @@ class LimitsInForce:
     fade_us: int
 
     @classmethod
-    def of(cls, config: Config) -> Self:
+    def of(cls, config: AmplifierConfig) -> Self:
         """Return the hardware's own."""
         c = config
         return cls(c.full_scale_uv, c.voltage_limit_uv, c.slew_limit_v_per_s, c.fade_limit_us)

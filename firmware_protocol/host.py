@@ -20,7 +20,7 @@ ANSWERS = 64
 """Answers that are kept until they are asked for."""
 
 
-class Host:
+class AmplifierHost:
     """A host that holds one amplifier.
 
     Parameters

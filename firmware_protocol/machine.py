@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
-from firmware_protocol.config import Config, LimitsInForce
+from firmware_protocol.config import AmplifierConfig, LimitsInForce
 from firmware_protocol.messages import (
     FADE_MS,
     INPUT_CLOSED_MS,
@@ -30,7 +30,7 @@ from firmware_protocol.messages import (
     State,
 )
 from firmware_protocol.packet import TURN, LinkCounters, Packet
-from firmware_protocol.player import Player
+from firmware_protocol.player import SamplePlayer
 from firmware_protocol.sources import Ints, PcmSource, Source, SpectrumSource
 
 DEFAULT_RATE = 8000
@@ -41,7 +41,7 @@ NO_CARRIERS = np.zeros(0, np.uint32)
 
 
 @dataclass
-class Counters(LinkCounters):
+class AmplifierCounters(LinkCounters):
     """What STATUS tells, in its order but for those of the link (section 12)."""
 
     wrong_version: int = 0
@@ -61,7 +61,7 @@ class Counters(LinkCounters):
     trips: int = 0
 
 
-class Played(NamedTuple):
+class PlayedRun(NamedTuple):
     """A run of instants.
 
     Attributes
@@ -98,10 +98,10 @@ class Machine:
     high_voltage : whether it is on
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: AmplifierConfig) -> None:
         self.config, self.node = config, config.node
         self.state, self.session, self.high_voltage = State.IDLE, 0, False
-        self.counters = Counters()
+        self.counters = AmplifierCounters()
         self.rate = min(max(DEFAULT_RATE, config.rate_min_hz), config.rate_max_hz)
         self._base = self._instant = 0
         self._start_tick: int | None = None
@@ -120,9 +120,9 @@ class Machine:
                           Parameter.LOG_LEVEL: int(LogLevel.WARNING)}  # fmt: skip
         self._seq = 0
         self._sent: deque[Packet] = deque()
-        self._played: list[Played] = []
+        self._played: list[PlayedRun] = []
         self._now = 0
-        self._player = Player(self._source())
+        self._player = SamplePlayer(self._source())
         own = LimitsInForce.of(config)
         if not (own.in_time(config.rate_min_hz) and own.in_time(config.rate_max_hz)):
             raise ValueError(
@@ -144,7 +144,7 @@ class Machine:
         self._sent.clear()
         return sent
 
-    def take_played(self) -> list[Played]:
+    def take_played(self) -> list[PlayedRun]:
         """Return the runs of instants put out since the last call; they wait until it is made."""
         played, self._played = self._played, []
         return played
@@ -250,7 +250,7 @@ class Machine:
         if self.state not in POWERED and player.silent:
             self.high_voltage = False
         self._played.append(
-            Played(position, ticks, codes.astype(np.int16), self.state, self.high_voltage)
+            PlayedRun(position, ticks, codes.astype(np.int16), self.state, self.high_voltage)
         )
 
     def _count_played(self) -> None:

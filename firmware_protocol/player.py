@@ -19,7 +19,7 @@ def distance(position: int, other: int) -> int:
     return ((position - other + TURN // 2) % TURN) - TURN // 2
 
 
-class Player:
+class SamplePlayer:
     """Puts out one instant after the other.
 
     Parameters

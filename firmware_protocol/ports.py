@@ -3,7 +3,7 @@
 What `c/host/virtual_amplifier.c` does with real devices, for tests and simulation.
 """
 
-from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
 from firmware_protocol.packet import decode_packet, encode_packet
@@ -13,7 +13,7 @@ from firmware_protocol.serial_link import SerialDecoder, encode_frame
 class SerialPort:
     """An amplifier at the end of a serial line."""
 
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
         self._decoder = SerialDecoder(amplifier.config.packet_limit, amplifier.counters)
 
@@ -31,7 +31,7 @@ class SerialPort:
 class PacketPort:
     """An amplifier that is handed packets one by one."""
 
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
 
     def feed(self, data: bytes, now: int) -> None:
@@ -56,7 +56,7 @@ class CanPort:
     fd, extended : frames of up to 64 bytes; 29-bit identifiers
     """
 
-    def __init__(self, amplifier: Amplifier, *, fd: bool, extended: bool = False) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier, *, fd: bool, extended: bool = False) -> None:
         self.amplifier = amplifier
         self._encoder = CanEncoder(from_amplifier=True, fd=fd, extended=extended)
         self._decoder = CanDecoder(
@@ -81,7 +81,7 @@ class CanPort:
 class I2cPort:
     """An amplifier as an I²C target, raw or by SMBus blocks."""
 
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
         limit, counters = amplifier.config.packet_limit, amplifier.counters
         self._raw = I2cTarget(limit, counters)

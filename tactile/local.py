@@ -18,19 +18,19 @@ from typing import Any
 
 import msgspec
 
-from tactile.client import Connection, Display, Receiver
+from tactile.client import Connection, Receiver, RemoteDisplay
 from tactile.client.base import TIMEOUT
 from tactile.messages import (
     ALL_ROLES,
     API_VERSION,
     Answer,
+    ClientHello,
     Command,
     Contact,
-    Hello,
     Welcome,
 )
 from tactile.server.client import Client
-from tactile.server.config import Config, DisplayConfig
+from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.host import Host
 from tactile.server.metrics import Metrics, Traffic
 from tactile.server.requests import Requests
@@ -49,7 +49,7 @@ class LocalTransport:
     config : of the host
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: DaemonConfig) -> None:
         self._config = config
         self._started: Future[Host] = Future()
         self._closed: Future[None] = Future()
@@ -112,7 +112,7 @@ class LocalTransport:
         answer: Answer | None
         if isinstance(command, Contact):
             answer = self._client.contact(command, arrival)
-        elif isinstance(command, Hello):
+        elif isinstance(command, ClientHello):
             answer = Welcome(
                 id=command.id, server="local", version=API_VERSION, session="local",
                 displays=self._host.displays, may_arm=True, roles=tuple(sorted(ALL_ROLES)),
@@ -139,7 +139,7 @@ def open_display(
     worn: bool = False,
     accept_unsafe_hold: bool = False,
     timeout: float = TIMEOUT,
-) -> Display:
+) -> RemoteDisplay:
     """Open a display in this program; use it in a ``with``.
 
     Parameters
@@ -161,7 +161,7 @@ def open_display(
         name=NAME, display=display, device=device, worn=worn,
         accept_unsafe_hold=accept_unsafe_hold, **options,
     )  # fmt: skip
-    transport = LocalTransport(Config(display=(config,)))
+    transport = LocalTransport(DaemonConfig(display=(config,)))
     transport.start()
     connection = Connection(transport, timeout=timeout)
-    return Display(connection, NAME, owns=True)
+    return RemoteDisplay(connection, NAME, owns=True)

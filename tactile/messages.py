@@ -3,11 +3,11 @@
 One WebSocket at ``/v1``; each message is one object whose ``type`` names it. The subprotocol
 ``tactile.v1.json`` carries JSON in text frames, ``tactile.v1.msgpack`` MessagePack in binary ones.
 
-A client says `Hello` first and is answered with `Welcome`. Requests may carry an ``id``, and are
-answered by `Done`, by a message of their own or by `Failure`, each with the same ``id``. `Contact`
-is a stream: only what is wrong with it is answered. Fields that a side does not know
-are ignored; a message whose ``type`` it does not know is answered by `Failure` ``unknown_type``.
-What a message may hold is checked as it is decoded, to the path of the offending field.
+A client says `ClientHello` first and is answered with `Welcome`. Requests may carry an ``id``, and
+are answered by `Done`, by a message of their own or by `Failure`, each with the same ``id``.
+`Contact` is a stream: only what is wrong with it is answered. Fields that a side does not know are
+ignored; a message whose ``type`` it does not know is answered by `Failure` ``unknown_type``. What a
+message may hold is checked as it is decoded, to the path of the offending field.
 
 Places are in the surface's plane, in millimeters; times are the client's own, in microseconds of a
 clock that never steps, and `Ping` tells both sides what lies between their clocks.
@@ -15,7 +15,7 @@ clock that never steps, and `Ping` tells both sides what lies between their cloc
 **Mixing.** A display has one finger on it. It belongs to the client that touched first, until that
 lifts, falls silent for 100 ms, or is gone; who touches meanwhile is heard from then on. What plays
 are the textures that the finger's client selected, their shear added up, each with its gain, and
-the waveforms of all clients, added to that. Each client's `Gain` scales all that is its own. The
+the waveforms of all clients, added to that. Each client's `SetGain` scales all that is its own. The
 sum is limited as a whole: its tactile image keeps its shape. An e-stop comes before everything.
 
 Waveforms and effects of all clients have part of a block's time between them. Where it is too
@@ -32,8 +32,8 @@ clients that armed it, and goes off when the last of them leaves, or shows no si
 a second.
 
 **E-stop.** Each e-stop of a display has a number. It is latched: the display stays at 0 V, over any
-restart of playback, daemon or machine, until a `Clear` names that number. A newer e-stop has
-another number, which a `Clear` of the older one does not end.
+restart of playback, daemon or machine, until a `ClearEstop` names that number. A newer e-stop has
+another number, which a `ClearEstop` of the older one does not end.
 
 **Roles.** What a client may do follows from the token it says, or from the user it runs as:
 "watch" reads what there is and how it stands, "play" touches, selects and plays, "arm" arms and
@@ -83,17 +83,22 @@ Code = Literal[
 """Of a `Failure`."""
 
 
-class Message(Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="type"):
+class ApiMessage(Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="type"):
     """Anything that goes over the connection."""
 
 
-class Request(Message, frozen=True, kw_only=True):
+def kind_of(message: ApiMessage) -> str:
+    """Return the ``type`` that names a message on the connection, such as "select"."""
+    return str(type(message).__struct_config__.tag)
+
+
+class Request(ApiMessage, frozen=True, kw_only=True):
     """What a client asks; ``id`` comes back with the answer."""
 
     id: Id | None = None
 
 
-class Reply(Message, frozen=True, kw_only=True):
+class Reply(ApiMessage, frozen=True, kw_only=True):
     """What the daemon answers, with the ``id`` of the request."""
 
     id: Id | None = None
@@ -102,7 +107,7 @@ class Reply(Message, frozen=True, kw_only=True):
 # What a client says
 
 
-class Hello(Request, frozen=True, kw_only=True, tag="hello"):
+class ClientHello(Request, frozen=True, kw_only=True, tag="hello"):
     """The first message: who it is, and which version of this API it speaks."""
 
     client: Annotated[str, Meta(min_length=1, max_length=64)]
@@ -129,7 +134,7 @@ class Select(Request, frozen=True, kw_only=True, tag="select"):
     layers: Annotated[tuple[Layer, ...], Meta(max_length=MOST_LAYERS)]
 
 
-class Contact(Message, frozen=True, kw_only=True, tag="contact"):
+class Contact(ApiMessage, frozen=True, kw_only=True, tag="contact"):
     """Where the finger is at a time of the client's clock, and how hard; 0 N is lifted.
 
     Velocity is used where it is given; what it says of the next milliseconds is better than what
@@ -149,13 +154,13 @@ class Play(Request, frozen=True, kw_only=True, tag="play"):
     display: Name
 
 
-class Stop(Request, frozen=True, kw_only=True, tag="stop"):
+class StopPlaying(Request, frozen=True, kw_only=True, tag="stop"):
     """Fade out all of this client: its textures, until `Play`, and its waveforms, for good."""
 
     display: Name
 
 
-class Gain(Request, frozen=True, kw_only=True, tag="gain"):
+class SetGain(Request, frozen=True, kw_only=True, tag="gain"):
     """Scale all that is this client's."""
 
     display: Name
@@ -165,7 +170,7 @@ class Gain(Request, frozen=True, kw_only=True, tag="gain"):
 class Append(Request, frozen=True, kw_only=True, tag="append"):
     """A waveform of tangential shear, to be played after what is there or in its place.
 
-    As XR_FB_haptic_pcm: what does not fit the buffer is not taken; `Appended` tells how many
+    As XR_FB_haptic_pcm: what does not fit the buffer is not taken; `AppendedReply` tells how many
     samples were, and the rest is sent again. ``samples`` are −1 … 1 of ``amplitude_um``, a list, or
     with MessagePack also little-endian float32 in a binary field; 4000 at most either way.
     ``contactors`` name those that play it, all where none is named. Without ``append`` what waits
@@ -207,7 +212,7 @@ class Transient(Struct, frozen=True, array_like=True):
     frequency_hz: Annotated[float, Meta(ge=20, le=1000)] = 160.0
 
 
-class Effect(Request, frozen=True, kw_only=True, tag="effect"):
+class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
     """Amplitude and frequency over time, as XR_EXT_haptic_parametric; played at once, added.
 
     It ends with its last point. With ``stream`` it goes on from the last frame of the stream, in
@@ -222,28 +227,29 @@ class Effect(Request, frozen=True, kw_only=True, tag="effect"):
     stream: bool = False
 
 
-class Arm(Request, frozen=True, kw_only=True, tag="arm"):
+class ArmDisplay(Request, frozen=True, kw_only=True, tag="arm"):
     """Switch high voltage on, and begin to play. A person is to know of it."""
 
     display: Name
 
 
-class Disarm(Request, frozen=True, kw_only=True, tag="disarm"):
+class DisarmDisplay(Request, frozen=True, kw_only=True, tag="disarm"):
     """Fade out, and switch high voltage off."""
 
     display: Name
 
 
 class EStop(Request, frozen=True, kw_only=True, tag="estop"):
-    """To 0 V at once, on all displays where none is named, and stay there until `Clear`."""
+    """To 0 V at once, on all displays where none is named, and stay there until `ClearEstop`."""
 
     display: Name | None = None
 
 
-class Clear(Request, frozen=True, kw_only=True, tag="clear"):
+class ClearEstop(Request, frozen=True, kw_only=True, tag="clear"):
     """End the e-stop with the number ``estop``, where a person has decided so.
 
-    The display is disarmed then. The number stands in `Done`, `Event`, `Stats` and `DisplayInfo`.
+    The display is disarmed then. The number stands in `Done`, `EventMessage`, `StatsReply` and
+    `DisplayDescription`.
     """
 
     display: Name
@@ -251,14 +257,14 @@ class Clear(Request, frozen=True, kw_only=True, tag="clear"):
 
 
 class Subscribe(Request, frozen=True, kw_only=True, tag="subscribe"):
-    """Ask for `Telemetry` of a display, so many times a second; 0 ends it."""
+    """Ask for `TelemetryMessage` of a display, so many times a second; 0 ends it."""
 
     display: Name
     rate_hz: Annotated[float, Meta(ge=0, le=100)]
 
 
 class GetStats(Request, frozen=True, kw_only=True, tag="get_stats"):
-    """Ask for a display's `Stats`."""
+    """Ask for a display's `StatsReply`."""
 
     display: Name
 
@@ -272,12 +278,13 @@ class Ping(Request, frozen=True, kw_only=True, tag="ping"):
 # What the daemon says
 
 
-class DisplayInfo(Struct, frozen=True, kw_only=True):
+class DisplayDescription(Struct, frozen=True, kw_only=True):
     """A display: its contactors (N, 2), limits, and what its link takes.
 
     ``latency_ms`` is from a contact message to the skin, about; ``waveforms`` whether the link has
-    room for samples, without which `Append` and `Effect` are unsupported; ``estop`` the number of
-    the e-stop that holds, 0 where none does, ``latest_estop`` that of the latest, also if cleared.
+    room for samples, without which `Append` and `PlayEffect` are unsupported; ``estop`` the number
+    of the e-stop that holds, 0 where none does, ``latest_estop`` that of the latest, also if
+    cleared.
     """
 
     name: str
@@ -292,12 +299,12 @@ class DisplayInfo(Struct, frozen=True, kw_only=True):
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
-    """The answer to `Hello`."""
+    """The answer to `ClientHello`."""
 
     server: str
     version: int
     session: str
-    displays: tuple[DisplayInfo, ...]
+    displays: tuple[DisplayDescription, ...]
     may_arm: bool
     time_us: Microseconds
     roles: tuple[Role, ...] = ()
@@ -326,7 +333,7 @@ class Done(Reply, frozen=True, kw_only=True, tag="done"):
     estops: dict[str, int] = {}
 
 
-class Appended(Reply, frozen=True, kw_only=True, tag="appended"):
+class AppendedReply(Reply, frozen=True, kw_only=True, tag="appended"):
     """How many samples of an `Append` were taken, and for how long what waits will play."""
 
     samples_consumed: int
@@ -340,7 +347,7 @@ class Pong(Reply, frozen=True, kw_only=True, tag="pong"):
     server_time_us: Microseconds
 
 
-class Stats(Reply, frozen=True, kw_only=True, tag="stats"):
+class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
     """How a display stands. ``counters`` hold what a bus and playback count.
 
     ``state`` is "disarmed", "armed", "estopped" or "lost" (its playback died and is restarted);
@@ -367,7 +374,7 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
     field: str = ""
 
 
-class Event(Message, frozen=True, kw_only=True, tag="event"):
+class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
     """Something that a client should know: a change of state, a fault, an underrun.
 
     Kinds are "armed", "disarmed", "estopped" (with its number ``estop``), "cleared", "fault",
@@ -381,7 +388,7 @@ class Event(Message, frozen=True, kw_only=True, tag="event"):
     estop: int = 0
 
 
-class Telemetry(Message, frozen=True, kw_only=True, tag="telemetry"):
+class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     """What a display does: shear [µm] and drive [V] of each contactor, where the finger is.
 
     The time is the daemon's.
@@ -399,11 +406,12 @@ class Telemetry(Message, frozen=True, kw_only=True, tag="telemetry"):
 
 
 Command = (
-    Hello | ListTextures | Select | Contact | Play | Stop | Gain | Append | Effect | Arm | Disarm
-    | EStop | Clear | Subscribe | GetStats | Ping
+    ClientHello | ListTextures | Select | Contact | Play | StopPlaying | SetGain | Append
+    | PlayEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop | Subscribe | GetStats | Ping
 )  # fmt: skip
 Answer = (
-    Welcome | Textures | Done | Appended | Pong | Stats | Failure | Event | Telemetry
+    Welcome | Textures | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
+    | TelemetryMessage
 )  # fmt: skip
 
 

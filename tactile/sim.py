@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
-from tactile.bus.base import RATE, Bus, Floats, Rig, Wiring
+from tactile.bus.base import RATE, Bus, DisplayLike, Floats, Wiring
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.mock_bus import MockBus, kept_and_format
 from tactile.display.display import Display
@@ -163,7 +163,7 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     return plant  # type: ignore[no-any-return]
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
     address.only("keep", "plant", "format")
     if not isinstance(rig, Display):
         raise InputError("sim: needs a Display, not only its wiring")

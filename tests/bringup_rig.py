@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.bringup.bringup import Report
+from tactile.bringup.bringup import CheckReport
 from tactile.bus.base import Bus
 from tactile.display.display import Display
 
@@ -82,7 +82,7 @@ voltage_v = 60.0
 """
 
 
-def verdicts(report: Report) -> list[str]:
+def verdicts(report: CheckReport) -> list[str]:
     return [one.verdict for one in report.channels]
 
 

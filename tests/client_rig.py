@@ -25,7 +25,7 @@ from websockets.typing import Subprotocol
 from tactile import client
 from tactile import messages as m
 from tactile.client import aio
-from tactile.client.session import Session
+from tactile.client.session import ClientSession
 from tactile.clock import MONOTONIC
 
 PATIENCE = 60.0
@@ -41,8 +41,8 @@ def until(happened: Callable[[], Any]) -> Any:
     return result
 
 
-def info(name: str, estop: int = 0, latest: int = 0) -> m.DisplayInfo:
-    return m.DisplayInfo(
+def info(name: str, estop: int = 0, latest: int = 0) -> m.DisplayDescription:
+    return m.DisplayDescription(
         name=name,
         contactors_mm=((-1.0, 2.0), (1.0, 2.0)),
         shear_direction_deg=(0.0, 90.0),
@@ -73,7 +73,7 @@ class Script:
         if type(said) in self.answers:
             return self.answers[type(said)](said)
         match said:
-            case m.Hello():
+            case m.ClientHello():
                 return m.Welcome(
                     id=said.id,
                     server="test",
@@ -93,7 +93,7 @@ class Script:
                 )
                 return m.Textures(id=said.id, textures=(oak,))
             case m.Append():
-                return m.Appended(id=said.id, samples_consumed=count(said), buffered_ms=10.0)
+                return m.AppendedReply(id=said.id, samples_consumed=count(said), buffered_ms=10.0)
             case m.GetStats():
                 return msgspec.structs.replace(stats(said), estop=self.estop)
             case m.EStop() if said.display:
@@ -108,8 +108,8 @@ def count(said: m.Append) -> int:
     return len(said.samples) // 4 if isinstance(said.samples, bytes) else len(said.samples)
 
 
-def stats(said: m.GetStats) -> m.Stats:
-    return m.Stats(
+def stats(said: m.GetStats) -> m.StatsReply:
+    return m.StatsReply(
         id=said.id,
         display=said.display,
         state="armed",
@@ -122,8 +122,8 @@ def stats(said: m.GetStats) -> m.Stats:
     )
 
 
-def telemetry(number: int, display: str = "left") -> m.Telemetry:
-    return m.Telemetry(
+def telemetry(number: int, display: str = "left") -> m.TelemetryMessage:
+    return m.TelemetryMessage(
         display=display,
         time_us=number,
         state="armed",
@@ -217,7 +217,7 @@ class Driven:
         return self._wrapped(value)
 
     def _wrapped(self, value: Any) -> Any:
-        ours = isinstance(value, aio.Connection | aio.Display | aio.TelemetryStream)
+        ours = isinstance(value, aio.AsyncConnection | aio.AsyncDisplay | aio.AsyncTelemetryStream)
         return Driven(self._run, value) if ours else value
 
     def __iter__(self) -> Iterator[Any]:
@@ -268,7 +268,7 @@ class Twin:
         """Return a connection over a transport."""
         if self.name == "thread":
             return client.Connection(transport, timeout=PATIENCE)
-        return Driven(self.run, self.run(aio.Connection(transport, timeout=PATIENCE).open()))
+        return Driven(self.run, self.run(aio.AsyncConnection(transport, timeout=PATIENCE).open()))
 
     def close(self) -> None:
         if self.name == "asyncio":
@@ -278,7 +278,7 @@ class Twin:
             self._loop.close()
 
 
-def opened_session() -> tuple[Session, list[Any]]:
+def opened_session() -> tuple[ClientSession, list[Any]]:
     """Return a session that is connected to nothing, and what it hands over."""
     kept: list[Any] = []
 
@@ -287,7 +287,7 @@ def opened_session() -> tuple[Session, list[Any]]:
         close: Any = Future
         send = staticmethod(kept.append)
 
-    session = Session(Nowhere(), m.Hello(client="test"), clock=MONOTONIC)
+    session = ClientSession(Nowhere(), m.ClientHello(client="test"), clock=MONOTONIC)
     session.opened()
     session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
     return session, kept
@@ -341,14 +341,14 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
         m.Select(display="left", layers=(m.Layer(texture="a"), m.Layer(texture="b"))),
     ),
     (lambda d: d.select(()), m.Select(display="left", layers=())),
-    (lambda d: d.gain(0.5), m.Gain(display="left", gain=0.5)),
-    (lambda d: d.stop(), m.Stop(display="left")),
+    (lambda d: d.gain(0.5), m.SetGain(display="left", gain=0.5)),
+    (lambda d: d.stop(), m.StopPlaying(display="left")),
     (lambda d: d.resume(), m.Play(display="left")),
-    (lambda d: d.arm(), m.Arm(display="left")),
-    (lambda d: d.disarm(), m.Disarm(display="left")),
+    (lambda d: d.arm(), m.ArmDisplay(display="left")),
+    (lambda d: d.disarm(), m.DisarmDisplay(display="left")),
     (lambda d: d.estop(), m.EStop(display="left")),
     (lambda d: d.connection.estop(), m.EStop()),
-    (lambda d: d.clear(estop=3), m.Clear(display="left", estop=3)),
+    (lambda d: d.clear(estop=3), m.ClearEstop(display="left", estop=3)),
     (
         lambda d: d.append([0.5, -1.0], sample_rate=8000.0, amplitude=5e-6, contactors=[1]),
         m.Append(
@@ -377,7 +377,7 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
             transients=[(0.125, 0.5, 80.0), (0.25, 1.0)],
             stream=True,
         ),
-        m.Effect(
+        m.PlayEffect(
             display="left",
             amplitude_um=5.0,
             amplitude=(m.Point(0.0, 1.0), m.Point(250.0, 0.0)),
@@ -388,7 +388,7 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
     ),
     (
         lambda d: d.transient(5e-6, frequency=100.0),
-        m.Effect(display="left", amplitude_um=5.0, transients=(m.Transient(0.0, 1.0, 100.0),)),
+        m.PlayEffect(display="left", amplitude_um=5.0, transients=(m.Transient(0.0, 1.0, 100.0),)),
     ),
     (lambda d: d.stats(), m.GetStats(display="left")),
     (lambda d: d.textures(), m.ListTextures()),

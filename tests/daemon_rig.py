@@ -24,27 +24,27 @@ from tactile.messages import (
     MSGPACK_PROTOCOL,
     Answer,
     Append,
-    Appended,
-    Arm,
+    AppendedReply,
+    ArmDisplay,
     Command,
     Contact,
-    Disarm,
-    DisplayInfo,
+    DisarmDisplay,
+    DisplayDescription,
     Done,
     EStop,
-    Event,
+    EventMessage,
     Failure,
     GetStats,
     ListTextures,
     Role,
     Select,
-    Stats,
+    StatsReply,
     Subscribe,
-    Telemetry,
+    TelemetryMessage,
     TextureInfo,
     Textures,
 )
-from tactile.server.config import Config, OscConfig, ServerConfig, TokenConfig
+from tactile.server.config import DaemonConfig, OscConfig, ServerConfig, TokenConfig
 from tactile.server.server import Server, running
 
 T = TypeVar("T")
@@ -56,11 +56,11 @@ PATIENT: dict[str, Any] = {
 connect: Any = partial(client.connect, **PATIENT)
 unix_connect: Any = partial(client.unix_connect, **PATIENT)
 TEXTURE = "wood-oak"
-LARGE = Event(display="right", kind="fault", detail="x" * 20_000)
+LARGE = EventMessage(display="right", kind="fault", detail="x" * 20_000)
 
 
-def display(name: str) -> DisplayInfo:
-    return DisplayInfo(
+def display(name: str) -> DisplayDescription:
+    return DisplayDescription(
         name=name,
         contactors_mm=((0.0, 0.0), (1.2, 0.0)),
         shear_direction_deg=(0.0, 0.0),
@@ -78,7 +78,7 @@ class Hand:
         self.hands, self.name, self.roles = hands, name, roles
         self.sounds = self.holds_voltage = False
         self.quieted = self.gave_up = 0
-        self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(256)
+        self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(256)
         self.contacts: list[Contact] = []
         self.commands: list[Command] = []
         self.closed = 0
@@ -106,20 +106,20 @@ class Hand:
         code = self.hands.codes.get(type(command))
         if code is not None:
             return Failure(code=code, message="as told", field="display")
-        if isinstance(command, Arm):
+        if isinstance(command, ArmDisplay):
             if "arm" not in self.roles:
                 return Failure(code="unauthorized", message="may not arm")
             self.hands.armed = True
-        elif isinstance(command, Disarm | EStop):
+        elif isinstance(command, DisarmDisplay | EStop):
             self.hands.armed = False
         elif isinstance(command, ListTextures):
             info = TextureInfo(name=TEXTURE, category="wood", description="", provenance="authored")
             return Textures(textures=(info,))
         elif isinstance(command, Append):
             taken = len(command.samples)
-            return Appended(samples_consumed=taken, buffered_ms=1.0)
+            return AppendedReply(samples_consumed=taken, buffered_ms=1.0)
         elif isinstance(command, GetStats):
-            return Stats(
+            return StatsReply(
                 display=command.display, state="disarmed", link="up", detail="",
                 touching=False, owner=False, latency_ms=9.0, counters={"underruns": 0},
             )  # fmt: skip
@@ -128,8 +128,8 @@ class Hand:
         return Done()
 
     @staticmethod
-    def _telemetry(name: str) -> Telemetry:
-        return Telemetry(
+    def _telemetry(name: str) -> TelemetryMessage:
+        return TelemetryMessage(
             display=name, time_us=1, state="disarmed", position_mm=(0.0, 0.0),
             velocity_mm_s=(0.0, 0.0), normal_force_n=0.0, shear_um=(0.0,), drive_v=(0.0,),
             counters={},
@@ -184,7 +184,7 @@ class Hands:
         self.armed = False
 
     @property
-    def displays(self) -> tuple[DisplayInfo, ...]:
+    def displays(self) -> tuple[DisplayDescription, ...]:
         return tuple(display(name) for name in self.names)
 
     def connect(self, name: str, *, roles: frozenset[Role]) -> Hand:
@@ -258,7 +258,7 @@ async def daemon(
     """Run a server on a port of its own, its host in memory."""
     hands = Hands()
     options = {"port": 0, "socket": "", **options}
-    config = Config(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
+    config = DaemonConfig(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
     async with running(config, host=hands) as server:
         yield server, hands
 

@@ -154,22 +154,22 @@ class Judged(RuleBasedStateMachine):
         number = self.expected[name].number
         point = m.Point(0.0, 1.0), m.Point(60_000.0, 1.0)
         commands: dict[str, Callable[[], m.Command]] = {
-            "arm": lambda: m.Arm(display=name),
-            "disarm": lambda: m.Disarm(display=name),
-            "effect": lambda: m.Effect(display=name, amplitude_um=20.0, amplitude=point),
+            "arm": lambda: m.ArmDisplay(display=name),
+            "disarm": lambda: m.DisarmDisplay(display=name),
+            "effect": lambda: m.PlayEffect(display=name, amplitude_um=20.0, amplitude=point),
             "append": lambda: m.Append(
                 display=name, sample_rate_hz=500.0, amplitude_um=20.0, samples=(0.9, -0.9) * 300
             ),
             "select": lambda: m.Select(display=name, layers=(m.Layer(texture="wood-oak"),)),
             "touch": lambda: m.Contact(display=name, position_mm=(1.0, 0), normal_force_n=0.5),
-            "stop": lambda: m.Stop(display=name),
-            "gain": lambda: m.Gain(display=name, gain=0.7),
+            "stop": lambda: m.StopPlaying(display=name),
+            "gain": lambda: m.SetGain(display=name, gain=0.7),
             "stats": lambda: m.GetStats(display=name),
             "estop": lambda: m.EStop(display=name),
             "estop_all": lambda: m.EStop(),
-            "clear": lambda: m.Clear(display=name, estop=max(number, 1)),
-            "clear_older": lambda: m.Clear(display=name, estop=max(number - 1, 1)),
-            "clear_newer": lambda: m.Clear(display=name, estop=number + 1),
+            "clear": lambda: m.ClearEstop(display=name, estop=max(number, 1)),
+            "clear_older": lambda: m.ClearEstop(display=name, estop=max(number - 1, 1)),
+            "clear_newer": lambda: m.ClearEstop(display=name, estop=number + 1),
         }
         return commands[kind]()
 
@@ -187,20 +187,20 @@ class Judged(RuleBasedStateMachine):
             return answer
         name = getattr(command, "display", "")
         expected = self.expected[name]
-        if isinstance(command, m.Arm):
+        if isinstance(command, m.ArmDisplay):
             return await self.request_arm(app, command, expected)
-        if isinstance(command, m.Clear):
+        if isinstance(command, m.ClearEstop):
             return await self.request_clear(app, command, expected)
         answer = await app.client.request(command)
-        if isinstance(command, m.Disarm) and isinstance(answer, m.Done):
+        if isinstance(command, m.DisarmDisplay) and isinstance(answer, m.Done):
             for owner in [k for k, when in expected.owners.items() if when < asked]:
                 self.disown(expected, owner)
         if isinstance(command, m.GetStats) and expected.holds and app.client.roles:
-            assert isinstance(answer, m.Stats), answer
+            assert isinstance(answer, m.StatsReply), answer
             assert answer.state in ("estopped", "lost"), answer
         return answer
 
-    async def request_arm(self, app: App, command: m.Arm, expected: Expected) -> m.Answer:
+    async def request_arm(self, app: App, command: m.ArmDisplay, expected: Expected) -> m.Answer:
         held = expected.number if expected.holds else 0
         if not held and "arm" in app.client.roles:
             expected.opened = True
@@ -212,7 +212,7 @@ class Judged(RuleBasedStateMachine):
             assert not held, f"armed though e-stop {held} holds"
         return answer
 
-    async def request_clear(self, app: App, command: m.Clear, expected: Expected) -> m.Answer:
+    async def request_clear(self, app: App, command: m.ClearEstop, expected: Expected) -> m.Answer:
         held, clearing = expected.number if expected.holds else 0, expected.clearing
         clearing.append(command.estop)
         try:

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.machine import Played
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.packet import Packet
 from tactile.bus.base import DriveBlock
-from tactile.bus.link.phases import Phase
+from tactile.bus.link.phases import SessionPhase
 from tactile.bus.simulated.line_model import Faults
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
@@ -133,7 +133,7 @@ class Bench:
         self.heard: list[list[Heard]] = [[Heard()] for _ in self._amplifiers]
         self.model.listener = self._hear
 
-    def _hear(self, board: int, run: Played) -> None:
+    def _hear(self, board: int, run: PlayedRun) -> None:
         self._inner(board, run)
         model = self.model
         if model.amplifiers[board] is not self._amplifiers[board]:
@@ -274,7 +274,9 @@ def recover(rig: Bench, reconnects: int, random: np.random.Generator) -> None:
     end = rig.clock.now() + RECOVERY
     session = rig.bus._session
     while not (
-        rig.bus.counters.reconnects > reconnects and rig.playing and session.phase is Phase.RUN
+        rig.bus.counters.reconnects > reconnects
+        and rig.playing
+        and session.phase is SessionPhase.RUN
     ):
         assert rig.clock.now() < end, rig.bus.status
         rig.write(int(random.integers(3, 20)))
@@ -293,11 +295,11 @@ def disturb(rig: Bench, faults: Faults) -> None:
 def overheard(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Packet, int]]:
     """Return what fills with the packets that amplifiers get, and when [ticks]."""
     heard: list[tuple[Packet, int]] = []
-    usual = Amplifier.receive
+    usual = ReferenceAmplifier.receive
 
-    def receive(self: Amplifier, packet: Packet, now: int) -> None:
+    def receive(self: ReferenceAmplifier, packet: Packet, now: int) -> None:
         heard.append((packet, now))
         usual(self, packet, now)
 
-    monkeypatch.setattr(Amplifier, "receive", receive)
+    monkeypatch.setattr(ReferenceAmplifier, "receive", receive)
     return heard

@@ -12,11 +12,11 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol import samples
-from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import FD_SIZES, CanDecoder, CanEncoder
-from firmware_protocol.config import Config, LimitsInForce
+from firmware_protocol.config import AmplifierConfig, LimitsInForce
 from firmware_protocol.fragments import Cutter, Reassembler
-from firmware_protocol.host import Host, refusal
+from firmware_protocol.host import AmplifierHost, refusal
 from firmware_protocol.i2c_link import (
     SMBUS_BLOCK,
     WRITE_COMMAND,
@@ -30,7 +30,9 @@ from firmware_protocol.ports import CanPort, I2cPort, PacketPort, SerialPort
 from firmware_protocol.serial_link import SerialDecoder, coded_limit, encode_frame
 
 KINDS = tuple(m.MESSAGES.values())
-CONFIG = Config(channels=3, carriers=4, packet_limit=512, fifo=256, full_scale_uv=90_000_000)
+CONFIG = AmplifierConfig(
+    channels=3, carriers=4, packet_limit=512, fifo=256, full_scale_uv=90_000_000
+)
 LARGEST_STEP = LimitsInForce.of(CONFIG).step(CONFIG.rate_min_hz)
 
 
@@ -65,7 +67,7 @@ def packets(data: bytes) -> None:
         message = kind.unpack(data)
         if message is not None:
             assert kind.unpack(message.pack()) == message
-    host = Host(1, 1)
+    host = AmplifierHost(1, 1)
     if len(data) >= 4:
         found = host.receive(Packet(data[0], data[4:], data[1], data[2], data[3]))
         if isinstance(found, m.Nak):
@@ -157,7 +159,7 @@ class Link(Protocol):
 
 
 class SerialWire:
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.port, self.decoder = SerialPort(amplifier), SerialDecoder()
 
     def send(self, packet: Packet, now: int) -> None:
@@ -171,7 +173,7 @@ class SerialWire:
 
 
 class PacketWire:
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.port = PacketPort(amplifier)
 
     def send(self, packet: Packet, now: int) -> None:
@@ -189,7 +191,7 @@ class PacketWire:
 class CanWire:
     FD, EXTENDED = False, False
 
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.port = CanPort(amplifier, fd=self.FD, extended=self.EXTENDED)
         self.encoder = CanEncoder(from_amplifier=False, fd=self.FD, extended=self.EXTENDED)
         self.decoder = CanDecoder(from_amplifier=True, extended=self.EXTENDED)
@@ -211,7 +213,7 @@ class CanFdWire(CanWire):
 
 
 class I2cWire:
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.port = I2cPort(amplifier)
 
     def send(self, packet: Packet, now: int) -> None:
@@ -228,7 +230,7 @@ class I2cWire:
 
 
 class SmbusWire:
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.port, self.cutter = I2cPort(amplifier), Cutter(SMBUS_BLOCK)
         self.decoder = SmbusTarget()
 
@@ -246,7 +248,7 @@ class SmbusWire:
         return found
 
 
-WIRES: dict[str, Callable[[Amplifier], Link]] = {
+WIRES: dict[str, Callable[[ReferenceAmplifier], Link]] = {
     "packet": PacketWire,
     "serial": SerialWire,
     "can": CanWire,
@@ -260,9 +262,9 @@ class Session:
     """Acts on an amplifier as bytes say, and looks at what it puts out."""
 
     def __init__(self, wire: str) -> None:
-        self.amplifier = Amplifier(CONFIG)
+        self.amplifier = ReferenceAmplifier(CONFIG)
         self.wire = WIRES[wire](self.amplifier)
-        self.host, self.now = Host(0x1234, 1), 0
+        self.host, self.now = AmplifierHost(0x1234, 1), 0
         self.last = np.zeros(CONFIG.channels, int)
 
     def begin(self, how: int) -> None:

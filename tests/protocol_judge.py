@@ -12,7 +12,7 @@ from struct import Struct
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from firmware_protocol.config import Config
+from firmware_protocol.config import AmplifierConfig
 
 SPEC = Path(__file__).parents[1] / "firmware_protocol" / "SPEC.md"
 TURN = 1 << 32
@@ -122,7 +122,7 @@ class Judge:
     gain : of `fade` instants, the most that may have been reached since START
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: AmplifierConfig) -> None:
         c = self.config = config
         self.state, self.then, self.session, self.node = "IDLE", "IDLE", 0, c.node
         self.hardware = Limits(c.voltage_limit_uv, c.slew_limit_v_per_s, c.fade_limit_us)

@@ -12,7 +12,7 @@ import numpy as np
 from protocol_judge import TURN
 from protocol_traces import Rig, packet, sealed
 
-from firmware_protocol.config import Config
+from firmware_protocol.config import AmplifierConfig
 
 SESSIONS = (0x1234, 0xBEEF, 1)
 NOBODY = 0x7777
@@ -307,7 +307,9 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
 """What happens, and how often."""
 
 
-def told(config: Config, seed: int, seconds: float, *, judged: bool, singly: bool = False) -> Rig:
+def told(
+    config: AmplifierConfig, seed: int, seconds: float, *, judged: bool, singly: bool = False
+) -> Rig:
     """Return a rig after a story of so many seconds of virtual time."""
     rng = Random(seed)
     rig = Rig(config, judged=judged, singly=singly)

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from protocol_judge import LAYOUTS, TURN, Judge
 
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
-from firmware_protocol.machine import Played
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
 from firmware_protocol.ports import PacketPort
 
@@ -30,20 +30,20 @@ RAMPING = (State.RUNNING, State.RAMPDOWN)
 AFTER_RAMP = (State.IDLE, State.ARMED, State.SAFE)
 POWERED = (State.ARMED, State.RUNNING, State.RAMPDOWN)
 CONFIGS = {
-    "as shipped": Config(channels=2),
-    "slow ticks": Config(
+    "as shipped": AmplifierConfig(channels=2),
+    "slow ticks": AmplifierConfig(
         channels=1, tick_hz=32768, rate_min_hz=1000, rate_max_hz=1049, fifo=68, packet_limit=255,
         formats=0b0111,
     ),
-    "fast ticks": Config(
+    "fast ticks": AmplifierConfig(
         channels=5, tick_hz=48_000_000, rate_min_hz=1000, rate_max_hz=4411, fifo=300, carriers=3,
         full_scale_uv=150_000_000, slew_limit_v_per_s=40_000, fade_limit_us=12_345,
     ),
-    "low slew": Config(
+    "low slew": AmplifierConfig(
         channels=3, rate_min_hz=1000, rate_max_hz=1600, fifo=103, carriers=2, node=127,
         full_scale_uv=200_000_000, voltage_limit_uv=60_000_000, slew_limit_v_per_s=3_151,
     ),
-    "few formats": Config(
+    "few formats": AmplifierConfig(
         channels=4, tick_hz=999_983, rate_min_hz=1000, rate_max_hz=2000, fifo=128, carriers=1,
         formats=0b1010, packet_limit=136, fade_limit_us=0, slew_limit_v_per_s=6_000,
     ),
@@ -94,9 +94,11 @@ class Rig:
     singly : put out instant by instant, not in runs
     """
 
-    def __init__(self, config: Config, *, judged: bool = True, singly: bool = False) -> None:
+    def __init__(
+        self, config: AmplifierConfig, *, judged: bool = True, singly: bool = False
+    ) -> None:
         self.config, self.singly, self.now = config, singly, 0
-        self.amplifier = Amplifier(config)
+        self.amplifier = ReferenceAmplifier(config)
         self.port = PacketPort(self.amplifier)
         self.judge = Judge(config) if judged else None
         self.records: list[Record] = []
@@ -173,7 +175,7 @@ class Rig:
         assert all(new >= old for new, old in zip(counters, self._counters, strict=True))
         self._counters = counters
 
-    def _expanded(self, run: Played, following: int) -> NDArray[Any]:
+    def _expanded(self, run: PlayedRun, following: int) -> NDArray[Any]:
         """Return a run with state and high voltage of each instant, not of the last alone.
 
         The position that follows tells whether it was held.
@@ -202,7 +204,7 @@ class Rig:
 
 
 def play(
-    config: Config, records: Iterable[Record], *, judged: bool = True, singly: bool = False
+    config: AmplifierConfig, records: Iterable[Record], *, judged: bool = True, singly: bool = False
 ) -> Rig:
     """Return a rig after a trace."""
     rig = Rig(config, judged=judged, singly=singly)
@@ -222,7 +224,7 @@ def play(
 
 
 def replay(
-    program: Path, config: Config, records: Iterable[Record], at: Path
+    program: Path, config: AmplifierConfig, records: Iterable[Record], at: Path
 ) -> tuple[bytes, list[bytes]]:
     """Return what the amplifier in C puts out and sends on a trace; files go to a directory."""
     c = config

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.machine import Counters, Played
+from firmware_protocol.machine import AmplifierCounters, PlayedRun
 from firmware_protocol.messages import State
 from tactile.bus.base import DriveBlock
 
@@ -36,7 +36,7 @@ class Ledger:
         self._written: dict[int, Floats] = {}
         self._first, self._origin = 0, math.nan
         self._settled, self._astray, self._read = 0, 0, 0.0
-        self._counted = self._before = Counters()
+        self._counted = self._before = AmplifierCounters()
 
     def begin(self, position: int) -> None:
         """Take the position that the next START plays first."""
@@ -54,7 +54,7 @@ class Ledger:
         """Forget what was written and may not have been sent: the stream ends here."""
         self._written.clear()
 
-    def put_out(self, run: Played, volts: Floats, times: Floats, rough: float) -> None:
+    def put_out(self, run: PlayedRun, volts: Floats, times: Floats, rough: float) -> None:
         """Compare what is put out while the amplifier plays, within what its format rounds [V]."""
         if run.state != State.RUNNING:
             self._settled = 0
@@ -78,7 +78,7 @@ class Ledger:
                 self.unexplained.append(time)
             self._settled = 0
 
-    def count(self, counters: Counters, now: float) -> None:
+    def count(self, counters: AmplifierCounters, now: float) -> None:
         """Take what the amplifier has counted, when it has put out what comes next."""
         if now != self._read:
             self._before, self._read = self._counted, now

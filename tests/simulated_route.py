@@ -13,7 +13,7 @@ from virtual_clock import VirtualClock
 from virtual_daemon import Floats, World
 from virtual_loop import LoopProcess
 
-from firmware_protocol.machine import Played
+from firmware_protocol.machine import PlayedRun
 from tactile.bus.registry import parse
 from tactile.bus.simulated.line_model import Model
 from tactile.client import aio
@@ -45,13 +45,13 @@ class Program(LoopProcess):
 
     def __init__(self, world: World, url: str, *, rearm: bool = False) -> None:
         super().__init__(world.clock, world.errors)
-        self.connection: aio.Connection | None = None
+        self.connection: aio.AsyncConnection | None = None
         self.begin(self._connect(world.clock, url, rearm))
 
     async def _connect(self, clock: VirtualClock, url: str, rearm: bool) -> None:
         while True:
             transport = TaskTransport(url, timeout=1.0)
-            connection = aio.Connection(transport, clock=clock, rearm=rearm)
+            connection = aio.AsyncConnection(transport, clock=clock, rearm=rearm)
             try:
                 self.connection = await connection.open()
             except ClientError:  # there is no daemon yet
@@ -106,7 +106,7 @@ class Route:
         """Time since when the way is cut [s]; infinite where it is not."""
         return min(self.deaths.values(), default=math.inf)
 
-    def judge(self, board: int, run: Played, times: Floats, code: float) -> None:
+    def judge(self, board: int, run: PlayedRun, times: Floats, code: float) -> None:
         """Judge what an amplifier put out, at these times (S,) [s], with so many volts a code."""
         volts = np.float64(code) * run.codes
         self.judge_volts(board, volts, times, code)

@@ -33,17 +33,17 @@ from simulated_route import RATE, Program, Route
 from virtual_daemon import Floats, small_display, virtual_world
 from virtual_loop import Datagrams
 
-from firmware_protocol.machine import Played
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
 from tactile.bus.base import DriveBlock
-from tactile.bus.link.stream import Stream
+from tactile.bus.link.stream import LinkStream
 from tactile.bus.registry import Address
 from tactile.bus.simulated.line_model import Model
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.client import aio
 from tactile.client.base import UNIX
 from tactile.errors import ClientError, RequestError
-from tactile.server.config import Config, DisplayConfig, OscConfig, ServerConfig
+from tactile.server.config import DaemonConfig, DisplayConfig, OscConfig, ServerConfig
 
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
@@ -106,7 +106,7 @@ class Simulation:
         self.routes.append(self._chips())
         self.stopper = self._program()
         self._have_engine(folder, patch)
-        self.config = Config(
+        self.config = DaemonConfig(
             server=ServerConfig(port=0, socket=f"{folder}/socket"),
             osc=OscConfig(port=OSC),
             display=tuple(
@@ -161,12 +161,12 @@ class Simulation:
 
     def _overhear(self, patch: pytest.MonkeyPatch) -> None:
         """Let ledgers know what is written and withdrawn, and what a START plays first."""
-        real_write, real_begin, real_clear = ModeledBus.write, Stream.begin, Stream.clear
+        real_write, real_begin, real_clear = ModeledBus.write, LinkStream.begin, LinkStream.clear
 
         def route_of(bus: ModeledBus) -> Route:
             return next(one for one in self.routes if one.model is bus.model)
 
-        def ledgers(stream: Stream) -> Iterator[Ledger]:
+        def ledgers(stream: LinkStream) -> Iterator[Ledger]:
             for playback in self.world.playbacks():
                 if playback.bus.counters is stream._counters:
                     assert isinstance(playback.bus, ModeledBus)
@@ -176,21 +176,21 @@ class Simulation:
             route_of(bus).ledger.write(block)
             real_write(bus, block)
 
-        def begin(stream: Stream, position: int, time: float, **named: bool) -> list[Start]:
+        def begin(stream: LinkStream, position: int, time: float, **named: bool) -> list[Start]:
             for ledger in ledgers(stream):
                 ledger.begin(position)
             return real_begin(stream, position, time, **named)
 
-        def clear(stream: Stream, **named: bool) -> None:
+        def clear(stream: LinkStream, **named: bool) -> None:
             for ledger in ledgers(stream):
                 ledger.withdraw()
             real_clear(stream, **named)
 
         patch.setattr(ModeledBus, "write", write)
-        patch.setattr(Stream, "clear", clear)
-        patch.setattr(Stream, "begin", begin)
+        patch.setattr(LinkStream, "clear", clear)
+        patch.setattr(LinkStream, "begin", begin)
 
-    def _listen(self, address: Address, model: Model, board: int, run: Played) -> None:
+    def _listen(self, address: Address, model: Model, board: int, run: PlayedRun) -> None:
         route = next(one for one in self.routes if one.address == address)
         route.model = model
         self._note_playback(route)
@@ -224,7 +224,7 @@ class Simulation:
         self.world.clock.after(seconds, lambda: route.deaths.pop(who, None))
 
     def _have(
-        self, program: Program, work: Callable[[aio.Connection], Coroutine[Any, Any, None]]
+        self, program: Program, work: Callable[[aio.AsyncConnection], Coroutine[Any, Any, None]]
     ) -> None:
         """Have a program do something; what it is refused is counted, other errors are wrong."""
 
@@ -251,7 +251,7 @@ class Simulation:
     def play(self, route: Route) -> None:
         """Clear, arm and begin an effect, if that is allowed."""
 
-        async def clear_and_play(connection: aio.Connection) -> None:
+        async def clear_and_play(connection: aio.AsyncConnection) -> None:
             display = connection.display(route.name)
             if display.estopped and display.estopped >= route.number:
                 route.stopped = math.inf
@@ -269,7 +269,7 @@ class Simulation:
         name = None if self.random.random() < 0.3 else route.name
         program = self.random.choice([route.program, self.stopper])
 
-        async def stop(connection: aio.Connection) -> None:
+        async def stop(connection: aio.AsyncConnection) -> None:
             if name is None:
                 estops = await connection.estop()
             else:
@@ -282,7 +282,7 @@ class Simulation:
         """Try to arm what is e-stopped."""
         number, stopped = route.number, route.stopped
 
-        async def arm(connection: aio.Connection) -> None:
+        async def arm(connection: aio.AsyncConnection) -> None:
             route.deaths.pop("program", None)
             await connection.display(route.name).arm()
             if stopped < math.inf and (number, stopped) == (route.number, route.stopped):
@@ -293,7 +293,7 @@ class Simulation:
     def clear_in_vain(self, route: Route) -> None:
         """E-stop, and try to clear that by the number of the one before."""
 
-        async def clear(connection: aio.Connection) -> None:
+        async def clear(connection: aio.AsyncConnection) -> None:
             display = connection.display(route.name)
             number = await display.estop()
             self._note({route.name: number})
@@ -308,7 +308,7 @@ class Simulation:
     def touch(self, route: Route) -> None:
         """Move a finger over a texture."""
 
-        async def move(connection: aio.Connection) -> None:
+        async def move(connection: aio.AsyncConnection) -> None:
             display = connection.display(route.name)
             await display.select("wood-oak")
             for k in range(20):
@@ -345,7 +345,7 @@ class Simulation:
     def disarm(self, route: Route) -> None:
         """Fade out and disarm."""
 
-        async def end(connection: aio.Connection) -> None:
+        async def end(connection: aio.AsyncConnection) -> None:
             await connection.display(route.name).disarm()
 
         self._have(route.program, end)

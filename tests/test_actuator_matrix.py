@@ -17,7 +17,7 @@ from reference_beam import Beam, lossless, matrix_exponential, scaled
 from reference_beam import section as reference_section
 from scipy.optimize import brentq
 
-from tactile.actuator.beam import Section, c_functions, transition
+from tactile.actuator.beam import CrossSection, c_functions, transition
 from tactile.actuator.bimorph import (
     Bimorph,
     active_segment,
@@ -222,7 +222,7 @@ def test_without_shear_and_rotary_inertia_it_is_euler_and_bernoulli() -> None:
 
     AG = 1e12 EI/l² and ρI = 0 leave σ = 1e-12 ω²; the roots are found to 1e-9.
     """
-    beam = Section(np.array(1.0 + 0j), np.array(1e12 + 0j), np.array(1.0), np.array(0.0))
+    beam = CrossSection(np.array(1.0 + 0j), np.array(1e12 + 0j), np.array(1.0), np.array(0.0))
 
     def free_tip(q: float) -> float:
         """Return the determinant of (M, F) at the tip from (M, F) at the clamp."""

@@ -37,7 +37,7 @@ from audio_rig import (
 from tactile.bus.audio import audio_bus
 from tactile.bus.audio import process as audio_process
 from tactile.bus.audio.audio_bus import AudioBus, find
-from tactile.bus.audio.process import Player
+from tactile.bus.audio.process import AudioProcess
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.registry import open_bus, parse
 from tactile.display.display import Display
@@ -495,7 +495,7 @@ def test_an_alsa_device_without_jack(
 def test_a_player_that_is_killed_has_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     without(monkeypatch, tmp_path, "import time; time.sleep(100)")
     monkeypatch.setattr(audio_process, "ANSWER", 60.0)
-    player = Player(None)
+    player = AudioProcess(None)
     player.kill()
     assert player.exit_code() != 0
     assert player.ended

@@ -1,6 +1,6 @@
 """What the callback of ``audio:`` puts out, and which device it opens.
 
-`Output`, which fills the card's buffers, is driven here by hand, buffer by buffer, so that its
+`CardOutput`, which fills the card's buffers, is driven here by hand, buffer by buffer, so that its
 clock is the test's.
 """
 
@@ -12,7 +12,7 @@ import pytest
 from audio_rig import ANY, CODE, FADE, FULL_SCALE, RATE, SLEW, STEP, VOLTAGE, WIRE, Floats, waves
 
 from tactile.bus.audio.devices import Device, choose, rate_of
-from tactile.bus.audio.player import Output
+from tactile.bus.audio.player import CardOutput
 from tactile.bus.base import Wiring
 from tactile.errors import BusError, InputError, NotFoundError
 
@@ -28,7 +28,7 @@ class Card:
     """A card whose buffers are asked for by hand."""
 
     def __init__(self, wiring: Wiring, buffer: int = 64, spare: int = 0) -> None:
-        self.output = Output(wiring, FULL_SCALE)
+        self.output = CardOutput(wiring, FULL_SCALE)
         self.buffer, self.spare = buffer, spare
         self.played = np.zeros((0, wiring.channels))
 

@@ -11,7 +11,7 @@ import pytest
 
 from tactile.bus.audio import audio_bus
 from tactile.bus.audio.audio_bus import AudioBus
-from tactile.bus.audio.player import Opened, Order, Told
+from tactile.bus.audio.player import Order, StreamOpened, Told
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.errors import BusError, BusStateError
 
@@ -33,7 +33,7 @@ class Card:
     """
 
     def __init__(self, order: Order | None) -> None:
-        self.opened = Opened("card", WIRING, 0.0)
+        self.opened = StreamOpened("card", WIRING, 0.0)
         self.ended, self.failed, self.output, self.told_at = False, None, None, np.inf
         self.phase = "rest"
         self.heard: list[str] = []

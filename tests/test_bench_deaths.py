@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import deaths
 from benchmarks.app import SOUNDS
-from benchmarks.daemon import Output, Recorder, frame, joined, last_after
+from benchmarks.daemon import AmplifierOutput, OutputRecorder, frame, joined, last_after
 from benchmarks.deaths import Outcomes, is_over, plays, schedule
 from benchmarks.virtual import Records, can_be_built
 
@@ -20,7 +20,7 @@ SILENT_WITHIN, OFF_WITHIN = 0.3, 1.0
 """s from a fault to 0 V and to high voltage off: README's goals."""
 
 
-def output(silent_at: float, off_at: float, end: float = 53.0) -> Output:
+def output(silent_at: float, off_at: float, end: float = 53.0) -> AmplifierOutput:
     """Return a record with instants each millisecond, loud and with high voltage up to two times.
 
     Every tenth instant before ``silent_at`` is at 0 V, as a tone passes through it.
@@ -28,7 +28,7 @@ def output(silent_at: float, off_at: float, end: float = 53.0) -> Output:
     numbers = np.arange(round((end - BEGUN) * RATE))
     times = BEGUN + numbers / RATE
     loud = (times <= silent_at + 1e-9) & (numbers % 10 != 1)
-    return Output(times, loud, times <= off_at + 1e-9)
+    return AmplifierOutput(times, loud, times <= off_at + 1e-9)
 
 
 def test_times_count_from_the_fault_to_the_last_instant() -> None:
@@ -110,7 +110,7 @@ def test_the_largest_step_is_found_across_two_reads() -> None:
     amplifier = MadeAmplifier(
         records([100, 200], [[0, 10], [5, -20]]), records([300, 400], [[5, 32000], [0, 32000]])
     )
-    recorder = Recorder(amplifier)  # type: ignore[arg-type]
+    recorder = OutputRecorder(amplifier)  # type: ignore[arg-type]
     made = recorder.read()
     np.testing.assert_allclose(made.times, 7.0 + 1e-4 * np.arange(1, 5))
     assert made.is_loud.all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import floods
-from benchmarks.daemon import NAME, Output
+from benchmarks.daemon import NAME, AmplifierOutput
 from benchmarks.estop import Times, is_silent
 from benchmarks.floods import contact_packet, paced
 from tactile.messages import Contact
@@ -102,9 +102,9 @@ def test_without_an_answer_no_limit_is_reached() -> None:
 def test_it_is_silent_where_the_last_instants_are_at_0_volts() -> None:
     times = np.arange(100) / 8000.0
     on = np.ones(100, bool)
-    assert not is_silent(Output(times[:0], on[:0], on[:0]))
-    assert not is_silent(Output(times, times < times[-10], on))
-    assert is_silent(Output(times, times < times[-30], on))
+    assert not is_silent(AmplifierOutput(times[:0], on[:0], on[:0]))
+    assert not is_silent(AmplifierOutput(times, times < times[-10], on))
+    assert is_silent(AmplifierOutput(times, times < times[-30], on))
 
 
 def test_what_a_flood_sends_over_osc_is_a_contact() -> None:

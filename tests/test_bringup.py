@@ -18,7 +18,7 @@ from c_amplifier_rig import IDLE, MS, SENSE, SET, owned, playing
 from firmware_protocol import messages as m
 from tactile.bringup import bringup, probe
 from tactile.bringup.bringup import bring_up
-from tactile.bringup.probe import Load, Signal, judge, load_of
+from tactile.bringup.probe import LineLoad, Signal, judge, load_of
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.link.inspection import identify, measuring, readings
 from tactile.bus.link.link_bus import LinkBus
@@ -316,7 +316,7 @@ def test_the_tone_is_slow_against_the_resonance(four: Path) -> None:
 def test_verdicts(share: float, volts: float, loss: float, verdict: str) -> None:
     omega = 2 * np.pi * FREQUENCY
     y = omega * 1e-8 * share * (1j + loss)
-    load = Load(5 * volts, abs(y) * 5 * volts, complex(y), 0.001)
+    load = LineLoad(5 * volts, abs(y) * 5 * volts, complex(y), 0.001)
     assert judge(load, drive=5.0, capacitance=1e-8) == verdict
 
 

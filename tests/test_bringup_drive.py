@@ -12,7 +12,7 @@ from cli_rig import Command
 
 from firmware_protocol import messages as m
 from tactile.bringup import probe
-from tactile.bringup.bringup import Report, bring_up
+from tactile.bringup.bringup import CheckReport, bring_up
 from tactile.bringup.probe import INTERVAL
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.link.inspection import amplifiers, identify, measuring, readings
@@ -158,7 +158,7 @@ def test_the_command_finds_no_fault(command: Command, four: Path) -> None:
     said = command("check", "mock:?link=serial", "--display", four, "--json")
     told = json.loads(said.out)
     assert said.code == 0
-    assert set(told) == set(Report.__dataclass_fields__)
+    assert set(told) == set(CheckReport.__dataclass_fields__)
     assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum8"]
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from tactile.bus import registry
-from tactile.bus.base import Bus, HostDeath, Rig
+from tactile.bus.base import Bus, DisplayLike, HostDeath
 from tactile.bus.registry import Address
 from tactile.bus.simulated.mock_bus import open_mock
 from tactile.devices import open_bus
@@ -98,7 +98,7 @@ class TestRegisteredBus:
     def test_an_operating_system_error_becomes_a_bus_error_that_names_the_device(
         self, three: Display
     ) -> None:
-        def absent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        def absent(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
             raise FileNotFoundError(2, "No such file or directory", address.path)
 
         registry.register_bus("absent", absent)
@@ -109,7 +109,7 @@ class TestRegisteredBus:
     def test_a_bus_error_passes_as_it_is(self, three: Display) -> None:
         error = BusError("the amplifier does not answer")
 
-        def silent(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        def silent(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
             raise error
 
         registry.register_bus("silent", silent)
@@ -121,7 +121,7 @@ class TestRegisteredBus:
     def test_what_does_not_go_to_0_volts_by_itself_is_refused_unless_accepted(
         self, three: Display, death: HostDeath
     ) -> None:
-        def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        def factory(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
             opened.append(address.scheme)
             return open_bus("mock:", rig)
 
@@ -144,9 +144,9 @@ class TestRegisteredBus:
         assert [u for u in urls if u[:3] in ("one", "two")] == ["one:0", "one:1", "two:0", "two:1"]
 
     def test_a_factory_is_given_path_options_display_and_rate(self, three: Display) -> None:
-        given: list[tuple[Address, Rig, float | None]] = []
+        given: list[tuple[Address, DisplayLike, float | None]] = []
 
-        def factory(address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+        def factory(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
             given.append((address, rig, sample_rate))
             return open_bus("mock:", rig, sample_rate=sample_rate)
 

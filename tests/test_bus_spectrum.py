@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
-from firmware_protocol.config import Config
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.messages import FULL_SCALE_CODE
-from tactile.bus.base import Counters, DriveBlock, DriveFrame
+from tactile.bus.base import BusCounters, DriveBlock, DriveFrame
 from tactile.bus.board import config_of
 from tactile.bus.simulated import modeled_bus
 from tactile.bus.simulated.modeled_bus import ModeledBus
@@ -85,7 +85,7 @@ def test_over_can_the_amplifier_plays_what_the_reference_synthesizer_does(
 ) -> None:
     """However long a lead is asked for: of frames an amplifier keeps four (SPEC.md, 10.3)."""
 
-    def config(*args: object, **named: object) -> Config:
+    def config(*args: object, **named: object) -> AmplifierConfig:
         return replace(config_of(*args, **named), carriers=carriers_at_most)  # type: ignore[arg-type]
 
     monkeypatch.setattr(modeled_bus, "config_of", config)
@@ -177,7 +177,7 @@ def test_a_bus_that_takes_frames_takes_no_blocks_and_is_tuned_first(
             bus.write(block)
         with pytest.raises(BusStateError, match="tune: the bus is running"):
             bus.tune(np.array([100.0]))
-        assert bus.counters == Counters()
+        assert bus.counters == BusCounters()
         with pytest.raises(InputError, match="write_frame: 3 carriers, not 2"):
             bus.write_frame(DriveFrame(0, np.zeros((display.channels, 3), complex)))
         with pytest.raises(InputError, match=r"write_frame: shape \(2, 2\), needs \(24, P\)"):

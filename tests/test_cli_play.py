@@ -90,7 +90,7 @@ def test_the_report_tells_what_a_bus_counted(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     counted = {"lost_samples": 7, "repeated_samples": 3}
-    monkeypatch.setattr(base.Counters, "faults", lambda self: counted)
+    monkeypatch.setattr(base.BusCounters, "faults", lambda self: counted)
     result = command("play", "wood-oak", *SHORT, "--device", "mock:")
     assert "7 lost_samples, 3 repeated_samples" in result.out
 

@@ -123,7 +123,7 @@ def test_a_wrong_argument_is_one_line_and_nothing_is_sent(twin: Twin, daemon: Da
         display.lift()
         display.stats()
     kinds = [type(said) for said in daemon.heard if not isinstance(said, m.Contact)]
-    assert kinds == [m.Hello, m.GetStats, m.Stop]
+    assert kinds == [m.ClientHello, m.GetStats, m.StopPlaying]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tactile import client, local, paths
 from tactile import messages as m
 from tactile.client import base, websocket
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
-from tactile.server.config import Config
+from tactile.server.config import DaemonConfig
 
 
 @pytest.mark.parametrize(
@@ -104,14 +104,14 @@ def test_a_daemon_that_does_not_answer_hello_is_an_error_in_time(
         return await answer(self, future, 0.01, what)
 
     monkeypatch.setattr(websocket.WebSocketTransport, "_answer", shorter)
-    script.answers[m.Hello] = lambda said: None
+    script.answers[m.ClientHello] = lambda said: None
     with pytest.raises(DisconnectedError, match="no answer to hello"):
         twin.connect(daemon.url, timeout=PATIENCE)
     assert set(waits) == {(PATIENCE, "hello")}
 
 
 def test_a_daemon_that_does_not_let_us_in(twin: Twin, script: Script, daemon: Daemon) -> None:
-    script.answers[m.Hello] = lambda said: m.Failure(
+    script.answers[m.ClientHello] = lambda said: m.Failure(
         id=said.id, code="unauthorized", message="token: none was given", field="token"
     )
     with pytest.raises(RequestError) as caught:
@@ -154,8 +154,8 @@ def test_two_hands_on_one_connection(twin: Twin, script: Script, daemon: Daemon)
         with left:
             pass  # stops the one and leaves the connection open
         assert connection.connected
-        assert [said.display for said in daemon.of(m.Stop)] == ["left"]
-    assert [said.display for said in daemon.of(m.Stop)][1:] == ["left", "right"]
+        assert [said.display for said in daemon.of(m.StopPlaying)] == ["left"]
+    assert [said.display for said in daemon.of(m.StopPlaying)][1:] == ["left", "right"]
     assert len(daemon.connections) == 1
 
 
@@ -168,7 +168,7 @@ def test_the_way_out_stops_and_closes(
         if error is not None:
             raise error
     assert not display.connected
-    assert [type(said) for said in daemon.heard[1:]] == [m.Stop]
+    assert [type(said) for said in daemon.heard[1:]] == [m.StopPlaying]
     assert until(lambda: daemon.last.close_code) == 1000
     with pytest.raises(DisconnectedError, match="closed"):
         display.gain(0.5)
@@ -196,7 +196,7 @@ def test_who_gives_up_waiting_for_the_end_does_not_take_it_away() -> None:
     """A cancelled future would be the end of the thread that says that it has ended."""
     over_the_wire = websocket.ThreadTransport("ws://127.0.0.1:1/v1", timeout=1.0)
     assert not over_the_wire.close().cancel()
-    assert not local.LocalTransport(Config())._closed.cancel()
+    assert not local.LocalTransport(DaemonConfig())._closed.cancel()
 
 
 def test_who_is_cancelled_while_it_hangs_up_leaves_no_connection(daemon: Daemon) -> None:
@@ -265,9 +265,11 @@ def test_no_thread_and_no_file_is_left(
 ) -> None:
     """In a process of its own, where the daemon's are not among them."""
     if ending == "refused":
-        script.answers[m.Hello] = lambda said: m.Failure(id=said.id, code="busy", message="no")
+        script.answers[m.ClientHello] = lambda said: m.Failure(
+            id=said.id, code="busy", message="no"
+        )
     if ending == "dropped":
-        script.answers[m.Gain] = lambda said: daemon.drop()
+        script.answers[m.SetGain] = lambda said: daemon.drop()
     code = [sys.executable, "-c", LEAKS, name, daemon.url]
     subprocess.run(code, check=True, timeout=10 * PATIENCE)
-    assert len(daemon.of(m.Hello)) >= 4
+    assert len(daemon.of(m.ClientHello)) >= 4

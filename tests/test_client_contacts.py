@@ -113,11 +113,11 @@ def test_play_hands_over_all_although_the_daemon_takes_only_part(
     replaced: list[bool] = []
     turns = itertools.count()
 
-    def some(said: m.Append) -> m.Appended:
+    def some(said: m.Append) -> m.AppendedReply:
         room = 0 if next(turns) % 3 == 0 else most
         replaced.append(not said.append)
         taken.extend(samples_of(said)[:room])
-        return m.Appended(id=said.id, samples_consumed=min(room, count(said)), buffered_ms=1.0)
+        return m.AppendedReply(id=said.id, samples_consumed=min(room, count(said)), buffered_ms=1.0)
 
     script.answers[m.Append] = some
     samples = np.sin(np.arange(10_001)).astype(np.float32)
@@ -139,7 +139,7 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
     playback = base.Playback(display, waveform, PATIENCE, ModelClock())
     message = playback.message()
     assert message is not None
-    reply = m.Appended(samples_consumed=taken, buffered_ms=buffered_ms)
+    reply = m.AppendedReply(samples_consumed=taken, buffered_ms=buffered_ms)
     assert playback.taken(message, reply) == pytest.approx(pause)
 
 
@@ -147,9 +147,9 @@ def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemo
     """By a clock that goes on by almost half of the timeout with each answer."""
     clock = remote.connection._session.clock = ModelClock()
 
-    def nothing(said: m.Append) -> m.Appended:
+    def nothing(said: m.Append) -> m.AppendedReply:
         clock.sleep(PATIENCE / 2 - 1)
-        return m.Appended(id=said.id, samples_consumed=0, buffered_ms=1.0)
+        return m.AppendedReply(id=said.id, samples_consumed=0, buffered_ms=1.0)
 
     script.answers[m.Append] = nothing
     with pytest.raises(ClientTimeoutError, match=r"no sample was taken in 60 s"):

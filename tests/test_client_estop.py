@@ -14,7 +14,7 @@ from tactile.errors import ClientError, DisconnectedError, InputError
 
 
 def said_since_hello(daemon: Daemon) -> list[m.Command]:
-    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.Hello))
+    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.ClientHello))
     return daemon.heard[last + 1 :]
 
 
@@ -32,15 +32,17 @@ def test_what_is_called_without_a_daemon_holds_when_it_is_back(
     with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
         display.gain(0.5)
         display.arm()
-        script.answers[m.Hello] = lambda said: m.Failure(id=said.id, code="busy", message="no")
+        script.answers[m.ClientHello] = lambda said: m.Failure(
+            id=said.id, code="busy", message="no"
+        )
         daemon.drop()
         until(lambda: not display.connected)
         with pytest.raises(DisconnectedError, match="will be sent first" if first else "connected"):
             call(display)
-        del script.answers[m.Hello]
+        del script.answers[m.ClientHello]
         until(lambda: display.connected)
         display.stats()
-        assert [type(said) for said in said_since_hello(daemon)] == [*first, m.Gain, m.GetStats]
+        assert [type(said) for said in said_since_hello(daemon)] == [*first, m.SetGain, m.GetStats]
 
 
 def test_an_estop_that_was_not_confirmed_is_sent_again(
@@ -55,7 +57,7 @@ def test_an_estop_that_was_not_confirmed_is_sent_again(
         until(lambda: display.connected)
         until(lambda: display.estopped == 7)
         display.stats()
-        assert [type(said) for said in said_since_hello(daemon)] == [m.EStop, m.Gain, m.GetStats]
+        assert [type(said) for said in said_since_hello(daemon)] == [m.EStop, m.SetGain, m.GetStats]
 
 
 def test_a_display_that_was_estopped_meanwhile_is_not_armed_again(
@@ -85,18 +87,18 @@ def test_a_display_whose_estop_was_cleared_meanwhile_is_not_armed_again(
         daemon.drop()
         until(lambda: len(said_since_hello(daemon)) == 1)
         display.stats()
-        assert [type(said) for said in said_since_hello(daemon)] == [m.Arm, m.GetStats]
+        assert [type(said) for said in said_since_hello(daemon)] == [m.ArmDisplay, m.GetStats]
 
 
 def test_what_makes_quieter_is_never_too_much() -> None:
     session, kept = opened_session()
     for _ in range(256):
-        session.ask(m.Gain(display="left", gain=0.5))
+        session.ask(m.SetGain(display="left", gain=0.5))
     with pytest.raises(ClientError, match="256 requests wait"):
-        session.ask(m.Arm(display="left"))
+        session.ask(m.ArmDisplay(display="left"))
     session.ask(m.EStop())
-    session.ask(m.Disarm(display="left"))
-    assert [type(said) for said in kept[256:]] == [m.EStop, m.Disarm]
+    session.ask(m.DisarmDisplay(display="left"))
+    assert [type(said) for said in kept[256:]] == [m.EStop, m.DisarmDisplay]
 
 
 @pytest.mark.parametrize("timeout", ["soon", float("nan"), -1])
@@ -122,7 +124,7 @@ def test_clear_names_the_estop_that_was_reported(
     with twin.connect(daemon.url, timeout=PATIENCE) as display:
         assert display.estopped == script.estop
         if how == "event":
-            daemon.say(m.Event(display="left", kind="estopped", estop=7))
+            daemon.say(m.EventMessage(display="left", kind="estopped", estop=7))
         elif how == "estop":
             assert display.estop() == 7
         elif how == "stats":
@@ -130,8 +132,8 @@ def test_clear_names_the_estop_that_was_reported(
             assert display.stats().estop == 7
         until(lambda: display.estopped == 7)
         display.clear()
-        assert [said.estop for said in daemon.of(m.Clear)] == [7]
-        daemon.say(m.Event(display="left", kind="cleared"))
+        assert [said.estop for said in daemon.of(m.ClearEstop)] == [7]
+        daemon.say(m.EventMessage(display="left", kind="cleared"))
         until(lambda: display.estopped == 0)
 
 
@@ -141,7 +143,7 @@ def test_clear_asks_where_no_estop_is_known(
 ) -> None:
     script.estop = estop
     remote.clear()
-    assert [said.estop for said in daemon.of(m.Clear)] == cleared
+    assert [said.estop for said in daemon.of(m.ClearEstop)] == cleared
     assert len(daemon.of(m.GetStats)) == 1
 
 
@@ -215,7 +217,7 @@ def test_a_callback_that_waits_keeps_no_ping_unanswered(daemon: Daemon) -> None:
             leave.result(PATIENCE)
 
         display.on_event(wait)
-        daemon.say(m.Event(display="left", kind="fault"))
+        daemon.say(m.EventMessage(display="left", kind="fault"))
         entered.result(PATIENCE)
         assert daemon.last.ping().wait(PATIENCE)
         display.gain(0.5)

@@ -15,7 +15,7 @@ from repeating import often
 
 from tactile import messages as m
 from tactile.client.outbox import Outbox
-from tactile.client.session import Session
+from tactile.client.session import ClientSession
 from tactile.client.transport import Receiver
 from tactile.clock import ModelClock
 from tactile.errors import ClientError, DisconnectedError
@@ -35,7 +35,9 @@ class Schedule(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.outbox = Outbox(lambda display: None)
-        self.session = Session(self, m.Hello(client="test"), clock=ModelClock(), rearm=True)
+        self.session = ClientSession(
+            self, m.ClientHello(client="test"), clock=ModelClock(), rearm=True
+        )
         self.futures: list[Future[Any]] = []
         self.handed: dict[int, int] = {}  # place in the order by id
         self.unarmed: set[str] = set(DISPLAYS)  # where nobody wishes to be armed
@@ -54,7 +56,7 @@ class Schedule(RuleBasedStateMachine):
         raise NotImplementedError
 
     def send(self, command: Any) -> None:
-        assert not (isinstance(command, m.Arm) and command.display in self.unarmed)
+        assert not (isinstance(command, m.ArmDisplay) and command.display in self.unarmed)
         if isinstance(command, m.EStop):
             self.first.discard(command.display)
         else:
@@ -95,7 +97,7 @@ class Schedule(RuleBasedStateMachine):
         if not self.session.wanted(command):
             return
         assert command.id not in self.overtaken
-        assert isinstance(command, m.Hello) == (not self.sent), "hello is first, and once"
+        assert isinstance(command, m.ClientHello) == (not self.sent), "hello is first, and once"
         if isinstance(command, m.EStop):
             self.due.discard(command.display)
         else:
@@ -118,7 +120,7 @@ class Schedule(RuleBasedStateMachine):
         confirmed = isinstance(command, m.EStop) and isinstance(answer, m.Done)
         if confirmed and self.handed[command.id] >= self.owed.get(command.display, 0):
             self.owed.pop(command.display, None)
-        if isinstance(answer, m.Event):
+        if isinstance(answer, m.EventMessage):
             self.unarmed.add(answer.display)
         self.session.received(answer)
 
@@ -136,23 +138,23 @@ class Schedule(RuleBasedStateMachine):
     def daemon(self, command: Any) -> tuple[Any, Any]:
         answer: Any = m.Done(id=command.id)
         match command:
-            case m.Hello():
+            case m.ClientHello():
                 answer = welcome(command, self.numbers)
             case m.EStop() if self.refusing:
                 answer = m.Failure(id=command.id, code="internal", message="no")
             case m.EStop():
                 self.numbers.update({name: self.numbers[name] + 1 for name in of(command.display)})
                 answer = m.Done(id=command.id, estops=dict(self.numbers))
-            case m.Arm() if self.numbers[command.display]:
+            case m.ArmDisplay() if self.numbers[command.display]:
                 answer = m.Failure(id=command.id, code="estopped", message="no")
-            case m.Clear() if self.numbers[command.display] == command.estop:
+            case m.ClearEstop() if self.numbers[command.display] == command.estop:
                 self.numbers[command.display] = 0
         return command, answer
 
     @precondition(lambda self: self.linked and self.sent)
     @rule(display=displays, kind=st.sampled_from(("estopped", "disarmed", "lost")))
     def happen(self, display: str, kind: str) -> None:
-        self.answers.append((None, m.Event(display=display, kind=kind, estop=9)))
+        self.answers.append((None, m.EventMessage(display=display, kind=kind, estop=9)))
 
     @rule(refusing=st.booleans())
     def refuse(self, refusing: bool) -> None:
@@ -171,25 +173,25 @@ class Schedule(RuleBasedStateMachine):
     def arm(self, display: str) -> None:
         before = set(self.unarmed)
         self.unarmed.discard(display)
-        if not self.ask(m.Arm(display=display)):
+        if not self.ask(m.ArmDisplay(display=display)):
             self.unarmed = before
 
-    @rule(display=displays, kind=st.sampled_from((m.Play, m.Stop)))
+    @rule(display=displays, kind=st.sampled_from((m.Play, m.StopPlaying)))
     def play(self, display: str, kind: Any) -> None:
         self.ask(kind(display=display))
 
     @rule(display=displays, number=st.integers(1, 3))
     def clear(self, display: str, number: int) -> None:
-        self.ask(m.Clear(display=display, estop=number))
+        self.ask(m.ClearEstop(display=display, estop=number))
 
     @rule(display=displays)
     def disarm(self, display: str) -> None:
-        self.withdraw((display,), m.Arm)
-        self.ask(m.Disarm(display=display))
+        self.withdraw((display,), m.ArmDisplay)
+        self.ask(m.DisarmDisplay(display=display))
 
     @rule(display=all_or_one)
     def estop(self, display: str | None) -> None:
-        self.withdraw(of(display), m.Arm | m.Clear | m.Play)
+        self.withdraw(of(display), m.ArmDisplay | m.ClearEstop | m.Play)
         self.owed[display] = len(self.handed)
         assert self.ask(m.EStop(display=display)) == self.session.connected
 
@@ -215,9 +217,9 @@ class Schedule(RuleBasedStateMachine):
         assert all(self.numbers[name] for name in owed)
 
 
-def welcome(hello: m.Hello, numbers: dict[str, int]) -> m.Welcome:
+def welcome(hello: m.ClientHello, numbers: dict[str, int]) -> m.Welcome:
     infos = tuple(
-        m.DisplayInfo(
+        m.DisplayDescription(
             name=name, contactors_mm=(), shear_direction_deg=(), sample_rate_hz=8000.0,
             voltage_limit_v=100.0, waveforms=True, latency_ms=4.0, estop=number,
         )
@@ -249,10 +251,10 @@ def test_the_schedule_reaches_a_display_that_is_armed_again() -> None:
     schedule.lose()
     schedule.connect()
     schedule.settle(20)
-    assert [type(said) for said in schedule.sent] == [m.Hello, m.Arm]
+    assert [type(said) for said in schedule.sent] == [m.ClientHello, m.ArmDisplay]
     schedule.arm("right")
     schedule.estop("right")
     with pytest.raises(ClientError, match=r"arm: withdrawn by estop\(\) meanwhile"):
         schedule.futures[-2].result(0)
     schedule.settle(20)
-    assert [type(said) for said in schedule.sent] == [m.Hello, m.Arm, m.EStop]
+    assert [type(said) for said in schedule.sent] == [m.ClientHello, m.ArmDisplay, m.EStop]

@@ -66,10 +66,14 @@ def test_closing_ends_though_the_transports_end_never_comes(twin: Twin, script: 
 
 def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> None:
     session, kept = opened_session()
-    for request in (m.Arm(display="left"), m.EStop(display="left"), m.Stop(display="left")):
+    for request in (
+        m.ArmDisplay(display="left"),
+        m.EStop(display="left"),
+        m.StopPlaying(display="left"),
+    ):
         session.ask(request).cancel()
     assert [session.wanted(command) for command in kept] == [False, True, True]
-    waiting = session.ask(m.Arm(display="left"))
+    waiting = session.ask(m.ArmDisplay(display="left"))
     assert session.wanted(kept[-1])
     session.close()
     assert isinstance(waiting.exception(), DisconnectedError)
@@ -82,7 +86,7 @@ def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:
         m.Contact(display=name, position_mm=(x, 0.0), normal_force_n=0.5)
         for name, x in (("left", 1.0), ("right", 2.0), ("left", 3.0))
     ]
-    gain, play, estop = m.Gain(display="left", gain=1.0), m.Play(display="left"), m.EStop()
+    gain, play, estop = m.SetGain(display="left", gain=1.0), m.Play(display="left"), m.EStop()
     commands: list[m.Command] = [gain, play, *contacts, estop]
     assert [outbox.put(c) for c in commands] == [True, *[False] * 5]
     assert outbox.take() == [estop, contacts[2], contacts[1], gain]

@@ -27,7 +27,7 @@ def test_each_call_says_its_message(
 def test_hello_comes_first_and_says_who_it_is(twin: Twin, daemon: Daemon) -> None:
     with twin.connect(daemon.url, token="secret", client_name="game", timeout=PATIENCE):
         pass
-    assert plain(daemon.heard[0]) == plain(m.Hello(client="game", token="secret"))
+    assert plain(daemon.heard[0]) == plain(m.ClientHello(client="game", token="secret"))
 
 
 def test_time_is_our_monotonic_clock_where_none_is_given(remote: Any, daemon: Daemon) -> None:

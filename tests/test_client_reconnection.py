@@ -16,8 +16,8 @@ from tactile.errors import ClientError, DisconnectedError
 
 def connected_again(daemon: Daemon, hellos: int = 2) -> list[Any]:
     """Wait for another hello, and return what was said from then on."""
-    until(lambda: len(daemon.of(m.Hello)) >= hellos)
-    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.Hello))
+    until(lambda: len(daemon.of(m.ClientHello)) >= hellos)
+    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.ClientHello))
     return daemon.heard[last:]
 
 
@@ -46,10 +46,10 @@ def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
         assert display.connection.counters["reconnections"] == 1
     restored = [
         m.Subscribe(display="left", rate_hz=50.0),
-        m.Gain(display="left", gain=0.25),
+        m.SetGain(display="left", gain=0.25),
         m.Select(display="left", layers=(m.Layer(texture="wood-oak", gain=0.5),)),
-        m.Stop(display="left"),
-        *([m.Arm(display="left")] if rearm else []),
+        m.StopPlaying(display="left"),
+        *([m.ArmDisplay(display="left")] if rearm else []),
     ]
     assert said[: len(restored) + 1] == [
         *map(plain, restored), plain(m.GetStats(display="left")),
@@ -64,13 +64,13 @@ def test_what_was_taken_back_is_not_restored(twin: Twin, daemon: Daemon) -> None
         display.arm()
         display.stop()
         display.resume()
-        daemon.say(m.Event(display="left", kind="disarmed", detail="by hand"))
+        daemon.say(m.EventMessage(display="left", kind="disarmed", detail="by hand"))
         until(lambda: events)
         daemon.drop()
         until(lambda: events[-1].kind == "connected")
         display.stats()
         kinds = [type(said) for said in connected_again(daemon)]
-    assert kinds[:2] == [m.Hello, m.GetStats]
+    assert kinds[:2] == [m.ClientHello, m.GetStats]
 
 
 def test_what_cannot_be_restored_is_an_event(twin: Twin, script: Script, daemon: Daemon) -> None:
@@ -99,7 +99,7 @@ def test_without_a_daemon_touch_is_counted_and_requests_fail_at_once(
             with pytest.raises(DisconnectedError):
                 call()
         until(lambda: display.connection._transport._closed.done())
-    assert len(daemon.of(m.Hello)) == 1, "and it was not connected again"
+    assert len(daemon.of(m.ClientHello)) == 1, "and it was not connected again"
 
 
 def test_a_request_that_waits_fails_when_the_connection_does(

@@ -19,7 +19,7 @@ from tactile import messages as m
 from tactile.client import base
 from tactile.client.wire import from_telemetry
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
-from tactile.server.config import Config, ServerConfig
+from tactile.server.config import DaemonConfig, ServerConfig
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -30,7 +30,7 @@ class RealServer:
 
     def __init__(self, **options: Any) -> None:
         self.hands = Hands()
-        self.config = Config(server=ServerConfig(port=0, socket="", **options))
+        self.config = DaemonConfig(server=ServerConfig(port=0, socket="", **options))
         self._loop = asyncio.new_event_loop()
         self._ready: Future[str] = Future()
         self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._run(),))
@@ -75,7 +75,7 @@ def test_the_real_server_hears_each_call(
         assert display.stats().latency == pytest.approx(0.009)
         assert next(iter(display.telemetry(rate=10))).state == "disarmed"
     until(lambda: real.hands.clients[-1].closed)
-    assert log()[-1] == plain(m.Stop(display="left"))
+    assert log()[-1] == plain(m.StopPlaying(display="left"))
 
 
 def test_the_real_server_refuses_and_its_end_is_told(twin: Twin, real: RealServer) -> None:

@@ -127,7 +127,7 @@ def test_a_callback_may_ask_and_may_fail(
     remote.on_event(fail)
     remote.on_event(aanswer if twin.name == "asyncio" else answer)
     for _ in range(2):
-        daemon.say(m.Event(display="left", kind="fault", detail="channel 3 open"))
+        daemon.say(m.EventMessage(display="left", kind="fault", detail="channel 3 open"))
     until(lambda: seen == ["armed", "armed"])
     assert "a mistake of the program" in caplog.text
 
@@ -142,7 +142,7 @@ def test_events_go_to_the_display_that_they_are_of(
         connection.display("left").on_event(left.append)
         connection.on_event(both.append)
         for name in script.displays:
-            daemon.say(m.Event(display=name, kind="underrun", detail="4 blocks"))
+            daemon.say(m.EventMessage(display=name, kind="underrun", detail="4 blocks"))
         until(lambda: len(both) == 2)
     assert left == [client.Event("underrun", "left", "4 blocks")]
 
@@ -152,7 +152,7 @@ def test_events_that_a_slow_callback_does_not_take_are_dropped(daemon: Daemon) -
     with client.connect(daemon.url, timeout=PATIENCE) as display:
         display.on_event(lambda event: go_on.wait(PATIENCE))
         for _ in range(400):
-            daemon.say(m.Event(display="left", kind="underrun"))
+            daemon.say(m.EventMessage(display="left", kind="underrun"))
         display.stats()  # all of them have come
         assert 400 - 257 <= display.connection.counters["dropped_events"] < 400
         go_on.set()

@@ -271,7 +271,7 @@ def test_an_e_stop_while_playback_is_started_again_holds(served: Daemon) -> None
         display.arm()
 
 
-def cleared(display: tactile.client.Display) -> bool:
+def cleared(display: tactile.client.RemoteDisplay) -> bool:
     """Clear what holds; return whether the daemon was ready for it."""
     with suppress(TactileError):
         display.clear()

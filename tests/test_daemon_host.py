@@ -22,7 +22,7 @@ from tactile.server import children as child_processes
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
-from tactile.server.config import Config, DisplayConfig
+from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.host import Host
 from tactile.server.playing import Playing
 
@@ -75,7 +75,9 @@ def runner() -> Iterator[Loop]:
 
 @pytest.fixture(scope="module")
 def host(runner: Loop) -> Iterator[Host]:
-    host = Host(Config(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),)))
+    host = Host(
+        DaemonConfig(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),))
+    )
     runner.run(host.start())
     yield host
     runner.run(host.close())
@@ -108,12 +110,12 @@ class Program:
         came = time.monotonic() if arrival is None else arrival
         return self.runner.call(lambda: self.client.contact(contact, came))
 
-    def stats(self) -> m.Stats:
+    def stats(self) -> m.StatsReply:
         (answer,) = self.ask(m.GetStats(display=NAME))
-        assert isinstance(answer, m.Stats)
+        assert isinstance(answer, m.StatsReply)
         return answer
 
-    def until(self, happens: Callable[[m.Stats], bool]) -> m.Stats:
+    def until(self, happens: Callable[[m.StatsReply], bool]) -> m.StatsReply:
         deadline = time.monotonic() + PATIENCE
         while not happens(stats := self.stats()):
             assert time.monotonic() < deadline, stats
@@ -170,7 +172,7 @@ def test_more_drawings_than_a_client_may_select_are_refused(program: Program) ->
 
 
 def test_an_unknown_display_is_named_with_the_nearest(program: Program) -> None:
-    told = failure(program.ask(m.Arm(display="rihgt")))
+    told = failure(program.ask(m.ArmDisplay(display="rihgt")))
     assert (told.code, told.field) == ("unknown_display", "display")
     assert "'right'" in told.message
     contact = m.Contact(display="left", position_mm=(0, 0), normal_force_n=0.5)
@@ -179,13 +181,13 @@ def test_an_unknown_display_is_named_with_the_nearest(program: Program) -> None:
 
 
 def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Program) -> None:
-    effect = m.Effect(display=NAME, amplitude_um=1.0, amplitude=(m.Point(0.0, 1.0),))
+    effect = m.PlayEffect(display=NAME, amplitude_um=1.0, amplitude=(m.Point(0.0, 1.0),))
     assert failure(program.ask(WAVE)).code == "not_armed"
     assert failure(program.ask(effect)).code == "not_armed"
-    assert program.ask(m.Arm(display=NAME)) == [m.Done()]
+    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
     program.until(lambda stats: stats.state == "armed")
     (taken,) = program.ask(WAVE)
-    assert isinstance(taken, m.Appended)
+    assert isinstance(taken, m.AppendedReply)
     assert taken.samples_consumed == 100
     assert 50 < taken.buffered_ms <= 100
     assert program.ask(effect) == [m.Done()]
@@ -193,7 +195,7 @@ def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Prog
         display=NAME, sample_rate_hz=1e3, amplitude_um=1.0, samples=(0.5,), contactors=(24,)
     )
     assert failure(program.ask(far)).field == "contactors"
-    back = m.Effect(
+    back = m.PlayEffect(
         display=NAME, amplitude_um=1.0, amplitude=(m.Point(5.0, 1.0), m.Point(1.0, 1.0))
     )
     assert failure(program.ask(back)).field == "amplitude"
@@ -203,17 +205,17 @@ def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Prog
 
 
 def test_an_e_stop_holds_until_it_is_cleared_and_needs_arming_then(program: Program) -> None:
-    program.ask(m.Arm(display=NAME))
+    program.ask(m.ArmDisplay(display=NAME))
     (done,) = program.ask(m.EStop())
     assert isinstance(done, m.Done)
     number = done.estops[NAME]
     assert program.stats().estop == number
     assert program.until(lambda stats: stats.state == "estopped")
-    assert failure(program.ask(m.Arm(display=NAME))).code == "estopped"
+    assert failure(program.ask(m.ArmDisplay(display=NAME))).code == "estopped"
     assert failure(program.ask(WAVE)).code == "estopped"
-    assert program.ask(m.Clear(display=NAME, estop=number)) == [m.Done()]
+    assert program.ask(m.ClearEstop(display=NAME, estop=number)) == [m.Done()]
     assert program.stats().state == "disarmed"
-    assert program.ask(m.Arm(display=NAME)) == [m.Done()]
+    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
 
 
 def test_a_clear_ends_the_e_stop_that_it_names_and_no_newer_one(program: Program) -> None:
@@ -222,26 +224,26 @@ def test_a_clear_ends_the_e_stop_that_it_names_and_no_newer_one(program: Program
     assert isinstance(second, m.Done)
     old, new = first.estops[NAME], second.estops[NAME]
     assert new == old + 1
-    late = failure(program.ask(m.Clear(display=NAME, estop=old)))
+    late = failure(program.ask(m.ClearEstop(display=NAME, estop=old)))
     assert (late.code, late.field) == ("estopped", "estop")
     assert f"e-stop {new} holds" in late.message
-    never = failure(program.ask(m.Clear(display=NAME, estop=new + 1)))
+    never = failure(program.ask(m.ClearEstop(display=NAME, estop=new + 1)))
     assert (never.code, never.field) == ("invalid_field", "estop")
     assert program.stats().estop == new
-    assert program.ask(m.Clear(display=NAME, estop=new)) == [m.Done()]
-    assert program.ask(m.Clear(display=NAME, estop=old)) == [m.Done()], "ended long ago"
+    assert program.ask(m.ClearEstop(display=NAME, estop=new)) == [m.Done()]
+    assert program.ask(m.ClearEstop(display=NAME, estop=old)) == [m.Done()], "ended long ago"
     assert program.stats().estop == 0
 
 
 def test_who_may_not_arm_may_stop(runner: Loop, host: Host, program: Program) -> None:
     osc = Program(runner, host, roles=frozenset({"play", "stop"}))
-    assert failure(osc.ask(m.Arm(display=NAME))).code == "unauthorized"
-    assert failure(osc.ask(m.Clear(display=NAME, estop=1))).code == "unauthorized"
-    program.ask(m.Arm(display=NAME))
-    assert osc.ask(m.Disarm(display=NAME)) == [m.Done()]
+    assert failure(osc.ask(m.ArmDisplay(display=NAME))).code == "unauthorized"
+    assert failure(osc.ask(m.ClearEstop(display=NAME, estop=1))).code == "unauthorized"
+    program.ask(m.ArmDisplay(display=NAME))
+    assert osc.ask(m.DisarmDisplay(display=NAME)) == [m.Done()]
     program.until(lambda stats: stats.state == "disarmed")
     osc.ask(m.EStop())
-    program.ask(m.Clear(display=NAME, estop=program.stats().estop))
+    program.ask(m.ClearEstop(display=NAME, estop=program.stats().estop))
     osc.close()
 
 
@@ -272,8 +274,8 @@ def test_a_display_is_disarmed_when_the_last_client_that_armed_it_has_gone(
     first, second = Program(runner, host), Program(runner, host)
     program.close()
     watching = Program(runner, host, roles=frozenset({"play", "stop"}))
-    first.ask(m.Arm(display=NAME))
-    second.ask(m.Arm(display=NAME))
+    first.ask(m.ArmDisplay(display=NAME))
+    second.ask(m.ArmDisplay(display=NAME))
     first.close()
     assert host.playing[NAME].owners.clients == {second.client.number}
     second.close()
@@ -287,7 +289,7 @@ def test_limits_may_only_be_lowered(host: Host) -> None:
     higher = DisplayConfig(name=NAME, device="sim:", voltage_limit_v=101.0)
 
     async def opened() -> None:
-        await Host(Config(display=(higher,))).start()
+        await Host(DaemonConfig(display=(higher,))).start()
 
     with pytest.raises(InputError, match="voltage_limit_v = 101 is above"):
         asyncio.run(opened())
@@ -298,7 +300,7 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
     good = DisplayConfig(name="left", device="sim:")
 
     async def opened() -> None:
-        host = Host(Config(display=(good, bad)))
+        host = Host(DaemonConfig(display=(good, bad)))
         with pytest.raises(BusError, match="no such port") as caught:
             await host.start()
         assert "\n" not in str(caught.value)
@@ -325,11 +327,11 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     program.until(lambda _: len(between) > outbox)
     assert set(between) == {0.01}
     assert runner.call(program.client.outbox.qsize) == outbox
-    runner.call(lambda: program.client.post(m.Event(display=NAME, kind="fault")))
+    runner.call(lambda: program.client.post(m.EventMessage(display=NAME, kind="fault")))
     program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
     found = [program.client.outbox.get_nowait() for _ in range(outbox)]
-    assert any(isinstance(one, m.Event) and one.kind == "fault" for one in found)
-    told = next(one for one in found if isinstance(one, m.Telemetry))
+    assert any(isinstance(one, m.EventMessage) and one.kind == "fault" for one in found)
+    told = next(one for one in found if isinstance(one, m.TelemetryMessage))
     assert len(told.shear_um) == len(told.drive_v) == 24
 
 
@@ -346,11 +348,11 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     assert part.layers != before, "made anew"
     assert list(playing._shelf.ready) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
-    assert "textures" in {one.kind for one in told if isinstance(one, m.Event)}
-    program.ask(m.Arm(display=NAME))
+    assert "textures" in {one.kind for one in told if isinstance(one, m.EventMessage)}
+    program.ask(m.ArmDisplay(display=NAME))
     begun, drives = time.monotonic(), set[bytes]()
 
-    def plays(_: m.Stats) -> bool:
+    def plays(_: m.StatsReply) -> bool:
         program.touch(x=80 * (time.monotonic() - begun))
         drives.add(playing.memory.drive.tobytes())
         return len(drives) > 5

@@ -17,11 +17,11 @@ from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
-from tactile.playback.loop import Player, Samples
+from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.shared_memory import Shared, Touch
 from tactile.playback.waves import Curve, Singles, Voice
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import render
 from tactile.texture.surface import load_texture
 from tactile.tracking.tracker import ContactTracker
@@ -37,13 +37,13 @@ ME, YOU = 1, 2
 
 
 @pytest.fixture(scope="module")
-def oak(display: Display) -> Layer:
-    return Layer(display, load_texture("wood-oak"))
+def oak(display: Display) -> RealizedLayer:
+    return RealizedLayer(display, load_texture("wood-oak"))
 
 
 @pytest.fixture(scope="module")
-def leather(display: Display) -> Layer:
-    return Layer(display, load_texture("leather-calf"))
+def leather(display: Display) -> RealizedLayer:
+    return RealizedLayer(display, load_texture("leather-calf"))
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Stage:
 
     clock: ModelClock
 
-    player: Player
+    player: PlaybackLoop
     bus: MockBus
     memory: Shared
 
@@ -89,12 +89,12 @@ class Stage:
 
 
 @pytest.fixture
-def stage(display: Display, oak: Layer, leather: Layer) -> Iterator[Stage]:
+def stage(display: Display, oak: RealizedLayer, leather: RealizedLayer) -> Iterator[Stage]:
     memory = Shared.create(len(display.contactors))
     reader = Shared(memory.handle, len(display.contactors))
     clock = ModelClock()
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
-    player = Player(display, bus, reader, clock=clock)
+    player = PlaybackLoop(display, bus, reader, clock=clock)
     built = Stage(clock, player, bus, memory)
     player.keep(1, oak)
     player.keep(2, leather)
@@ -201,7 +201,7 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
     touched = rms(stage.slide(0.4)[800:])
     assert air / touched == pytest.approx(10 ** (-34 / 20), rel=0.05)
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=stage.clock)
-    worn = Player(display, bus, Shared(stage.memory.handle, 24), worn=True, clock=stage.clock)
+    worn = PlaybackLoop(display, bus, Shared(stage.memory.handle, 24), worn=True, clock=stage.clock)
     worn.arm()
     worn.voice(ME).queue.append(tone, RATE, ())
     for _ in range(150):
@@ -342,7 +342,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
             display, load_texture("wood-oak"), carriers=bus.frames.carriers,
             frame_rate=bus.frames.rate, whole_band=True,
         )  # fmt: skip
-        player = Player(display, bus, Shared(memory.handle, 24), clock=LinkTime(bus))
+        player = PlaybackLoop(display, bus, Shared(memory.handle, 24), clock=LinkTime(bus))
         player.keep(1, texture)
         player.voice(ME).layers = ((1, 1.0),)
         player.arm()
@@ -353,7 +353,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
                 Touch(ME, now, now, SPEED * (now - begun), 0.0, SPEED, 0.0, 0.5, True)
             )
             player.step()
-        assert not isinstance(player.rendering, Samples)
+        assert not isinstance(player.rendering, SamplePlayback)
         assert bus.counters.faults() == {}
         put_out = bus.output
         assert rms(put_out[2000:]) > 0.5

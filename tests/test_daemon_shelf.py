@@ -13,13 +13,13 @@ from virtual_loop import LoopProcess
 
 from tactile.display.display import load_display
 from tactile.errors import BusError
-from tactile.playback.commands import Opened
+from tactile.playback.commands import DeviceOpened
 from tactile.server import shelf, workbench
 from tactile.server.children import Child
 from tactile.server.shelf import MOST_TEXTURES, Shelf, TooManyDrawingsError
 from tactile.server.workbench import Workbench
 
-HOW = Opened(sample_rate=8000.0)
+HOW = DeviceOpened(sample_rate=8000.0)
 OAK = "wood-oak"
 WRITER = "tactile.server.drawing:_write"
 

@@ -17,7 +17,7 @@ from tactile.playback import process as playback_process
 from tactile.playback.commands import Setup
 from tactile.server import shelf
 from tactile.server.client import Client
-from tactile.server.config import Config, DisplayConfig
+from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.playing import hangs
 
 NAME = "left"
@@ -46,7 +46,7 @@ def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
             name=NAME, display=small_display(tmp_path), device=device, sample_rate_hz=2500.0,
             **options,
         )  # fmt: skip
-        assert world.start(Config(display=(display,)))
+        assert world.start(DaemonConfig(display=(display,)))
         assert world.host is not None
         world.run(asyncio.sleep(0.2))
         return world.host.connect("app", roles=m.ALL_ROLES)
@@ -81,7 +81,7 @@ def events_of(client: Client) -> list[tuple[str, str]]:
     found = []
     while not client.outbox.empty():
         event = client.outbox.get_nowait()
-        if isinstance(event, m.Event):
+        if isinstance(event, m.EventMessage):
             found.append((event.kind, event.detail))
     return found
 
@@ -129,7 +129,7 @@ def test_who_had_armed_is_told_whether_it_is_armed_again(
     world: World, serve: Callable[..., Client], rearm: bool
 ) -> None:
     client = serve(rearm=rearm)
-    assert isinstance(world.run(client.request(m.Arm(display=NAME))), m.Done)
+    assert isinstance(world.run(client.request(m.ArmDisplay(display=NAME))), m.Done)
     events_of(client)
     playback_of(world).kill()
     world.run(asyncio.sleep(BACK))
@@ -151,7 +151,7 @@ def test_all_clients_are_told_of_an_estop_and_that_it_was_cleared(
     world.run(asyncio.sleep(0.5))
     ((kind, reason),) = events_of(other)
     assert (kind, "app" in reason) == ("estopped", True)
-    assert isinstance(world.run(presser.request(m.Clear(display=NAME, estop=1))), m.Done)
+    assert isinstance(world.run(presser.request(m.ClearEstop(display=NAME, estop=1))), m.Done)
     world.run(asyncio.sleep(0.5))
     assert ("cleared", "e-stop 1 was cleared") in events_of(other)
 
@@ -164,9 +164,9 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
     assert world.host is not None
     leaves = world.host.connect("other", roles=m.ALL_ROLES)
     for client in (stays, leaves):
-        assert world.run(client.request(m.Arm(display=NAME))) == m.Done()
+        assert world.run(client.request(m.ArmDisplay(display=NAME))) == m.Done()
     curve = (m.Point(0.0, 1.0), m.Point(5000.0, 1.0))
-    effect = m.Effect(display=NAME, amplitude_um=5.0, amplitude=curve)
+    effect = m.PlayEffect(display=NAME, amplitude_um=5.0, amplitude=curve)
     assert world.run(leaves.request(effect)) == m.Done()
     world.run(asyncio.sleep(1.0))
     assert max(peaks[-10:]) > 0.0
@@ -193,7 +193,7 @@ def test_each_texture_of_a_selection_is_felt(
     assert world.host is not None
     ready = world.host.playing[NAME]._shelf.ready
     assert [name for name, _ in ready] == ["wood-oak", "leather-calf"]
-    assert world.run(client.request(m.Arm(display=NAME))) == m.Done()
+    assert world.run(client.request(m.ArmDisplay(display=NAME))) == m.Done()
     for k in range(30):
         place = (0.5 * k, 0.0)
         touch = m.Contact(
@@ -212,9 +212,9 @@ def test_who_has_disarmed_owns_no_high_voltage_that_another_switches_on_at_once(
     leaves = world.host.connect("other", roles=m.ALL_ROLES)
 
     async def hand_over() -> None:
-        assert await stays.request(m.Arm(display=NAME)) == m.Done()
-        assert await stays.request(m.Disarm(display=NAME)) == m.Done()
-        assert await leaves.request(m.Arm(display=NAME)) == m.Done()
+        assert await stays.request(m.ArmDisplay(display=NAME)) == m.Done()
+        assert await stays.request(m.DisarmDisplay(display=NAME)) == m.Done()
+        assert await leaves.request(m.ArmDisplay(display=NAME)) == m.Done()
         leaves.close()
 
     world.run(hand_over())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile.playback.waves import Curve, Effect, Queue
+from tactile.playback.waves import Curve, EffectPlayer, Queue
 
 RATE = 8000.0
 N = 3
@@ -107,7 +107,7 @@ def curve(
     )
 
 
-def played(effect: Effect, seconds: float) -> Floats:
+def played(effect: EffectPlayer, seconds: float) -> Floats:
     parts = [effect.take(BLOCK) for _ in range(int(seconds * RATE / BLOCK))]
     zero = np.zeros((BLOCK, 1), np.float32)
     return np.concatenate([zero if p is None else p for p in parts])[:, 0].astype(np.float64)
@@ -115,7 +115,7 @@ def played(effect: Effect, seconds: float) -> Floats:
 
 @pytest.mark.parametrize("stream", [False, True])
 def test_it_ends_with_its_last_point_or_is_held_where_it_streams(stream: bool) -> None:
-    effect = Effect(RATE)
+    effect = EffectPlayer(RATE)
     effect.begin(curve([(0, 1), (0.1, 1)], stream=stream))
     wave = played(effect, 0.4)
     last = np.flatnonzero(wave)[-1] / RATE
@@ -125,7 +125,7 @@ def test_it_ends_with_its_last_point_or_is_held_where_it_streams(stream: bool) -
 
 
 def test_a_stream_goes_on_without_a_step_in_amplitude_or_phase() -> None:
-    effect = Effect(RATE)
+    effect = EffectPlayer(RATE)
     effect.begin(curve([(0, 1), (0.05, 1)], [(0, 100), (0.05, 100)], stream=True))
     first = played(effect, 0.03)
     effect.begin(curve([(0, 0.2), (0.05, 0.2)], [(0, 300), (0.05, 300)], stream=True))

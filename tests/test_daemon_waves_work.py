@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.playback.waves import Curve, Effect, Queue, Voice, affordable
+from tactile.playback.waves import Curve, EffectPlayer, Queue, Voice, affordable
 
 RATE = 8000.0
 N = 3
@@ -79,7 +79,7 @@ class Formula:
 
 def played(takes: list[Take]) -> Floats:
     """Play blocks of any sizes, each after a curve has begun where one is named."""
-    effect, parts = Effect(RATE), []
+    effect, parts = EffectPlayer(RATE), []
     for count, curve in takes:
         if curve is not None:
             effect.begin(curve)
@@ -155,7 +155,7 @@ def test_transients_that_are_far_off_take_no_work() -> None:
     """500 in a minute, of 100 ms each: one or none sounds at a time."""
     times = np.linspace(0, 60, 500)
     taps = np.column_stack([times, np.ones(500), np.full(500, 20.0)])
-    effect, plain = Effect(RATE), Effect(RATE)
+    effect, plain = EffectPlayer(RATE), EffectPlayer(RATE)
     effect.begin(Curve(1e-6, np.zeros((0, 2)), np.zeros((0, 2)), taps, stream=False))
     plain.begin(Curve(1e-6, np.array([[60.0, 1.0]]), np.zeros((0, 2)), taps[:0], stream=False))
     for _ in range(2000):
@@ -178,7 +178,7 @@ def test_only_so_many_transients_sound_at_once_and_the_others_are_counted(
         assert np.count_nonzero((begins <= begin) & (ends > begin)) <= MOST_TRANSIENTS
     assert curve.dropped + len(curve.transients) == count
     assert len(curve.transients) >= min(count, MOST_TRANSIENTS)
-    effect = Effect(RATE)
+    effect = EffectPlayer(RATE)
     effect.begin(curve)
     assert effect.dropped == curve.dropped
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tactile.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, Arm, Failure
+from tactile.messages import JSON_PROTOCOL, MSGPACK_PROTOCOL, ArmDisplay, Failure
 from tactile.server.decoding import ENCODINGS, Encoding, failed, read
 
 JSON, MSGPACK = ENCODINGS[JSON_PROTOCOL], ENCODINGS[MSGPACK_PROTOCOL]
@@ -32,7 +32,7 @@ def test_what_is_no_id_is_not_answered_as_one(number: object) -> None:
 
 def test_the_largest_id_is_the_largest_that_is_taken() -> None:
     fields = {"type": "arm", "display": "right"}
-    assert isinstance(read(json.dumps({**fields, "id": LARGEST_ID}), JSON), Arm)
+    assert isinstance(read(json.dumps({**fields, "id": LARGEST_ID}), JSON), ArmDisplay)
     found = failure(**fields, id=LARGEST_ID + 1)
     assert (found.code, found.field) == ("invalid_field", "id")
 

@@ -15,7 +15,7 @@ from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import CFRP, PIEZO_3203HD
-from tactile.display.display import Limits, load_display
+from tactile.display.display import DriveLimits, load_display
 from tactile.errors import InputError
 
 # What is shipped
@@ -46,7 +46,7 @@ def test_the_reference_displays_are_grids_around_the_origin(
     assert display.load == FingerLoad.low()
     assert display.amplifier == Amplifier()
     assert vars(display.bimorph) == pytest.approx(vars(Bimorph()))
-    limits = Limits(voltage=100.0, slew=0.7e6, current=10e-3, fade=20e-3)
+    limits = DriveLimits(voltage=100.0, slew=0.7e6, current=10e-3, fade=20e-3)
     assert vars(display.limits) == pytest.approx(vars(limits))
 
 

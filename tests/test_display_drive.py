@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
-from tactile.display.display import Limits, load_response
+from tactile.display.display import DriveLimits, load_response
 from tactile.errors import InputError, NotFoundError
 from tactile.rendering.equalizer import design
 
@@ -179,9 +179,11 @@ def test_the_coupling_is_not_in_the_response_for_no_filter_of_the_equalizer_inve
 
 def test_limits_are_as_in_their_table(tmp_path: Path) -> None:
     text = "[limits]\nvoltage_v = 80.0\nslew_v_per_us = 0.25\ncurrent_ma = 2.5\nfade_ms = 35.0\n"
-    limits = Limits(voltage=80.0, slew=0.25e6, current=2.5e-3, fade=35e-3)
+    limits = DriveLimits(voltage=80.0, slew=0.25e6, current=2.5e-3, fade=35e-3)
     assert vars(load(tmp_path, text).limits) == pytest.approx(vars(limits))
-    assert load(tmp_path).limits == Limits(voltage=100.0, slew=0.7e6, current=math.inf, fade=20e-3)
+    assert load(tmp_path).limits == DriveLimits(
+        voltage=100.0, slew=0.7e6, current=math.inf, fade=20e-3
+    )
 
 
 # Measured responses

@@ -32,7 +32,7 @@ from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.errors import BusError
-from tactile.server.config import Config, DisplayConfig
+from tactile.server.config import DaemonConfig, DisplayConfig
 
 T = TypeVar("T")
 NAMES = st.sampled_from(list(DEVICES))
@@ -55,9 +55,9 @@ class Model(Judged):
 
     # The beginning
 
-    def config(self, *, arm_on_start: bool, rearm: bool) -> Config:
+    def config(self, *, arm_on_start: bool, rearm: bool) -> DaemonConfig:
         display = small_display(self.folder)
-        return Config(
+        return DaemonConfig(
             display=tuple(
                 DisplayConfig(
                     name=name, display=display, device=device, sample_rate_hz=RATE, worn=True,
@@ -320,7 +320,7 @@ class Model(Judged):
         self.connect(m.ALL_ROLES)
         app = self.apps[-1]
         for name in DEVICES:
-            self.ask(app, m.Disarm(display=name))
+            self.ask(app, m.DisarmDisplay(display=name))
         self.pass_time(0.8)  # in which the last e-stop that is under way comes
         for _ in range(200):
             self.pass_time(0.1)
@@ -331,9 +331,9 @@ class Model(Judged):
             assert playing.alive, "playback always comes back"
             number = playing.latch.holds
             self.expected[name].stop(number, self.now)
-            clear = m.Clear(display=name, estop=max(number, 1))
+            clear = m.ClearEstop(display=name, estop=max(number, 1))
             commands = [clear] if number else []
-            for command in [*commands, m.Arm(display=name), self.command("effect", name)]:
+            for command in [*commands, m.ArmDisplay(display=name), self.command("effect", name)]:
                 (answer,) = self.world.run(_all(self.ask(app, command)))
                 assert isinstance(answer, m.Done), answer
             before = tally.counts.get("sounding blocks", 0)

@@ -22,11 +22,11 @@ from tactile.texture.formats import load_effect, save_effect, synthesize
 from tactile.texture.formats.conversion import convert_file
 from tactile.texture.formats.document import (
     Band,
-    Channel,
     Effect,
+    EffectChannel,
     Keyframe,
+    KeyframeSegment,
     Perception,
-    Segment,
     single,
 )
 from tactile.texture.formats.synthesis import duration
@@ -415,7 +415,7 @@ def test_the_curve_below_72_hz_is_what_the_reference_encoder_took_from_the_wave(
 
 
 def test_a_chirp_has_the_phase_of_its_integral() -> None:
-    sweep = Segment(phase_rad=0.3, keyframes=(
+    sweep = KeyframeSegment(phase_rad=0.3, keyframes=(
         Keyframe(time_s=0.0, amplitude=0.2, frequency_hz=50.0),
         Keyframe(time_s=0.5, amplitude=1.0),
         Keyframe(time_s=1.0, amplitude=1.0, frequency_hz=250.0),
@@ -434,13 +434,13 @@ def test_a_chirp_has_the_phase_of_its_integral() -> None:
 )  # fmt: skip
 def test_a_base_signal_has_its_shape(shape: Any, quarters: tuple[float, ...]) -> None:
     keyframes = tuple(Keyframe(time_s=t, amplitude=1.0, frequency_hz=100.0) for t in (0.0, 0.1))
-    band = Band(kind="wave", segments=(Segment(base_signal=shape, keyframes=keyframes),))
+    band = Band(kind="wave", segments=(KeyframeSegment(base_signal=shape, keyframes=keyframes),))
     got = synthesize(single((band,)), 400)[:4, 0]
     assert got == pytest.approx(quarters, abs=1e-9)
 
 
 def test_a_transient_is_two_periods_in_22_ms_and_one_with_a_frequency_whole_periods_of_it() -> None:
-    taps = Segment(keyframes=(
+    taps = KeyframeSegment(keyframes=(
         Keyframe(time_s=0.0, amplitude=0.5),
         Keyframe(time_s=0.1, amplitude=1.0, frequency_hz=300.0),
     ))  # fmt: skip
@@ -453,10 +453,12 @@ def test_a_transient_is_two_periods_in_22_ms_and_one_with_a_frequency_whole_peri
 
 
 def test_channels_are_limited_to_one_then_scaled_and_references_played() -> None:
-    loud = Segment(id=3, keyframes=tuple(Keyframe(time_s=t, amplitude=1.0) for t in (0.0, 0.01)))
-    twice = Band(kind="curve", segments=(Segment(type="Reference", id=3), loud))
+    loud = KeyframeSegment(
+        id=3, keyframes=tuple(Keyframe(time_s=t, amplitude=1.0) for t in (0.0, 0.01))
+    )
+    twice = Band(kind="curve", segments=(KeyframeSegment(type="Reference", id=3), loud))
     effect = Effect(perceptions=(Perception(
-        library=(loud,), channels=(Channel(gain=0.5, bands=(twice,)), Channel(id=1)),
+        library=(loud,), channels=(EffectChannel(gain=0.5, bands=(twice,)), EffectChannel(id=1)),
     ),))  # fmt: skip
     got = synthesize(effect, 1000)
     assert got.shape == (10, 2)
@@ -464,13 +466,13 @@ def test_channels_are_limited_to_one_then_scaled_and_references_played() -> None
 
 
 def test_a_reference_that_leads_nowhere_is_an_error() -> None:
-    lost = Band(kind="wave", segments=(Segment(type="Reference", id=3),))
+    lost = Band(kind="wave", segments=(KeyframeSegment(type="Reference", id=3),))
     with pytest.raises(InputError, match="effect 3 is referred to, and not in the library"):
         synthesize(single((lost,)), 8000)
 
 
 def test_what_is_too_long_to_render_is_an_error_not_memory() -> None:
-    long = Segment(keyframes=(Keyframe(time_s=0.0), Keyframe(time_s=3600.0)))
+    long = KeyframeSegment(keyframes=(Keyframe(time_s=0.0), Keyframe(time_s=3600.0)))
     with pytest.raises(InputError, match="32000000 at most; a lower sample rate would do"):
         synthesize(single((Band(kind="wave", segments=(long,)),)), 48_000)
     with pytest.raises(InputError, match="sample rate 10 Hz: must be 100"):

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from tactile.clock import ModelClock
 from tactile.errors import BusError, InputError
 from tactile.estop import latch as module
-from tactile.estop.latch import CLEARED, Latch, Writer, file_name, inherit_estops
+from tactile.estop.latch import CLEARED, Latch, LatchWriter, file_name, inherit_estops
 
 DEVICE = "serial:///dev/ttyACM0?rearm=true"
-WRITERS = list(Writer)
+WRITERS = list(LatchWriter)
 SIZE = 8 * 8 + 3 * 256
 """Bytes of a file: eight words, and a time and a note for each of three writers. One of another
 size is damaged, and so an e-stop: a file of an earlier version would be one."""
@@ -78,13 +78,13 @@ def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
     views = {writer: Latch(f"fd:{os.dup(_fd(server))}", writer) for writer in WRITERS}
     number = cleared = 0
     for step in steps:
-        if isinstance(step, Writer):
+        if isinstance(step, LatchWriter):
             number += 1
             assert views[step].trip(step.name) == number
-            assert step.name in views[Writer.SERVER].reason
+            assert step.name in views[LatchWriter.SERVER].reason
         else:
             names = number if step == "clear latest" else max(number - 1, 0)
-            views[Writer.SERVER].clear(names)
+            views[LatchWriter.SERVER].clear(names)
             cleared = max(cleared, names)
         expected = number if number > cleared else 0
         assert {view.holds for view in views.values()} == {expected}
@@ -161,7 +161,7 @@ def test_who_closes_it_lets_the_next_daemon_in_though_a_child_still_has_the_file
 ) -> None:
     monkeypatch.setattr(module, "LOCK_WITHIN", -1.0)
     with opened(tmp_path) as server:
-        child = Latch(f"fd:{os.dup(_fd(server))}", Writer.PLAYBACK)
+        child = Latch(f"fd:{os.dup(_fd(server))}", LatchWriter.PLAYBACK)
     with closing(child), opened(tmp_path) as server:
         child.trip("by a child")
         assert server.holds == 1

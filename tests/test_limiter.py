@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile.display.display import Limits
+from tactile.display.display import DriveLimits
 from tactile.rendering.limiter import Limiter
 
 Floats = NDArray[np.float64]
@@ -426,7 +426,7 @@ def test_guarded_samples_are_those_that_went_only_a_step() -> None:
 def test_the_step_is_what_slew_rate_or_current_allow_in_a_sample(
     slew: float, current: float, capacitance: float, rate: float, step: float
 ) -> None:
-    limits = Limits(voltage=100.0, slew=slew, current=current)
+    limits = DriveLimits(voltage=100.0, slew=slew, current=current)
     assert limits.step(rate, capacitance) == pytest.approx(step, rel=1e-12)
 
 
@@ -434,11 +434,11 @@ def test_the_step_is_what_slew_rate_or_current_allow_in_a_sample(
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, -math.inf])
 def test_limits_that_are_none_are_refused_by_name(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
-        Limits(**({"voltage": 100.0} | {name: value}))
+        DriveLimits(**({"voltage": 100.0} | {name: value}))
 
 
 @pytest.mark.parametrize("name", ["voltage", "slew", "fade"])
 def test_only_the_current_may_be_unlimited(name: str) -> None:
     with pytest.raises(ValueError, match=name):
-        Limits(**({"voltage": 100.0} | {name: math.inf}))
-    assert Limits(voltage=100.0).current == math.inf
+        DriveLimits(**({"voltage": 100.0} | {name: math.inf}))
+    assert DriveLimits(voltage=100.0).current == math.inf

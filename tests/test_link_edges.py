@@ -12,10 +12,10 @@ from link_rig import LEVEL, RATE, SAMPLE, Bench, Linked, Panel, fade_in, overhea
 from firmware_protocol import messages as m
 from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
-from tactile.bus.base import Counters, DriveFrame, Wiring
+from tactile.bus.base import BusCounters, DriveFrame, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.link_bus import LinkBus
-from tactile.bus.link.session import Session
+from tactile.bus.link.session import LinkSession
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Unlimited
 from tactile.devices import open_bus
@@ -51,7 +51,7 @@ class Faulty(Wire):
 
 
 def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
-    session = Session(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters())
+    session = LinkSession(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters())
     first, second = session.estop(0.0), session.estop(0.0)
     assert first.type == second.type == m.Estop.TYPE
     assert first.node == second.node == 0
@@ -60,7 +60,7 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
 
 def test_an_amplifier_that_takes_55_ms_to_answer_a_hello_to_all_is_found_as_well() -> None:
     """Beside one that takes 10 ms; 5 ms later it begins with those that it has found."""
-    session = Session(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters())
+    session = LinkSession(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters())
     wire, slow, quick = Faulty(Unlimited()), 1, 2
     answers = {10: quick, 55: slow}
     session.connected(0.0)
@@ -89,8 +89,8 @@ class Noting(Faulty):
 def test_an_amplifier_that_another_host_holds_is_waited_for_and_no_other_that_refuses(
     code: m.NakCode, waits: bool
 ) -> None:
-    session = Session(
-        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters(), nodes=[1]
+    session = LinkSession(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters(), nodes=[1]
     )
     wire = Noting()
     session.connected(0.0)
@@ -110,8 +110,8 @@ def test_an_amplifier_that_another_host_holds_is_waited_for_and_no_other_that_re
 
 def test_an_estop_is_sent_though_an_amplifier_has_answered_no_hello() -> None:
     """Another thread may e-stop before that of the link has let go of the wire."""
-    session = Session(
-        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=Counters(), nodes=[1]
+    session = LinkSession(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters(), nodes=[1]
     )
     wire = Noting()
     session.connected(0.0)

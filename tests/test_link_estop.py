@@ -6,8 +6,8 @@ import pytest
 from link_rig import LEVEL, MOST, SAMPLE, Bench, Linked, Panel, overheard
 
 from firmware_protocol import messages as m
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.machine import Played
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import Fault, State
 from firmware_protocol.packet import Packet
 from tactile.errors import BusError
@@ -76,7 +76,7 @@ def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> No
     rig, waiting = saturated(link), [0]
     listener = rig.model.listener
 
-    def look(board: int, run: Played) -> None:
+    def look(board: int, run: PlayedRun) -> None:
         listener(board, run)
         units = rig.model.out.waiting(rig.clock.now())
         waiting.append(sum(len(unit) for unit in units) if link == "serial" else len(units))
@@ -172,14 +172,14 @@ def test_a_clear_that_no_amplifier_answers_leaves_all_stopped(
     rig = linked(link)
     rig.begin(0.1)
     rig.bus.estop()
-    receive = Amplifier.receive
+    receive = ReferenceAmplifier.receive
 
-    def receive_no_clear(self: Amplifier, packet: Packet, now: int) -> None:
+    def receive_no_clear(self: ReferenceAmplifier, packet: Packet, now: int) -> None:
         if packet.type != m.ClearFault.TYPE:
             receive(self, packet, now)
 
     with monkeypatch.context() as deaf:
-        deaf.setattr(Amplifier, "receive", receive_no_clear)
+        deaf.setattr(ReferenceAmplifier, "receive", receive_no_clear)
         with pytest.raises(BusError, match="clear: the link was lost meanwhile; it stays e-stop"):
             rig.bus.clear()
         rig.idle(0.5)

@@ -33,7 +33,7 @@ from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
 from tactile.bus.base import Wiring
 from tactile.bus.board import config_of
-from tactile.bus.link.session import Session
+from tactile.bus.link.session import LinkSession
 from tactile.bus.simulated import line_model, modeled_bus
 from tactile.bus.simulated.line_model import Faults
 from tactile.errors import BusError
@@ -438,16 +438,16 @@ def test_a_host_that_was_held_up_between_arm_and_start_arms_again(
 ) -> None:
     """The watchdog had made the amplifier SAFE meanwhile; `start` is still under way."""
     bus = linked("serial").bus
-    starting = Session._starting
+    starting = LinkSession._starting
     held: list[float] = []
 
-    def late(session: Session, now: float) -> None:
+    def late(session: LinkSession, now: float) -> None:
         if not held:
             held.append(now)
             bus.model.run_away(bus.model.clock.now() + 0.2)
         starting(session, bus.model.clock.now())
 
-    monkeypatch.setattr(Session, "_starting", late)
+    monkeypatch.setattr(LinkSession, "_starting", late)
     bus.start()
     assert held
     assert bus.model.amplifiers[0].state == State.RUNNING

@@ -21,7 +21,16 @@ from pythonosc.osc_packet import OscPacket
 from repeating import often
 
 from tactile.errors import InputError
-from tactile.messages import Arm, Clear, Contact, EStop, Failure, Gain, Select, Stop
+from tactile.messages import (
+    ArmDisplay,
+    ClearEstop,
+    Contact,
+    EStop,
+    Failure,
+    Select,
+    SetGain,
+    StopPlaying,
+)
 from tactile.server import osc
 from tactile.server.osc import read_estops, read_packet, to_command
 from tactile.server.server import Server
@@ -129,9 +138,9 @@ def test_bundles_nested_as_deep_as_a_packet_holds_are_read() -> None:
                 display="left", position_mm=(1, 2), normal_force_n=0, velocity_mm_s=(80.0, -3)
             ),
         ),
-        ("/tactile/gain", [0.25], Gain(display="right", gain=0.25)),
-        ("/tactile/stop", [], Stop(display="right")),
-        ("/tactile/stop", [1], Stop(display="right")),
+        ("/tactile/gain", [0.25], SetGain(display="right", gain=0.25)),
+        ("/tactile/stop", [], StopPlaying(display="right")),
+        ("/tactile/stop", [1], StopPlaying(display="right")),
         ("/tactile/left/estop", [], EStop(display="left")),
         ("/tactile/texture", [], Select(display="right", layers=())),
         ("/tactile/texture", [""], Select(display="right", layers=())),
@@ -198,7 +207,7 @@ async def test_what_is_sent_reaches_the_display_by_a_client_that_may_not_arm() -
         assert stopping.roles == {"stop"}
         assert "arm" not in hand.roles
         assert [c.display for c in hand.contacts] == ["right", "left"]
-        assert [type(c) for c in hand.commands] == [Gain]
+        assert [type(c) for c in hand.commands] == [SetGain]
         assert stopping.commands == [EStop(display="right")]
         assert figure(there, "tactile_clients", transport="osc") == 1
 
@@ -417,7 +426,7 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
 
     def heard(hands: Hands) -> int:
         said = [c for hand in hands.clients for c in hand.commands]
-        return sum(1 for c in said if isinstance(c, Gain) and c.gain == 0.125)
+        return sum(1 for c in said if isinstance(c, SetGain) and c.gain == 0.125)
 
     async with sending(messages_per_second=100_000) as (there, hands, link):
         for number in range(count):
@@ -432,5 +441,5 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
         assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
         assert not hands.armed
         found = {type(c) for hand in hands.clients for c in hand.commands}
-        assert not found & {Arm, Clear}
-        assert found >= {Gain, Stop, EStop}
+        assert not found & {ArmDisplay, ClearEstop}
+        assert found >= {SetGain, StopPlaying, EStop}

@@ -12,7 +12,7 @@ from parts_rig import FakeDisplay, FakeLimits, level
 
 from tactile.bus.base import Bus, DriveBlock, HostDeath
 from tactile.bus.chips import adapter, bos1921, drv2667
-from tactile.bus.chips.adapter import Target
+from tactile.bus.chips.adapter import ChipTarget
 from tactile.bus.chips.bos1921 import Bos1921Bus
 from tactile.bus.chips.chip import ChipCounters
 from tactile.bus.chips.drv2667 import Drv2667, Drv2667Bus
@@ -195,6 +195,10 @@ def test_a_refusal_of_a_full_fifo_is_none_that_the_driver_ever_meets() -> None:
     chip._pointer = 0
     assert chip.read(1)[0] & 1
     single = Drv2667(
-        Target(ModelBus(clock, {0x59: chip}, None), 0x59), clock, ChipCounters(), wide=50, step=1.0
+        ChipTarget(ModelBus(clock, {0x59: chip}, None), 0x59),
+        clock,
+        ChipCounters(),
+        wide=50,
+        step=1.0,
     )
     single.identify()

@@ -16,10 +16,10 @@ from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.clock import ModelClock
 from tactile.display.display import Display
-from tactile.estop.latch import Latch, Writer
+from tactile.estop.latch import Latch, LatchWriter
 from tactile.playback import commands
 from tactile.playback.commands import Answer, News, Order
-from tactile.playback.loop import Player
+from tactile.playback.loop import PlaybackLoop
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import Shared
 from tactile.playback.waves import Curve
@@ -38,7 +38,7 @@ class Stage:
     """A program whose loop a test turns, the server's end of all that both map, and the clock."""
 
     program: Program
-    player: Player
+    player: PlaybackLoop
     bus: MockBus
     memory: Shared
     latch: Latch
@@ -85,9 +85,9 @@ def stage(display: Display) -> Iterator[Stage]:
     clock = ModelClock()
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
     shared = Shared(memory.handle, len(display.contactors))
-    player = Player(display, bus, shared, worn=True, clock=clock)
+    player = PlaybackLoop(display, bus, shared, worn=True, clock=clock)
     said: list[Answer | News] = []
-    program = Program(player, Latch(latch.handle, Writer.PLAYBACK), said.append)
+    program = Program(player, Latch(latch.handle, LatchWriter.PLAYBACK), said.append)
     yield Stage(program, player, bus, memory, latch, said)
     bus.close()
     memory.close()
@@ -97,14 +97,14 @@ def stage(display: Display) -> Iterator[Stage]:
 def playing(stage: Stage) -> Stage:
     """Return a stage on which an effect sounds."""
     stage.play(WATCH)
-    assert not stage.order(commands.Arm()).failure
+    assert not stage.order(commands.StartBus()).failure
     stage.sound()
     assert stage.play(0.1).any()
     return stage
 
 
 def test_who_arms_what_is_armed_silences_nobody(playing: Stage) -> None:
-    assert not playing.order(commands.Arm()).failure
+    assert not playing.order(commands.StartBus()).failure
     assert playing.play(0.05).any()
 
 
@@ -121,15 +121,15 @@ def test_without_heartbeats_all_fades_and_is_disarmed(playing: Stage, display: D
 def test_what_was_faded_does_not_come_back_with_the_server(playing: Stage) -> None:
     playing.play(0.3, beats=False)
     assert not playing.play(0.3).any(), "nobody armed it"
-    assert not playing.order(commands.Arm()).failure
+    assert not playing.order(commands.StartBus()).failure
     assert not playing.play(0.3).any(), "the effect is gone"
 
 
 def test_a_silent_server_arms_nothing(stage: Stage) -> None:
     stage.play(0.3, beats=False)
-    assert "silent" in stage.order(commands.Arm()).failure
+    assert "silent" in stage.order(commands.StartBus()).failure
     stage.play(WATCH)
-    assert not stage.order(commands.Arm()).failure
+    assert not stage.order(commands.StartBus()).failure
 
 
 def test_time_in_which_playback_stood_still_is_not_the_servers_silence(playing: Stage) -> None:
@@ -140,15 +140,15 @@ def test_time_in_which_playback_stood_still_is_not_the_servers_silence(playing: 
     assert out[-period:].max() == pytest.approx(out[:period].max(), rel=1e-3), "nothing fades"
 
 
-@pytest.mark.parametrize("writer", list(Writer))
+@pytest.mark.parametrize("writer", list(LatchWriter))
 def test_whoever_trips_the_latch_the_output_falls_and_stays_at_0(
-    playing: Stage, writer: Writer
+    playing: Stage, writer: LatchWriter
 ) -> None:
     number = Latch(playing.latch.handle, writer).trip("by a test")
     after = playing.play(0.1)
     assert not after[round(0.01 * RATE) :].any()
     assert playing.bus.state == "estopped"
-    assert f"e-stop {number} holds" in playing.order(commands.Arm()).failure
+    assert f"e-stop {number} holds" in playing.order(commands.StartBus()).failure
     assert not playing.play(0.1).any()
 
 
@@ -156,11 +156,13 @@ def test_a_clear_must_name_the_e_stop_that_holds(playing: Stage) -> None:
     playing.latch.trip("first")
     playing.latch.trip("second")
     playing.play(0.05)
-    assert "e-stop 2 holds, not 1" in playing.order(commands.Clear(1)).failure
-    assert playing.order(commands.Clear(2)) == Answer(playing._number)
-    assert "e-stop 2 holds" in playing.order(commands.Arm()).failure, "the server has not said so"
+    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
+    assert playing.order(commands.ClearDevice(2)) == Answer(playing._number)
+    assert "e-stop 2 holds" in playing.order(commands.StartBus()).failure, (
+        "the server has not said so"
+    )
     playing.latch.clear(2)
-    assert not playing.order(commands.Arm()).failure
+    assert not playing.order(commands.StartBus()).failure
 
 
 def test_an_e_stop_while_another_is_cleared_holds(
@@ -175,7 +177,7 @@ def test_an_e_stop_while_another_is_cleared_holds(
         playing.latch.trip("second, while the amplifier was cleared")
 
     monkeypatch.setattr(playing.bus, "clear", interrupted)
-    assert "e-stop 2 holds, not 1" in playing.order(commands.Clear(1)).failure
+    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
     playing.play(0.05)
     assert playing.bus.state == "estopped"
     assert playing.latch.holds == 2
@@ -188,9 +190,9 @@ def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> 
     assert "by the amplifier" in playing.latch.reason
     playing.play(0.5)
     assert playing.latch.number == 1, "it is one e-stop, however long it lasts"
-    assert not playing.order(commands.Clear(1)).failure
+    assert not playing.order(commands.ClearDevice(1)).failure
     playing.latch.clear(1)
-    assert not playing.order(commands.Arm()).failure
+    assert not playing.order(commands.StartBus()).failure
 
 
 def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
@@ -200,17 +202,17 @@ def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
     playing.latch.trip("by a program")
     playing.play(0.05)
     playing.bus.estop()
-    assert "e-stop 2 holds, not 1" in playing.order(commands.Clear(1)).failure
+    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
     playing.play(0.05)
     assert playing.latch.number == 2
-    assert not playing.order(commands.Clear(2)).failure
+    assert not playing.order(commands.ClearDevice(2)).failure
 
 
 def test_a_new_playback_finds_the_latch_of_the_one_before(stage: Stage, display: Display) -> None:
     stage.latch.trip("while there was no playback")
     stage.play(0.05)
     assert stage.bus.state == "estopped"
-    assert "e-stop 1 holds" in stage.order(commands.Arm()).failure
+    assert "e-stop 1 holds" in stage.order(commands.StartBus()).failure
 
 
 def test_an_amplifier_that_is_still_e_stopped_is_no_new_e_stop(
@@ -220,7 +222,7 @@ def test_an_amplifier_that_is_still_e_stopped_is_no_new_e_stop(
     stage.latch.trip("before playback died")
     stage.bus.estop()
     stage.program = Program(
-        stage.player, Latch(stage.latch.handle, Writer.PLAYBACK), stage.said.append
+        stage.player, Latch(stage.latch.handle, LatchWriter.PLAYBACK), stage.said.append
     )
     stage.play(0.05)
     assert stage.latch.number == 1
@@ -233,7 +235,7 @@ def test_an_order_that_fails_is_answered_and_the_loop_goes_on(
         raise ZeroDivisionError("nobody expected that")
 
     monkeypatch.setattr(playing.player, "disarm", broken)
-    assert "nobody expected that" in playing.order(commands.Disarm()).failure
+    assert "nobody expected that" in playing.order(commands.StopBus()).failure
     assert "ZeroDivisionError" in capfd.readouterr().err
     assert playing.play(0.05).any()
 

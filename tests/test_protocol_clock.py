@@ -85,7 +85,7 @@ def test_an_asymmetry_is_half_of_it_as_error(asymmetry: float) -> None:
 def test_a_longer_way_back_is_half_of_it_as_error_under_jitter_too() -> None:
     """300 µs give -150 µs; the seeds' own error is 4 µs."""
     extra = 300e-6
-    link = bench.Link(bench.jittery, lambda rng, sent: bench.jittery(rng, sent) + extra)
+    link = bench.LinkDelays(bench.jittery, lambda rng, sent: bench.jittery(rng, sent) + extra)
     error = bench.settled(bench.trial(link, bench.ESTIMATORS["error"]))
     assert error.mean() == pytest.approx(-150, abs=5)
 

@@ -25,8 +25,8 @@ from slow_codec import (
 )
 
 from firmware_protocol import generate, samples
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.host import codes_of, pcm
 from firmware_protocol.messages import MESSAGES, Message, SampleFormat
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet, encode_packet
@@ -270,6 +270,8 @@ def test_generated_files_are_up_to_date(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_an_amplifier_whose_own_limits_break_the_promise_is_none() -> None:
     """100 V at 5000 V/s are 204 codes in an instant at 8 kHz, of which 160 do not reach 32767."""
-    Amplifier(Config(slew_limit_v_per_s=5006, rate_min_hz=8000, rate_max_hz=8000))
+    ReferenceAmplifier(AmplifierConfig(slew_limit_v_per_s=5006, rate_min_hz=8000, rate_max_hz=8000))
     with pytest.raises(ValueError, match="slew_limit_v_per_s 5005: does not reach 0 V"):
-        Amplifier(Config(slew_limit_v_per_s=5005, rate_min_hz=8000, rate_max_hz=8000))
+        ReferenceAmplifier(
+            AmplifierConfig(slew_limit_v_per_s=5005, rate_min_hz=8000, rate_max_hz=8000)
+        )

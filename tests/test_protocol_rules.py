@@ -8,7 +8,7 @@ from protocol_judge import STATE, STATES, TURN, Limits, distance, ramp_bound
 from protocol_story import NOBODY
 from protocol_traces import CONFIGS, PACKET, Record, Rig, packet, play
 
-from firmware_protocol.config import Config
+from firmware_protocol.config import AmplifierConfig
 
 NAMES = list(CONFIGS)
 OWNER = 0x1234
@@ -69,7 +69,7 @@ SILENT = [
 """Amplifier, rate, and what is lowered: slews the least that LIMITS takes, or a little above."""
 
 
-def lowered(config: Config, rate: int, limits: tuple[int, int, int]) -> Rig:
+def lowered(config: AmplifierConfig, rate: int, limits: tuple[int, int, int]) -> Rig:
     """Return a loud amplifier whose limits were lowered before it played."""
     rig = Rig(config)
     for name, fields in (("HELLO", (1, 0, 0)), ("ARM", (0, rate)), ("LIMITS", limits)):

@@ -34,9 +34,9 @@ from vectors_rig import (
 )
 
 from firmware_protocol import samples, spectrum
-from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder
-from firmware_protocol.config import Config
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
 from firmware_protocol.messages import MESSAGES
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet, encode_packet
@@ -264,7 +264,7 @@ def test_spectrum(vector: Vector) -> None:
         assert code[0, 0] == v["value"]
 
 
-def played(amplifier: Amplifier) -> Instants:
+def played(amplifier: ReferenceAmplifier) -> Instants:
     instants: Instants = {}
     for run in amplifier.take_played():
         for k, (tick, codes) in enumerate(zip(run.ticks, run.codes, strict=True)):
@@ -279,7 +279,7 @@ def played(amplifier: Amplifier) -> Instants:
 def test_behavior(vector: Vector) -> None:
     config = config_of(vector)
     config["fifo"] = config.pop("fifo_samples")
-    amplifier = Amplifier(Config(**config))
+    amplifier = ReferenceAmplifier(AmplifierConfig(**config))
     everything: list[Packet] = []
     for step in vector["steps"]:
         amplifier.run(step["tick"])

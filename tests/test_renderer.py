@@ -19,7 +19,7 @@ from strength_rig import few
 import tactile
 from tactile.actuator.amplifier import Amplifier
 from tactile.playback.runs import run as play
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import Stroke
 from tactile.sim import Fidelity
@@ -387,7 +387,7 @@ def test_fades_begin_and_end_at_nothing(display: tactile.Display) -> None:
     assert np.abs(last[gone + 64 :]).max() == 0
 
 
-class Counted(Layer):
+class Counted(RealizedLayer):
     """A layer that counts the samples that it is asked for."""
 
     samples = 0
@@ -404,7 +404,7 @@ def test_after_going_over_to_another_texture_that_one_alone_plays(
     first, second = (Counted(display, plain(name)) for name in ("wood-oak", "leather-calf"))
     changing, alone = tactile.Renderer(display, None), tactile.Renderer(display, None)
     place = np.column_stack([np.arange(6400) * 1e-5, np.zeros(6400)])
-    alone.play([(Layer(display, plain("leather-calf")), 0.5)])
+    alone.play([(RealizedLayer(display, plain("leather-calf")), 0.5)])
     _, wanted = run(alone, place, 0.5, 160)
     changing.play([(first, 1.0)])
     run(changing, place[:1600], 0.5, 160)

@@ -23,8 +23,8 @@ from daemon_rig import (
 from websockets.typing import Subprotocol
 
 from tactile.messages import (
-    Arm,
-    Disarm,
+    ArmDisplay,
+    DisarmDisplay,
     EStop,
     GetStats,
     Select,
@@ -209,8 +209,8 @@ async def test_what_makes_safe_is_carried_out_though_its_client_is_gone() -> Non
             await talker.send(type="estop")
         await until(lambda: there.site.clients == 0)
         done = [type(command) for _, command in hands.log]
-        assert done == [EStop, type(None), Disarm], "the client was closed before the disarm"
-        assert not {Select, Arm} & set(done)
+        assert done == [EStop, type(None), DisarmDisplay], "the client was closed before the disarm"
+        assert not {Select, ArmDisplay} & set(done)
 
 
 async def test_a_client_that_is_gone_is_closed_once_and_its_slow_request_with_it() -> None:

@@ -25,9 +25,9 @@ from daemon_rig import (
 from osc_faults import mutated as osc_mutated
 from repeating import often
 
-from tactile.messages import MSGPACK_PROTOCOL, Arm
+from tactile.messages import MSGPACK_PROTOCOL, ArmDisplay
 from tactile.server import osc
-from tactile.server.config import Config, OscConfig, ServerConfig
+from tactile.server.config import DaemonConfig, OscConfig, ServerConfig
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -89,7 +89,7 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
         async with talking(there, protocol) as talker:
             assert (await talker.ask(type="ping", time_us=1, id=5))["id"] == 5
         assert not hands.armed
-        assert all(not isinstance(c, Arm) for hand in hands.clients for c in hand.commands)
+        assert all(not isinstance(c, ArmDisplay) for hand in hands.clients for c in hand.commands)
         assert figure(there, "tactile_failures_total", code="internal") == 0
         assert figure(there, "tactile_failures_total", code="invalid_field") > count / 10
         assert figure(there, "tactile_failures_total", code="malformed") > count / 20
@@ -136,7 +136,7 @@ async def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
     monkeypatch.setattr(osc, "SILENCE", 0.2)
     monkeypatch.setattr(osc.log, "disabled", True)
     port = free_port()
-    config = Config(
+    config = DaemonConfig(
         server=ServerConfig(port=0, socket="", messages_per_second=100_000),
         osc=OscConfig(port=port),
     )

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, talking, until
 
-from tactile.messages import Arm, Command, Disarm, EStop, Select
+from tactile.messages import ArmDisplay, Command, DisarmDisplay, EStop, Select
 from tactile.server import requests
-from tactile.server.connection import Connection
+from tactile.server.connection import ServerConnection
 from tactile.server.metrics import Metrics
 from tactile.server.requests import Requests
 from tactile.server.server import Server
@@ -131,8 +131,8 @@ async def test_a_cancellation_that_is_lost_carries_out_no_more(in_the_same_turn:
     waiting = Requests(slow, Metrics(Hands()).of("test"), lambda answer: None)  # type: ignore[arg-type]
     commands: list[Command] = [
         Select(display="a", layers=()),
-        Arm(display="a"),
-        Disarm(display="a"),
+        ArmDisplay(display="a"),
+        DisarmDisplay(display="a"),
     ]
     for command in commands:
         waiting.offer(command)
@@ -143,8 +143,8 @@ async def test_a_cancellation_that_is_lost_carries_out_no_more(in_the_same_turn:
     await waiting.finish()
     await asyncio.wait({waiting._worker})
     kinds = [type(command) for command in slow.carried_out]
-    assert Arm not in kinds
-    assert kinds.count(Disarm) == kinds.count(EStop) == 1
+    assert ArmDisplay not in kinds
+    assert kinds.count(DisarmDisplay) == kinds.count(EStop) == 1
 
 
 async def test_a_part_of_a_connection_that_fails_ends_it_and_is_logged(
@@ -153,7 +153,7 @@ async def test_a_part_of_a_connection_that_fails_ends_it_and_is_logged(
     async def fail(*_: Any) -> Any:
         raise ZeroDivisionError("on purpose")
 
-    monkeypatch.setattr(Connection, "_receive", fail)
+    monkeypatch.setattr(ServerConnection, "_receive", fail)
     async with daemon() as (there, hands), talking(there) as talker:
         assert (await talker.closed())[0] == 1011
         await until(lambda: nobody_is_left(there, hands))

@@ -20,9 +20,9 @@ from tactile.errors import InputError
 from tactile.messages import JSON_PROTOCOL, Role
 from tactile.paths import API_SOCKET
 from tactile.server import connection, peers
-from tactile.server.config import Config, ServerConfig, TokenConfig
+from tactile.server.config import DaemonConfig, ServerConfig, TokenConfig
 from tactile.server.listening import listen_locally
-from tactile.server.peers import Peer, local_peer, roles_of_user, tcp_peer, user_in
+from tactile.server.peers import PeerCredentials, local_peer, roles_of_user, tcp_peer, user_in
 from tactile.server.server import running
 
 pytestmark = [
@@ -85,7 +85,7 @@ def test_the_kernel_knows_the_user_of_a_tcp_peer(address: str) -> None:
         with socket.create_connection(server.getsockname()[:2]) as peer:
             ours, _ = server.accept()
             with ours:
-                assert tcp_peer(ours) == Peer(os.geteuid())
+                assert tcp_peer(ours) == PeerCredentials(os.geteuid())
                 peer.close()
                 assert tcp_peer(ours) is None
 
@@ -93,20 +93,20 @@ def test_the_kernel_knows_the_user_of_a_tcp_peer(address: str) -> None:
 def test_the_kernel_knows_user_and_process_of_a_local_peer() -> None:
     ours, peer = socket.socketpair(socket.AF_UNIX)
     with ours, peer:
-        assert local_peer(ours) == Peer(os.geteuid(), os.getpid())
+        assert local_peer(ours) == PeerCredentials(os.geteuid(), os.getpid())
 
 
 def test_this_user_and_root_may_do_all_and_others_watch_and_stop() -> None:
-    assert roles_of_user(Peer(os.geteuid())) == ALL_ROLES
-    assert roles_of_user(Peer(0)) == ALL_ROLES
-    assert roles_of_user(Peer(os.geteuid() + 1)) == {"watch", "stop"}
+    assert roles_of_user(PeerCredentials(os.geteuid())) == ALL_ROLES
+    assert roles_of_user(PeerCredentials(0)) == ALL_ROLES
+    assert roles_of_user(PeerCredentials(os.geteuid() + 1)) == {"watch", "stop"}
     assert roles_of_user(None) == {"watch", "stop"}
 
 
 async def test_another_user_who_comes_by_tcp_may_watch_and_stop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(peers, "tcp_peer", lambda _: Peer(os.geteuid() + 1))
+    monkeypatch.setattr(peers, "tcp_peer", lambda _: PeerCredentials(os.geteuid() + 1))
     async with daemon() as (there, hands), talking(there, hello=False) as talker:
         welcome = await talker.ask(type="hello", client="other")
         assert welcome["roles"] == ["stop", "watch"]
@@ -212,14 +212,14 @@ async def test_a_second_daemon_goes_on_without_the_usual_socket_and_leaves_it_al
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    config = Config(server=ServerConfig(port=0))
+    config = DaemonConfig(server=ServerConfig(port=0))
     async with running(config, host=Hands()):
         assert "no Unix socket" not in caplog.text
         async with running(config, host=Hands()) as second, talking(second):
             assert "no Unix socket; TCP only" in caplog.text
         async with talking_locally(tmp_path / API_SOCKET) as talker:
             assert (await talker.ask(type="hello", client="a"))["type"] == "welcome"
-        named = Config(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
+        named = DaemonConfig(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
         with pytest.raises(InputError, match="a daemon listens there"):
             async with running(named, host=Hands()):
                 pass

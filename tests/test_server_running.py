@@ -32,7 +32,7 @@ from websockets.typing import Subprotocol
 from tactile.errors import InputError
 from tactile.messages import JSON_PROTOCOL
 from tactile.server import listening, sockets
-from tactile.server.config import Config, OscConfig, ServerConfig
+from tactile.server.config import DaemonConfig, OscConfig, ServerConfig
 from tactile.server.listening import Listener, listen
 from tactile.server.server import running
 
@@ -113,7 +113,9 @@ async def test_each_connection_has_no_delay_and_no_compression() -> None:
 async def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
     async with daemon() as (there, _):
         hands = Hands()
-        config = Config(server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0))
+        config = DaemonConfig(
+            server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0)
+        )
         with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
             async with running(config, host=hands):
                 pass
@@ -178,7 +180,7 @@ async def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -
 
     hands = Broken()
     port = free_port(socket.SOCK_STREAM)
-    config = Config(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
+    config = DaemonConfig(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
     with pytest.raises(InputError, match="no such device"):
         async with running(config, host=hands):
             pass

@@ -26,7 +26,7 @@ from stretch_rig import (
 
 from benchmarks.rendering import grating_texture
 from tactile.actuator.finger import FingerLoad
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import Ramp, Renderer
 from tactile.rendering.skin_stretch import (
     Bristles,
@@ -187,7 +187,8 @@ def test_no_way_of_a_finger_stretches_beyond_the_share(
 def test_layers_add_up_with_their_gains_and_fade_over_smoothly() -> None:
     """Going over to another takes the fade."""
     few, many = (
-        Layer(DISPLAY, rubbed(static_coefficient=mu, kinetic_coefficient=mu)) for mu in (0.2, 0.6)
+        RealizedLayer(DISPLAY, rubbed(static_coefficient=mu, kinetic_coefficient=mu))
+        for mu in (0.2, 0.6)
     )
     renderer = Renderer(DISPLAY, None)
     place, force = stroke(0.04, 1.0), np.full(8000, 0.5)
@@ -210,7 +211,7 @@ def test_layers_add_up_with_their_gains_and_fade_over_smoothly() -> None:
 
 
 def test_a_layer_with_friction_goes_to_another_process_as_it_is() -> None:
-    layer = Layer(DISPLAY, rubbed(stick_slip=0.3))
+    layer = RealizedLayer(DISPLAY, rubbed(stick_slip=0.3))
     sent = pickle.loads(pickle.dumps(layer))
     place, force = stroke(2e-3, 0.5), np.full(4000, 0.5)
     drives = []
@@ -227,4 +228,4 @@ def test_friction_is_added_to_what_the_texture_does_and_nothing_else_changes() -
     both = replace(grating, descriptor=changed(grating.descriptor, friction=friction))
     found = [shear_of(t, stroke(6e-3, 0.3)) for t in (both, grating, only)]
     np.testing.assert_allclose(found[0], found[1] + found[2], atol=2e-12)
-    assert Layer(DISPLAY, grating).friction is None
+    assert RealizedLayer(DISPLAY, grating).friction is None

@@ -14,8 +14,8 @@ from rich.segment import Segment
 
 from tactile.display.display import Display, load_display
 from tactile.show import live as terminal
-from tactile.show.live import Picture, nice, pitch, rasterize
-from tactile.show.trace import Trace, braille
+from tactile.show.live import LivePicture, nice, pitch, rasterize
+from tactile.show.trace import TraceBins, braille
 
 Floats = NDArray[np.float64]
 Pixels = dict[tuple[int, int], tuple[int, int, int]]
@@ -66,10 +66,10 @@ def shown(
     shear_um: Floats | None = None,
     drive: Floats | None = None,
     limited: int = 0,
-) -> Picture:
+) -> LivePicture:
     """Return a picture after one block in which nothing changes."""
     nothing = np.zeros(len(display.contactors))
-    picture = Picture(display, texture="wood-oak")
+    picture = LivePicture(display, texture="wood-oak")
     picture.update(
         12.5,
         (0.0432, -0.0101),
@@ -83,7 +83,7 @@ def shown(
 
 
 def drawn(
-    picture: Picture, *, width: int = 100, height: int = 25, color: bool = True
+    picture: LivePicture, *, width: int = 100, height: int = 25, color: bool = True
 ) -> list[list[Segment]]:
     """Return the lines as rich draws them."""
     console = Console(
@@ -159,12 +159,12 @@ def test_positive_is_red_negative_blue_and_zero_white() -> None:
     assert sorted(set(colors.values())) == sorted({low, high, (242, 242, 242)})
 
 
-def stroked(stretch_um: float, millimeters: int, *, force: float = 0.5) -> Picture:
+def stroked(stretch_um: float, millimeters: int, *, force: float = 0.5) -> LivePicture:
     """Return a picture after a stroke at 80 mm/s over waves of 4 mm, on a skin that is stretched.
 
     The waves are 1 µm high and run along x.
     """
-    picture, speed = Picture(SMALL, texture="waves"), 0.08
+    picture, speed = LivePicture(SMALL, texture="waves"), 0.08
     step = speed / 8000
     for k in range(round(millimeters * 1e-3 / (BLOCK * step))):
         way = step * np.arange(k * BLOCK, (k + 1) * BLOCK)[:, None]
@@ -275,7 +275,7 @@ def test_the_picture_fits(name: str, color: bool, size: tuple[int, int]) -> None
 
 def test_the_width_is_the_smaller_of_what_was_asked_for_and_the_terminals() -> None:
     for asked, width in ((70, 70), (200, 100)):
-        picture = Picture(SMALL, texture="wood-oak", width=asked)
+        picture = LivePicture(SMALL, texture="wood-oak", width=asked)
         assert max(len(line) for line in text(drawn(picture))) == width
 
 
@@ -284,7 +284,7 @@ def side(page: list[str]) -> list[str]:
     return [line.split("│")[-2] for line in page if line.count("│") == 4]
 
 
-def bars(picture: Picture, *, width: int = 100) -> list[list[str]]:
+def bars(picture: LivePicture, *, width: int = 100) -> list[list[str]]:
     """Return the bars of each row without color, from the top."""
     sides = side(text(drawn(picture, width=width, color=False)))
     return [line.split()[1:-2] for line in sides if line.rstrip().endswith(" V")]
@@ -388,7 +388,7 @@ def test_nice() -> None:
 
 
 def test_the_trace_keeps_one_second() -> None:
-    trace, rate = Trace(), 8000.0
+    trace, rate = TraceBins(), 8000.0
     for k in range(300):
         t = (np.arange(BLOCK) + k * BLOCK) / rate
         trace.add(np.sin(2 * np.pi * 2 * t) * np.exp(-t), float(t[-1]), 1 / rate)
@@ -402,7 +402,7 @@ def test_the_trace_keeps_one_second() -> None:
 
 
 def test_the_trace_begins_anew_where_time_steps_back() -> None:
-    trace = Trace()
+    trace = TraceBins()
     trace.add(np.full(800, 5.0), 7.0, 1 / 8000)
     trace.add(np.full(800, 1.0), 3.0, 1 / 8000)
     low, high = trace.envelope(250)
@@ -411,7 +411,7 @@ def test_the_trace_begins_anew_where_time_steps_back() -> None:
 
 
 def test_a_gap_in_the_trace_stays_empty() -> None:
-    trace = Trace()
+    trace = TraceBins()
     trace.add(np.full(800, 5.0), 7.0, 1 / 8000)
     trace.add(np.full(800, 5.0), 7.5, 1 / 8000)
     known = np.isfinite(trace.envelope(250)[0])
@@ -429,7 +429,7 @@ def test_braille() -> None:
 
 def test_the_trace_is_of_the_contactor_in_the_middle() -> None:
     for name in ("24", "64", "scattered"):
-        picture = Picture(DISPLAYS[name], texture="wood-oak")
+        picture = LivePicture(DISPLAYS[name], texture="wood-oak")
         places = DISPLAYS[name].contactors
         middle = (places.min(axis=0) + places.max(axis=0)) / 2
         assert np.linalg.norm(places[picture.contactor] - middle) < 6e-3

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tracking_rig import Floats, Run, speeds, stroke
 
 from benchmarks import tracking as bench
-from benchmarks.tracking import Client
+from benchmarks.tracking import SamplingClient
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.tracker import ContactTracker
 
@@ -221,7 +221,7 @@ def test_the_clock_map_remembers_no_more_than_its_window() -> None:
 
 def test_a_client_of_another_rate_is_a_client() -> None:
     """The bench's streams are what they say."""
-    lossy = bench.sampled(bench.line(0.1, 5.0), replace(Client(), loss=0.3), 0)
+    lossy = bench.sampled(bench.line(0.1, 5.0), replace(SamplingClient(), loss=0.3), 0)
     assert len(lossy.time) == pytest.approx(0.7 * 90 * (1.5 + 5), rel=0.1)  # s
     assert np.all(np.diff(lossy.arrival) >= 0)
     assert np.all(lossy.arrival >= lossy.time)

@@ -1,9 +1,9 @@
 """A daemon on a virtual clock: all of it is real but process boundaries and time.
 
-`Host`, `Playing`, `Client`, `Desk`, `Program`, `Player`, the latch's file, the shared memory and
-the amplifier are the real ones. Time passes only where the event loop has nothing to do, and then
-at once, as far as the next thing that any process does; a process is a set of calls on the clock,
-so that it can hang, or be killed, at any of them while the others go on.
+`Host`, `Playing`, `Client`, `Desk`, `Program`, `PlaybackLoop`, the latch's file, the shared memory
+and the amplifier are the real ones. Time passes only where the event loop has nothing to do, and
+then at once, as far as the next thing that any process does; a process is a set of calls on the
+clock, so that it can hang, or be killed, at any of them while the others go on.
 """
 
 import asyncio
@@ -36,8 +36,8 @@ from virtual_clock import (
 )
 from virtual_loop import Errors, LoopProcess
 
-from firmware_protocol.machine import Played
-from tactile.bus.base import RATE, Bus, Rig, Wiring
+from firmware_protocol.machine import PlayedRun
+from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.line_model import Model
@@ -45,16 +45,16 @@ from tactile.bus.simulated.mock_bus import MockBus, open_mock
 from tactile.bus.simulated.modeled_bus import ModeledBus, link_of, model_of, open_modeled
 from tactile.display.display import Display, load_display
 from tactile.errors import TactileError
-from tactile.estop.latch import Latch, Writer
+from tactile.estop.latch import Latch, LatchWriter
 from tactile.estop.process import Desk, EstopReady, EstopSetup
 from tactile.playback import commands
 from tactile.playback import process as playback_process
-from tactile.playback.commands import Opened, Setup
-from tactile.playback.loop import Player, Samples
+from tactile.playback.commands import DeviceOpened, Setup
+from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import Shared
 from tactile.server import drawing, host
-from tactile.server.config import Config
+from tactile.server.config import DaemonConfig
 from tactile.server.host import Host
 from tactile.server.server import running
 
@@ -77,7 +77,7 @@ class EstopProcess(Process):
         assert isinstance(order, EstopSetup)
         self._latches = {
             name: Latch(f"fd:{os.dup(int(self.handle(one).partition(':')[2]))}",
-                        Writer.ESTOP_PROCESS)
+                        LatchWriter.ESTOP_PROCESS)
             for name, one in order.latches.items()
         }  # fmt: skip
         self.desk = Desk(self._latches)
@@ -94,7 +94,7 @@ class DrawingProcess(Process):
     """The workbench; each texture is drawn once for all daemons."""
 
     def receive(self, order: Any) -> None:
-        assert isinstance(order, drawing.Request)
+        assert isinstance(order, drawing.DrawingRequest)
         try:
             keep = commands.Keep(order.number, Stored(order))  # type: ignore[arg-type]
             made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
@@ -110,7 +110,7 @@ DRAWN: dict[bytes, commands.Texture] = {}
 class Stored:
     """A texture that is unpickled as the one that was drawn before: it has 17 MB."""
 
-    def __init__(self, request: drawing.Request) -> None:
+    def __init__(self, request: drawing.DrawingRequest) -> None:
         self._key = pickle.dumps(replace(request, number=0))
         if self._key not in DRAWN:
             DRAWN[self._key] = drawing.make(request)
@@ -124,7 +124,7 @@ def _drawn(key: bytes) -> commands.Texture:
 
 
 class PlaybackProcess(Process):
-    """A playback process: real `Program`, `Player` and bus, in two threads."""
+    """A playback process: real `Program`, `PlaybackLoop` and bus, in two threads."""
 
     program: Program | None = None
     bus: MockBus | ModeledBus | ChipBus
@@ -154,7 +154,7 @@ class PlaybackProcess(Process):
         try:
             bus, how = playback_process.opened(setup)
         except TactileError as error:
-            self.answer(Opened(why_not=str(error)))
+            self.answer(DeviceOpened(why_not=str(error)))
             self.clock.sleep(PIPE)
             self.kill()
             return
@@ -167,9 +167,9 @@ class PlaybackProcess(Process):
         file = int(self.handle(setup.memory).partition(":")[2])
         self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
         file = int(self.handle(setup.latch).partition(":")[2])
-        self._latch = Latch(f"fd:{os.dup(file)}", Writer.PLAYBACK)
+        self._latch = Latch(f"fd:{os.dup(file)}", LatchWriter.PLAYBACK)
         clock = LinkTime(bus) if isinstance(bus, ModeledBus) else self.clock
-        player = Player(
+        player = PlaybackLoop(
             setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn, clock=clock
         )
         self.program = Program(player, self._latch, self.answer)
@@ -240,7 +240,7 @@ class World:
         self.models: dict[str, Model] = {}
         self.adapters: dict[str, ModelBus] = {}
         """I²C adapters with chips, by their paths."""
-        self.on_link: Callable[[Address, Model, int, Played], None] = lambda *_: None
+        self.on_link: Callable[[Address, Model, int, PlayedRun], None] = lambda *_: None
         """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
         self.server: LoopProcess | None = None
         self.host: Host | None = None
@@ -259,7 +259,7 @@ class World:
         assert self.server is not None
         return self.server.run(work)
 
-    def start(self, config: Config, *, listening: bool = False) -> bool:
+    def start(self, config: DaemonConfig, *, listening: bool = False) -> bool:
         """Start a server, which listens or does not; return whether it had what it needs."""
         server = self.server = LoopProcess(self.clock, self.errors)
 
@@ -293,7 +293,9 @@ class World:
         self.server.kill()
         self.killed.append(self.server)
         for playing in self.host.playing.values():
-            playing.latch._writer = Writer.PLAYBACK  # who is killed unlocks nothing: a child may
+            playing.latch._writer = (
+                LatchWriter.PLAYBACK
+            )  # who is killed unlocks nothing: a child may
             playing.latch.close()  # have the file still
             playing.memory.close()
             for one in (playing.latch, playing.memory):  # whose files' numbers others have soon
@@ -312,7 +314,7 @@ class World:
 
     # The amplifiers
 
-    def open_bus(self, address: Address, rig: Rig, sample_rate: float | None) -> Bus:
+    def open_bus(self, address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
         """Open amplifiers in memory; those on a link are the same ones each time."""
         if "link" not in address.options:
             return open_mock(address, rig, sample_rate, self.clock)
@@ -433,7 +435,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         if id(bus) in world.by_bus:
             put_out(world.by_bus[id(bus)], volts)
 
-    def write(samples: Samples, *words: Any) -> None:
+    def write(samples: SamplePlayback, *words: Any) -> None:
         interrupt(samples._bus)
         world.clock.sleep(RENDERING)
         real_write(samples, *words)
@@ -442,14 +444,14 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         if id(bus) in world.by_bus:
             world.by_bus[id(bus)].interrupt()
 
-    real_write = Samples.write
+    real_write = SamplePlayback.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, link=link_of)
         stand_ins = {
             **_stand_ins(world),
-            "tactile.playback.loop.Samples.write": write,
+            "tactile.playback.loop.SamplePlayback.write": write,
             "tactile.bus.simulated.mock_bus.MockBus._put": put,
         }
         for name, instead in stand_ins.items():

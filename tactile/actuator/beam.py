@@ -36,7 +36,7 @@ SERIES_ERROR = 1e-17
 
 
 @dataclass(frozen=True)
-class Section:
+class CrossSection:
     """What a cross-section resists and weighs; entries broadcast.
 
     Parameters
@@ -67,7 +67,7 @@ class Transition:
     sigma, tau, c : σ, τ and c0…c3, dimensionless
     """
 
-    section: Section
+    section: CrossSection
     length: NDArray[np.float64]
     inertia: NDArray[np.float64]
     turning: NDArray[np.float64]
@@ -171,7 +171,7 @@ def c_functions(total: Complex, product: Complex) -> Four:
 
 
 def transition(
-    section: Section,
+    section: CrossSection,
     length: NDArray[np.float64],
     omega: NDArray[np.float64],
     axial_force: NDArray[np.float64],

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.actuator.beam import Complex, Section, transition
+from tactile.actuator.beam import Complex, CrossSection, transition
 from tactile.actuator.materials import (
     CFRP,
     PIEZO_3203HD,
@@ -46,7 +46,7 @@ class Segment:
     capacitance : C_p with bending blocked [F]
     """
 
-    section: Section
+    section: CrossSection
     length: NDArray[np.float64]
     coupling: Complex
     capacitance: Complex
@@ -122,7 +122,7 @@ class Bimorph:
         return np.where(self.series, 0.5, 1.0)
 
 
-def section(bimorph: Bimorph) -> Section:
+def section(bimorph: Bimorph) -> CrossSection:
     """Return the cross-section's constants.
 
     EI = w/s11s h_s³/12 + w/s11E I2, AG = κ² w (h_s/s55s + 2 h_p/s55E), m = w (ρ_s h_s + 2 ρ_p h_p)
@@ -140,7 +140,7 @@ def section(bimorph: Bimorph) -> Section:
     if bimorph.layer_stiffening:
         k2 = p.coupling_squared
         EI = EI + w * hp**3 / 6 * piezo_loss / p.s11E * k2 / (1 - k2)
-    return Section(
+    return CrossSection(
         EI=EI,
         AG=SHEAR_FACTOR * w * (hs * shim_loss / s.s55 + 2 * hp * piezo_loss / p.s55E),
         m=w * (s.density * hs + 2 * p.density * hp),
@@ -230,7 +230,7 @@ def over_frequency(segment: Segment) -> Segment:
     """Return the segment with a last axis of one in each constant, to broadcast over frequency."""
     s = segment.section
     return Segment(
-        Section(
+        CrossSection(
             s.EI[..., None],
             s.AG[..., None],
             np.asarray(s.m)[..., None],

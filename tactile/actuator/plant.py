@@ -23,7 +23,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq, newton
 
 from tactile.actuator.amplifier import Amplifier
-from tactile.actuator.beam import Complex, Section, Transition, transition
+from tactile.actuator.beam import Complex, CrossSection, Transition, transition
 from tactile.actuator.bimorph import Bimorph, capacitance, coupling, section
 from tactile.actuator.finger import FingerLoad
 
@@ -58,13 +58,13 @@ class Modes:
     shape: Floats
 
 
-def _lossless(s: Section) -> Section:
-    return Section(
+def _lossless(s: CrossSection) -> CrossSection:
+    return CrossSection(
         np.asarray(s.EI.real, np.complex128), np.asarray(s.AG.real, np.complex128), s.m, s.rhoI
     )
 
 
-def _free_end(s: Section, length: Floats) -> Callable[[complex], Transition]:
+def _free_end(s: CrossSection, length: Floats) -> Callable[[complex], Transition]:
     """Return the transition as a function of ω², complex values allowed."""
     none = np.zeros(1)
     return lambda omega2: transition(s, length, np.sqrt(np.atleast_1d(omega2)), none)

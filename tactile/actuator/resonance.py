@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.actuator.beam import Section, transition
+from tactile.actuator.beam import CrossSection, transition
 from tactile.actuator.bimorph import Bimorph, section
 from tactile.actuator.materials import Real
 
@@ -57,7 +57,7 @@ def first_resonance(bimorph: Bimorph, *, axial_force: Real = 0.0) -> Floats:
     return np.asarray(found / (2 * np.pi))
 
 
-def _first_zero(s: Section, length: Floats, axial_force: Floats, bound: Floats) -> Floats:
+def _first_zero(s: CrossSection, length: Floats, axial_force: Floats, bound: Floats) -> Floats:
     """Return ω (...,) of the first change of sign of det ff, which is 1 at rest."""
 
     def is_beyond(omega: Floats) -> NDArray[np.bool_]:

@@ -47,7 +47,7 @@ UNTOUCHABLE = ("open", "short", "no voltage")
 
 
 @dataclass
-class Channel:
+class CheckedChannel:
     """One drive line and what was found of it; keys carry their units.
 
     ``contactor`` is the file's; ``moved`` the one that a person saw move, and ``along`` whether it
@@ -68,7 +68,7 @@ class Channel:
 
 
 @dataclass
-class Report:
+class CheckReport:
     """What came of it; keys carry their units."""
 
     display: str
@@ -77,7 +77,7 @@ class Report:
     capacitance_nf: float
     frequency_hz: float = FREQUENCY
     amplifiers: tuple[AmplifierFacts, ...] = ()
-    channels: list[Channel] = field(default_factory=list)
+    channels: list[CheckedChannel] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     written: str | None = None
@@ -96,7 +96,7 @@ def bring_up(
     ask: Ask | None = None,
     progress: Progress | None = None,
     accept_unsafe_hold: bool = False,
-) -> Report:
+) -> CheckReport:
     """Check a device and the display on it.
 
     Parameters
@@ -120,9 +120,9 @@ def bring_up(
         checked_target(source, write, force=force)
     display = cautious(load_display(source))
     drive = display.limits.voltage
-    report = Report(display.name, url, drive, display.capacitance * 1e9)
+    report = CheckReport(display.name, url, drive, display.capacitance * 1e9)
     order = np.argsort(display.channel)
-    report.channels = [Channel(int(display.channel[i]), int(i)) for i in order]
+    report.channels = [CheckedChannel(int(display.channel[i]), int(i)) for i in order]
     with (
         open_bus(url, display, accept_unsafe_hold=accept_unsafe_hold) as bus,
         guarded(bus, url),
@@ -139,7 +139,7 @@ def bring_up(
     return report
 
 
-def _greet(report: Report, bus: Bus, ask: Ask | None) -> None:
+def _greet(report: CheckReport, bus: Bus, ask: Ask | None) -> None:
     """Learn who is there, and let each show itself."""
     report.amplifiers = found = amplifiers(bus)
     if not found:
@@ -155,7 +155,7 @@ def _greet(report: Report, bus: Bus, ask: Ask | None) -> None:
 # Measuring
 
 
-def _measure_all(report: Report, bus: Bus, display: Display, progress: Progress) -> None:
+def _measure_all(report: CheckReport, bus: Bus, display: Display, progress: Progress) -> None:
     """Play a tone on each channel in turn, and judge what is measured meanwhile."""
     total = len(report.channels)
     with measuring(bus, INTERVAL) as nodes:
@@ -181,7 +181,7 @@ def _measure_all(report: Report, bus: Bus, display: Display, progress: Progress)
         progress(total, total)
 
 
-def _tell_what_is_not_measured(report: Report, nodes: set[int]) -> None:
+def _tell_what_is_not_measured(report: CheckReport, nodes: set[int]) -> None:
     why = "open, short and wrong lines are not noticed"
     silent = [one for one in report.amplifiers if one.node not in nodes]
     if not report.amplifiers:
@@ -191,7 +191,7 @@ def _tell_what_is_not_measured(report: Report, nodes: set[int]) -> None:
         report.notes.append(f"node {one.node} {how}: of its channels {why}")
 
 
-def _measure_one(one: Channel, bus: Bus, display: Display) -> str:
+def _measure_one(one: CheckedChannel, bus: Bus, display: Display) -> str:
     """Return why nothing is known of a line; empty where it is judged."""
     signal, rate = tone(display), bus.wiring.sample_rate
     fade = display.limits.fade
@@ -237,7 +237,7 @@ def _readings_of(
 # Asking
 
 
-def _ask_all(report: Report, bus: Bus, display: Display, ask: Ask) -> None:
+def _ask_all(report: CheckReport, bus: Bus, display: Display, ask: Ask) -> None:
     """Let a person tell what each channel moves, and which way."""
     for one in report.channels:
         if one.verdict in UNTOUCHABLE:
@@ -251,7 +251,7 @@ def _ask_all(report: Report, bus: Bus, display: Display, ask: Ask) -> None:
             return
 
 
-def _ask_one(one: Channel, bus: Bus, display: Display, ask: Ask) -> bool:
+def _ask_one(one: CheckedChannel, bus: Bus, display: Display, ask: Ask) -> bool:
     """Play pulses and ask; return whether to go on.
 
     The pulses have the file's polarity, so that by the file they shear along the direction.
@@ -285,13 +285,13 @@ def _yes(ask: Ask, question: str) -> bool:
     return told in ("", "y", "yes")
 
 
-def told_map(channels: Sequence[Channel], display: Display) -> tuple[Map, list[str]]:
+def told_map(channels: Sequence[CheckedChannel], display: Display) -> tuple[Map, list[str]]:
     """Return the map that a person told, and what is wrong with it.
 
     A channel that moves nothing, or was not asked for, keeps its contactor if no other moves it.
     """
     channel, polarity = display.channel.tolist(), display.polarity.tolist()
-    by: dict[int, Channel] = {}
+    by: dict[int, CheckedChannel] = {}
     wrong = []
     for one in channels:
         if one.moved is None:
@@ -310,7 +310,7 @@ def told_map(channels: Sequence[Channel], display: Display) -> tuple[Map, list[s
 
 
 def _conclude(
-    report: Report, display: Display, source: str | Path, write: Path | None, *, force: bool
+    report: CheckReport, display: Display, source: str | Path, write: Path | None, *, force: bool
 ) -> None:
     """Name the faults, and write the map where that is asked for."""
     report.faults += [
@@ -335,7 +335,7 @@ def _conclude(
         report.faults.append("the display file has another map than the display; see --write")
 
 
-def _explained(one: Channel, report: Report) -> str:
+def _explained(one: CheckedChannel, report: CheckReport) -> str:
     found = (
         "" if one.capacitance_nf is None
         else f"{one.capacitance_nf:.2f} nF where the display has {report.capacitance_nf:.2f} nF, "

@@ -71,7 +71,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Load:
+class LineLoad:
     """What hangs on a line.
 
     Attributes
@@ -155,7 +155,7 @@ def _sound_frames(bus: Bus, signal: Signal, channel: int) -> None:
     bus.stop()
 
 
-def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: float) -> Load:
+def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: float) -> LineLoad:
     """Return what hangs on a line, from pairs of voltage and current at known positions.
 
     With i = C dv/dt + v/R and v = Re V exp jωt it is I/V = 1/R + jωC. V and I are the least squares
@@ -179,12 +179,12 @@ def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: fl
     v, i = fit[1] - 1j * fit[2]
     size = np.abs([v, i])
     if not size.min() > 0:
-        return Load(float(size[0]), float(size[1]), 0j, math.inf)
+        return LineLoad(float(size[0]), float(size[1]), 0j, math.inf)
     error = math.sqrt(2 / len(pairs)) * float(np.hypot(*(scatter / size)))
-    return Load(float(size[0]), float(size[1]), complex(i / v), error)
+    return LineLoad(float(size[0]), float(size[1]), complex(i / v), error)
 
 
-def judge(load: Load, *, drive: float, capacitance: float) -> Verdict:
+def judge(load: LineLoad, *, drive: float, capacitance: float) -> Verdict:
     """Return what a load says of its line.
 
     Parameters

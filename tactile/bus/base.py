@@ -73,7 +73,7 @@ class DriveFrame:
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameCapability:
     """What a bus takes in place of blocks: ``carriers`` at most, at ``rate`` frames a second."""
 
     carriers: int
@@ -98,7 +98,7 @@ class RigAmplifier(Protocol):
     def ac_coupling(self) -> float: ...  # noqa: D102
 
 
-class Rig(Protocol):
+class DisplayLike(Protocol):
     """What a bus asks of the display it is opened for."""
 
     @property
@@ -131,7 +131,7 @@ class Wiring:
     fade: float
 
     @classmethod
-    def of(cls, rig: Rig, sample_rate: float) -> "Wiring":
+    def of(cls, rig: DisplayLike, sample_rate: float) -> "Wiring":
         """Return that of a display."""
         return cls(
             channels=rig.channels,
@@ -143,7 +143,7 @@ class Wiring:
 
 
 @dataclass
-class Counters:
+class BusCounters:
     """What a bus counts since it was opened; a frame is a block of one sample.
 
     Attributes
@@ -179,7 +179,7 @@ class Counters:
 
 
 @dataclass(frozen=True)
-class Status:
+class BusStatus:
     """How it stands.
 
     Attributes
@@ -203,7 +203,7 @@ class Bus(ABC):
     Attributes
     ----------
     wiring : the `Wiring` it was opened for
-    counters : the `Counters`
+    counters : the `BusCounters`
     frames : what it takes in place of blocks; None where it takes blocks
     on_host_death : what the amplifier does when the host goes silent
     paced : whether `write` waits until it is time; otherwise it takes what it gets
@@ -211,12 +211,12 @@ class Bus(ABC):
 
     on_host_death: ClassVar[HostDeath]
     paced: ClassVar[bool] = True
-    frames: Frames | None = None
+    frames: FrameCapability | None = None
 
     def __init__(self, wiring: Wiring, clock: Clock = MONOTONIC) -> None:
         self.wiring = wiring
         self._clock = clock
-        self.counters = Counters()
+        self.counters = BusCounters()
         self._next = 0
         self._anchor = 0, 0.0
         self._states = States()
@@ -235,10 +235,10 @@ class Bus(ABC):
         return self._states.estops
 
     @property
-    def status(self) -> Status:
+    def status(self) -> BusStatus:
         """How it stands now."""
         state = self.state
-        return Status(state, playing=state == "running")
+        return BusStatus(state, playing=state == "running")
 
     def start(self, position: int = 0) -> None:
         """Begin playing with the sample at ``position``.

@@ -9,10 +9,10 @@ stage: bridges, fades, limits.
 import numpy as np
 
 from firmware_protocol import messages as m
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config, LimitsInForce
-from firmware_protocol.host import Host, codes_of, pcm, refusal
-from firmware_protocol.machine import Played
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig, LimitsInForce
+from firmware_protocol.host import AmplifierHost, codes_of, pcm, refusal
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, SampleFormat, State
 from firmware_protocol.packet import TURN, Packet, encode_packet
 from firmware_protocol.ports import SerialPort
@@ -43,9 +43,9 @@ class Board:
     sample_format : of its samples
     """
 
-    def __init__(self, config: Config, sample_format: SampleFormat) -> None:
-        self.amplifier = Amplifier(config)
-        self.host = Host(SESSION, config.node)
+    def __init__(self, config: AmplifierConfig, sample_format: SampleFormat) -> None:
+        self.amplifier = ReferenceAmplifier(config)
+        self.host = AmplifierHost(SESSION, config.node)
         self._port, self._decoder = SerialPort(self.amplifier), SerialDecoder()
         self._format = sample_format
         self._now = self._heartbeat = self._offset = self._sent = 0
@@ -101,7 +101,7 @@ class Board:
         self.request(m.Stop(SESSION, quick))
         config = self.amplifier.config
         fade = config.fade_limit_us * config.rate_max_hz // 1_000_000 + 1
-        runs: list[Played] = []
+        runs: list[PlayedRun] = []
         while not runs or not _rests(runs[-1]):
             runs += self._run(fade)
         ended = [_rests(run) for run in runs].index(True)
@@ -125,19 +125,19 @@ class Board:
         """Take high voltage away."""
         self.request(m.Disarm(SESSION))
 
-    def _run(self, count: int) -> list[Played]:
+    def _run(self, count: int) -> list[PlayedRun]:
         self._now = self.amplifier.due(count)
         self.amplifier.run(self._now)
         for answer in self._decoder.feed(self._port.take()):
             self.host.receive(answer)
         return self.amplifier.take_played()
 
-    def _volts(self, runs: list[Played]) -> Floats:
+    def _volts(self, runs: list[PlayedRun]) -> Floats:
         codes = np.concatenate([run.codes for run in runs])
         return codes * (self.amplifier.config.full_scale_uv * 1e-6 / FULL_SCALE_CODE)
 
 
-def _rests(run: Played) -> bool:
+def _rests(run: PlayedRun) -> bool:
     """Tell whether a run of instants ended the ramp, or came after it."""
     return run.state not in (State.RUNNING, State.RAMPDOWN) and not run.codes[-1].any()
 
@@ -149,7 +149,7 @@ def config_of(
     *,
     rates: tuple[int, int] | None = None,
     fifo_ms: float = 64.0,
-) -> Config:
+) -> AmplifierConfig:
     """Return the amplifier that drives some channels of a display, its limits the display's.
 
     It plays the display's sample rate, or ``rates`` from the one to the other [Hz], and keeps
@@ -166,7 +166,7 @@ def config_of(
         raise InputError(f"sample_rate {wiring.sample_rate:g} Hz: the protocol tells whole Hz")
     lowest, highest = rates or (rate, rate)
     voltage = int(wiring.voltage * 1e6)
-    config = Config(
+    config = AmplifierConfig(
         channels=channels, node=node, rate_min_hz=lowest, rate_max_hz=highest,
         tick_hz=max(1_000_000, 10 * highest),
         fifo=max(2 * CHUNK, int(highest * fifo_ms) // 1000 + 1),

@@ -28,11 +28,11 @@ from tactile.errors import InputError
 __all__ = [
     "Ability",
     "BudgetError",
+    "BudgetRow",
     "Can",
     "I2c",
     "Link",
     "Plan",
-    "Row",
     "Uart",
     "Unlimited",
     "Usb",
@@ -285,7 +285,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Row:
+class BudgetRow:
     """Whether a coding fits.
 
     Attributes
@@ -317,7 +317,7 @@ class BudgetError(InputError):
     rows : what was tried, and all else that there is
     """
 
-    def __init__(self, message: str, rows: list[Row]) -> None:
+    def __init__(self, message: str, rows: list[BudgetRow]) -> None:
         super().__init__(message)
         self.rows = rows
 
@@ -351,10 +351,10 @@ class _Case:
                 break
         return samples, taken
 
-    def row(self, coding: Coding) -> Row:
+    def row(self, coding: Coding) -> BudgetRow:
         """Return what there is to say about a coding."""
         taken, most = self.packet(coding)[1], _most(self.link, self.ability, coding)
-        return Row(coding.name, coding.sample_rate, taken, most, self.why_not(coding))
+        return BudgetRow(coding.name, coding.sample_rate, taken, most, self.why_not(coding))
 
     def why_not(self, coding: Coding) -> str:
         """Return why a coding cannot be, "" where it can; the coding is the subject."""
@@ -402,7 +402,7 @@ class _Case:
 
 def table(
     link: Link, channels: int, ability: Ability | None = None, *, band: float = 1000.0
-) -> list[Row]:
+) -> list[BudgetRow]:
     """Return whether each coding fits, in the order in which `plan` tries them.
 
     Parameters

@@ -22,7 +22,7 @@ from typing import Any
 
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.packet import Packet, encode_packet
-from tactile.bus.base import Rig
+from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import flag, number, wholes
@@ -54,7 +54,7 @@ INTERFACES = "/sys/class/net"
 """Of the kernel, a directory each."""
 
 
-class Channel(ABC):
+class CanChannel(ABC):
     """CAN frames both ways; the driver below a `CanWire`. Its errors are OSErrors.
 
     Attributes
@@ -95,7 +95,7 @@ class CanWire(Wire):
     clock : host time
     """
 
-    def __init__(self, channel: Channel, link: Can, clock: Clock) -> None:
+    def __init__(self, channel: CanChannel, link: Can, clock: Clock) -> None:
         super().__init__(link)
         self._channel, self._clock = channel, clock
         self._encoder = CanEncoder(
@@ -162,7 +162,7 @@ class CanWire(Wire):
         self._channel.close()
 
 
-class PythonCan(Channel):
+class PythonCan(CanChannel):
     """A bus of python-can.
 
     Parameters
@@ -413,7 +413,7 @@ def find() -> Iterator[Found]:
                     yield Found(f"can:socketcan/{name}", "CAN interface")
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
     link = link_of(address)
     return open_link(

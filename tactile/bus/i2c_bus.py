@@ -25,7 +25,7 @@ from firmware_protocol.i2c_link import (
 )
 from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX, Flag, Poll, Pulse, Time
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
-from tactile.bus.base import Rig
+from tactile.bus.base import DisplayLike
 from tactile.bus.budget import PULSE_INTERVAL
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LINK_OPTIONS, open_link
@@ -73,7 +73,7 @@ class Adapter(ABC):
         """Let go of it."""
 
 
-class Target:
+class I2cEnd:
     """The host's end of what goes to one address, raw or in SMBus blocks."""
 
     def __init__(self, adapter: Adapter, address: int, *, smbus: bool) -> None:
@@ -116,8 +116,8 @@ class I2cWire(Wire):
     def __init__(self, adapter: Adapter, addresses: Sequence[int], link: I2c, clock: Clock) -> None:
         super().__init__(link)
         self._adapter, self._clock, self._smbus = adapter, clock, link.smbus
-        self._targets = [Target(adapter, a, smbus=link.smbus) for a in addresses]
-        self._nodes: dict[int, Target] = {}
+        self._targets = [I2cEnd(adapter, a, smbus=link.smbus) for a in addresses]
+        self._nodes: dict[int, I2cEnd] = {}
         timeout = FRAGMENT_TIMEOUT_MS * TICK_HZ // 1000
         self._assemble = [Reassembler(PACKET_MAX, self.counters, timeout) for _ in addresses]
         self._good = clock.now()
@@ -170,7 +170,7 @@ class I2cWire(Wire):
         self._clock.wait(self._woken, seconds)
         self._woken.clear()
 
-    def _read(self, index: int, target: Target) -> Iterator[Packet]:
+    def _read(self, index: int, target: I2cEnd) -> Iterator[Packet]:
         """Yield the packets that a target has."""
         for _ in range(MOST_READS * (1 + 8 * self._smbus)):
             data = self._try(target.read)
@@ -265,7 +265,7 @@ def connect(address: Address, addresses: Sequence[int], link: I2c, clock: Clock)
         raise WireError(f"i2c: {path}: {_reason(error)}") from error
     try:
         for one in addresses:
-            Target(adapter, one, smbus=link.smbus).read()
+            I2cEnd(adapter, one, smbus=link.smbus).read()
     except OSError as error:
         adapter.close()
         raise WireError(
@@ -289,7 +289,7 @@ def find() -> Iterator[Found]:
         yield Found(f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}")
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("address", "clock", "smbus", *LINK_OPTIONS, path=True)
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")

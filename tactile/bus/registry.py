@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlsplit
 
-from tactile.bus.base import Bus, HostDeath, Rig
+from tactile.bus.base import Bus, DisplayLike, HostDeath
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError, InputError
 from tactile.files import nearest
@@ -45,7 +45,7 @@ class Address:
                 )
 
 
-Factory = Callable[[Address, Rig, float | None], Bus]
+Factory = Callable[[Address, DisplayLike, float | None], Bus]
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,11 @@ def link_at(url: str) -> Link:
 
 
 def open_bus(
-    url: str, rig: Rig, *, sample_rate: float | None = None, accept_unsafe_hold: bool = False
+    url: str,
+    rig: DisplayLike,
+    *,
+    sample_rate: float | None = None,
+    accept_unsafe_hold: bool = False,
 ) -> Bus:
     """Open the device at a URL for a display.
 

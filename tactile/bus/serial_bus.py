@@ -18,7 +18,7 @@ from typing import Any
 
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import DELIMITER, SerialDecoder, encode_frame
-from tactile.bus.base import Rig
+from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LINK_OPTIONS, open_link
 from tactile.bus.options import number
@@ -34,7 +34,7 @@ NO_RATE = 115200
 """baud that is set where the line has none."""
 
 
-class Line(ABC):
+class SerialLine(ABC):
     """Bytes both ways; the driver below a `SerialWire`. Its errors are OSErrors."""
 
     @abstractmethod
@@ -76,7 +76,7 @@ class SerialWire(Wire):
     clock : host time
     """
 
-    def __init__(self, line: Line, link: Link, clock: Clock) -> None:
+    def __init__(self, line: SerialLine, link: Link, clock: Clock) -> None:
         super().__init__(link)
         self._line, self._clock = line, clock
         self._decoder = SerialDecoder(counters=self.counters)
@@ -149,7 +149,7 @@ class SerialWire(Wire):
         self._line.close()
 
 
-class PosixLine(Line):
+class PosixLine(SerialLine):
     """A tty by its file descriptor."""
 
     def __init__(self, port: Any) -> None:
@@ -212,7 +212,7 @@ class PosixLine(Line):
         os.close(waker)
 
 
-class PortLine(Line):
+class PortLine(SerialLine):
     """A port of pyserial that has no file descriptor: RFC 2217, or another system's."""
 
     STEP = 2e-3
@@ -289,7 +289,9 @@ def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
         raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
     with suppress(Exception):
         port.set_low_latency_mode(True)
-    line: Line = PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
+    line: SerialLine = (
+        PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
+    )
     try:
         return SerialWire(line, link, clock)
     except OSError as error:
@@ -334,7 +336,7 @@ def find() -> Iterator[Found]:
         yield Found(f"serial://{port.device}", about)
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("baud", *LINK_OPTIONS, path=True)
     link = link_of(address)
     return open_link(address, rig, sample_rate, link, lambda: connect(address, link, MONOTONIC))

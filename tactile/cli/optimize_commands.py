@@ -16,7 +16,7 @@ import tactile
 from tactile.cli.app import AsJson, app
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.study.asking import Start, start_from
+from tactile.study.asking import StudyBase, start_from
 from tactile.study.criteria import CRITERIA, Conditions
 from tactile.study.parameters import NAMED
 
@@ -87,7 +87,7 @@ def optimize_design(
     from tactile.study.optimizing import Task
     from tactile.study.scenarios import draw_scenarios
 
-    start = Start() if display is None else start_from(tactile.load_display(display))
+    start = StudyBase() if display is None else start_from(tactile.load_display(display))
     if scenarios is not None and robust is None:
         raise InputError("--scenarios: belongs to --robust, as --robust 0.9 --scenarios 64")
     fixed = {name: _number_or_name(name, text) for name, text in _pairs(fix or [])}

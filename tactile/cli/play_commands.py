@@ -132,9 +132,9 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
     from rich.live import Live
 
     from tactile.playback.offline import PlayedBlock
-    from tactile.show.live import Picture
+    from tactile.show.live import LivePicture
 
-    picture = Picture(display, texture=texture, sample_rate=sample_rate)
+    picture = LivePicture(display, texture=texture, sample_rate=sample_rate)
 
     def watch(block: PlayedBlock, renderer: "tactile.Renderer") -> None:
         picture.update(

@@ -1,15 +1,15 @@
 """The SDK: connect a program, such as a VR application, to the daemon that drives the displays.
 
-`connect` gives a `Display`; `open_connection` a `Connection` to all displays of a daemon, as for
-two hands. `tactile.client.aio` has the same for asyncio. SI everywhere: m, m/s, N, s, Hz, and times
-of `time.monotonic` (on Linux, that is OpenXR's XrTime in seconds).
+`connect` gives a `RemoteDisplay`; `open_connection` a `Connection` to all displays of a daemon, as
+for two hands. `tactile.client.aio` has the same for asyncio. SI everywhere: m, m/s, N, s, Hz, and
+times of `time.monotonic` (on Linux, that is OpenXR's XrTime in seconds).
 """
 
 from tactile.client import aio as aio
 from tactile.client.base import BaseConnection as BaseConnection
 from tactile.client.base import BaseDisplay as BaseDisplay
 from tactile.client.sync import Connection as Connection
-from tactile.client.sync import Display as Display
+from tactile.client.sync import RemoteDisplay as RemoteDisplay
 from tactile.client.sync import TelemetryStream as TelemetryStream
 from tactile.client.sync import connect as connect
 from tactile.client.sync import open_connection as open_connection

@@ -38,13 +38,13 @@ from tactile.client.events import LONGEST, Callback
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
 from tactile.errors import ClientError, ClientTimeoutError
-from tactile.messages import Done, Reply, Request, TextureInfo
+from tactile.messages import Done, Reply, Request, TextureInfo, kind_of
 
 logger = logging.getLogger("tactile.client")
 
 T = TypeVar("T")
 R = TypeVar("R", bound=Reply)
-C = TypeVar("C", bound="Connection | Display")
+C = TypeVar("C", bound="AsyncConnection | AsyncDisplay")
 
 
 async def _wait(future: "Future[T]", timeout: float, what: str) -> T:
@@ -87,16 +87,16 @@ def open_connection(
     reconnect: bool = True,
     rearm: bool = False,
     encoding: Encoding = "msgpack",
-) -> "Opening[Connection]":
+) -> "Opening[AsyncConnection]":
     """Connect to a daemon and all its displays, as `tactile.client.sync.open_connection`."""
 
-    async def opened() -> Connection:
+    async def opened() -> AsyncConnection:
         from tactile.client.websocket import TaskTransport
 
         transport = TaskTransport(
             endpoint(url), timeout=timeout, reconnect=reconnect, encoding=encoding
         )
-        connection = Connection(
+        connection = AsyncConnection(
             transport, client_name=client_name, token=secret(token), timeout=timeout, rearm=rearm
         )
         return await connection.open()
@@ -114,10 +114,10 @@ def connect(
     reconnect: bool = True,
     rearm: bool = False,
     encoding: Encoding = "msgpack",
-) -> "Opening[Display]":
+) -> "Opening[AsyncDisplay]":
     """Connect to one display of a daemon, as `tactile.client.sync.connect`."""
 
-    async def opened() -> Display:
+    async def opened() -> AsyncDisplay:
         connection = await open_connection(
             url,
             token=token,
@@ -128,7 +128,7 @@ def connect(
             encoding=encoding,
         )
         try:
-            return Display(connection, connection._name(display), owns=True)
+            return AsyncDisplay(connection, connection._name(display), owns=True)
         except BaseException:
             await connection.close()
             raise
@@ -136,7 +136,7 @@ def connect(
     return Opening(opened)
 
 
-class Connection(BaseConnection):
+class AsyncConnection(BaseConnection):
     """A conversation with one daemon, as `tactile.client.sync.Connection`; `open` it first.
 
     Parameters
@@ -147,7 +147,7 @@ class Connection(BaseConnection):
 
     def __init__(self, transport: Transport, **options: Any) -> None:
         super().__init__(transport, **options)
-        self._handed_out: dict[str, Display] = {}
+        self._handed_out: dict[str, AsyncDisplay] = {}
         self._callbacks: tuple[Callback, ...] = ()
         self._tasks: set[asyncio.Future[Any]] = set()
 
@@ -171,7 +171,7 @@ class Connection(BaseConnection):
             raise
         return self
 
-    def display(self, name: str | None = None) -> "Display":
+    def display(self, name: str | None = None) -> "AsyncDisplay":
         """Return a display: the only one, or the named one.
 
         Raises
@@ -180,7 +180,7 @@ class Connection(BaseConnection):
             Where there are several and none is named, or none of that name (`NotFoundError`).
         """
         name = self._name(name)
-        return self._handed_out.setdefault(name, Display(self, name))
+        return self._handed_out.setdefault(name, AsyncDisplay(self, name))
 
     async def textures(self, *, timeout: float | None = None) -> tuple[TextureInfo, ...]:
         """Return the textures that may be selected."""
@@ -218,7 +218,7 @@ class Connection(BaseConnection):
     async def _stop(self, names: Iterable[str]) -> None:
         """Ask to fade out, and wait for at most half of the timeout."""
         with suppress(ClientError):
-            stops = [self._session.ask(messages.Stop(display=name)) for name in names]
+            stops = [self._session.ask(messages.StopPlaying(display=name)) for name in names]
             waits = [_wait(stop, self.timeout / 2, "stop") for stop in stops]
             await asyncio.gather(*waits, return_exceptions=True)
 
@@ -233,7 +233,7 @@ class Connection(BaseConnection):
 
     async def _ask(self, request: Request, kind: type[R], timeout: float | None) -> R:
         future, limit = self._begin(request, timeout)
-        return as_kind(await _wait(future, limit, type(request).__name__.lower()), kind)
+        return as_kind(await _wait(future, limit, kind_of(request)), kind)
 
     async def __aenter__(self) -> Self:
         return self
@@ -256,18 +256,18 @@ async def _called(callback: Callback, event: wire.Event) -> None:
         logger.exception("callback for %s", event)
 
 
-class Display(BaseDisplay):
-    """One display of a connection, with one finger on it, as `tactile.client.sync.Display`."""
+class AsyncDisplay(BaseDisplay):
+    """One display of a connection, with one finger on it: `RemoteDisplay` for asyncio."""
 
-    _connection: Connection
+    _connection: AsyncConnection
 
-    def __init__(self, connection: Connection, name: str, *, owns: bool = False) -> None:
+    def __init__(self, connection: AsyncConnection, name: str, *, owns: bool = False) -> None:
         super().__init__(name, owns)
         self._connection = connection
         connection._handed_out.setdefault(name, self)
 
     @property
-    def connection(self) -> Connection:
+    def connection(self) -> AsyncConnection:
         """The connection that it is of."""
         return self._connection
 
@@ -294,12 +294,12 @@ class Display(BaseDisplay):
     async def gain(self, gain: float, *, timeout: float | None = None) -> None:
         """Scale all that is this program's: 0 … 1."""
         number = wire.to_number(gain, "gain")
-        await self._ask(messages.Gain(display=self.name, gain=number), timeout)
+        await self._ask(messages.SetGain(display=self.name, gain=number), timeout)
 
     async def stop(self, *, timeout: float | None = None) -> None:
         """Fade out: textures until `resume`, waveforms for good."""
         self._end_playback()
-        await self._ask(messages.Stop(display=self.name), timeout)
+        await self._ask(messages.StopPlaying(display=self.name), timeout)
 
     async def resume(self, *, timeout: float | None = None) -> None:
         """Let the textures sound again after `stop`."""
@@ -307,25 +307,25 @@ class Display(BaseDisplay):
 
     async def arm(self, *, timeout: float | None = None) -> None:
         """Switch high voltage on. A person is to know of it."""
-        await self._ask(messages.Arm(display=self.name), timeout)
+        await self._ask(messages.ArmDisplay(display=self.name), timeout)
 
     async def disarm(self, *, timeout: float | None = None) -> None:
         """Fade out and switch high voltage off."""
         self._end_playback()
-        await self._ask(messages.Disarm(display=self.name), timeout)
+        await self._ask(messages.DisarmDisplay(display=self.name), timeout)
 
     async def estop(self, *, timeout: float | None = None) -> int:
-        """Set this display to 0 V at once, as `tactile.client.sync.Display.estop`."""
+        """Set this display to 0 V at once, as `tactile.client.sync.RemoteDisplay.estop`."""
         self._end_playback()
         request = messages.EStop(display=self.name)
         return (await self._connection._ask(request, Done, timeout)).estops.get(self.name, 0)
 
     async def clear(self, *, estop: int | None = None, timeout: float | None = None) -> None:
-        """End an e-stop, where a person has decided so, as `tactile.client.sync.Display.clear`."""
+        """End an e-stop that a person has decided to end, as `RemoteDisplay.clear` does."""
         if estop is None:
             estop = self.estopped or (await self.stats(timeout=timeout)).estop or None
         if estop is not None:
-            await self._ask(messages.Clear(display=self.name, estop=estop), timeout)
+            await self._ask(messages.ClearEstop(display=self.name, estop=estop), timeout)
 
     async def append(
         self,
@@ -340,7 +340,9 @@ class Display(BaseDisplay):
         message = self._append(samples, sample_rate, amplitude, contactors)
         if message is None:
             return wire.Appended(0, 0.0)
-        return wire.from_appended(await self._connection._ask(message, messages.Appended, timeout))
+        return wire.from_appended(
+            await self._connection._ask(message, messages.AppendedReply, timeout)
+        )
 
     async def play(
         self,
@@ -361,7 +363,7 @@ class Display(BaseDisplay):
         )
         playback = self._playback(waveform, timeout)
         while (message := playback.message()) is not None:
-            reply = await self._connection._ask(message, messages.Appended, timeout)
+            reply = await self._connection._ask(message, messages.AppendedReply, timeout)
             await asyncio.sleep(playback.taken(message, reply))
         return playback.samples
 
@@ -390,18 +392,20 @@ class Display(BaseDisplay):
     async def stats(self, *, timeout: float | None = None) -> wire.Stats:
         """Return how the display stands."""
         request = messages.GetStats(display=self.name)
-        return wire.from_stats(await self._connection._ask(request, messages.Stats, timeout))
+        return wire.from_stats(await self._connection._ask(request, messages.StatsReply, timeout))
 
     async def textures(self, *, timeout: float | None = None) -> tuple[TextureInfo, ...]:
         """Return the textures that may be selected."""
         return await self._connection.textures(timeout=timeout)
 
-    def telemetry(self, rate: float = 30.0, *, timeout: float | None = None) -> "TelemetryStream":
+    def telemetry(
+        self, rate: float = 30.0, *, timeout: float | None = None
+    ) -> "AsyncTelemetryStream":
         """Return what the display does, as often as that [Hz]: for ``async for``."""
-        return TelemetryStream(self, rate, timeout)
+        return AsyncTelemetryStream(self, rate, timeout)
 
     def on_event(self, callback: Callback) -> Callback:
-        """Call back with each `Event` of this display or of all; as `Connection.on_event`."""
+        """Call back with each `Event` of this display or of all; as `AsyncConnection.on_event`."""
         self._connection.on_event(self._only_mine(callback))
         return callback
 
@@ -428,7 +432,7 @@ class Display(BaseDisplay):
         await self.close()
 
 
-class TelemetryStream(BaseTelemetryStream, AsyncIterator[wire.Telemetry]):
+class AsyncTelemetryStream(BaseTelemetryStream, AsyncIterator[wire.Telemetry]):
     """What a display does, as it comes, as `tactile.client.sync.TelemetryStream`."""
 
     async def __anext__(self) -> wire.Telemetry:

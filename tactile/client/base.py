@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from tactile import paths
 from tactile.client import wire
 from tactile.client.events import Callback
-from tactile.client.session import QUIETER, Session
+from tactile.client.session import QUIETER, ClientSession
 from tactile.client.telemetry import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
@@ -20,9 +20,9 @@ from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFound
 from tactile.messages import (
     PATH,
     Append,
-    Arm,
+    ArmDisplay,
+    ClientHello,
     Contact,
-    Hello,
     Reply,
     Request,
     Role,
@@ -139,8 +139,8 @@ class BaseConnection:
         self.timeout = TIMEOUT
         self.timeout = self._patience(timeout)
         self._transport = transport
-        hello = wire.checked(Hello(client=client_name, token=token))
-        self._session = Session(transport, hello, clock=clock, rearm=rearm)
+        hello = wire.checked(ClientHello(client=client_name, token=token))
+        self._session = ClientSession(transport, hello, clock=clock, rearm=rearm)
 
     def _begin(self, request: Request, timeout: float | None) -> "tuple[Future[Any], float]":
         """Send a request; return the future of its answer, and how long to wait for it [s].
@@ -157,7 +157,7 @@ class BaseConnection:
 
     def _limit(self, request: Request, timeout: float | None) -> float:
         """Return how long to wait for an answer [s]."""
-        patient = timeout is None and isinstance(request, Select | Arm)
+        patient = timeout is None and isinstance(request, Select | ArmDisplay)
         return max(self.timeout, PATIENT) if patient else self._patience(timeout)
 
     def _patience(self, timeout: float | None) -> float:

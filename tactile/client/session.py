@@ -1,7 +1,7 @@
 """What both twins share: requests and their answers, and what is to be restored; no I/O, no clock.
 
-A `Session` stands between a twin (`sync`, `aio`), which asks, and a `Transport`, which carries.
-Everything here may be called from any thread, and nothing waits.
+A `ClientSession` stands between a twin (`sync`, `aio`), which asks, and a `Transport`, which
+carries. Everything here may be called from any thread, and nothing waits.
 """
 
 import threading
@@ -29,32 +29,33 @@ from tactile.errors import (
 )
 from tactile.messages import (
     Answer,
-    Arm,
-    Clear,
+    ArmDisplay,
+    ClearEstop,
+    ClientHello,
     Command,
     Contact,
-    Disarm,
+    DisarmDisplay,
     EStop,
-    Event,
+    EventMessage,
     Failure,
-    Hello,
     Ping,
     Play,
     Pong,
     Reply,
     Request,
-    Stop,
+    StopPlaying,
     Subscribe,
-    Telemetry,
+    TelemetryMessage,
     Welcome,
+    kind_of,
 )  # fmt: skip
 
 MOST_WAITING = 256
 """Requests at a time."""
-QUIETER = Stop | Disarm | EStop
+QUIETER = StopPlaying | DisarmDisplay | EStop
 """Requests that are never too many, and sent also where nobody waits for the answer any more."""
-RAISING = Arm | Clear | Play
-"""Requests that an e-stop withdraws while they wait; disarming withdraws `Arm` alone."""
+RAISING = ArmDisplay | ClearEstop | Play
+"""Requests that an e-stop withdraws while they wait; disarming withdraws `ArmDisplay` alone."""
 DISARMED_BY = {"disarmed", "estopped", "lost"}
 """Events after which a display is not armed."""
 REFUSALS: dict[str, type[RequestError]] = {
@@ -86,7 +87,7 @@ class ClockOffset:
         self.round_trip, self.seconds = min(self._seen)
 
 
-class Session:
+class ClientSession:
     """One program's conversation with one daemon, over any number of connections.
 
     Parameters
@@ -100,7 +101,7 @@ class Session:
     def __init__(
         self,
         transport: Transport,
-        hello: Hello,
+        hello: ClientHello,
         *,
         clock: Clock,
         rearm: bool = False,
@@ -133,8 +134,8 @@ class Session:
     def ask(self, command: Request) -> "Future[Any]":
         """Send a request and return the future of its answer; cancel it to stop waiting.
 
-        `EStop` and `Disarm` first withdraw the wish to be armed, whatever becomes of them. An
-        `EStop` that cannot be sent, or is not confirmed, is sent first over the next connection.
+        `EStop` and `DisarmDisplay` first withdraw the wish to be armed, whatever becomes of them.
+        An `EStop` that cannot be sent, or is not confirmed, is sent first over the next connection.
 
         Raises
         ------
@@ -143,7 +144,7 @@ class Session:
         ClientError
             Where too many requests wait already; not for what makes a display quieter.
         """
-        if isinstance(command, EStop | Disarm):
+        if isinstance(command, EStop | DisarmDisplay):
             self._withdraw(command)
         with self._lock:
             if not self.connected:
@@ -152,7 +153,7 @@ class Session:
                 raise ClientError(f"{MOST_WAITING} requests wait for an answer already")
             return self._ask(command)
 
-    def _withdraw(self, command: EStop | Disarm) -> None:
+    def _withdraw(self, command: EStop | DisarmDisplay) -> None:
         """Forget the wish to be armed, and fail what would raise voltage: it is not sent then."""
         stopping = isinstance(command, EStop)
         with self._lock:
@@ -163,9 +164,9 @@ class Session:
                     wish.disarm()
             waiting = list(self._waiting.values())
         for request, future, _ in waiting:
-            raising = isinstance(request, RAISING if stopping else Arm)
+            raising = isinstance(request, RAISING if stopping else ArmDisplay)
             if raising and command.display in (None, getattr(request, "display", None)):
-                what, by = type(request).__name__.lower(), type(command).__name__.lower()
+                what, by = kind_of(request), kind_of(command)
                 with suppress(InvalidStateError):
                     future.set_exception(ClientError(f"{what}: withdrawn by {by}() meanwhile"))
 
@@ -184,7 +185,7 @@ class Session:
             future.add_done_callback(lambda _: self._waiting.pop(number, None))
             if isinstance(command, EStop):
                 self.estops.request(command.display, number)
-            elif isinstance(command, Arm):
+            elif isinstance(command, ArmDisplay):
                 self._of(command.display).arming = number
             self._transport.send(command)  # type: ignore[arg-type]
         return future
@@ -280,13 +281,13 @@ class Session:
 
     def received(self, answer: Answer) -> None:
         """Take what the daemon says."""
-        if isinstance(answer, Telemetry):
+        if isinstance(answer, TelemetryMessage):
             self._fill(answer)
             return
         with self._lock:
             self.estops.report(answer)
         match answer:
-            case Event():
+            case EventMessage():
                 if answer.kind in DISARMED_BY:
                     self._of(answer.display).disarm()
                 self.notify(wire.Event(answer.kind, answer.display, answer.detail, answer.estop))
@@ -297,7 +298,7 @@ class Session:
         with self._lock:
             return self._wishes.setdefault(display, Wishes())
 
-    def _fill(self, telemetry: Telemetry) -> None:
+    def _fill(self, telemetry: TelemetryMessage) -> None:
         with self._lock:
             queues = list(self._queues.get(telemetry.display, ()))
             known = telemetry.display in self._queues
@@ -323,7 +324,7 @@ class Session:
             self.offset.exchange(asked, reply.server_time_us * 1e-6, self.clock.now())
         elif not isinstance(reply, Failure):
             self._granted(command)
-        elif isinstance(command, Arm) and reply.code == "estopped":
+        elif isinstance(command, ArmDisplay) and reply.code == "estopped":
             self._of(command.display).disarm()
         with suppress(InvalidStateError):
             if isinstance(reply, Failure):

@@ -1,4 +1,6 @@
-"""The SDK for programs with a frame loop: calls wait for the daemon, `Display.touch` never does.
+"""The SDK for programs with a frame loop.
+
+Calls wait for the daemon, except `RemoteDisplay.touch`, which never does.
 
 >>> import tactile
 >>> with tactile.connect() as display:  # doctest: +SKIP
@@ -32,7 +34,7 @@ from tactile.client.events import Callback, Dispatcher
 from tactile.client.transport import Transport
 from tactile.client.waveform import Waveform
 from tactile.errors import ClientError, ClientTimeoutError
-from tactile.messages import Done, Reply, Request, TextureInfo
+from tactile.messages import Done, Reply, Request, TextureInfo, kind_of
 
 T = TypeVar("T")
 R = TypeVar("R", bound=Reply)
@@ -102,7 +104,7 @@ def connect(
     reconnect: bool = True,
     rearm: bool = False,
     encoding: Encoding = "msgpack",
-) -> "Display":
+) -> "RemoteDisplay":
     """Connect to one display of a daemon: the only one, or the named one; use it in a ``with``.
 
     Parameters and exceptions are those of `open_connection`, which is for several displays, and:
@@ -126,7 +128,7 @@ def connect(
         encoding=encoding,
     )
     try:
-        return Display(connection, connection._name(display), owns=True)
+        return RemoteDisplay(connection, connection._name(display), owns=True)
     except BaseException:
         connection.close()
         raise
@@ -143,7 +145,7 @@ class Connection(BaseConnection):
 
     def __init__(self, transport: Transport, **options: Any) -> None:
         super().__init__(transport, **options)
-        self._handed_out: dict[str, Display] = {}
+        self._handed_out: dict[str, RemoteDisplay] = {}
         self._dispatcher = Dispatcher(self._session.counters)
         self._session.notify = self._dispatcher.put
         transport.open(self._session)
@@ -153,7 +155,7 @@ class Connection(BaseConnection):
             self._end()
             raise
 
-    def display(self, name: str | None = None) -> "Display":
+    def display(self, name: str | None = None) -> "RemoteDisplay":
         """Return a display: the only one, or the named one.
 
         Raises
@@ -162,7 +164,7 @@ class Connection(BaseConnection):
             Where there are several and none is named, or none of that name (`NotFoundError`).
         """
         name = self._name(name)
-        return self._handed_out.setdefault(name, Display(self, name))
+        return self._handed_out.setdefault(name, RemoteDisplay(self, name))
 
     def textures(self, *, timeout: float | None = None) -> tuple[TextureInfo, ...]:
         """Return the textures that may be selected."""
@@ -190,7 +192,7 @@ class Connection(BaseConnection):
         """Ask to fade out, and wait for at most half of the timeout."""
         deadline = self._session.clock.now() + self.timeout / 2
         with suppress(ClientError):
-            stops = [self._session.ask(messages.Stop(display=name)) for name in names]
+            stops = [self._session.ask(messages.StopPlaying(display=name)) for name in names]
             for stop in stops:
                 _wait(stop, max(0.0, deadline - self._session.clock.now()), "stop")
 
@@ -202,7 +204,7 @@ class Connection(BaseConnection):
 
     def _ask(self, request: Request, kind: type[R], timeout: float | None) -> R:
         future, limit = self._begin(request, timeout)
-        return as_kind(_wait(future, limit, type(request).__name__.lower()), kind)
+        return as_kind(_wait(future, limit, kind_of(request)), kind)
 
     def __enter__(self) -> Self:
         return self
@@ -216,7 +218,7 @@ class Connection(BaseConnection):
         self.close()
 
 
-class Display(BaseDisplay):
+class RemoteDisplay(BaseDisplay):
     """One display of a connection, with one finger on it. Get it from `connect`.
 
     Every call but `touch` and `lift` waits for the daemon, and may be given a timeout [s]. It
@@ -281,12 +283,12 @@ class Display(BaseDisplay):
 
     def gain(self, gain: float, *, timeout: float | None = None) -> None:
         """Scale all that is this program's: 0 … 1."""
-        self._ask(messages.Gain(display=self.name, gain=wire.to_number(gain, "gain")), timeout)
+        self._ask(messages.SetGain(display=self.name, gain=wire.to_number(gain, "gain")), timeout)
 
     def stop(self, *, timeout: float | None = None) -> None:
         """Fade out: textures until `resume`, waveforms for good."""
         self._end_playback()
-        self._ask(messages.Stop(display=self.name), timeout)
+        self._ask(messages.StopPlaying(display=self.name), timeout)
 
     def resume(self, *, timeout: float | None = None) -> None:
         """Let the textures sound again after `stop`."""
@@ -294,12 +296,12 @@ class Display(BaseDisplay):
 
     def arm(self, *, timeout: float | None = None) -> None:
         """Switch high voltage on. A person is to know of it."""
-        self._ask(messages.Arm(display=self.name), timeout)
+        self._ask(messages.ArmDisplay(display=self.name), timeout)
 
     def disarm(self, *, timeout: float | None = None) -> None:
         """Fade out and switch high voltage off."""
         self._end_playback()
-        self._ask(messages.Disarm(display=self.name), timeout)
+        self._ask(messages.DisarmDisplay(display=self.name), timeout)
 
     def estop(self, *, timeout: float | None = None) -> int:
         """Set this display to 0 V at once, until `clear`; `Connection.estop` sets all.
@@ -327,7 +329,7 @@ class Display(BaseDisplay):
         if estop is None:
             estop = self.estopped or self.stats(timeout=timeout).estop or None
         if estop is not None:
-            self._ask(messages.Clear(display=self.name, estop=estop), timeout)
+            self._ask(messages.ClearEstop(display=self.name, estop=estop), timeout)
 
     def append(
         self,
@@ -356,7 +358,7 @@ class Display(BaseDisplay):
         message = self._append(samples, sample_rate, amplitude, contactors)
         if message is None:
             return wire.Appended(0, 0.0)
-        return wire.from_appended(self._connection._ask(message, messages.Appended, timeout))
+        return wire.from_appended(self._connection._ask(message, messages.AppendedReply, timeout))
 
     def play(
         self,
@@ -389,7 +391,7 @@ class Display(BaseDisplay):
         )
         playback = self._playback(waveform, timeout)
         while (message := playback.message()) is not None:
-            reply = self._connection._ask(message, messages.Appended, timeout)
+            reply = self._connection._ask(message, messages.AppendedReply, timeout)
             self._connection._session.clock.sleep(playback.taken(message, reply))
         return playback.samples
 
@@ -428,7 +430,7 @@ class Display(BaseDisplay):
     def stats(self, *, timeout: float | None = None) -> wire.Stats:
         """Return how the display stands."""
         request = messages.GetStats(display=self.name)
-        return wire.from_stats(self._connection._ask(request, messages.Stats, timeout))
+        return wire.from_stats(self._connection._ask(request, messages.StatsReply, timeout))
 
     def textures(self, *, timeout: float | None = None) -> tuple[TextureInfo, ...]:
         """Return the textures that may be selected."""
@@ -470,7 +472,8 @@ class TelemetryStream(BaseTelemetryStream, Iterator[wire.Telemetry]):
     """What a display does, as it comes; the newest 64 wait until they are read.
 
     Reading raises `ClientTimeoutError` where nothing comes; reading on is fine then. It goes on
-    after a reconnection, and ends when the connection is closed. Get it from `Display.telemetry`.
+    after a reconnection, and ends when the connection is closed. Get it from
+    `RemoteDisplay.telemetry`.
     """
 
     def __next__(self) -> wire.Telemetry:

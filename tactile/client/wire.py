@@ -18,16 +18,17 @@ from tactile.errors import InputError
 from tactile.messages import (
     MOST_LAYERS,
     MOST_POINTS,
+    ApiMessage,
     Contact,
-    Effect,
     FrequencyPoint,
     Layer,
-    Message,
+    PlayEffect,
     Point,
     Transient,
+    kind_of,
 )
 
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=ApiMessage)
 
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
 """A texture or several, each with its gain where it is a pair; none is ``()``."""
@@ -137,7 +138,7 @@ class Event:
 
     Attributes
     ----------
-    kind : of `tactile.messages.Event`, or one of this side: "connected" (again),
+    kind : of `tactile.messages.EventMessage`, or one of this side: "connected" (again),
         "disconnected", "refused" (a contact, or what was to be restored after a reconnection)
     display : its name, or "" where it concerns all
     detail : in one line
@@ -161,7 +162,7 @@ def checked(message: M) -> M:
     try:
         plain = msgspec.to_builtins(message, builtin_types=(bytes,))
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{type(message).__name__.lower()}: {error}") from None
+        raise InputError(f"{kind_of(message)}: {error}") from None
     return _read(plain, type(message))
 
 
@@ -324,10 +325,10 @@ def to_effect(
     frequency_points: Iterable[Pair],
     transients: Iterable[tuple[float, ...]],
     stream: bool,
-) -> Effect:
+) -> PlayEffect:
     """Return an effect of [m], [s] and [Hz]."""
     return checked(
-        Effect(
+        PlayEffect(
             display=display,
             amplitude_um=to_number(amplitude, "amplitude [m]") * 1e6,
             amplitude=tuple(
@@ -356,7 +357,7 @@ def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 
-def from_info(info: messages.DisplayInfo) -> DisplayInfo:
+def from_info(info: messages.DisplayDescription) -> DisplayInfo:
     """Return a display's description in SI."""
     return DisplayInfo(
         name=info.name,
@@ -369,12 +370,12 @@ def from_info(info: messages.DisplayInfo) -> DisplayInfo:
     )
 
 
-def from_appended(reply: messages.Appended) -> Appended:
+def from_appended(reply: messages.AppendedReply) -> Appended:
     """Return what became of an append in SI."""
     return Appended(reply.samples_consumed, reply.buffered_ms * 1e-3)
 
 
-def from_stats(stats: messages.Stats) -> Stats:
+def from_stats(stats: messages.StatsReply) -> Stats:
     """Return how a display stands in SI."""
     return Stats(
         display=stats.display,
@@ -389,7 +390,7 @@ def from_stats(stats: messages.Stats) -> Stats:
     )
 
 
-def from_telemetry(telemetry: messages.Telemetry, clock_offset: float) -> Telemetry:
+def from_telemetry(telemetry: messages.TelemetryMessage, clock_offset: float) -> Telemetry:
     """Return telemetry in SI; the daemon's clock less the offset [s] is this program's."""
     (x, y), (vx, vy) = telemetry.position_mm, telemetry.velocity_mm_s
     return Telemetry(

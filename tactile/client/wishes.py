@@ -4,18 +4,18 @@ from dataclasses import dataclass
 
 from tactile.messages import (
     Answer,
-    Arm,
+    ArmDisplay,
     Command,
     Done,
     EStop,
-    Event,
+    EventMessage,
     Failure,
-    Gain,
     Play,
     Request,
     Select,
-    Stats,
-    Stop,
+    SetGain,
+    StatsReply,
+    StopPlaying,
     Welcome,
 )  # fmt: skip
 
@@ -26,27 +26,27 @@ class Wishes:
 
     Attributes
     ----------
-    arming : id of the `Arm` whose confirmation makes the display one to be armed again, or 0
+    arming : id of the `ArmDisplay` whose confirmation makes the display one to be armed again, or 0
     """
 
     layers: Select | None = None
-    gain: Gain | None = None
-    stop: Stop | None = None
-    armed: Arm | None = None
+    gain: SetGain | None = None
+    stop: StopPlaying | None = None
+    armed: ArmDisplay | None = None
     arming: int = 0
 
     def grant(self, command: Command) -> None:
-        """Remember what was done; not an `Arm` that was withdrawn before it was confirmed."""
+        """Remember a command that was done, but no `ArmDisplay` that was withdrawn meanwhile."""
         match command:
             case Select():
                 self.layers = command
-            case Gain():
+            case SetGain():
                 self.gain = command
-            case Stop():
+            case StopPlaying():
                 self.stop = command
             case Play():
                 self.stop = None
-            case Arm() if command.id == self.arming:
+            case ArmDisplay() if command.id == self.arming:
                 self.armed = command
 
     def disarm(self) -> None:
@@ -95,10 +95,10 @@ class EStops:
                 self.missed = {name for name, number in latest.items() if number != known[name]}
                 self._latest = latest
                 self.numbers = {info.name: info.estop for info in answer.displays}
-            case Event(kind="estopped" | "cleared"):
+            case EventMessage(kind="estopped" | "cleared"):
                 self.numbers[answer.display] = answer.estop if answer.kind == "estopped" else 0
                 self._see(answer.display, answer.estop)
-            case Stats():
+            case StatsReply():
                 self.numbers[answer.display] = answer.estop
                 self._see(answer.display, answer.estop)
             case Done():

@@ -33,7 +33,7 @@ from tactile.display.tables import (
     BimorphTable,
     Contactor,
     DisplayFile,
-    Finger,
+    FingerLoadTable,
     LimitsTable,
 )
 from tactile.errors import InputError
@@ -49,7 +49,7 @@ MEASURED_BAND = (20.0, 1000.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class DriveLimits:
     """What the drive may ask of an amplifier and a bimorph.
 
     Parameters
@@ -133,7 +133,7 @@ class Display:
     bimorph: Bimorph
     load: FingerLoad | FingerTable
     amplifier: Amplifier
-    limits: Limits
+    limits: DriveLimits
     measured: tuple[Measured, ...] = ()
     kind: NDArray[np.intp]
 
@@ -298,7 +298,7 @@ def _adjusted(material: Material, **constants: float | None) -> Material:
     return replace(material, **{k: v for k, v in constants.items() if v is not None})
 
 
-def _load(finger: Finger) -> FingerLoad | FingerTable:
+def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:
     if finger.preset is not None:
         return getattr(FingerLoad, finger.preset)()  # type: ignore[no-any-return]
     if finger.table:
@@ -326,8 +326,8 @@ def _amplifier(table: AmplifierTable) -> Amplifier:
     )
 
 
-def _limits(table: LimitsTable) -> Limits:
-    return Limits(
+def _limits(table: LimitsTable) -> DriveLimits:
+    return DriveLimits(
         voltage=table.voltage_v,
         slew=table.slew_v_per_us * 1e6,
         current=math.inf if table.current_ma is None else table.current_ma * 1e-3,

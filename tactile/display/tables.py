@@ -15,7 +15,7 @@ Channel = Annotated[int, Meta(ge=0, lt=CHANNELS)]
 Index = Annotated[int, Meta(ge=0)]
 
 
-class About(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class AboutTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the display is."""
 
     id: Annotated[str, Meta(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
@@ -99,7 +99,7 @@ class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     branches: tuple[tuple[Stiffness, Damping], ...] = ()
 
 
-class Finger(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FingerLoadTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The load: a preset, its constants, or a table over normal force."""
 
     preset: Literal["low", "high", "none"] | None = None
@@ -142,8 +142,8 @@ class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class DisplayFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A display, as in its file."""
 
-    display: About
-    finger: Finger
+    display: AboutTable
+    finger: FingerLoadTable
     limits: LimitsTable
     grid: Grid | None = None
     contactor: tuple[Contactor, ...] = ()

@@ -49,7 +49,7 @@ UNSAVED = ("sim:",)
 """Devices without any voltage, the latch of which ends with the daemon."""
 
 
-class Writer(IntEnum):
+class LatchWriter(IntEnum):
     """Who trips the latch; the value is the index of its word."""
 
     SERVER = 1
@@ -66,7 +66,7 @@ class Latch:
     writer : who maps it
     """
 
-    def __init__(self, handle: str, writer: Writer) -> None:
+    def __init__(self, handle: str, writer: LatchWriter) -> None:
         self.handle, self._writer = handle, writer
         kind, _, what = handle.partition(":")
         self._file = int(what) if kind == "fd" else os.open(what, os.O_RDWR)
@@ -115,9 +115,9 @@ class Latch:
         intact = _is_intact(file)
         if sys.platform == "win32":
             os.close(file)
-            latch = cls(f"file:{path}", Writer.SERVER)
+            latch = cls(f"file:{path}", LatchWriter.SERVER)
         else:
-            latch = cls(f"fd:{file}", Writer.SERVER)
+            latch = cls(f"fd:{file}", LatchWriter.SERVER)
         if not intact:
             latch.trip(f"the file of the latch of {device} was damaged")
         return latch
@@ -131,7 +131,7 @@ class Latch:
     @property
     def number(self) -> int:
         """Number of the latest e-stop, 0 where there has been none."""
-        return int(self._words[Writer.SERVER : CLEARED].sum())
+        return int(self._words[LatchWriter.SERVER : CLEARED].sum())
 
     @property
     def holds(self) -> int:
@@ -143,7 +143,7 @@ class Latch:
     def reason(self) -> str:
         """One line on who tripped it last, and when; empty where nobody did."""
         notes = []
-        for writer in Writer:
+        for writer in LatchWriter:
             at = self._place(writer)
             when = np.frombuffer(self._map, np.float64, 1, at)[0]
             note = self._map[at + 8 : at + 8 + TEXT].rstrip(b"\0").decode(errors="replace")
@@ -188,7 +188,7 @@ class Latch:
 
     def close(self) -> None:
         """Let go of the file; the server also of its lock, which its children share."""
-        if self._writer is Writer.SERVER and sys.platform != "win32":
+        if self._writer is LatchWriter.SERVER and sys.platform != "win32":
             fcntl.flock(self._file, fcntl.LOCK_UN)
         del self._words
         self._map.close()
@@ -201,7 +201,7 @@ class Latch:
         self._map[at + 8 : at + 8 + TEXT] = text.ljust(TEXT, b"\0")
 
     @staticmethod
-    def _place(writer: Writer) -> int:
+    def _place(writer: LatchWriter) -> int:
         return 8 * WORDS + (writer - 1) * (8 + TEXT)
 
 
@@ -294,7 +294,7 @@ def _is_intact(file: int) -> bool:
     content = os.read(file, SIZE + 1)
     if len(content) == SIZE:
         words = np.frombuffer(content, np.uint64, WORDS).tolist()
-        if words[0] == MAGIC and words[CLEARED] <= sum(words[Writer.SERVER : CLEARED]) < 2**53:
+        if words[0] == MAGIC and words[CLEARED] <= sum(words[LatchWriter.SERVER : CLEARED]) < 2**53:
             return True
     os.ftruncate(file, 0)
     os.lseek(file, 0, os.SEEK_SET)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile.estop.latch import Latch, Writer
+from tactile.estop.latch import Latch, LatchWriter
 from tactile.estop.request import LARGEST_REQUEST
 from tactile.paths import runtime_folder
 
@@ -186,7 +186,7 @@ def main() -> None:
         pickle.dump(EstopReady(failure=str(error)), out)
         out.flush()
         sys.exit(1)
-    desk = Desk({name: Latch(h, Writer.ESTOP_PROCESS) for name, h in setup.latches.items()})
+    desk = Desk({name: Latch(h, LatchWriter.ESTOP_PROCESS) for name, h in setup.latches.items()})
     pickle.dump(EstopReady(address), out)
     out.flush()
     threading.Thread(target=desk.save, daemon=True).start()

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from tactile.display.display import Display
 from tactile.playback.waves import Curve
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 
-Texture = Layer | SpectrumRenderer
+Texture = RealizedLayer | SpectrumRenderer
 """A texture made ready for a display: for a link that takes samples, or frames."""
 
 
@@ -33,7 +33,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Opened:
+class DeviceOpened:
     """What came of that: how the device plays; or why there is none.
 
     ``carriers`` and ``frame_rate`` are 0 for a link that takes samples.
@@ -63,7 +63,7 @@ class Drop:
 
 
 @dataclass(frozen=True)
-class Select:
+class SelectTextures:
     """The textures of a client, each with its gain."""
 
     client: int
@@ -113,17 +113,17 @@ class Forget:
 
 
 @dataclass(frozen=True)
-class Arm:
+class StartBus:
     """Start the bus."""
 
 
 @dataclass(frozen=True)
-class Disarm:
+class StopBus:
     """Fade out and stop it."""
 
 
 @dataclass(frozen=True)
-class Clear:
+class ClearDevice:
     """End the e-stop with a number at the device; the server writes it to the latch then."""
 
     estop: int
@@ -147,5 +147,6 @@ class News:
 
 
 Order = (
-    Keep | Drop | Select | Scale | Wave | Shape | Silence | Forget | Arm | Disarm | Clear
+    Keep | Drop | SelectTextures | Scale | Wave | Shape | Silence | Forget | StartBus | StopBus
+    | ClearDevice
 )  # fmt: skip

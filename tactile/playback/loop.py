@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Status
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, Floats
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
-from tactile.playback.shared_memory import COUNTERS, Report, Shared, State, Trace
+from tactile.playback.shared_memory import COUNTERS, BlockTrace, PlaybackReport, Shared, State
 from tactile.playback.waves import TURN, Singles, Voice, affordable
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
 from tactile.rendering.spectrum import FrameLimiter, SpectrumRenderer, band_carriers
@@ -46,14 +46,14 @@ SMOOTHED = 0.02
 Complex = NDArray[np.complex128]
 
 
-def state_of(status: Status) -> State:
+def state_of(status: BusStatus) -> State:
     """Return the state of playback: armed only while the amplifier is known to play."""
     if status.state == "estopped":
         return "estopped"
     return "armed" if status.playing else "disarmed"
 
 
-class Samples:
+class SamplePlayback:
     """Renders on a bus that takes blocks.
 
     Attributes
@@ -73,9 +73,9 @@ class Samples:
         self.lag = self._renderer.delay
         self.shear = self.drive = np.zeros(len(display.contactors))
 
-    def play(self, layers: Sequence[tuple[Layer | SpectrumRenderer, float]]) -> None:
+    def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
         """Go over to other textures, each with its gain."""
-        self._renderer.play([(t, gain) for t, gain in layers if isinstance(t, Layer)])
+        self._renderer.play([(t, gain) for t, gain in layers if isinstance(t, RealizedLayer)])
 
     def fade_in(self) -> None:
         """Rise from nothing."""
@@ -96,9 +96,9 @@ class Samples:
         self._bus.write(DriveBlock(position, self._display.to_channels(drive)))
         self.drive, self.shear = drive[-1], shear[-1]
 
-    def touch(self, texture: Layer | SpectrumRenderer) -> None:
+    def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Use a texture once, so that its memory is there."""
-        if isinstance(texture, Layer):
+        if isinstance(texture, RealizedLayer):
             motion = Motion(self._bus.wiring.sample_rate)
             stroke = motion(motion.taken(np.zeros((BLOCK, 2)), np.zeros(BLOCK)))
             assert stroke is not None
@@ -116,7 +116,7 @@ class Samples:
         return self._renderer.limiter.limited_samples
 
 
-class Frames:
+class FramePlayback:
     """Renders on a bus that takes spectrum frames; waves find no room on it.
 
     Textures have carriers in common; their frames are added and then limited.
@@ -136,7 +136,7 @@ class Frames:
         self._rise = 0.0
         self.shear = self.drive = np.zeros(len(display.contactors))
 
-    def play(self, layers: Sequence[tuple[Layer | SpectrumRenderer, float]]) -> None:
+    def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
         """Go over to other textures from the next frame on, between which envelopes ramp."""
         self._playing = [(t, gain) for t, gain in layers if isinstance(t, SpectrumRenderer)]
 
@@ -170,7 +170,7 @@ class Frames:
         self._rise = 1.0
         self.drive = np.asarray(np.abs(total).sum(axis=1))
 
-    def touch(self, texture: Layer | SpectrumRenderer) -> None:
+    def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Use a texture once, so that its memory is there."""
         if isinstance(texture, SpectrumRenderer):
             texture.unlimited(np.zeros(2), np.zeros(2), 0.0)
@@ -186,7 +186,7 @@ class Frames:
 
 
 @dataclass
-class Player:
+class PlaybackLoop:
     """Plays one display on its bus.
 
     Parameters
@@ -203,15 +203,15 @@ class Player:
     gain: float = 1.0
     worn: bool = False
     clock: Clock = MONOTONIC
-    textures: dict[int, Layer | SpectrumRenderer] = field(default_factory=dict)
+    textures: dict[int, RealizedLayer | SpectrumRenderer] = field(default_factory=dict)
     voices: dict[int, Voice] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        rendering = Samples if self.bus.frames is None else Frames
-        self.rendering: Samples | Frames = rendering(self.display, self.bus)
+        rendering = SamplePlayback if self.bus.frames is None else FramePlayback
+        self.rendering: SamplePlayback | FramePlayback = rendering(self.display, self.bus)
         ContactTracker().at(np.zeros(BLOCK), 0.0)  # what is used first takes long
         self.tracker = ContactTracker()
-        self.report = Report(sample_rate=self.bus.wiring.sample_rate)
+        self.report = PlaybackReport(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
         self._client = self._position = self._skipped = self._dropped_waves = 0
         step = 1 / (self.display.limits.fade * self._rate)
@@ -220,7 +220,7 @@ class Player:
 
     # What the server tells
 
-    def keep(self, number: int, texture: Layer | SpectrumRenderer) -> None:
+    def keep(self, number: int, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Have a texture ready under a number, also for its first block."""
         self.textures[number] = texture
         self.rendering.touch(texture)
@@ -298,7 +298,7 @@ class Player:
                 raise
             return  # an e-stop or a fault came since the look at the bus: nothing to play
         due = self.bus.due(position + self.rendering.first)
-        self.memory.write_trace(Trace(position, self.memory.contacts_read, now, due))
+        self.memory.write_trace(BlockTrace(position, self.memory.contacts_read, now, due))
         if arrival is not None:
             self.report.latency += SMOOTHED * (due - arrival - self.report.latency)
         self.report.blocks += 1

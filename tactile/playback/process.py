@@ -24,12 +24,12 @@ from typing import Any, BinaryIO
 from tactile.bus.base import Bus
 from tactile.devices import open_bus
 from tactile.errors import BusStateError, TactileError
-from tactile.estop.latch import Latch, Writer
+from tactile.estop.latch import Latch, LatchWriter
 from tactile.playback import commands, priority
-from tactile.playback.commands import Answer, News, Opened, Order, Setup
-from tactile.playback.loop import Player, state_of
+from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
+from tactile.playback.loop import PlaybackLoop, state_of
 from tactile.playback.shared_memory import Shared
-from tactile.playback.silence import Silence
+from tactile.playback.silence import SilenceTimer
 
 IDLE = 20e-3
 """s between looks at orders while nothing plays."""
@@ -55,14 +55,16 @@ class Program:
     say : takes answers and news, and never waits
     """
 
-    def __init__(self, player: Player, latch: Latch, say: Callable[[Answer | News], None]) -> None:
+    def __init__(
+        self, player: PlaybackLoop, latch: Latch, say: Callable[[Answer | News], None]
+    ) -> None:
         self._player, self._latch, self._say = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
         self._news = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
         self._bus_estops = player.bus.estops if latch.holds else 0  # it is e-stopped for that one
-        self._beats, self._silence = 0, Silence(longest_step=2 * WATCH)
+        self._beats, self._silence = 0, SilenceTimer(longest_step=2 * WATCH)
         self._forsaken = self._ended = False
         self._told = "", "disarmed", "up"
         self._underruns = 0
@@ -162,7 +164,7 @@ class Program:
                 player.keep(order.number, order.texture)
             case commands.Drop():
                 player.textures.pop(order.number, None)
-            case commands.Select():
+            case commands.SelectTextures():
                 player.voice(order.client).layers = order.layers
                 player.refresh(order.client)
             case commands.Scale():
@@ -178,13 +180,13 @@ class Program:
                 player.voice(order.client).effect.begin(None)
             case commands.Forget():
                 player.forget(order.client)
-            case commands.Arm():
+            case commands.StartBus():
                 self._may_arm()
                 if not player.running:  # else it would silence what others play
                     player.arm()
-            case commands.Disarm():
+            case commands.StopBus():
                 player.disarm()
-            case commands.Clear():
+            case commands.ClearDevice():
                 self._clear(order.estop)
         return ()
 
@@ -291,7 +293,7 @@ class Pipe:
         waited.join(seconds)
 
 
-def opened(setup: Setup) -> tuple[Bus, Opened]:
+def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
     """Open a bus; return it and how it plays.
 
     Parameters
@@ -308,7 +310,7 @@ def opened(setup: Setup) -> tuple[Bus, Opened]:
         sample_rate=setup.sample_rate, accept_unsafe_hold=setup.accept_unsafe_hold,
     )  # fmt: skip
     frames = bus.frames
-    return bus, Opened(
+    return bus, DeviceOpened(
         bus.wiring.sample_rate,
         frames.carriers if frames is not None else 0,
         frames.rate if frames is not None else 0.0,
@@ -329,16 +331,16 @@ def main() -> None:
     try:
         bus, how = opened(setup)
     except TactileError as error:
-        outward.write(pickle.dumps(Opened(why_not=str(error)), protocol=5))
+        outward.write(pickle.dumps(DeviceOpened(why_not=str(error)), protocol=5))
         outward.flush()
         sys.exit(1)
     memory = Shared(setup.memory, len(setup.display.contactors))
-    player = Player(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
+    player = PlaybackLoop(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
     pipe = Pipe(inward, outward)
-    program = Program(player, Latch(setup.latch, Writer.PLAYBACK), pipe.say)
+    program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     refused = priority.prepare()
-    outward.write(pickle.dumps(Opened(*_fields(how), refused), protocol=5))
+    outward.write(pickle.dumps(DeviceOpened(*_fields(how), refused), protocol=5))
     outward.flush()
     pipe.begin(program)
     threading.Thread(target=program.watch, name="tactile-watch", daemon=True).start()
@@ -351,5 +353,5 @@ def main() -> None:
     os._exit(0)  # at once: nothing that was frozen is taken to pieces
 
 
-def _fields(how: Opened) -> tuple[float, int, float, float]:
+def _fields(how: DeviceOpened) -> tuple[float, int, float, float]:
     return how.sample_rate, how.carriers, how.frame_rate, how.latency

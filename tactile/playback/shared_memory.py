@@ -69,7 +69,7 @@ class Touch(NamedTuple):
     has_velocity: bool
 
 
-class Trace(NamedTuple):
+class BlockTrace(NamedTuple):
     """A block: its position, contacts that had come, when it was rendered and when it is due."""
 
     position: int
@@ -79,7 +79,7 @@ class Trace(NamedTuple):
 
 
 @dataclass
-class Report:
+class PlaybackReport:
     """What a playback process tells of itself."""
 
     blocks: int = 0
@@ -201,23 +201,23 @@ class Shared:
 
     # Traces
 
-    def write_trace(self, trace: Trace) -> None:
+    def write_trace(self, trace: BlockTrace) -> None:
         """Add a block's trace."""
         self._trace = self._put(TRACE_RING, self._trace, trace)
 
-    def traces(self, first: int) -> tuple[int, list[Trace]]:
+    def traces(self, first: int) -> tuple[int, list[BlockTrace]]:
         """Return the traces from number ``first`` on that are still there, and the next number."""
         head = NUMBER.unpack_from(self._map, 8)[0]
         found = []
         for n in range(max(first, head - TRACES + 64), head):
             row = TRACE.unpack_from(self._map, AT_TRACES + 64 * (n % TRACES))
             if row[0] == 2 * n + 2:
-                found.append(Trace(*row[1:]))
+                found.append(BlockTrace(*row[1:]))
         return head, found
 
     # The report
 
-    def write_report(self, r: Report) -> None:
+    def write_report(self, r: PlaybackReport) -> None:
         """Replace the report."""
         self._reported += 1
         NUMBER.pack_into(self._map, 16, 2 * self._reported - 1)
@@ -229,7 +229,7 @@ class Shared:
         )  # fmt: skip
         NUMBER.pack_into(self._map, 16, 2 * self._reported)
 
-    def report(self) -> Report:
+    def report(self) -> PlaybackReport:
         """Return the latest whole report; that of a process that died while it wrote as it is."""
         for _ in range(100):
             before = NUMBER.unpack_from(self._map, 16)[0]
@@ -239,7 +239,7 @@ class Shared:
         counters = dict(zip(COUNTERS, row[-len(COUNTERS) - 1 : -1], strict=True))
         blocks, time, state, link, running, touching, client, *rest = row[: -len(COUNTERS) - 1]
         x, y, vx, vy, force, rate, late = rest
-        return Report(
+        return PlaybackReport(
             blocks, time, STATES[state], "up" if link else "down", bool(running), bool(touching),
             client, (x, y), (vx, vy), force, rate, late, counters,
             row[-1].rstrip(b"\0").decode(errors="replace"),

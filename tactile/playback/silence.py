@@ -1,7 +1,7 @@
 """For how long something that should give signs of life has given none."""
 
 
-class Silence:
+class SilenceTimer:
     """The time without a sign of life, of which only what the observer itself saw counts.
 
     An observer that stood still, with its whole machine perhaps, cannot tell whether anyone was

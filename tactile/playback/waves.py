@@ -2,8 +2,8 @@
 
 A `Queue` plays samples as they come, resampled to the drive's rate, one client's after each other;
 what does not fit is not taken, and the client told (XR_FB_haptic_pcm's ``samplesConsumed``). An
-`Effect` is evaluated block by block from its points (XR_EXT_haptic_parametric). Both are within
-what the limiter lets through like all else.
+`EffectPlayer` is evaluated block by block from its points (XR_EXT_haptic_parametric). Both are
+within what the limiter lets through like all else.
 
 All clients together may cost `BLOCK_WORK` in a block. Work is counted before it is done, in
 evaluations of a kernel or a transient at a sample, so that what is played never depends on how busy
@@ -60,7 +60,7 @@ TURN = 50
 """Blocks after which another client is the first whose waves are played: 0.1 s."""
 
 
-class Segment:
+class WaveformSegment:
     """Samples at one rate for some contactors, read at the drive's rate.
 
     Between samples it is band-limited: y(t) = Σ x[k] c sinc(c (t − k)) w(t − k), with c the lower
@@ -140,7 +140,7 @@ class Queue:
 
     def __init__(self, sample_rate: float, contactors: int) -> None:
         self._rate, self._contactors = sample_rate, contactors
-        self._segments: deque[Segment] = deque()
+        self._segments: deque[WaveformSegment] = deque()
         self._ending = np.zeros((0, contactors), np.float32)
         self._last: Singles | None = None
 
@@ -164,7 +164,7 @@ class Queue:
         if last is None or last.rate != sample_rate or not np.array_equal(last.plays, plays):
             if not min(room, len(samples)) or len(self._segments) >= MOST_SEGMENTS:
                 return 0
-            last = Segment(sample_rate, self._rate, plays)
+            last = WaveformSegment(sample_rate, self._rate, plays)
             self._segments.append(last)
         last.add(samples[:room])
         return min(room, len(samples))
@@ -264,7 +264,7 @@ def _thinned(transients: Floats) -> Floats:
     return transients[kept]
 
 
-class Effect:
+class EffectPlayer:
     """Plays a client's curves; the last one replaces those before it.
 
     Parameters
@@ -388,7 +388,7 @@ class Voice:
 
     def silence(self) -> None:
         """Drop all waves at once, where nothing sounds."""
-        self.queue, self.effect = Queue(self._rate, self._contactors), Effect(self._rate)
+        self.queue, self.effect = Queue(self._rate, self._contactors), EffectPlayer(self._rate)
         self._last: Singles | None = None
         self._silent = False
 

@@ -101,7 +101,7 @@ class _RollOff:
         return np.asarray(ramp @ self._table.take(index))
 
 
-class Layer:
+class RealizedLayer:
     """A texture realized under each contactor of a display.
 
     Parameters

@@ -1,10 +1,10 @@
 """The renderer: position and force in, volts out, block by block.
 
-The finger's places become strokes (`stroke`), each texture's `Layer` turns these into shear, and
-layers, each with its gain, what friction stretches the skin by (`skin_stretch`) and streamed
-waveforms add up; then the `Equalizer` turns shear into volts and the `Limiter` lets them out.
-Layers may be changed while it plays: new ones fade in as old ones fade out. Nothing depends on how
-the stream is cut.
+The finger's places become strokes (`stroke`), each texture's `RealizedLayer` turns these into
+shear, and layers, each with its gain, what friction stretches the skin by (`skin_stretch`) and
+streamed waveforms add up; then the `Equalizer` turns shear into volts and the `Limiter` lets them
+out. Layers may be changed while it plays: new ones fade in as old ones fade out. Nothing depends on
+how the stream is cut.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import Limiter
 from tactile.rendering.skin_stretch import Bristles, Stretch
 from tactile.rendering.stroke import FARTHEST, NODE, Motion, Stroke
@@ -139,10 +139,10 @@ class Renderer:
         self.limiter = _limiter(display, sample_rate)
         self._fade_step = 1 / (display.limits.fade * sample_rate)
         self._fade = Ramp(self._fade_step, 1.0)
-        self._layers: list[tuple[Layer, Ramp]] = []
+        self._layers: list[tuple[RealizedLayer, Ramp]] = []
         self._rubbing: list[tuple[Bristles, Ramp]] = []
         if texture is not None:
-            self._add(Layer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
+            self._add(RealizedLayer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
         self.delay = self.filter.delay + self.limiter.delay
         self.frequency = frequency
         self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
@@ -169,7 +169,7 @@ class Renderer:
         """Let shear fall to nothing within the display's fade, and stay there."""
         self._fade.to(0.0)
 
-    def play(self, layers: Sequence[tuple[Layer, float]]) -> None:
+    def play(self, layers: Sequence[tuple[RealizedLayer, float]]) -> None:
         """Go over to other layers, each with its gain, within the display's fade.
 
         A layer that plays already goes on, at its new gain.
@@ -183,7 +183,7 @@ class Renderer:
                 ramp.to(gain)
                 self._add(layer, ramp)
 
-    def _add(self, layer: Layer, ramp: Ramp) -> None:
+    def _add(self, layer: RealizedLayer, ramp: Ramp) -> None:
         self._layers.append((layer, ramp))
         if layer.friction is not None:
             self._rubbing.append((Bristles(layer.friction), ramp))

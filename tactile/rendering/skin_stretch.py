@@ -83,7 +83,7 @@ LEAST = 1e-3
 """Smallest coefficient, and smallest end of a range of forces [N], that is told from nothing."""
 
 
-class Gain(Protocol):
+class GainLike(Protocol):
     """A gain that may go from value to value."""
 
     def after(self, samples: int) -> float:
@@ -223,7 +223,9 @@ class Stretch:
         self._pressed = False
         self._force = self._falls = 0.0
 
-    def __call__(self, stroke: Stroke, playing: Sequence[tuple[Bristles, Gain]]) -> Singles | None:
+    def __call__(
+        self, stroke: Stroke, playing: Sequence[tuple[Bristles, GainLike]]
+    ) -> Singles | None:
         """Return stretch (S, N) [m] of the textures that play; None where there is none at all.
 
         It is (S, 1) where all contactors have one axis. ``playing`` has the bristles of each
@@ -253,7 +255,7 @@ class Stretch:
         return self._found
 
     def _at_node(
-        self, place: Pair, force: float, playing: Sequence[tuple[Bristles, Gain]], after: int
+        self, place: Pair, force: float, playing: Sequence[tuple[Bristles, GainLike]], after: int
     ) -> Pair:
         """Return what the surface does to the skin [m], turned along motion."""
         dx, dy = self._moved(place, force > 0)

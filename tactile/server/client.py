@@ -16,13 +16,20 @@ from numpy.typing import NDArray
 from tactile import messages as m
 from tactile.clock import loop_time
 from tactile.errors import BusError
-from tactile.messages import Answer, Command, Contact, Event, Failure, Telemetry
+from tactile.messages import (
+    Answer,
+    Command,
+    Contact,
+    EventMessage,
+    Failure,
+    TelemetryMessage,
+    kind_of,
+)
 from tactile.playback import commands
 from tactile.playback.shared_memory import Touch
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import hint
-from tactile.server.playing import Part, Playing
-from tactile.server.requests import kind_of
+from tactile.server.playing import ClientState, Playing
 from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import watched
 from tactile.tracking.clock_map import ClockMap
@@ -36,9 +43,9 @@ SILENT = "the program gave no sign of life; its waveforms and effects were faded
 PLAY: frozenset[m.Role] = frozenset({"play"})
 ARM: frozenset[m.Role] = frozenset({"arm"})
 NEEDED: dict[type, frozenset[m.Role]] = {
-    **dict.fromkeys((m.Select, m.Play, m.Stop, m.Gain, m.Append, m.Effect), PLAY),
-    **dict.fromkeys((m.Arm, m.Clear), ARM),
-    m.Disarm: ARM | {"stop"},
+    **dict.fromkeys((m.Select, m.Play, m.StopPlaying, m.SetGain, m.Append, m.PlayEffect), PLAY),
+    **dict.fromkeys((m.ArmDisplay, m.ClearEstop), ARM),
+    m.DisarmDisplay: ARM | {"stop"},
 }
 """Roles of which a client needs one for a command; whoever is let in may do all else."""
 
@@ -56,15 +63,15 @@ class Client:
         self.number, self.name, self._host, self.roles = number, name, host, roles
         self._sounds_until = -math.inf
         self._left = False
-        self.outbox: asyncio.Queue[Event | Telemetry] = asyncio.Queue(OUTBOX)
+        self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
 
-    def post(self, what: Event | Telemetry) -> None:
+    def post(self, what: EventMessage | TelemetryMessage) -> None:
         """Put something in the outbox, if there is room."""
         if self.outbox.full():
             kept = [self.outbox.get_nowait() for _ in range(self.outbox.qsize())]
-            oldest = next((k for k, one in enumerate(kept) if isinstance(one, Telemetry)), 0)
+            oldest = next((k for k, one in enumerate(kept) if isinstance(one, TelemetryMessage)), 0)
             for k, one in enumerate(kept):
                 if k != oldest:
                     self.outbox.put_nowait(one)
@@ -86,7 +93,7 @@ class Client:
         for playing in self._host.playing.values():
             if self.number in playing.parts:
                 self._host.run(partial(playing.ask, commands.Silence(self.number)))
-                self.post(Event(display=playing.config.name, kind="silent", detail=SILENT))
+                self.post(EventMessage(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
         """Give up its share of high voltage, since it gives no sign of life."""
@@ -137,14 +144,14 @@ class Client:
             return m.Textures(textures=self._host.textures())
         if isinstance(command, m.EStop):
             return self._estop(command)
-        if isinstance(command, m.Hello):
+        if isinstance(command, m.ClientHello):
             return Failure(code="malformed", message="hello was said already")
         playing = self._host.playing.get(command.display)
         if playing is None:
             return self._no_display(command.display)
         if isinstance(command, Contact):
             return self.contact(command, loop_time()) or m.Done()
-        if self._left and not isinstance(command, m.Disarm):
+        if self._left and not isinstance(command, m.DisarmDisplay):
             return Failure(code="unavailable", message="the connection has ended")
         needed = NEEDED.get(type(command))
         if needed is not None and not needed & self.roles:
@@ -180,8 +187,8 @@ class Client:
             }
         )
 
-    def _part(self, playing: Playing) -> Part:
-        return playing.parts.setdefault(self.number, Part())
+    def _part(self, playing: Playing) -> ClientState:
+        return playing.parts.setdefault(self.number, ClientState())
 
     async def _select(self, playing: Playing, command: m.Select) -> Answer:
         known = {texture.name for texture in self._host.textures()}
@@ -207,12 +214,12 @@ class Client:
         self._part(playing).sounds = True
         return await self._scaled(playing)
 
-    async def _stop(self, playing: Playing, command: m.Stop) -> Answer:
+    async def _stop(self, playing: Playing, command: m.StopPlaying) -> Answer:
         self._part(playing).sounds = False
         await playing.ask(commands.Silence(self.number))
         return await self._scaled(playing)
 
-    async def _gain(self, playing: Playing, command: m.Gain) -> Answer:
+    async def _gain(self, playing: Playing, command: m.SetGain) -> Answer:
         self._part(playing).gain = command.gain
         return await self._scaled(playing)
 
@@ -260,9 +267,9 @@ class Client:
             )
         )  # fmt: skip
         self._sounds_until = max(self._sounds_until, loop_time() + waiting + ENDING)
-        return m.Appended(samples_consumed=int(taken), buffered_ms=1e3 * waiting)
+        return m.AppendedReply(samples_consumed=int(taken), buffered_ms=1e3 * waiting)
 
-    async def _effect(self, playing: Playing, command: m.Effect) -> Answer:
+    async def _effect(self, playing: Playing, command: m.PlayEffect) -> Answer:
         failure = self._cannot_wave(playing)
         if failure is not None:
             return failure
@@ -290,17 +297,17 @@ class Client:
             field="display",
         )
 
-    async def _arm(self, playing: Playing, command: m.Arm) -> Answer:
+    async def _arm(self, playing: Playing, command: m.ArmDisplay) -> Answer:
         if playing.latch.holds:
             return self._estopped(playing)
         await playing.arm(self.number)
         return m.Done()
 
-    async def _disarm(self, playing: Playing, command: m.Disarm) -> Answer:
+    async def _disarm(self, playing: Playing, command: m.DisarmDisplay) -> Answer:
         await playing.disarm()
         return m.Done()
 
-    async def _clear(self, playing: Playing, command: m.Clear) -> Answer:
+    async def _clear(self, playing: Playing, command: m.ClearEstop) -> Answer:
         latch = playing.latch
         if command.estop > latch.number:
             latest = f"the latest of {playing.config.name!r} is {latch.number}"
@@ -334,7 +341,7 @@ class Client:
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
         r, latch = playing.report, playing.latch
-        return m.Stats(
+        return m.StatsReply(
             display=playing.config.name,
             state=playing.state,
             link="up" if r.link == "up" and not playing.lost else "down",
@@ -347,8 +354,8 @@ class Client:
         )
 
     _ACTIONS: dict[type, Callable[..., Awaitable[Answer]]] = {  # noqa: RUF012
-        m.Select: _select, m.Play: _play, m.Stop: _stop, m.Gain: _gain, m.Append: _append,
-        m.Effect: _effect, m.Arm: _arm, m.Disarm: _disarm, m.Clear: _clear,
+        m.Select: _select, m.Play: _play, m.StopPlaying: _stop, m.SetGain: _gain, m.Append: _append,
+        m.PlayEffect: _effect, m.ArmDisplay: _arm, m.DisarmDisplay: _disarm, m.ClearEstop: _clear,
         m.Subscribe: _subscribe, m.GetStats: _stats,
     }  # fmt: skip
 
@@ -360,10 +367,10 @@ def _rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:
     return rows
 
 
-def snapshot(playing: Playing) -> Telemetry:
+def snapshot(playing: Playing) -> TelemetryMessage:
     """Return what a display does now."""
     r = playing.report
-    return Telemetry(
+    return TelemetryMessage(
         display=playing.config.name,
         time_us=round(r.time * 1e6),
         state=playing.state,

@@ -128,13 +128,13 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             )
 
 
-class Config(File, frozen=True, kw_only=True):
+class DaemonConfig(File, frozen=True, kw_only=True):
     """A configuration, its paths absolute, and the file that it was read from."""
 
     path: Path | None = None
 
 
-def load_config(path: Path | None) -> Config:
+def load_config(path: Path | None) -> DaemonConfig:
     """Return the configuration of a file, or the one without.
 
     Raises
@@ -143,10 +143,10 @@ def load_config(path: Path | None) -> Config:
         Where it cannot be read or holds what does not fit: file, field, value, what is allowed.
     """
     if path is None:
-        return Config()
+        return DaemonConfig()
     read = files.read(path, File)
     folder = path.absolute().parent
-    config = Config(
+    config = DaemonConfig(
         server=structs.replace(
             read.server,
             token_file=_beside(folder, read.server.token_file),
@@ -199,7 +199,7 @@ def load_configured(config: DisplayConfig) -> Display:
     return replace(display, limits=limits)
 
 
-def read_tokens(config: Config) -> list[tuple[bytes, frozenset[Role]]]:
+def read_tokens(config: DaemonConfig) -> list[tuple[bytes, frozenset[Role]]]:
     """Return the tokens that clients may say, and what each allows.
 
     Raises

@@ -1,4 +1,4 @@
-"""One WebSocket's life: `Hello`, then messages in and answers out, until either side has enough.
+"""The life of one WebSocket: `ClientHello`, then messages in and answers out.
 
 Contacts are handed on as they come, never behind anything. Requests are carried out one after the
 other beside them; an e-stop waits for none of them, and outlives the connection that asked for it.
@@ -18,11 +18,11 @@ from tactile.clock import loop_time
 from tactile.messages import (
     API_VERSION,
     Answer,
+    ClientHello,
     Command,
     Contact,
     EStop,
     Failure,
-    Hello,
     Ping,
     Pong,
     Role,
@@ -32,10 +32,10 @@ from tactile.server.config import ServerConfig
 from tactile.server.decoding import ENCODINGS, Encoding, failed, read, read_estop
 from tactile.server.liveness import SignsOfLife
 from tactile.server.metrics import Metrics
-from tactile.server.peers import Peer, is_local, judge, local_peer
+from tactile.server.peers import PeerCredentials, is_local, judge, local_peer
 from tactile.server.places import Places
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import Client, Host, Requests, id_of
+from tactile.server.requests import ClientProtocol, HostProtocol, Requests, id_of
 from tactile.server.security import Tokens
 from tactile.server.sockets import BoundedWebSocket
 from tactile.server.tasks import watched
@@ -73,9 +73,9 @@ BROKEN = Close(1011, "the daemon failed")
 class Welcomed(NamedTuple):
     """A client that may come in: what it said, what it may do, and who it is."""
 
-    hello: Hello
+    hello: ClientHello
     roles: frozenset[Role]
-    peer: Peer | None
+    peer: PeerCredentials | None
 
 
 class Site:
@@ -88,11 +88,16 @@ class Site:
     """
 
     def __init__(
-        self, host: Host, config: ServerConfig, metrics: Metrics, tokens: Tokens, version: str
+        self,
+        host: HostProtocol,
+        config: ServerConfig,
+        metrics: Metrics,
+        tokens: Tokens,
+        version: str,
     ) -> None:
         self.host, self.config, self.metrics = host, config, metrics
         self.tokens, self.version = tokens, version
-        self.places: Places[Connection] = Places(config.most_clients)
+        self.places: Places[ServerConnection] = Places(config.most_clients)
         self.ending = False
 
     @property
@@ -114,7 +119,7 @@ async def talk(socket: WebSocket, site: Site) -> None:
     if protocol is None:
         await socket.close(1002, f"no subprotocol of {', '.join(ENCODINGS)}")
         return
-    connection = Connection(socket, site, ENCODINGS[protocol])
+    connection = ServerConnection(socket, site, ENCODINGS[protocol])
     ended = await connection.run()
     if ended is not GONE:
         with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):  # nobody would read it
@@ -123,7 +128,7 @@ async def talk(socket: WebSocket, site: Site) -> None:
                 await socket.close(*ended)
 
 
-class Connection:
+class ServerConnection:
     """A WebSocket that speaks one of our subprotocols."""
 
     def __init__(self, socket: WebSocket, site: Site, encoding: Encoding) -> None:
@@ -136,7 +141,7 @@ class Connection:
         self._failures = 0
         self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
         self._works: list[asyncio.Task[None]] = []
-        self._client: Client
+        self._client: ClientProtocol
         self._requests: Requests
 
     async def run(self) -> Close:
@@ -186,7 +191,7 @@ class Connection:
     # Hello
 
     async def _greet(self) -> Welcomed | Close:
-        """Return the client, where it says `Hello` and is welcome; it has a place then."""
+        """Return the client, where it says `ClientHello` and is welcome; it has a place then."""
         try:
             async with asyncio.timeout(HELLO_WITHIN):
                 message = await self._socket.receive()
@@ -198,13 +203,13 @@ class Connection:
         hello = read(self._data(message), self._encoding)
         if isinstance(hello, Failure):
             return await self._refuse(Close(4400, "no hello"), hello)
-        if not isinstance(hello, Hello):
+        if not isinstance(hello, ClientHello):
             first = "the first message must be a hello"
             failure = failed("hello_first", first, field="type", to=id_of(hello))
             return await self._refuse(Close(4400, "no hello"), failure)
         return await self._judge(hello)
 
-    async def _judge(self, hello: Hello) -> Welcomed | Close:
+    async def _judge(self, hello: ClientHello) -> Welcomed | Close:
         roles, peer = await self._roles(hello.token)
         if roles is None:
             await asyncio.sleep(PENALTY)
@@ -223,7 +228,7 @@ class Connection:
             roles = frozenset()
         return Welcomed(hello, roles, peer)
 
-    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, Peer | None]:
+    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
         """Return what a client may do by its token or as a user, None where it may not come in."""
         tokens, socket = self._site.tokens, self._link.socket
         local = is_local(socket)
@@ -342,7 +347,7 @@ class Connection:
             self._answer(Pong(id=command.id, time_us=command.time_us, server_time_us=came))
             self._traffic.message("ping", loop_time() - arrival)
             return None
-        if isinstance(command, Hello):
+        if isinstance(command, ClientHello):
             return failed("unsupported", "hello was said already", field="type", to=command.id)
         return self._requests.offer(command)
 

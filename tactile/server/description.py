@@ -4,13 +4,13 @@ import math
 
 from tactile.display.display import Display
 from tactile.estop.latch import Latch
-from tactile.messages import DisplayInfo
-from tactile.playback.commands import Opened
+from tactile.messages import DisplayDescription
+from tactile.playback.commands import DeviceOpened
 
 
 def describe(
-    name: str, display: Display, how: Opened, *, latency: float, latch: Latch
-) -> DisplayInfo:
+    name: str, display: Display, how: DeviceOpened, *, latency: float, latch: Latch
+) -> DisplayDescription:
     """Return what clients are told of a display that was opened.
 
     Parameters
@@ -21,7 +21,7 @@ def describe(
     latency : from a contact to the skin [s]
     latch : its e-stop latch
     """
-    return DisplayInfo(
+    return DisplayDescription(
         name=name,
         contactors_mm=tuple((float(x) * 1e3, float(y) * 1e3) for x, y in display.contactors),
         shear_direction_deg=tuple(math.degrees(a) for a in display.shear_direction.tolist()),

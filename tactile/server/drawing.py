@@ -14,7 +14,7 @@ from typing import Any
 from tactile.display.display import Display
 from tactile.errors import TactileError
 from tactile.playback.commands import Keep, Texture
-from tactile.rendering.layer import Layer
+from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 
@@ -22,7 +22,7 @@ NICE = 10
 
 
 @dataclass(frozen=True)
-class Request:
+class DrawingRequest:
     """A texture to be made ready for a display, under a number; frames where it takes them."""
 
     number: int
@@ -43,7 +43,7 @@ class Made:
     failure: str = ""
 
 
-def make(request: Request) -> Texture:
+def make(request: DrawingRequest) -> Texture:
     """Return a texture made ready.
 
     Raises
@@ -53,7 +53,7 @@ def make(request: Request) -> Texture:
     """
     texture = load_texture(request.texture)
     if not request.carriers:
-        return Layer(request.display, texture, seed=request.seed)
+        return RealizedLayer(request.display, texture, seed=request.seed)
     return SpectrumRenderer(
         request.display, texture, carriers=request.carriers, frame_rate=request.frame_rate,
         sample_rate=request.sample_rate, seed=request.seed, whole_band=True,
@@ -69,7 +69,7 @@ def main() -> None:
         os.nice(NICE)
     while True:
         try:
-            request: Request = pickle.load(pipe)
+            request: DrawingRequest = pickle.load(pipe)
         except (EOFError, OSError, pickle.UnpicklingError):
             sys.exit(0)
         try:

@@ -6,7 +6,7 @@ from tactile.messages import SILENCE
 from tactile.playback.shared_memory import Touch
 
 
-class Finger:
+class FingerOwnership:
     """The finger on a display, which belongs to the client that touched first.
 
     Attributes

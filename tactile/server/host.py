@@ -15,10 +15,10 @@ from tactile import messages as m
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, InputError
 from tactile.estop.latch import Latch, inherit_estops
-from tactile.messages import Event
+from tactile.messages import EventMessage
 from tactile.paths import state_folder
 from tactile.server.client import Client
-from tactile.server.config import Config, DisplayConfig, load_config, load_configured
+from tactile.server.config import DaemonConfig, DisplayConfig, load_config, load_configured
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
 from tactile.server.tasks import watched
@@ -82,7 +82,7 @@ class Host:
     clock : by which it waits for files; all else goes by the event loop's
     """
 
-    def __init__(self, config: Config, *, clock: Clock = MONOTONIC) -> None:
+    def __init__(self, config: DaemonConfig, *, clock: Clock = MONOTONIC) -> None:
         self._config, self._clock = config, clock
         self._workbench = Workbench()
         self._clients: dict[int, Client] = {}
@@ -200,14 +200,14 @@ class Host:
                 failures.append(str(error))
                 if begins:
                     playing.keep_open()
-            self._tell(Event(display=playing.config.name, kind="textures"))
+            self._tell(EventMessage(display=playing.config.name, kind="textures"))
         if failures:
             raise BusError("; ".join(failures))
 
     # What there is
 
     @property
-    def displays(self) -> tuple[m.DisplayInfo, ...]:
+    def displays(self) -> tuple[m.DisplayDescription, ...]:
         """Displays that there are to play on."""
         return tuple(playing.info for playing in self.playing.values())
 
@@ -246,7 +246,7 @@ class Host:
             if playing.owners.clients:
                 self.run(playing.disarm)
 
-    def _tell(self, event: Event) -> None:
+    def _tell(self, event: EventMessage) -> None:
         for client in self._clients.values():
             client.post(event)
 

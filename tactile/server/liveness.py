@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple, Protocol
 
 from tactile.clock import loop_time
-from tactile.playback.silence import Silence
+from tactile.playback.silence import SilenceTimer
 
 TICK = 0.025
 """s between two looks at all clients."""
@@ -33,7 +33,7 @@ class SignsOfLife:
     """Counts a client's silence, with the time passed in."""
 
     def __init__(self) -> None:
-        self._silence = Silence(longest_step=2 * TICK)
+        self._silence = SilenceTimer(longest_step=2 * TICK)
         self._until_ping = 0.0
         self._received = -1
 
@@ -64,7 +64,7 @@ class SignsOfLife:
 
 
 class Watched(Protocol):
-    """Who is looked at, as `tactile.server.connection.Connection`."""
+    """Who is looked at, as `tactile.server.connection.ServerConnection`."""
 
     def look(self, passed: float) -> None:
         """Do what is due after some time [s]; never raises."""

@@ -96,7 +96,7 @@ class Gate(QueueHandler):
         self.dropped += 1
 
 
-class Lines(logging.Handler):
+class LineHandler(logging.Handler):
     """Writes lines to a file descriptor, unbuffered; what cannot be written is counted.
 
     Only one thread writes. There is neither a lock nor a buffer that the end of the program would
@@ -119,7 +119,7 @@ class Lines(logging.Handler):
             self.failed += 1
 
 
-class Writer(QueueListener):
+class LogWriter(QueueListener):
     """The thread that writes."""
 
     def __init__(self, waiting: "queue.Queue[Any]", sink: logging.Handler) -> None:
@@ -148,10 +148,10 @@ class Logs:
     """
 
     def __init__(self, config: LogConfig, *, clock: Callable[[], float] = MONOTONIC.now) -> None:
-        self._sink = Lines(_descriptor(config.file))
+        self._sink = LineHandler(_descriptor(config.file))
         self._sink.setFormatter(JsonFormatter() if config.format == "json" else TextFormatter())
         waiting: queue.Queue[Any] = queue.Queue(MOST_WAITING)
-        self._gate, self._writer = Gate(waiting, clock), Writer(waiting, self._sink)
+        self._gate, self._writer = Gate(waiting, clock), LogWriter(waiting, self._sink)
         self._root = logging.getLogger()
         self._before = self._root.handlers[:], self._root.level
         self._root.handlers[:] = [self._gate]

@@ -24,7 +24,7 @@ BUCKETS = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.5,
 """Of the time that a message takes [s]."""
 
 
-class Source(Protocol):
+class MetricsSource(Protocol):
     """What knows how the displays are; `tactile.server.host.Host` is one."""
 
     def figures(self) -> dict[str, dict[str, float]]:
@@ -39,7 +39,7 @@ class Source(Protocol):
 class Displays(Collector):
     """The displays' counters and what the log lost, as they are when they are asked for."""
 
-    def __init__(self, source: Source, dropped_logs: Callable[[], float]) -> None:
+    def __init__(self, source: MetricsSource, dropped_logs: Callable[[], float]) -> None:
         self._source, self._dropped_logs = source, dropped_logs
 
     def collect(self) -> Iterator[Metric]:
@@ -97,7 +97,9 @@ class Metrics:
     dropped_logs : how many lines of the log were not written
     """
 
-    def __init__(self, source: Source, dropped_logs: Callable[[], float] = lambda: 0) -> None:
+    def __init__(
+        self, source: MetricsSource, dropped_logs: Callable[[], float] = lambda: 0
+    ) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
         registry = self.registry
         self.clients = Gauge(

@@ -30,15 +30,15 @@ from tactile.messages import (
     Contact,
     EStop,
     Failure,
-    Gain,
     Role,
     Select,
-    Stop,
+    SetGain,
+    StopPlaying,
 )
 from tactile.server.decoding import failed
 from tactile.server.metrics import Metrics
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import Client, Host, Requests
+from tactile.server.requests import ClientProtocol, HostProtocol, Requests
 from tactile.server.tasks import watched
 
 log = logging.getLogger("tactile.osc")
@@ -79,13 +79,13 @@ def _texture(display: str, values: list[Any]) -> Select:
     return msgspec.convert({"display": display, "layers": layers}, Select)
 
 
-def _gain(display: str, values: list[Any]) -> Gain:
+def _gain(display: str, values: list[Any]) -> SetGain:
     (gain,) = values
-    return msgspec.convert({"display": display, "gain": gain}, Gain)
+    return msgspec.convert({"display": display, "gain": gain}, SetGain)
 
 
-def _stop(display: str, values: list[Any]) -> Stop:
-    return Stop(display=display)
+def _stop(display: str, values: list[Any]) -> StopPlaying:
+    return StopPlaying(display=display)
 
 
 def _estop(display: str, values: list[Any]) -> EStop:
@@ -192,7 +192,7 @@ def to_command(address: str, values: list[Any], first: str) -> Command | Failure
 class Sender:
     """A client: where it sends from is all that is known of it."""
 
-    client: Client
+    client: ClientProtocol
     requests: Requests
     bucket: TokenBucket
     heard: float
@@ -202,7 +202,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     """Takes packets, and never raises."""
 
     def __init__(
-        self, link: socket.socket, host: Host, metrics: Metrics, messages_per_second: float
+        self, link: socket.socket, host: HostProtocol, metrics: Metrics, messages_per_second: float
     ) -> None:
         self._link, self._host, self._rate = link, host, messages_per_second
         self._traffic = metrics.of("osc")
@@ -285,7 +285,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._empty(sender.client)
 
     @staticmethod
-    def _empty(client: Client) -> None:
+    def _empty(client: ClientProtocol) -> None:
         """Throw away what is said to a client: nothing is sent back."""
         while not client.outbox.empty():
             client.outbox.get_nowait()

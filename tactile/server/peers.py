@@ -22,7 +22,7 @@ OTHERS: frozenset[Role] = frozenset({"watch", "stop"})
 """Of another user, who says no token."""
 
 
-class Peer(NamedTuple):
+class PeerCredentials(NamedTuple):
     """Who is at the other end: user and, where it is known, process."""
 
     user: int
@@ -34,7 +34,7 @@ def is_local(connection: socket.socket) -> bool:
     return connection.family == getattr(socket, "AF_UNIX", None)
 
 
-def local_peer(connection: socket.socket) -> Peer:
+def local_peer(connection: socket.socket) -> PeerCredentials:
     """Return who connected to a Unix socket.
 
     Raises
@@ -45,7 +45,7 @@ def local_peer(connection: socket.socket) -> Peer:
     layout = struct.Struct("3i")
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, layout.size)
     process, user, _ = layout.unpack(data)
-    return Peer(user, process)
+    return PeerCredentials(user, process)
 
 
 def user_in(table: bytes, peer: tuple[str, int], own: tuple[str, int]) -> int | None:
@@ -73,23 +73,23 @@ def _written(address: str, port: int) -> bytes:
     return b"".join(b"%08X" % word for word in words) + b":%04X" % port
 
 
-def tcp_peer(connection: socket.socket) -> Peer | None:
+def tcp_peer(connection: socket.socket) -> PeerCredentials | None:
     """Return who is at the other end of a TCP connection of this machine, if it can be told."""
     peer, own = connection.getpeername()[:2], connection.getsockname()[:2]
     try:
         user = user_in(TABLES[connection.family].read_bytes(), peer, own)
     except (OSError, ValueError, IndexError):
         return None
-    return None if user is None else Peer(user)
+    return None if user is None else PeerCredentials(user)
 
 
-def roles_of_user(peer: Peer | None) -> frozenset[Role]:
+def roles_of_user(peer: PeerCredentials | None) -> frozenset[Role]:
     """Return what a user may do without a token, None being one that could not be told."""
     own = peer is not None and peer.user in (0, os.geteuid())
     return ALL_ROLES if own else OTHERS
 
 
-async def judge(connection: socket.socket) -> tuple[frozenset[Role], Peer | None]:
+async def judge(connection: socket.socket) -> tuple[frozenset[Role], PeerCredentials | None]:
     """Return what a peer may do that says no token where none is configured, and who it is."""
     if not sys.platform.startswith("linux"):
         return ALL_ROLES, None

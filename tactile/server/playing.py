@@ -15,14 +15,14 @@ from typing import Any, Literal
 
 from tactile.errors import BusError
 from tactile.estop.latch import Latch
-from tactile.messages import DisplayInfo, Event, Layer
+from tactile.messages import DisplayDescription, EventMessage, Layer
 from tactile.playback import commands
-from tactile.playback.commands import Answer, News, Opened, Order, Setup
-from tactile.playback.shared_memory import Report, Shared, Touch
+from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
+from tactile.playback.shared_memory import PlaybackReport, Shared, Touch
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, load_configured
 from tactile.server.description import describe
-from tactile.server.finger import Finger
+from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.shelf import Shelf
 from tactile.server.tasks import watched
@@ -54,7 +54,7 @@ def hangs(now: float, reported: float, opened: float) -> bool:
 
 
 @dataclass
-class Part:
+class ClientState:
     """What a client has on a display."""
 
     layers: tuple[tuple[int, float], ...] = ()
@@ -70,7 +70,7 @@ class Playing:
     config : of the display
     latch : its e-stop latch, which outlives it
     workbench : makes textures ready
-    tell : called with each `Event`
+    tell : called with each `EventMessage`
     """
 
     def __init__(
@@ -78,22 +78,22 @@ class Playing:
         config: DisplayConfig,
         latch: Latch,
         workbench: Workbench,
-        tell: Callable[[Event], None],
+        tell: Callable[[EventMessage], None],
     ) -> None:
         self.config, self.display = config, load_configured(config)
         self._loop = asyncio.get_running_loop()
         self.latch = latch
         self.memory = Shared.create(len(self.display.contactors))
-        self.how = Opened()
-        self.parts: dict[int, Part] = {}
-        self.finger = Finger()
+        self.how = DeviceOpened()
+        self.parts: dict[int, ClientState] = {}
+        self.finger = FingerOwnership()
         self.lost = True
         self.failure = ""
         self._tell = tell
         self._child: Child | None = None
         self._asked: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
-        self._opened: asyncio.Future[Opened] | None = None
+        self._opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
         self._shelf = Shelf(
             self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
@@ -153,7 +153,7 @@ class Playing:
             async with asyncio.timeout(OPENING):
                 self.how = await asyncio.shield(self._opened)
         except TimeoutError:
-            self.how = Opened(why_not=f"not open after {OPENING:g} s")
+            self.how = DeviceOpened(why_not=f"not open after {OPENING:g} s")
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
@@ -163,7 +163,7 @@ class Playing:
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
 
     def _heard(self, what: Any) -> None:
-        if isinstance(what, Opened):
+        if isinstance(what, DeviceOpened):
             if self._opened is not None and not self._opened.done():
                 self._opened.set_result(what)
         elif isinstance(what, Answer):
@@ -181,7 +181,9 @@ class Playing:
     def _gone(self) -> None:
         """See that the process is no more, and that nobody waits for it."""
         if self._opened is not None and not self._opened.done():
-            self._opened.set_result(Opened(why_not="playback ended while it opened the device"))
+            self._opened.set_result(
+                DeviceOpened(why_not="playback ended while it opened the device")
+            )
         for future in self._asked.values():
             if not future.done():
                 future.set_exception(BusError("playback was lost"))
@@ -192,7 +194,7 @@ class Playing:
 
     def _say(self, kind: str, detail: str, *, estop: int = 0) -> None:
         log.info("%s: %s %s", self.config.name, kind, detail)
-        self._tell(Event(display=self.config.name, kind=kind, detail=detail, estop=estop))
+        self._tell(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
 
     async def _keep(self) -> None:
         """Start playback again, whenever it dies or hangs."""
@@ -233,7 +235,7 @@ class Playing:
             for client, part in list(self.parts.items()):
                 await self.ask(commands.Scale(client, part.gain, part.sounds))
             if self.owners.clients and not self.latch.holds:
-                await self.ask(commands.Arm())
+                await self.ask(commands.StartBus())
             else:
                 self._say("disarmed", "playback is back, and disarmed")
 
@@ -287,7 +289,7 @@ class Playing:
         self.owners.clients.add(client)
         with self.owners.arm():
             try:
-                await self.ask(commands.Arm())
+                await self.ask(commands.StartBus())
             except BusError:
                 self.owners.clients.discard(client)
                 raise
@@ -302,7 +304,7 @@ class Playing:
         """
         self.owners.clients.clear()
         if not self.lost:
-            await self.ask(commands.Disarm())
+            await self.ask(commands.StopBus())
 
     async def give_up(self, client: int) -> None:
         """Take away a client's share of high voltage; switch it off where nobody else has one.
@@ -353,7 +355,7 @@ class Playing:
         """
         if not self.latch.holds:
             return
-        await self.ask(commands.Clear(estop))
+        await self.ask(commands.ClearDevice(estop))
         self.latch.clear(estop)
         self._say("cleared", f"e-stop {estop} was cleared", estop=estop)
 
@@ -384,7 +386,7 @@ class Playing:
         BusError
             Where one cannot be made ready, or there is no room for it.
         """
-        part = self.parts.setdefault(client, Part())
+        part = self.parts.setdefault(client, ClientState())
         with self._shelf.held() as held:
             chosen = []
             for layer in layers:
@@ -392,7 +394,7 @@ class Playing:
                 held.add(number)
                 chosen.append((number, layer.gain))
             part.layers = tuple(chosen)
-        await self.ask(commands.Select(client, part.layers))
+        await self.ask(commands.SelectTextures(client, part.layers))
 
     async def texture(self, client: int, name: str, seed: int) -> int:
         """Return the number of a texture that is ready.
@@ -436,7 +438,7 @@ class Playing:
             for part in self.parts.values():
                 part.layers = tuple((numbers.get(n, n), gain) for n, gain in part.layers)
         for client, part in list(self.parts.items()):
-            await self.ask(commands.Select(client, part.layers))
+            await self.ask(commands.SelectTextures(client, part.layers))
         for n, _ in old.values():
             await self._drop_texture(n)
 
@@ -462,7 +464,7 @@ class Playing:
     # How it stands
 
     @property
-    def report(self) -> Report:
+    def report(self) -> PlaybackReport:
         """The latest of playback."""
         return self.memory.report()
 
@@ -486,7 +488,7 @@ class Playing:
         return self._child
 
     @property
-    def info(self) -> DisplayInfo:
+    def info(self) -> DisplayDescription:
         """What clients are told."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
         latency = self.report.latency or self.how.latency + renders

@@ -10,20 +10,21 @@ from msgspec import structs
 from tactile.clock import loop_time
 from tactile.messages import (
     Answer,
+    ApiMessage,
     Command,
     Contact,
-    Disarm,
-    DisplayInfo,
+    DisarmDisplay,
+    DisplayDescription,
     EStop,
-    Event,
+    EventMessage,
     Failure,
-    Message,
     Reply,
     Role,
-    Telemetry,
+    TelemetryMessage,
+    kind_of,
 )
 from tactile.server.decoding import failed
-from tactile.server.metrics import Source, Traffic
+from tactile.server.metrics import MetricsSource, Traffic
 from tactile.server.tasks import watched
 
 log = logging.getLogger("tactile.server")
@@ -34,10 +35,10 @@ MOST_REQUESTS = 32
 """Of a client, that wait."""
 
 
-class Client(Protocol):
+class ClientProtocol(Protocol):
     """A connection as the host knows it; `tactile.server.client.Client` is one."""
 
-    outbox: "asyncio.Queue[Event | Telemetry]"
+    outbox: "asyncio.Queue[EventMessage | TelemetryMessage]"
 
     @property
     def sounds(self) -> bool:
@@ -70,7 +71,7 @@ class Client(Protocol):
         ...
 
 
-class Host(Source, Protocol):
+class HostProtocol(MetricsSource, Protocol):
     """All displays and who plays on them; `tactile.server.host.Host` is one."""
 
     async def start(self) -> None:
@@ -86,11 +87,11 @@ class Host(Source, Protocol):
         ...
 
     @property
-    def displays(self) -> tuple[DisplayInfo, ...]:
+    def displays(self) -> tuple[DisplayDescription, ...]:
         """What there is to play on."""
         ...
 
-    def connect(self, name: str, *, roles: frozenset[Role]) -> Client:
+    def connect(self, name: str, *, roles: frozenset[Role]) -> ClientProtocol:
         """Return a new client, which may do what its roles allow."""
         ...
 
@@ -103,12 +104,7 @@ class Host(Source, Protocol):
         ...
 
 
-def kind_of(message: Message) -> str:
-    """Return what a message says as its ``type``."""
-    return str(type(message).__struct_config__.tag)
-
-
-def id_of(message: Message) -> int | None:
+def id_of(message: ApiMessage) -> int | None:
     """Return the id of a request; a `Contact` has none."""
     found: int | None = getattr(message, "id", None)
     return found
@@ -127,7 +123,7 @@ class Requests:
 
     def __init__(
         self,
-        client: Client,
+        client: ClientProtocol,
         traffic: Traffic,
         answered: Callable[[Answer], None],
         broke: Callable[[BaseException], object] | None = None,
@@ -185,7 +181,7 @@ class Requests:
         self._ended = True
         self._worker.cancel()
         self._new.set()
-        disarms = [command for command in self._waiting if isinstance(command, Disarm)]
+        disarms = [command for command in self._waiting if isinstance(command, DisarmDisplay)]
         tasks = {*self._urgent, watched(asyncio.create_task(self._carry_out_each(disarms)))}
         try:
             await asyncio.wait(tasks, timeout=FINISH_WITHIN)

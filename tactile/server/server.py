@@ -25,14 +25,14 @@ from tactile import messages
 from tactile.errors import InputError, TactileError
 from tactile.playback.priority import shorten_collections
 from tactile.server import watchdog
-from tactile.server.config import Config, read_tokens
+from tactile.server.config import DaemonConfig, read_tokens
 from tactile.server.connection import Site, talk
 from tactile.server.listening import Listener, bound_sockets
 from tactile.server.liveness import look_after
 from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
-from tactile.server.requests import Host
+from tactile.server.requests import HostProtocol
 from tactile.server.security import Door, Tokens
 from tactile.server.tasks import watched
 
@@ -59,7 +59,7 @@ class Server:
     serving: "asyncio.Task[None]"
 
     @property
-    def host(self) -> Host:
+    def host(self) -> HostProtocol:
         """All displays and who plays on them."""
         return self.site.host
 
@@ -105,7 +105,7 @@ def application(site: Site) -> ASGIApp:
 
 
 @asynccontextmanager
-async def _osc(config: Config, site: Site) -> AsyncIterator[None]:
+async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
     """Listen for OSC, where it is wanted.
 
     Raises
@@ -136,10 +136,10 @@ async def _osc(config: Config, site: Site) -> AsyncIterator[None]:
             await protocol.finish()
 
 
-def _host(config: Config) -> Host:
-    from tactile.server.host import Host as Displays
+def _host(config: DaemonConfig) -> HostProtocol:
+    from tactile.server.host import Host
 
-    return Displays(config)
+    return Host(config)
 
 
 def _version() -> str:
@@ -151,9 +151,9 @@ def _version() -> str:
 
 @asynccontextmanager
 async def running(
-    config: Config,
+    config: DaemonConfig,
     *,
-    host: Host | None = None,
+    host: HostProtocol | None = None,
     dropped_logs: Callable[[], float] = lambda: 0,
 ) -> AsyncIterator[Server]:
     """Run the daemon in this event loop; port 0 takes one that is free.
@@ -208,7 +208,7 @@ def _url(listening: socket.socket) -> str:
     return f"ws://{f'[{name}]' if ':' in name else name}:{port}{messages.PATH}"
 
 
-def serve(config: Config, ready: Callable[[Server], None] | None = None) -> None:
+def serve(config: DaemonConfig, ready: Callable[[Server], None] | None = None) -> None:
     """Run the daemon until SIGINT or SIGTERM; SIGHUP reads textures and configuration again.
 
     Raises
@@ -223,7 +223,7 @@ def serve(config: Config, ready: Callable[[Server], None] | None = None) -> None
         logs.close()
 
 
-async def _serve(config: Config, logs: Logs, ready: Callable[[Server], None] | None) -> None:
+async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], None] | None) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
 
     def stop() -> None:
@@ -255,7 +255,7 @@ async def _serve(config: Config, logs: Logs, ready: Callable[[Server], None] | N
 class Reloading:
     """Reads textures and configuration again, one after the other; a mistake is logged."""
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: HostProtocol) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
         self._host, self._lock = host, asyncio.Lock()
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from tactile.display.display import Display
 from tactile.errors import BusError
-from tactile.playback.commands import Opened
+from tactile.playback.commands import DeviceOpened
 from tactile.server.workbench import Workbench
 
 MOST_TEXTURES = 16
@@ -81,7 +81,7 @@ class Shelf:
         finally:
             del self._held[token]
 
-    async def texture(self, client: int, key: Key, how: Opened) -> int:
+    async def texture(self, client: int, key: Key, how: DeviceOpened) -> int:
         """Return the number of a texture that is ready, for a display that plays so.
 
         Raises
@@ -103,7 +103,7 @@ class Shelf:
             raise BusError("the client has left")
         return number
 
-    def _begin(self, client: int, key: Key, how: Opened) -> Making:
+    def _begin(self, client: int, key: Key, how: DeviceOpened) -> Making:
         """Have a texture made ready, once for all who wait for it."""
         waits = sum(client in making.clients for making in self._making.values())
         if waits >= MOST_DRAWINGS:
@@ -117,7 +117,7 @@ class Shelf:
         self._making[key] = Making(clients, task)
         return self._making[key]
 
-    async def _made(self, key: Key, how: Opened, clients: set[int]) -> int:
+    async def _made(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
         """Return the number of a texture made ready, as long as there are clients that wait."""
         try:
             number, order = await self._workbench.make(self._display, *key, how, clients)

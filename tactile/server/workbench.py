@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from tactile.display.display import Display
 from tactile.errors import BusError
-from tactile.playback.commands import Opened
+from tactile.playback.commands import DeviceOpened
 from tactile.server import drawing
 from tactile.server.children import Child
 
@@ -24,7 +24,7 @@ ENDING = 1.0
 class Job:
     """A drawing that waits or is made, and the clients that wait for it."""
 
-    request: drawing.Request
+    request: drawing.DrawingRequest
     clients: set[int]
     order: "asyncio.Future[bytes]"
 
@@ -40,7 +40,7 @@ class Workbench:
         self._number = 0
 
     async def make(
-        self, display: Display, texture: str, seed: int, how: Opened, clients: set[int]
+        self, display: Display, texture: str, seed: int, how: DeviceOpened, clients: set[int]
     ) -> tuple[int, bytes]:
         """Return a texture's number, and the order for playback to keep it.
 
@@ -56,7 +56,7 @@ class Workbench:
             Where it cannot be made, or nobody waits for it any more.
         """
         self._number += 1
-        request = drawing.Request(
+        request = drawing.DrawingRequest(
             self._number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
         )
         job = Job(request, clients, asyncio.get_running_loop().create_future())

@@ -1,10 +1,10 @@
 """The live picture in a terminal: tactile image, drive, one contactor's shear, status.
 
-`Picture` takes what is played; ``rich.live.Live(picture, refresh_per_second=15)`` draws it. Every
-contactor is a rectangle of characters at its place, seen from above with y upward: the smallest
-pitch along x and along y makes a cell, so that contactors of an irregular layout stay apart. Where
-the terminal is too small, a cell is the mean of its contactors. Colored cells are drawn with half
-blocks, two to a character; without color a cell fills with height instead.
+`LivePicture` takes what is played; ``rich.live.Live(picture, refresh_per_second=15)`` draws it.
+Every contactor is a rectangle of characters at its place, seen from above with y upward: the
+smallest pitch along x and along y makes a cell, so that contactors of an irregular layout stay
+apart. Where the terminal is too small, a cell is the mean of its contactors. Colored cells are
+drawn with half blocks, two to a character; without color a cell fills with height instead.
 
 Friction stretches the skin under all contactors alike, by more than most textures move it, and one
 color all over would be all that is seen. The image is therefore of what changes along the way: each
@@ -25,7 +25,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from tactile.display.display import Display
-from tactile.show.trace import Trace, braille
+from tactile.show.trace import TraceBins, braille
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -251,7 +251,7 @@ class _State:
     peak_um: float = SMALLEST_SCALE
 
 
-class Picture:
+class LivePicture:
     """What a display plays, as a picture in a terminal.
 
     Parameters
@@ -279,7 +279,7 @@ class Picture:
         self.rows = _rows(self.places)
         middle = (self.places.min(axis=0) + self.places.max(axis=0)) / 2
         self.contactor = int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
-        self.trace = Trace()
+        self.trace = TraceBins()
         nothing = np.zeros(len(self.places))
         self.state = _State(0.0, (0.0, 0.0), 0.0, 0.0, nothing, nothing, 0, nothing)
         self._rasters: dict[tuple[int, int, bool], Raster] = {}
@@ -343,9 +343,9 @@ class Picture:
 
 
 class Frame:
-    """A `Picture` as it is now, laid out for the console that it is drawn on."""
+    """A `LivePicture` as it is now, laid out for the console that it is drawn on."""
 
-    def __init__(self, picture: Picture) -> None:
+    def __init__(self, picture: LivePicture) -> None:
         self._picture, self._state = picture, picture.state
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:

@@ -11,7 +11,7 @@ BRAILLE = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 """Bits of the dots of a Braille character, 4 × 2 (Unicode block U+2800)."""
 
 
-class Trace:
+class TraceBins:
     """Lowest and highest value of one signal in each bin of the last second."""
 
     def __init__(self) -> None:

@@ -63,7 +63,7 @@ def just_felt(frequency: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class StrokeSpectrum:
     """What a stroke along x does to the skin at one place.
 
     Attributes
@@ -130,7 +130,7 @@ class View:
     speed: float
     normal_force: float
     surface: Floats
-    spectrum: Spectrum
+    spectrum: StrokeSpectrum
     frequency: Floats
     attainable: Floats
     sweep: Sweep
@@ -179,7 +179,7 @@ class Tile:
     category: str
     rms: float
     surface: Floats
-    spectrum: Spectrum
+    spectrum: StrokeSpectrum
 
 
 def names_of(category: str | None) -> list[str]:
@@ -273,7 +273,7 @@ def _events_on(surface: Surface, kinds: tuple[Events, ...], place: Floats) -> Fl
 
 def texture_spectrum(
     texture: Texture, *, speed: float, normal_force: float = NORMAL_FORCE
-) -> Spectrum:
+) -> StrokeSpectrum:
     """Return what a stroke along x does to the skin at one place, per third octave.
 
     Partials keep their frequencies: that the slow envelope widens each by its own is left out.
@@ -291,7 +291,9 @@ def texture_spectrum(
     for kind in _kinds(texture):
         events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))
     frequency, peak = _gratings(texture, speed)
-    return Spectrum(factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak)
+    return StrokeSpectrum(
+        factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak
+    )
 
 
 def _kinds(texture: Texture) -> tuple[Events, ...]:
@@ -401,7 +403,7 @@ def view_figures(view: View) -> dict[str, object]:
     }
 
 
-def shown_bands(spectrum: Spectrum) -> NDArray[np.intp]:
+def shown_bands(spectrum: StrokeSpectrum) -> NDArray[np.intp]:
     """Return the third octaves up to 1 kHz between the outermost within 40 dB of what is felt most.
 
     What counts is how far each is above the detection threshold, or below it.

@@ -26,7 +26,7 @@ EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 
 
 
 @dataclass(frozen=True)
-class Lines:
+class LineSpectrum:
     """A spectrum.
 
     Attributes
@@ -38,9 +38,9 @@ class Lines:
     frequency: Floats
     power: Floats
 
-    def times(self, factor: Floats | float) -> "Lines":
+    def times(self, factor: Floats | float) -> "LineSpectrum":
         """Return it with its displacement multiplied."""
-        return Lines(self.frequency, self.power * np.square(factor))
+        return LineSpectrum(self.frequency, self.power * np.square(factor))
 
 
 def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
@@ -51,7 +51,7 @@ def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
 
 def commanded_lines(
     texture: Texture, *, speed: float, normal_force: float, angle: float = 0.0, seed: int = 0
-) -> Lines:
+) -> LineSpectrum:
     """Return the spectrum of shear that a texture commands in a straight stroke.
 
     Parameters
@@ -71,19 +71,19 @@ def commanded_lines(
     bands, gratings = surface.split
     waves = _modulated(bands, surface.envelope, velocity), _lines(gratings, velocity)
     parts = [*waves, *(_event_lines(kind, speed, angle) for kind in texture.descriptor.events)]
-    return Lines(
+    return LineSpectrum(
         np.abs(np.concatenate([part.frequency for part in parts])),
         np.concatenate([part.power for part in parts]),
     ).times(law_factor(texture, speed, normal_force))
 
 
-def _lines(waves: Partials, velocity: Floats) -> Lines:
+def _lines(waves: Partials, velocity: Floats) -> LineSpectrum:
     """Return the lines of waves, signed in frequency."""
     signed = waves.wave_vector @ velocity / (2 * np.pi)
-    return Lines(signed, (waves.amplitude * roll_off(signed)) ** 2 / 2)
+    return LineSpectrum(signed, (waves.amplitude * roll_off(signed)) ** 2 / 2)
 
 
-def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> Lines:
+def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> LineSpectrum:
     """Return the waves' lines with the sidebands that the envelope makes, signed in frequency."""
     plain = _lines(waves, velocity)
     if not len(envelope.amplitude):
@@ -94,12 +94,12 @@ def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> Lines:
     share = (1 - kept) * variance / variance.sum() / 2
     moved = np.concatenate([[0.0], aside, -aside])
     weight = np.concatenate([[kept], share, share])
-    return Lines(
+    return LineSpectrum(
         np.add.outer(plain.frequency, moved).ravel(), np.multiply.outer(plain.power, weight).ravel()
     )
 
 
-def _event_lines(kind: Events, speed: float, angle: float) -> Lines:
+def _event_lines(kind: Events, speed: float, angle: float) -> LineSpectrum:
     """Return one kind's expected spectrum; events are not rolled off."""
     below = power_below(kind, 2 * np.pi * EVENT_EDGES / speed, angle)
-    return Lines((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, np.diff(below))
+    return LineSpectrum((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, np.diff(below))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from tactile.display.display import Display
 from tactile.rendering.equalizer import roll_off
-from tactile.strength.commanded import Lines, law_factor
+from tactile.strength.commanded import LineSpectrum, law_factor
 from tactile.strength.strength import (
     Reach,
     SteadyStroke,
@@ -168,7 +168,7 @@ def parts_of(texture: Texture, stroke: SteadyStroke, able: Reach, channel: Touch
     for angle in directions:
         along = stroke.speed / (2 * np.pi) * np.array([np.cos(angle), np.sin(angle)])
         frequency = np.abs(wave_vector @ along)
-        lines = Lines(frequency, (amplitude * roll_off(frequency)) ** 2 / 2)
+        lines = LineSpectrum(frequency, (amplitude * roll_off(frequency)) ** 2 / 2)
         band = perception.band_of(frequency)
         here = np.zeros((count, len(CENTERS) + 1))
         np.add.at(here, (part, band), lines.power)

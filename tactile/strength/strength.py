@@ -26,7 +26,7 @@ from tactile.rendering.limiter import Limiter
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.shear import CONTACT_FORCE
 from tactile.rendering.skin_stretch import STROKE_SHARE
-from tactile.strength.commanded import Lines, commanded_lines
+from tactile.strength.commanded import LineSpectrum, commanded_lines
 from tactile.texture import perception
 from tactile.texture.surface import GOLDEN, Texture, without_friction
 
@@ -89,7 +89,7 @@ class SteadyStroke:
         """Unit vector (2,) of the motion."""
         return np.array([np.cos(self.angle), np.sin(self.angle)])
 
-    def lines(self, texture: Texture) -> Lines:
+    def lines(self, texture: Texture) -> LineSpectrum:
         """Return what a texture commands in it."""
         return commanded_lines(
             texture, speed=self.speed, normal_force=self.normal_force, angle=self.angle
@@ -117,13 +117,13 @@ class Reach:
     attainable: Floats
     share: Floats
 
-    def delivered(self, lines: Lines) -> Lines:
+    def delivered(self, lines: LineSpectrum) -> LineSpectrum:
         """Return the spectrum that the skin gets below the limits, mean over contactors."""
         square = self.share @ self.transfer**2
         at = np.interp(lines.frequency, self.frequency, square, right=0.0)
-        return Lines(lines.frequency, lines.power * at)
+        return LineSpectrum(lines.frequency, lines.power * at)
 
-    def drive_rms(self, lines: Lines) -> float:
+    def drive_rms(self, lines: LineSpectrum) -> float:
         """Return the drive below the limits, over all contactors [V]."""
         return float(np.sqrt(self.cost(lines.frequency) @ lines.power))
 
@@ -379,7 +379,7 @@ def texture_strength(
     )
 
 
-def _band_rms(lines: Lines) -> Floats:
+def _band_rms(lines: LineSpectrum) -> Floats:
     count = len(perception.CENTERS)
     power = np.bincount(perception.band_of(lines.frequency), lines.power, count + 1)
     return np.asarray(np.sqrt(power[:count]))
@@ -413,7 +413,7 @@ def automatic_gain(
     return found
 
 
-def _largest(tried: Trial, delivered: Lines, level: float | None) -> Gain | None:
+def _largest(tried: Trial, delivered: LineSpectrum, level: float | None) -> Gain | None:
     """Return the gain of `automatic_gain` for a trial and what is delivered at gain 1."""
     bands = {
         name: perception.band_sensation(delivered.frequency, delivered.power, channel)

@@ -62,7 +62,7 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Start:
+class StudyBase:
     """What nobody varies: a bender, the fingers there are, which is meant, and limits."""
 
     base: Bimorph = field(default_factory=Bimorph)
@@ -77,9 +77,9 @@ class Start:
         return self.meant == ("display",)
 
 
-def start_from(display: Display) -> Start:
+def start_from(display: Display) -> StudyBase:
     """Return a display's bender, its finger as the load "display", and its limits."""
-    return Start(
+    return StudyBase(
         display.bimorph,
         {**FINGERS, "display": display.load_at(NORMAL_FORCE)},
         ("display",),
@@ -88,7 +88,7 @@ def start_from(display: Display) -> Start:
     )
 
 
-def ask(words: Words, start: Start | None = None) -> Study:
+def ask(words: Words, start: StudyBase | None = None) -> Study:
     """Return the study that words ask for.
 
     Raises
@@ -96,7 +96,7 @@ def ask(words: Words, start: Start | None = None) -> Study:
     InputError
         For words that cannot be read, and what cannot be asked; see `Study`.
     """
-    start = start or Start()
+    start = start or StudyBase()
     axes = _assigned(words.axes, start)
     fixed = {name: _one(name, values) for name, values in _assigned(words.fixed, start).items()}
     scenarios = None
@@ -128,7 +128,7 @@ def ask(words: Words, start: Start | None = None) -> Study:
     )
 
 
-def _assigned(texts: Iterable[str], start: Start) -> dict[str, NDArray[Any]]:
+def _assigned(texts: Iterable[str], start: StudyBase) -> dict[str, NDArray[Any]]:
     """Return values by name from "name=values", each name once."""
     found: dict[str, NDArray[Any]] = {}
     for text in texts:

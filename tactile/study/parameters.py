@@ -29,7 +29,7 @@ Values = Mapping[str, ArrayLike]
 
 
 @dataclass(frozen=True)
-class Parameter:
+class DesignParameter:
     """A number of a design.
 
     Attributes
@@ -60,46 +60,52 @@ class Parameter:
         return (1 / number if self.inverse else number) / self.scale
 
 
-PARAMETERS: dict[str, Parameter] = {
-    "length_mm": Parameter("mm", "free length", 0.5, 200, "bimorph", "length", 1e-3),
-    "width_mm": Parameter("mm", "width", 0.05, 50, "bimorph", "width", 1e-3),
-    "clamped_length_mm": Parameter(
+PARAMETERS: dict[str, DesignParameter] = {
+    "length_mm": DesignParameter("mm", "free length", 0.5, 200, "bimorph", "length", 1e-3),
+    "width_mm": DesignParameter("mm", "width", 0.05, 50, "bimorph", "width", 1e-3),
+    "clamped_length_mm": DesignParameter(
         "mm", "clamped length", 0, 100, "bimorph", "clamped_length", 1e-3
     ),
-    "piezo_height_mm": Parameter(
+    "piezo_height_mm": DesignParameter(
         "mm", "height of one piezo layer", 0.01, 5, "bimorph", "piezo_height", 1e-3
     ),
-    "shim_height_mm": Parameter("mm", "height of the shim", 0, 5, "bimorph", "shim_height", 1e-3),
-    "shim_modulus_gpa": Parameter(
+    "shim_height_mm": DesignParameter(
+        "mm", "height of the shim", 0, 5, "bimorph", "shim_height", 1e-3
+    ),
+    "shim_modulus_gpa": DesignParameter(
         "GPa", "Young's modulus of the shim", 0.1, 1000, "shim", "s11", 1e9, inverse=True
     ),
-    "shim_shear_modulus_gpa": Parameter(
+    "shim_shear_modulus_gpa": DesignParameter(
         "GPa", "shear modulus of the shim", 0.05, 500, "shim", "s55", 1e9, inverse=True
     ),
-    "shim_density_kg_m3": Parameter("kg/m³", "density of the shim", 100, 25000, "shim", "density"),
-    "piezo_modulus_gpa": Parameter(
+    "shim_density_kg_m3": DesignParameter(
+        "kg/m³", "density of the shim", 100, 25000, "shim", "density"
+    ),
+    "piezo_modulus_gpa": DesignParameter(
         "GPa", "Young's modulus 1/s11E of the piezo", 1, 500, "piezo", "s11E", 1e9, inverse=True
     ),
-    "piezo_density_kg_m3": Parameter(
+    "piezo_density_kg_m3": DesignParameter(
         "kg/m³", "density of the piezo", 1000, 15000, "piezo", "density"
     ),
-    "d31_pm_per_v": Parameter(
+    "d31_pm_per_v": DesignParameter(
         "pm/V", "piezoelectric charge constant d31", -2000, 2000, "piezo", "d31", 1e-12
     ),
-    "eps33t_relative": Parameter(
+    "eps33t_relative": DesignParameter(
         "ε0", "permittivity eps33T", 10, 50000, "piezo", "eps33T", VACUUM_PERMITTIVITY
     ),
-    "piezo_quality": Parameter(
+    "piezo_quality": DesignParameter(
         "1", "quality factor of the piezo", 1, 1e6, "piezo", "quality_factor"
     ),
-    "shim_quality": Parameter("1", "quality factor of the shim", 1, 1e6, "shim", "quality_factor"),
-    "axial_force_n": Parameter(
+    "shim_quality": DesignParameter(
+        "1", "quality factor of the shim", 1, 1e6, "shim", "quality_factor"
+    ),
+    "axial_force_n": DesignParameter(
         "N", "axial tension; a pressing finger is negative", -50, 50, "", "axial_force"
     ),
-    "measuring_point_mm": Parameter(
+    "measuring_point_mm": DesignParameter(
         "mm", "measuring point, from the clamp", 0.01, 200, "", "measuring_point", 1e-3
     ),
-    "firmness": Parameter("1", "finger from low (0) to high (1)", -4, 5, "", "firmness"),
+    "firmness": DesignParameter("1", "finger from low (0) to high (1)", -4, 5, "", "firmness"),
 }
 NAMED = {
     "load": "finger that loads the tip",

@@ -52,7 +52,7 @@ MODEL = "Hofmann & Twiefel 2014, doi 10.1515/ehs-2014-0055, corrected; exp(+jωt
 
 
 @dataclass(frozen=True)
-class Curve:
+class ResponseVariable:
     """A response over frequency that a data set can hold: its unit, meaning and scale from SI."""
 
     variable: str
@@ -61,14 +61,16 @@ class Curve:
     scale: float
 
 
-RESPONSES: dict[str, Curve] = {
-    "displacement": Curve("displacement_um_per_v", "µm/V", "shear of the tip", 1e6),
-    "displacement_at_point": Curve(
+RESPONSES: dict[str, ResponseVariable] = {
+    "displacement": ResponseVariable("displacement_um_per_v", "µm/V", "shear of the tip", 1e6),
+    "displacement_at_point": ResponseVariable(
         "displacement_at_point_um_per_v", "µm/V", "shear at the measuring point", 1e6
     ),
-    "velocity": Curve("velocity_mm_per_s_v", "mm/(s V)", "velocity of the tip", 1e3),
-    "force": Curve("force_mn_per_v", "mN/V", "force into the skin", 1e3),
-    "admittance": Curve("admittance_us", "µS", "current per volt, clamped part included", 1e6),
+    "velocity": ResponseVariable("velocity_mm_per_s_v", "mm/(s V)", "velocity of the tip", 1e3),
+    "force": ResponseVariable("force_mn_per_v", "mN/V", "force into the skin", 1e3),
+    "admittance": ResponseVariable(
+        "admittance_us", "µS", "current per volt, clamped part included", 1e6
+    ),
 }
 
 

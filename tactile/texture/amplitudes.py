@@ -16,7 +16,7 @@ from tactile.texture.event_power import MICRO, mean_square
 
 
 @dataclass(frozen=True)
-class Strength:
+class PartAmplitudes:
     """Root mean square skin displacement of each part of a texture [µm].
 
     Attributes
@@ -34,7 +34,7 @@ class Strength:
         return math.hypot(self.bands_um, self.gratings_um, self.events_um)
 
 
-def strength_of(descriptor: Descriptor) -> Strength:
+def strength_of(descriptor: Descriptor) -> PartAmplitudes:
     """Return how far each part of a texture moves the skin."""
     bands, stochastic = 0.0, descriptor.stochastic
     if stochastic is not None:
@@ -42,4 +42,4 @@ def strength_of(descriptor: Descriptor) -> Strength:
         bands = sum(10 ** (level / 10) * RELATIVE_WIDTH * center for center, level in pairs)
     peaks = [peak for part in descriptor.periodic for peak in part.harmonics_um]
     events = sum(mean_square(kind) for kind in descriptor.events) / MICRO**2
-    return Strength(math.sqrt(bands), math.hypot(*peaks) / math.sqrt(2), math.sqrt(events))
+    return PartAmplitudes(math.sqrt(bands), math.hypot(*peaks) / math.sqrt(2), math.sqrt(events))

@@ -29,7 +29,7 @@ from tactile.texture.descriptor import (
     Stochastic,
 )
 from tactile.texture.friction_fit import fit_friction
-from tactile.texture.lines import Grating, find_gratings, without
+from tactile.texture.lines import HarmonicLines, find_gratings, without
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
@@ -83,7 +83,7 @@ class Fit:
     speed: Floats
     center: Floats
     level: Floats
-    gratings: tuple[Grating, ...]
+    gratings: tuple[HarmonicLines, ...]
     exponent_error: tuple[float, float]
     isotropic_loss: Floats
     notes: tuple[str, ...] = field(default=())
@@ -101,7 +101,7 @@ class Slide:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class RecordingMeasures:
     """What was measured of recordings, before a texture is made of it.
 
     Attributes
@@ -119,9 +119,9 @@ class Measurement:
     step: float
     center: Floats
     level: Floats
-    gratings: list[Grating]
+    gratings: list[HarmonicLines]
 
-    def part(self, rows: Sequence[int]) -> "Measurement":
+    def part(self, rows: Sequence[int]) -> "RecordingMeasures":
         """Return the same of some of the recordings."""
         owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
         strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
@@ -149,7 +149,7 @@ def measure_slides(
     noise: Recorded | None = None,
     reference_speed: float | None = None,
     progress: Callable[[str], None] = lambda step: None,
-) -> Measurement:
+) -> RecordingMeasures:
     """Measure bands and gratings of recordings of one surface.
 
     Parameters
@@ -179,7 +179,7 @@ def measure_slides(
     slides = [changed(s, bare=[without(u, step, found) for u in s.strokes]) for s in slides]
     progress("bands")
     level = np.array([_level(s, step, center, noise) for s in slides])
-    return Measurement(slides, reference, step, center, level, found)
+    return RecordingMeasures(slides, reference, step, center, level, found)
 
 
 def centers_at(speed: float) -> Floats:
@@ -263,7 +263,7 @@ def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floa
 
 
 def describe(
-    found: Measurement, about: About, progress: Callable[[str], None] = lambda step: None
+    found: RecordingMeasures, about: About, progress: Callable[[str], None] = lambda step: None
 ) -> Fit:
     """Return the texture that a measurement amounts to.
 
@@ -348,7 +348,7 @@ def _anchor(bands: Floats, center: Floats) -> float:
     return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
 
 
-def _stochastic(found: Measurement, bands: Floats, spread: Floats) -> Stochastic:
+def _stochastic(found: RecordingMeasures, bands: Floats, spread: Floats) -> Stochastic:
     """Return the random part; its kurtosis is at least what its modulation alone brings."""
     strokes = [u for slide in found.slides for u in slide.bare]
     lengths, step, center = [len(u) for u in strokes], found.step, found.center
@@ -380,7 +380,7 @@ def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
     return replace(stochastic, direction_spread_deg=SPREAD), loss
 
 
-def _periodic(grating: Grating, gain: Floats) -> Periodic:
+def _periodic(grating: HarmonicLines, gain: Floats) -> Periodic:
     """Return a grating as of the reference, ``gain`` (R,) being what brings each stroke there."""
     place = np.array(grating.orders) - 1
     heights, phases = np.zeros((2, place[-1] + 1))
@@ -414,7 +414,7 @@ def _friction(slides: list[Slide], pressed: float) -> Friction | None:
     return fit_friction(known, pressed) if known else None
 
 
-def _notes(found: Measurement) -> Iterator[str]:
+def _notes(found: RecordingMeasures) -> Iterator[str]:
     """Yield what a reader of the descriptor must know."""
     first, speed, force = found.slides[0].recorded, found.speed, found.force
     if not first.calibrated:

@@ -39,7 +39,7 @@ EULER = 0.5772156649
 
 
 @dataclass(frozen=True)
-class Line:
+class PlaneWave:
     """A plane wave a cos(2π f·p + φ), p from the middle of the picture.
 
     Attributes
@@ -55,7 +55,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Grating:
+class HarmonicWaves:
     """Lines whose frequencies are multiples of one.
 
     Attributes
@@ -76,7 +76,7 @@ def hann(count: int) -> Floats:
 
 def take_lines(
     height: Floats, pixel: float, *, finest: float, least: float
-) -> tuple[list[Line], Floats]:
+) -> tuple[list[PlaneWave], Floats]:
     """Find the lines of a height map and what is left without them.
 
     Parameters
@@ -91,7 +91,7 @@ def take_lines(
     list of Line, (R, C) ndarray
         Strongest first; the height without them [m].
     """
-    left, lines = height.copy(), list[Line]()
+    left, lines = height.copy(), list[PlaneWave]()
     for _ in range(ROUNDS):
         found = [
             line
@@ -110,7 +110,7 @@ def _places(count: int, pixel: float) -> Floats:
     return np.asarray((np.arange(count) - (count - 1) / 2) * pixel, np.float64)
 
 
-def _wave(line: Line, shape: tuple[int, ...], pixel: float) -> Floats:
+def _wave(line: PlaneWave, shape: tuple[int, ...], pixel: float) -> Floats:
     x, y = (
         np.exp(2j * np.pi * f * _places(n, pixel))
         for f, n in zip(line.frequency, shape[::-1], strict=True)
@@ -118,7 +118,7 @@ def _wave(line: Line, shape: tuple[int, ...], pixel: float) -> Floats:
     return np.asarray((line.amplitude * np.exp(1j * line.phase) * np.outer(y, x)).real)
 
 
-def _strongest(height: Floats, pixel: float, finest: float) -> list[Line]:
+def _strongest(height: Floats, pixel: float, finest: float) -> list[PlaneWave]:
     """Return the lines of one look at the spectrum, strongest first, none beside a stronger one."""
     rows, columns = height.shape
     window = np.outer(hann(rows), hann(columns))
@@ -185,7 +185,9 @@ def _stands_out(power: Floats, row: int, column: int) -> bool:
     return bool(power[row, column] > ABOVE * np.max(around))
 
 
-def _measured(windowed: Floats, spectrum: Complex, row: int, column: int, pixel: float) -> Line:
+def _measured(
+    windowed: Floats, spectrum: Complex, row: int, column: int, pixel: float
+) -> PlaneWave:
     """Return a line's frequency between the bins, then its amplitude and phase there.
 
     Of a Hann window the ratio r of the larger neighbor to the peak gives the offset
@@ -207,10 +209,12 @@ def _measured(windowed: Floats, spectrum: Complex, row: int, column: int, pixel:
         for f, n in zip(frequency, (columns, rows), strict=True)
     )
     complex_amplitude = 2 * (y @ windowed @ x) / (hann(rows).sum() * hann(columns).sum())
-    return Line(frequency, float(np.abs(complex_amplitude)), float(np.angle(complex_amplitude)))
+    return PlaneWave(
+        frequency, float(np.abs(complex_amplitude)), float(np.angle(complex_amplitude))
+    )
 
 
-def gather(lines: list[Line], side: float) -> list[Grating]:
+def gather(lines: list[PlaneWave], side: float) -> list[HarmonicWaves]:
     """Gather lines whose frequencies are multiples of the lowest among them, strongest first.
 
     Parameters
@@ -220,7 +224,7 @@ def gather(lines: list[Line], side: float) -> list[Grating]:
     """
     left, gratings = sorted(lines, key=lambda line: float(np.hypot(*line.frequency))), []
     while left:
-        members: dict[int, Line] = {}
+        members: dict[int, PlaneWave] = {}
         others = []
         for line in left:
             order = _order(line.frequency, left[0].frequency, side)
@@ -241,11 +245,11 @@ def _order(frequency: Floats, first: Floats, side: float) -> int:
     return order if fits else 0
 
 
-def _turned(line: Line) -> Line:
-    return Line(-line.frequency, line.amplitude, -line.phase)
+def _turned(line: PlaneWave) -> PlaneWave:
+    return PlaneWave(-line.frequency, line.amplitude, -line.phase)
 
 
-def _grating(members: dict[int, Line]) -> Grating:
+def _grating(members: dict[int, PlaneWave]) -> HarmonicWaves:
     """Return the grating of lines by their order; its frequency by least squares."""
     order = np.array(sorted(members))
     weight = np.array([members[n].amplitude ** 2 for n in order])
@@ -255,5 +259,5 @@ def _grating(members: dict[int, Line]) -> Grating:
     for n in order:
         amplitude[n - 1], phase[n - 1] = members[n].amplitude, members[n].phase
     if frequency[0] < 0 or (frequency[0] == 0 and frequency[1] < 0):
-        return Grating(-frequency, amplitude, -phase)
-    return Grating(frequency, amplitude, phase)
+        return HarmonicWaves(-frequency, amplitude, -phase)
+    return HarmonicWaves(frequency, amplitude, phase)

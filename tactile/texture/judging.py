@@ -16,7 +16,7 @@ from scipy.linalg import solve_toeplitz
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import About, Stochastic
-from tactile.texture.fitting import Fit, Measurement, describe, measure_slides
+from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_slides
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
 from tactile.texture.surface import Partials, envelope, stochastic_waves
@@ -131,7 +131,7 @@ def fit_texture(
     return fit, judge(found, about)
 
 
-def judge(found: Measurement, about: About) -> Verdict:
+def judge(found: RecordingMeasures, about: About) -> Verdict:
     """Fit every other recording and compare with the rest.
 
     Parameters
@@ -148,7 +148,7 @@ def judge(found: Measurement, about: About) -> Verdict:
     return predict(found.part(rows[::2]), found.part(rows[1::2]), about)
 
 
-def predict(seen: Measurement, unseen: Measurement, about: About) -> Verdict:
+def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) -> Verdict:
     """Fit one part of the recordings and compare with another, each at its own speed and force.
 
     Parameters
@@ -166,7 +166,7 @@ def predict(seen: Measurement, unseen: Measurement, about: About) -> Verdict:
     stochastic, laws = fit.descriptor.stochastic, fit.descriptor.laws
     assert stochastic is not None
 
-    def at_reference(part: Measurement) -> Floats:
+    def at_reference(part: RecordingMeasures) -> Floats:
         law = laws.speed_exponent * np.log10(part.speed / seen.reference)
         law += laws.force_exponent * np.log10(part.force / fit.descriptor.reference.normal_force_n)
         return np.asarray((part.level - 20 * law[:, None]).mean(axis=0))
@@ -216,7 +216,7 @@ def _white(levels: Floats, center: Floats) -> Floats:
     return np.full(len(levels), 10 * np.log10(power))
 
 
-def _autoregressive(seen: Measurement, levels: Floats) -> Floats:
+def _autoregressive(seen: RecordingMeasures, levels: Floats) -> Floats:
     """Return the bands (16,) of an autoregressive model of what was recorded, power as levels'.
 
     Yule and Walker's equations on the autocorrelation of the recorded quantity over place.

@@ -35,7 +35,7 @@ HARMONIC = 0.02
 
 
 @dataclass(frozen=True)
-class Grating:
+class HarmonicLines:
     """What repeats.
 
     Attributes
@@ -119,7 +119,7 @@ def common_lines(
 
 def find_gratings(
     strokes: Sequence[Floats], step: float, lows: Floats, high: float
-) -> list[Grating]:
+) -> list[HarmonicLines]:
     """Return what repeats in most of the strokes, the strongest first.
 
     Parameters
@@ -154,7 +154,7 @@ def _measured(
     base: float,
     orders: tuple[int, ...],
     count: int,
-) -> Grating:
+) -> HarmonicLines:
     """Return the grating of a fundamental whose given multiples stand out."""
     tuned = [_tuned(u, step, base, orders) for u, c in zip(strokes, covers, strict=True) if c]
     own = np.array([fundamental for fundamental, _ in tuned])
@@ -164,7 +164,7 @@ def _measured(
     turned = waves * np.exp(-1j * np.outer(np.angle(waves[:, 0]), np.array(orders) / orders[0]))
     weight = np.abs(waves[:, 0]) ** 2
     place = float(np.sum(own * weight) / np.sum(weight))
-    return Grating(place, orders, heights, np.angle(turned.sum(axis=0)), count)
+    return HarmonicLines(place, orders, heights, np.angle(turned.sum(axis=0)), count)
 
 
 def _tuned(
@@ -185,7 +185,7 @@ def _tuned(
     return float(np.linspace(*ends, PLACES)[best]), 2 * around[:, best] / window.sum()
 
 
-def without(stroke: Floats, step: float, found: Sequence[Grating]) -> Floats:
+def without(stroke: Floats, step: float, found: Sequence[HarmonicLines]) -> Floats:
     """Return a stroke (S,) less its gratings, each at its own best spatial frequency."""
     left = stroke
     for grating in found:

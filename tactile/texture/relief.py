@@ -42,7 +42,7 @@ PATCHES = 4
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class ReliefSpectrum:
     """Power of a height map over wave vectors, one of each pair ±q.
 
     Attributes
@@ -74,9 +74,9 @@ class Spectrum:
         asked = (np.asarray(number) * self.side + 2).astype(np.intp)
         return np.asarray(np.sqrt(total[np.minimum(asked, len(total) - 1)]))
 
-    def scaled(self, gain: Floats) -> "Spectrum":
+    def scaled(self, gain: Floats) -> "ReliefSpectrum":
         """Return the spectrum of what amplitudes times a gain (K,) are."""
-        return Spectrum(self.x, self.y, self.power * gain**2, self.side, self.nyquist)
+        return ReliefSpectrum(self.x, self.y, self.power * gain**2, self.side, self.nyquist)
 
 
 def leveled(height: Floats) -> tuple[Floats, float]:
@@ -100,7 +100,7 @@ def leveled(height: Floats) -> tuple[Floats, float]:
     return rest, float(np.ptp(sag))
 
 
-def spectrum_of(height: Floats, pixel: float) -> Spectrum:
+def spectrum_of(height: Floats, pixel: float) -> ReliefSpectrum:
     """Return the power of a height map (R, C) [m], row 0 at the lowest y, over wave vectors.
 
     P = |FFT(w h)|² / (R C Σw²), doubled where −q is not there; by Parseval ΣP = Σ(w h)² / Σw².
@@ -114,10 +114,10 @@ def spectrum_of(height: Floats, pixel: float) -> Spectrum:
         twice[-1] = 1.0
     y, x = np.meshgrid(np.fft.fftfreq(rows, pixel), np.fft.rfftfreq(columns, pixel), indexing="ij")
     side = min(rows, columns) * pixel
-    return Spectrum(x.ravel(), y.ravel(), (power * twice).ravel(), side, 0.5 / pixel)
+    return ReliefSpectrum(x.ravel(), y.ravel(), (power * twice).ravel(), side, 0.5 / pixel)
 
 
-def stroke_levels(spectrum: Spectrum, direction: float | None) -> Floats:
+def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
     """Return the 16 band levels [dB re 1 µm²·mm] along a stroke.
 
     Parameters
@@ -171,7 +171,7 @@ class Orientation:
     resultant: float
 
 
-def orientation_of(spectrum: Spectrum) -> Orientation:
+def orientation_of(spectrum: ReliefSpectrum) -> Orientation:
     """Fit the normal distribution of wave vectors' directions that a descriptor knows.
 
     On doubled angles its resultant is R = exp(−2 σ²) (Mardia & Jupp, wrapped normal). Each

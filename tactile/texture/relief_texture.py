@@ -18,13 +18,13 @@ from tactile import files
 from tactile.errors import InputError
 from tactile.texture import skin
 from tactile.texture.descriptor import About, Descriptor, Laws, Periodic, Reference, Stochastic
-from tactile.texture.gratings import Grating, gather, take_lines
+from tactile.texture.gratings import HarmonicWaves, gather, take_lines
 from tactile.texture.picture import HeightMap
 from tactile.texture.relief import (
     CENTERS,
     EDGES,
     Orientation,
-    Spectrum,
+    ReliefSpectrum,
     first_measured,
     held_below,
     leveled,
@@ -144,7 +144,7 @@ def check_name(name: str, category: str) -> None:
         raise InputError(f"name {name!r}: must be small letters, digits and single hyphens")
 
 
-def _periodic(grating: Grating, whole: Spectrum) -> Periodic:
+def _periodic(grating: HarmonicWaves, whole: ReliefSpectrum) -> Periodic:
     """Return a grating as skin follows it."""
     fundamental = float(np.hypot(*grating.frequency))
     order = np.arange(1.0, len(grating.amplitude) + 1)
@@ -159,7 +159,7 @@ def _periodic(grating: Grating, whole: Spectrum) -> Periodic:
 
 
 def _stochastic(
-    rest: Floats, relief: HeightMap, whole: Spectrum, notes: list[str]
+    rest: Floats, relief: HeightMap, whole: ReliefSpectrum, notes: list[str]
 ) -> tuple[Stochastic, Orientation]:
     """Return the random part as skin follows it; adds to the notes what of it is assumed."""
     spectrum = spectrum_of(rest, relief.pixel)
@@ -195,11 +195,11 @@ def _stochastic(
     ), found
 
 
-def _rounding_levels(spectrum: Spectrum, level: float, direction: float | None) -> Floats:
+def _rounding_levels(spectrum: ReliefSpectrum, level: float, direction: float | None) -> Floats:
     """Return the bands of the error of rounding to gray levels, white with variance level²/12."""
     count = np.where(spectrum.power > 0, 1.0, 0.0)
     white = count * level**2 / 12 / np.sum(count)
-    flat = Spectrum(spectrum.x, spectrum.y, white, spectrum.side, spectrum.nyquist)
+    flat = ReliefSpectrum(spectrum.x, spectrum.y, white, spectrum.side, spectrum.nyquist)
     return stroke_levels(flat, direction)
 
 
@@ -212,7 +212,7 @@ def _remark_steepness(rms_slope: float, notes: list[str]) -> None:
         )
 
 
-def _outside(spectrum: Spectrum) -> tuple[float, float]:
+def _outside(spectrum: ReliefSpectrum) -> tuple[float, float]:
     """Return the shares of the variance of waves longer and shorter than those of all bands."""
     total = float(spectrum.power.sum())
     coarse = float(spectrum.power[spectrum.number < EDGES[0]].sum())

@@ -32,10 +32,10 @@ class TestStates:
     ) -> None:
         bus = bench.open(three)
         assert bus.state == "idle"
-        assert bus.status == base.Status("idle")
+        assert bus.status == base.BusStatus("idle")
         assert bus.wiring == Wiring.of(three, RATE)
         assert bus.on_host_death in get_args(HostDeath)
-        assert bus.counters == base.Counters()
+        assert bus.counters == base.BusCounters()
         assert not bench.put_out(bus).any()
 
     def test_start_is_refused_while_running_and_after_close(
@@ -157,7 +157,7 @@ class TestStates:
             bus.start()
         bus.clear()
         bus.clear()
-        assert bus.status == base.Status("idle")
+        assert bus.status == base.BusStatus("idle")
         bus.stop()
         with pytest.raises(BusStateError, match="write: the bus is idle"):
             bus.write(DriveBlock(0, line))

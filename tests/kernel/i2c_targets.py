@@ -6,7 +6,7 @@ from collections import deque
 from errno import ENXIO
 from typing import Protocol
 
-from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.i2c_link import READ_COMMAND, WRITE_COMMAND
 from firmware_protocol.ports import I2cPort
 
@@ -49,7 +49,7 @@ class I2cBus:
 class AmplifierTarget:
     """An amplifier of ours, in real time from its construction on."""
 
-    def __init__(self, amplifier: Amplifier) -> None:
+    def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
         self._port = I2cPort(amplifier)
         self._begin = time.monotonic()

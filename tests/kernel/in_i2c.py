@@ -9,10 +9,10 @@ from guest_tools import refused
 from i2c_targets import AmplifierTarget, I2cBus, Registers
 from smbus2 import SMBus, i2c_msg
 
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.fragments import Cutter, Reassembler
-from firmware_protocol.host import Host
+from firmware_protocol.host import AmplifierHost
 from firmware_protocol.i2c_link import (
     DEFAULT_LIMIT,
     NOTHING,
@@ -32,7 +32,9 @@ SESSION = 0x1234
 
 @pytest.fixture
 def bus() -> Iterator[I2cBus]:
-    bus = I2cBus({AMPLIFIER: AmplifierTarget(Amplifier(Config())), CHIP: Registers()})
+    bus = I2cBus(
+        {AMPLIFIER: AmplifierTarget(ReferenceAmplifier(AmplifierConfig())), CHIP: Registers()}
+    )
     with CuseI2c(NUMBER, bus):
         yield bus
 
@@ -98,7 +100,7 @@ def test_a_bus_that_goes_away() -> None:
 
 
 def test_the_amplifier_answers_raw_packets(master: SMBus) -> None:
-    host = Host(SESSION, node=1)
+    host = AmplifierHost(SESSION, node=1)
     request = host.ask(Hello(session=SESSION, major=1))
     master.i2c_rdwr(i2c_msg.write(AMPLIFIER, encode_packet(request)))
     while host.caps is None:
@@ -111,7 +113,7 @@ def test_the_amplifier_answers_raw_packets(master: SMBus) -> None:
 
 
 def test_the_amplifier_answers_smbus_blocks(master: SMBus) -> None:
-    host = Host(SESSION, node=1)
+    host = AmplifierHost(SESSION, node=1)
     request = encode_packet(host.ask(Hello(session=SESSION, major=1)))
     for block in Cutter(SMBUS_BLOCK).fragments(WRITE_COMMAND, request):
         master.write_block_data(AMPLIFIER, WRITE_COMMAND, block)

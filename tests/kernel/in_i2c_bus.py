@@ -25,9 +25,9 @@ from cuse_i2c import CuseI2c
 from guest_tools import wait_for
 from i2c_targets import AmplifierTarget, I2cBus
 
-from firmware_protocol.amplifier import Amplifier
-from firmware_protocol.config import Config
-from firmware_protocol.machine import Played
+from firmware_protocol.amplifier import ReferenceAmplifier
+from firmware_protocol.config import AmplifierConfig
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
 from tactile.bus import i2c_bus
 from tactile.bus.chips import bos1921, drv2667
@@ -64,8 +64,8 @@ class Recorded(AmplifierTarget):
     """An amplifier whose output is kept."""
 
     def __init__(self) -> None:
-        super().__init__(Amplifier(Config(channels=2)))
-        self.runs: list[Played] = []
+        super().__init__(ReferenceAmplifier(AmplifierConfig(channels=2)))
+        self.runs: list[PlayedRun] = []
 
     def read(self, size: int) -> bytes:
         """Answer, and keep what was put out meanwhile."""

@@ -10,7 +10,7 @@ import serial
 from can.interfaces.socketcan import SocketcanBus
 from guest_tools import WAIT, command, received, virtual_amplifier
 
-from firmware_protocol.host import Host
+from firmware_protocol.host import AmplifierHost
 from firmware_protocol.messages import Hello
 from firmware_protocol.packet import encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
@@ -97,7 +97,7 @@ def test_an_interface_that_goes_down(pair: Pair) -> None:
 
 
 def test_the_amplifier_in_c_answers_on_a_terminal() -> None:
-    host = Host(session=0x1234, node=1)
+    host = AmplifierHost(session=0x1234, node=1)
     decoder = SerialDecoder()
     with virtual_amplifier("--pty") as amplifier:
         assert amplifier.stdout is not None

@@ -27,8 +27,8 @@ import numpy as np
 
 from tactile.bus.audio import process as audio_process
 from tactile.bus.audio.player import Order, Told
-from tactile.bus.audio.process import ANSWER, Player, opened
-from tactile.bus.base import Bus, DriveBlock, Floats, Rig, Status, Wiring
+from tactile.bus.audio.process import ANSWER, AudioProcess, opened
+from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Floats, Wiring
 from tactile.bus.board import MOST_CHANNELS
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.errors import BusError, InputError
@@ -74,18 +74,18 @@ class AudioBus(Bus):
     on_host_death = "unknown"
 
     def __init__(self, order: Order, coupling: float = 0.0) -> None:
-        player = Player(order)
+        player = AudioProcess(order)
         found = opened(player)
         super().__init__(found.wiring)
         self.device, self.latency = found.device, found.latency
         self._order = replace(order, sample_rate=found.wiring.sample_rate)
         self._coupling = coupling
-        self._player: Player | None = player
-        self._opening: Player | None = None
+        self._player: AudioProcess | None = player
+        self._opening: AudioProcess | None = None
         self._guard = threading.RLock()
         self._retry_at, self._trouble = 0.0, ""
         self._base = (0, 0, 0)
-        self._begun: Player | None = None
+        self._begun: AudioProcess | None = None
         self._block = 0
         self._kept: Floats = np.zeros((0, found.wiring.channels))
 
@@ -122,13 +122,13 @@ class AudioBus(Bus):
         return told
 
     @property
-    def status(self) -> Status:
+    def status(self) -> BusStatus:
         """How it stands now."""
         if self.state != "closed" and self.told is None:
             self._tended()
         state, up = self.state, self._player is not None
         detail = self._trouble or self._remark()
-        return Status(state, "up" if up else "down", detail, state == "running" and up)
+        return BusStatus(state, "up" if up else "down", detail, state == "running" and up)
 
     def _has_fallen(self) -> bool:
         return self._tended() is not self._begun
@@ -161,7 +161,7 @@ class AudioBus(Bus):
 
     # The card comes and goes
 
-    def _tended(self) -> Player | None:
+    def _tended(self) -> AudioProcess | None:
         """Return the player; see to one that has failed, and to another one."""
         with self._guard:
             player = self._player
@@ -192,7 +192,10 @@ class AudioBus(Bus):
         trial, now = self._opening, self._clock.now()
         if trial is None:
             if now >= self._retry_at:
-                self._opening, self._retry_at = Player(self._order), now + audio_process.OPENING
+                self._opening, self._retry_at = (
+                    AudioProcess(self._order),
+                    now + audio_process.OPENING,
+                )
         elif trial.opened is not None:
             self._player, self._opening, self._base = trial, None, (0, 0, 0)
             self.counters.reconnects += 1
@@ -228,7 +231,7 @@ class AudioBus(Bus):
         self._tended()
         super()._drop(position, count)
 
-    def _room(self, position: int) -> Player | None:
+    def _room(self, position: int) -> AudioProcess | None:
         """Wait until a position is near; None where the card does not play."""
         rate = self.wiring.sample_rate
         while self.state == "running":
@@ -291,7 +294,7 @@ class AudioBus(Bus):
 
 def find() -> Iterator[Found]:
     """Yield the outputs of audio cards; none where PortAudio is missing."""
-    player = Player(None)
+    player = AudioProcess(None)
     player.wait(
         lambda: player.listed is not None or player.failed is not None, audio_process.OPENING
     )
@@ -307,7 +310,7 @@ def find() -> Iterator[Found]:
         )
 
 
-def _channels(address: Address, rig: Rig) -> int:
+def _channels(address: Address, rig: DisplayLike) -> int:
     text = address.options.get("channels", str(rig.channels))
     if not text.isdecimal() or int(text) < rig.channels:
         raise InputError(f"audio: channels = {text!r}: must be a number from {rig.channels} up")
@@ -316,7 +319,7 @@ def _channels(address: Address, rig: Rig) -> int:
     return int(text)
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> AudioBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> AudioBus:
     address.only("channels", path=True)
     channels = _channels(address, rig)
     full_scale = rig.amplifier.audio_full_scale

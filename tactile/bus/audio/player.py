@@ -9,8 +9,8 @@ The last stage of the amplifier, which a card knows nothing of, is a `Board` tha
 callback owns alone and whose sample clock is the card's. What the host says lies in a deque until
 the next callback; nothing waits for a lock.
 
-Messages are pickled: tuples come by the standard input, `Opened`, `Told`, `Failed` and arrays go by
-the standard output.
+Messages are pickled: tuples come by the standard input, `StreamOpened`, `Told`, `Failed` and arrays
+go by the standard output.
 """
 
 import gc
@@ -71,7 +71,7 @@ class Order:
     full_scale: float
 
 
-class Opened(NamedTuple):
+class StreamOpened(NamedTuple):
     """A stream runs.
 
     Attributes
@@ -126,7 +126,7 @@ class Told(NamedTuple):
     fault: str
 
 
-class Samples(NamedTuple):
+class CardBlock(NamedTuple):
     """Volts (S, C) from a position on, and which of the host's blocks they are of."""
 
     position: int
@@ -134,7 +134,7 @@ class Samples(NamedTuple):
     volts: Floats
 
 
-class Output:
+class CardOutput:
     """What the card plays: PortAudio's callback.
 
     Parameters
@@ -158,7 +158,7 @@ class Output:
         self._wiring, self._full_scale = wiring, full_scale
         self._rate = round(wiring.sample_rate)
         self._longest = self._rate * HEARTBEAT_MS // 2000
-        self._queue: deque[Samples] = deque()
+        self._queue: deque[CardBlock] = deque()
         self._end = self._waited = self._late = 0
         self._go = self._stopping = False
         self._last = self._held = np.zeros(wiring.channels)
@@ -227,7 +227,7 @@ class Output:
 
     def _on_samples(self, position: int, block: int, volts: Floats) -> None:
         if self.phase in ("waiting", "playing"):
-            self._queue.append(Samples(position, block, volts))
+            self._queue.append(CardBlock(position, block, volts))
             self._end = position + len(volts)
 
     def _on_go(self) -> None:
@@ -306,7 +306,7 @@ class Output:
         while self._queue and self._queue[0].position < limit:
             position, block, volts = self._in_time(self._queue.popleft())
             if len(volts) > limit - position:
-                self._queue.appendleft(Samples(limit, block, volts[limit - position :]))
+                self._queue.appendleft(CardBlock(limit, block, volts[limit - position :]))
                 volts = volts[: limit - position]
             if not len(volts):
                 continue
@@ -319,14 +319,14 @@ class Output:
         if run:
             self._board.send(begin, np.concatenate(run))
 
-    def _in_time(self, samples: Samples) -> Samples:
+    def _in_time(self, samples: CardBlock) -> CardBlock:
         """Return what is not late yet, and count what is."""
         late = min(max(self.position - samples.position, 0), len(samples.volts))
         if late:
             self.dropped_samples += late
             self.late_blocks += samples.block != self._late
             self._late = samples.block
-        return Samples(samples.position + late, samples.block, samples.volts[late:])
+        return CardBlock(samples.position + late, samples.block, samples.volts[late:])
 
     def _ending(self, count: int) -> Floats:
         volts = self._board.play(count)
@@ -344,13 +344,13 @@ class Output:
             self._kept_samples -= len(self._kept.popleft())
 
 
-def open_stream(order: Order) -> tuple[Output, Any, Opened]:
+def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
     """Open what is ordered, and return it once the card asks for drive."""
     sd = imported()
     device = choose(outputs(sd), order.device, default_output(sd))
     rate = rate_of(sd, device, order.channels, order.sample_rate)
     wiring = replace(order.wiring, sample_rate=float(rate))
-    output = Output(wiring, order.full_scale)
+    output = CardOutput(wiring, order.full_scale)
     try:
         stream = sd.OutputStream(
             device=device.number, channels=order.channels, samplerate=wiring.sample_rate,
@@ -366,13 +366,13 @@ def open_stream(order: Order) -> tuple[Output, Any, Opened]:
             raise BusError(f"audio: {device.name!r} opened, but does not play; is it suspended?")
         MONOTONIC.sleep(1e-3)
     latency = max(float(stream.latency), output.frames / wiring.sample_rate)
-    return output, stream, Opened(f"{device.name}, {device.api}", wiring, latency)
+    return output, stream, StreamOpened(f"{device.name}, {device.api}", wiring, latency)
 
 
 # The program
 
 
-def told(output: Output, answered: int) -> Told:
+def told(output: CardOutput, answered: int) -> Told:
     """Return how it stands."""
     return Told(
         answered, output.phase, len(output.inbox), output.position, output.lead,
@@ -382,7 +382,7 @@ def told(output: Output, answered: int) -> Told:
     )  # fmt: skip
 
 
-def serve(output: Output, inward: IO[bytes], outward: IO[bytes]) -> None:
+def serve(output: CardOutput, inward: IO[bytes], outward: IO[bytes]) -> None:
     """Do what the host says until it closes its end."""
     last = 0.0
     while True:

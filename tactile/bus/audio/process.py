@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from tactile.bus.audio.devices import Device
-from tactile.bus.audio.player import Failed, Opened, Order, Told
+from tactile.bus.audio.player import Failed, Order, StreamOpened, Told
 from tactile.bus.base import Floats
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
@@ -31,7 +31,7 @@ PROGRAM = "import sys; sys.path[:] = {!r}; from tactile.bus.audio.player import 
 KINDS = {"InputError": InputError, "NotFoundError": NotFoundError}
 
 
-class Player:
+class AudioProcess:
     """The program that holds the card.
 
     Parameters
@@ -47,7 +47,7 @@ class Player:
     """
 
     def __init__(self, order: Order | None) -> None:
-        self.opened: Opened | None = None
+        self.opened: StreamOpened | None = None
         self.told: Told | None = None
         self.told_at = 0.0
         self.failed: Failed | None = None
@@ -81,7 +81,7 @@ class Player:
     def _take(self, message: object) -> None:
         if isinstance(message, Told):
             self.told, self.told_at = message, MONOTONIC.now()
-        elif isinstance(message, Opened):
+        elif isinstance(message, StreamOpened):
             self.opened = message
         elif isinstance(message, Failed):
             self.failed = message
@@ -161,7 +161,7 @@ class Player:
         cast(Any, self._process.stdout).close()
 
 
-def opened(player: Player) -> Opened:
+def opened(player: AudioProcess) -> StreamOpened:
     """Return what a player has opened.
 
     Raises

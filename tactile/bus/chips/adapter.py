@@ -25,7 +25,7 @@ MUX_ADDRESSES = range(0x70, 0x78)
 MUX_PORTS = range(8)
 
 
-class I2c(Protocol):
+class I2cAdapter(Protocol):
     """An I2C bus; every call raises OSError where a target does not acknowledge."""
 
     def write(self, address: int, data: bytes) -> None:
@@ -91,7 +91,7 @@ class LinuxI2c:
         self._bus.close()
 
 
-def open_adapter(path: str) -> I2c:
+def open_adapter(path: str) -> I2cAdapter:
     """Open the adapter at a path; what tests put a model in the place of."""
     return LinuxI2c(path)
 
@@ -99,7 +99,7 @@ def open_adapter(path: str) -> I2c:
 class Mux:
     """A TCA9548A: one byte with a bit per port connects them (TI SCPS207)."""
 
-    def __init__(self, i2c: I2c, address: int) -> None:
+    def __init__(self, i2c: I2cAdapter, address: int) -> None:
         self._i2c, self._address = i2c, address
         self._port: int | None = None
 
@@ -115,10 +115,12 @@ class Mux:
         self._port = None
 
 
-class Target:
+class ChipTarget:
     """A chip as it is reached, behind a port of a multiplexer or directly."""
 
-    def __init__(self, i2c: I2c, address: int, mux: Mux | None = None, port: int = 0) -> None:
+    def __init__(
+        self, i2c: I2cAdapter, address: int, mux: Mux | None = None, port: int = 0
+    ) -> None:
         self._i2c, self._address, self._mux, self._port = i2c, address, mux, port
         self.name = f"0x{address:02x}" + (f" behind port {port}" if mux else "")
 
@@ -196,13 +198,14 @@ class Place:
             ports, clock,
         )  # fmt: skip
 
-    def targets(self, i2c: I2c) -> list[Target]:
+    def targets(self, i2c: I2cAdapter) -> list[ChipTarget]:
         """Return the chips on an adapter."""
         if self.mux is None:
-            return [Target(i2c, address) for address in self.addresses]
+            return [ChipTarget(i2c, address) for address in self.addresses]
         mux = Mux(i2c, self.mux)
         return [
-            Target(i2c, a, mux, port) for a, port in zip(self.addresses, self.ports, strict=True)
+            ChipTarget(i2c, a, mux, port)
+            for a, port in zip(self.addresses, self.ports, strict=True)
         ]
 
     def check(self, scheme: str, channels: int, bits: float, fastest: int) -> None:
@@ -291,7 +294,7 @@ def transfer_bits(written: int, read: int = 0) -> int:
     ) + 1  # fmt: skip
 
 
-def found_on_adapters(probe: Callable[[str, I2c], Iterator[Found]]) -> Iterator[Found]:
+def found_on_adapters(probe: Callable[[str, I2cAdapter], Iterator[Found]]) -> Iterator[Found]:
     """Yield what a probe finds on each adapter that there is; silent about what cannot be used.
 
     Parameters
@@ -309,7 +312,7 @@ def found_on_adapters(probe: Callable[[str, I2c], Iterator[Found]]) -> Iterator[
             i2c.close()
 
 
-def answer(i2c: I2c, address: int, data: bytes, size: int) -> bytes:
+def answer(i2c: I2cAdapter, address: int, data: bytes, size: int) -> bytes:
     """Return what a target answers, nothing where there is none."""
     try:
         return i2c.write_read(address, data, size)

@@ -25,9 +25,9 @@ the middle of what it may hold.
 import math
 from collections.abc import Iterator, Sequence
 
-from tactile.bus.base import Rig, Wiring
+from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import I2c, Place, Target, transfer_bits
+from tactile.bus.chips.adapter import ChipTarget, I2cAdapter, Place, transfer_bits
 from tactile.bus.chips.chip import (
     BURST,
     Chip,
@@ -107,7 +107,7 @@ class Bos1921(Chip):
     lead = HIGH
 
     def __init__(
-        self, target: Target, clock: Clock, counters: ChipCounters,
+        self, target: ChipTarget, clock: Clock, counters: ChipCounters,
         *, wide: str, step: float, board: dict[int, int],
     ) -> None:  # fmt: skip
         scale = SCALES[wide]
@@ -302,7 +302,7 @@ class Bos1921Bus(ChipBus):
     on_host_death = "holds"
 
     def __init__(
-        self, wiring: Wiring, place: Place, i2c: I2c, runner: Runner,
+        self, wiring: Wiring, place: Place, i2c: I2cAdapter, runner: Runner,
         *, wide: str = "95", board: dict[int, int] | None = None,
     ) -> None:  # fmt: skip
         counters = ChipCounters()
@@ -313,7 +313,7 @@ class Bos1921Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> ChipBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> ChipBus:
     address.only("address", "mux", "ports", "range", "clock_hz", "parcap", "sup_rise", path=True)
     wiring = Wiring.of(rig, checked_rate("bos1921", sample_rate))
     checked_estop(wiring, HIGH)
@@ -335,7 +335,7 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> ChipBus:
     )
 
 
-def find_on(number: str, i2c: I2c) -> Iterator[Found]:
+def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
     """Yield the chips that give their CHIP_ID to a plain read, as after a reset."""
     for address in ADDRESSES:
         got = adapter.answer(i2c, address, b"", 2)

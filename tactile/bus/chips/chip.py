@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from tactile.bus.base import Counters, Floats
-from tactile.bus.chips.adapter import Target
+from tactile.bus.base import BusCounters, Floats
+from tactile.bus.chips.adapter import ChipTarget
 from tactile.bus.chips.occupancy import RATE
 from tactile.clock import Clock
 
@@ -29,7 +29,7 @@ LEAST = 16
 
 
 @dataclass
-class ChipCounters(Counters):
+class ChipCounters(BusCounters):
     """What a bus of chips counts besides.
 
     Attributes
@@ -111,7 +111,7 @@ class Chip(ABC):
     """Samples in the FIFO, at most."""
 
     def __init__(
-        self, target: Target, clock: Clock, counters: ChipCounters,
+        self, target: ChipTarget, clock: Clock, counters: ChipCounters,
         *, volts_per_code: float, most: int, step: int,
     ) -> None:  # fmt: skip
         self.target, self.clock, self.counters = target, clock, counters

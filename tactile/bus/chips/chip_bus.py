@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from firmware_protocol.messages import FADE_MS, SampleFormat
-from tactile.bus.base import Bus, DriveBlock, Floats, Status, Wiring
+from tactile.bus.base import Bus, BusStatus, DriveBlock, Floats, Wiring
 from tactile.bus.board import MOST_CHANNELS, Board, config_of
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import I2c
+from tactile.bus.chips.adapter import I2cAdapter
 from tactile.bus.chips.chip import BURST, Chip, ChipCounters
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import QUEUE, Pump, Runner
@@ -40,7 +40,7 @@ class ChipBus(Bus):
     """
 
     def __init__(
-        self, wiring: Wiring, chips: Sequence[Chip], i2c: I2c, runner: Runner,
+        self, wiring: Wiring, chips: Sequence[Chip], i2c: I2cAdapter, runner: Runner,
         counters: ChipCounters,
     ) -> None:  # fmt: skip
         super().__init__(wiring, runner)
@@ -55,11 +55,11 @@ class ChipBus(Bus):
         runner.begin(self.pump.step)
 
     @property
-    def status(self) -> Status:
+    def status(self) -> BusStatus:
         """How it stands now."""
         link: Literal["up", "down"] = "down" if self.pump.phase == "down" else "up"
         state = self.state
-        return Status(state, link, self.pump.detail, state == "running" and link == "up")
+        return BusStatus(state, link, self.pump.detail, state == "running" and link == "up")
 
     @property
     def ahead(self) -> float:
@@ -152,7 +152,7 @@ def present(chip: Chip) -> None:
         ) from error
 
 
-def opened(path: str, make: Callable[[I2c], ChipBus]) -> ChipBus:
+def opened(path: str, make: Callable[[I2cAdapter], ChipBus]) -> ChipBus:
     """Return the bus made on the adapter at a path, which is closed where that fails."""
     i2c = adapter.open_adapter(path)
     try:

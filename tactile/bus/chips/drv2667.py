@@ -28,9 +28,9 @@ time out, and the drive fades in again.
 import math
 from collections.abc import Iterator, Sequence
 
-from tactile.bus.base import Rig, Wiring
+from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import I2c, Place, Target, transfer_bits
+from tactile.bus.chips.adapter import ChipTarget, I2cAdapter, Place, transfer_bits
 from tactile.bus.chips.chip import (
     BURST,
     Chip,
@@ -124,7 +124,7 @@ class Drv2667(Chip):
     lead = HIGH
 
     def __init__(
-        self, target: Target, clock: Clock, counters: ChipCounters, *, wide: int, step: float
+        self, target: ChipTarget, clock: Clock, counters: ChipCounters, *, wide: int, step: float
     ) -> None:
         scale = wide / 2 / MOST
         super().__init__(
@@ -346,7 +346,7 @@ class Drv2667Bus(ChipBus):
     on_host_death = "zero"
 
     def __init__(
-        self, wiring: Wiring, place: Place, i2c: I2c, runner: Runner, *, wide: int
+        self, wiring: Wiring, place: Place, i2c: I2cAdapter, runner: Runner, *, wide: int
     ) -> None:
         counters = ChipCounters()
         chips = [
@@ -356,7 +356,7 @@ class Drv2667Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, rig: Rig, sample_rate: float | None) -> ChipBus:
+def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> ChipBus:
     address.only("address", "mux", "ports", "range", "clock_hz", path=True)
     wiring = Wiring.of(rig, checked_rate("drv2667", sample_rate))
     checked_estop(wiring, HIGH)
@@ -367,7 +367,7 @@ def _open(address: Address, rig: Rig, sample_rate: float | None) -> ChipBus:
     return opened(place.path, lambda i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide))
 
 
-def find_on(number: str, i2c: I2c) -> Iterator[Found]:
+def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
     """Yield the chip that answers on an adapter, by reading CONTROL_1; not behind multiplexers."""
     got = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)
     if got and got[0] >> 3 & 0xF == 7:

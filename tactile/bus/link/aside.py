@@ -8,7 +8,7 @@ import math
 from collections import deque
 
 from firmware_protocol import messages as m
-from firmware_protocol.host import Host
+from firmware_protocol.host import AmplifierHost
 from firmware_protocol.messages import Message
 from firmware_protocol.packet import Packet
 
@@ -32,7 +32,7 @@ class Aside:
     senses : what was measured, and nobody has taken
     """
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: AmplifierHost) -> None:
         self._host = host
         self.answer: Message | None = None
         self.senses: deque[m.Sense] = deque(maxlen=SENSES)

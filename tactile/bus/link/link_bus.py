@@ -14,11 +14,11 @@ from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Message
-from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats, Frames, Status, Wiring
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, Floats, FrameCapability, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.peer import Peer
-from tactile.bus.link.phases import Phase, Want
-from tactile.bus.link.session import Session
+from tactile.bus.link.phases import SessionPhase, Want
+from tactile.bus.link.session import LinkSession
 from tactile.bus.wire import Wire, WireError
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
@@ -85,7 +85,7 @@ class LinkBus(Bus):
         self._broken = self._ending = False
         self._failure = ""
         self._waits_until = -math.inf
-        self._session = Session(
+        self._session = LinkSession(
             wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
             nodes=nodes, rearm=rearm, lead=lead,
         )  # fmt: skip
@@ -102,7 +102,7 @@ class LinkBus(Bus):
 
     def _open(self) -> None:
         session = self._session
-        ready = self._wait(lambda: session.phase is Phase.READY or session.refusal, OPENING)
+        ready = self._wait(lambda: session.phase is SessionPhase.READY or session.refusal, OPENING)
         if session.plan is None or not ready or session.refusal:
             if session.error is not None:
                 raise session.error
@@ -117,7 +117,7 @@ class LinkBus(Bus):
         self.plan = session.plan
         self.wiring = session.wiring
         if self.plan.carriers:
-            self.frames = Frames(self.plan.carriers, self.plan.frame_rate)
+            self.frames = FrameCapability(self.plan.carriers, self.plan.frame_rate)
 
     def _silence(self) -> str:
         """Return what to make of no answer."""
@@ -131,20 +131,20 @@ class LinkBus(Bus):
         return "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
     @property
-    def status(self) -> Status:
+    def status(self) -> BusStatus:
         """How it stands now."""
         with self._changed:
             session, wire = self._session, self._wire
-            up = wire is not None and session.phase.value > Phase.CLOCK.value
+            up = wire is not None and session.phase.value > SessionPhase.CLOCK.value
             warning = wire.warning if wire is not None else ""
             detail = session.trouble or warning or session.fragments.warning
             state = self.state
             playing = state == "running" and session.known_to_run(self._clock.now())
-            return Status(state, "up" if up else "down", detail, playing)
+            return BusStatus(state, "up" if up else "down", detail, playing)
 
     def _has_fallen(self) -> bool:
         session = self._session
-        if session.phase is Phase.RUN and session.want is Want.RUN:
+        if session.phase is SessionPhase.RUN and session.want is Want.RUN:
             return False
         with self._changed:
             return session.gives_up(self._clock.now())
@@ -213,7 +213,7 @@ class LinkBus(Bus):
         """Act on a new phase; the lock is held."""
         if self._session.tripped:
             self._states.trip()
-        if self._broken and self._session.phase.value >= Phase.READY.value:
+        if self._broken and self._session.phase.value >= SessionPhase.READY.value:
             self._broken, self._retry = False, FIRST_RETRY
             self.counters.reconnects += 1
             logger.info("link is up again")
@@ -299,7 +299,7 @@ class LinkBus(Bus):
 
         def started() -> object:
             session.alive(self._clock.now())
-            return session.phase is Phase.RUN or session.want is not Want.RUN
+            return session.phase is SessionPhase.RUN or session.want is not Want.RUN
 
         if not self._wait(started, STARTING):
             session.end(self._clock.now(), quick=True)
@@ -315,7 +315,7 @@ class LinkBus(Bus):
             self._sleep(stream.due(position) - stream.ahead)
             with self._changed:
                 self._session.alive(self._clock.now())
-                if self._session.phase is Phase.RUN:
+                if self._session.phase is SessionPhase.RUN:
                     stream.add(position, volts)
                     self._pump()
                 else:
@@ -346,7 +346,7 @@ class LinkBus(Bus):
         self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.ahead)
         with self._changed:
             self._session.alive(self._clock.now())
-            if self._session.phase is Phase.RUN:
+            if self._session.phase is SessionPhase.RUN:
                 stream.add_frame(frame.position, frame.volts, carriers)
                 self._pump()
             else:
@@ -391,7 +391,7 @@ class LinkBus(Bus):
 
     def _stop(self) -> None:
         stream = self._session.stream
-        if stream is not None and self._session.phase is Phase.RUN:
+        if stream is not None and self._session.phase is SessionPhase.RUN:
             with self._changed:
                 end = stream.hold()
                 self._pump()
@@ -429,12 +429,14 @@ class LinkBus(Bus):
             self._pump()
 
         def ended() -> object:
-            return session.phase is Phase.READY or session.refusal or session.want is Want.ESTOP
+            return (
+                session.phase is SessionPhase.READY or session.refusal or session.want is Want.ESTOP
+            )
 
         self._wait(ended, STARTING)
         if session.refusal:
             raise BusError(f"clear: {session.refusal}")
-        if session.phase is not Phase.READY or session.latched:
+        if session.phase is not SessionPhase.READY or session.latched:
             was_lost = self.counters.disconnects > losses
             why = "the link was lost meanwhile" if was_lost else session.trouble or "no answer"
             self._estop()
@@ -444,7 +446,7 @@ class LinkBus(Bus):
         with self._changed:
             self._session.leave()
         self._wake()
-        self._wait(lambda: self._session.phase in (Phase.GONE, Phase.DOWN), ENDING)
+        self._wait(lambda: self._session.phase in (SessionPhase.GONE, SessionPhase.DOWN), ENDING)
         self._let_go()
 
     def _let_go(self) -> None:
@@ -461,4 +463,4 @@ class LinkBus(Bus):
             self._wire = None
 
 
-RESTING = (Phase.READY, Phase.DOWN, Phase.GONE, Phase.ESTOP)
+RESTING = (SessionPhase.READY, SessionPhase.DOWN, SessionPhase.GONE, SessionPhase.ESTOP)

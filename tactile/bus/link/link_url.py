@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
-from tactile.bus.base import RATE, Rig, Wiring
+from tactile.bus.base import RATE, DisplayLike, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.link.link_bus import LinkBus
@@ -19,7 +19,7 @@ LINK_OPTIONS = ("format", "rearm", "lead_ms")
 
 def open_link(
     address: Address,
-    rig: Rig,
+    rig: DisplayLike,
     sample_rate: float | None,
     link: Link,
     connect: Callable[[], Wire],
@@ -42,7 +42,7 @@ def lead_of(address: Address) -> float | None:
 
 
 def planner(
-    address: Address, rig: Rig, sample_rate: float | None, link: Link
+    address: Address, rig: DisplayLike, sample_rate: float | None, link: Link
 ) -> Callable[[Sequence[m.Caps]], Plan]:
     """Return what makes the plan of what amplifiers say that they can."""
     wanted = sample_format(address, spectrum=True)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from firmware_protocol import messages as m
 from firmware_protocol.clock import ClockEstimator
-from firmware_protocol.host import Host
+from firmware_protocol.host import AmplifierHost
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
@@ -46,7 +46,7 @@ class Peer:
     """
 
     def __init__(self, session: int, node: int) -> None:
-        self.host = Host(session, node)
+        self.host = AmplifierHost(session, node)
         self.clock: ClockEstimator | None = None
         self.heard = -math.inf
         self.refused: m.Nak | None = None

@@ -3,7 +3,7 @@
 from enum import Enum, auto
 
 
-class Phase(Enum):
+class SessionPhase(Enum):
     """How far a session is."""
 
     DOWN = auto()

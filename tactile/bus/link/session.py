@@ -17,13 +17,13 @@ from firmware_protocol import spectrum
 from firmware_protocol.host import refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
-from tactile.bus.base import Counters, Floats, Wiring
+from tactile.bus.base import BusCounters, Floats, Wiring
 from tactile.bus.budget import Plan, check_limits
 from tactile.bus.link.aside import RETRY
 from tactile.bus.link.peer import Peer
-from tactile.bus.link.phases import Phase, Want
+from tactile.bus.link.phases import SessionPhase, Want
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
-from tactile.bus.link.stream import Stream
+from tactile.bus.link.stream import LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
 
@@ -45,13 +45,16 @@ LATCHED = (State.ESTOP, State.FAULT)
 MOVING = (State.RUNNING, State.RAMPDOWN)
 
 
-AFTER = {phase: f"_after_{phase.name.lower()}" for phase in Phase}
+AFTER = {phase: f"_after_{phase.name.lower()}" for phase in SessionPhase}
 """What ends each but the first two and the last."""
-AGAIN: dict[int, Phase] = {NakCode.TIME: Phase.START, NakCode.NOT_ARMED: Phase.ARM}
+AGAIN: dict[int, SessionPhase] = {
+    NakCode.TIME: SessionPhase.START,
+    NakCode.NOT_ARMED: SessionPhase.ARM,
+}
 """Where a START that came too late, or after the watchdog, goes on."""
 
 
-class Session:
+class LinkSession:
     """What is said on one link.
 
     Parameters
@@ -81,7 +84,7 @@ class Session:
         *,
         token: int,
         choose: Callable[[Sequence[m.Caps]], Plan],
-        counters: Counters,
+        counters: BusCounters,
         nodes: Sequence[int] = (),
         rearm: bool = False,
         lead: float | None = None,
@@ -89,8 +92,8 @@ class Session:
         self.wiring, self.token, self.rearm, self._lead = wiring, token, rearm, lead
         self.peers = [Peer(token, node) for node in nodes]
         self.plan: Plan | None = None
-        self.stream: Stream | None = None
-        self.phase, self.want = Phase.DOWN, Want.READY
+        self.stream: LinkStream | None = None
+        self.phase, self.want = SessionPhase.DOWN, Want.READY
         self.trouble = self.refusal = ""
         self.fragments = FragmentWatch()
         self.error: InputError | None = None
@@ -112,7 +115,7 @@ class Session:
         self._found.clear()
         for peer in self.peers:
             peer.reconnected()
-        self._enter(Phase.GREET if self.peers else Phase.SEARCH, now)
+        self._enter(SessionPhase.GREET if self.peers else SessionPhase.SEARCH, now)
 
     def disconnected(self, now: float, why: str) -> None:
         """Take the wire as gone."""
@@ -121,9 +124,9 @@ class Session:
             self.stream.freeze(now)
         if any(peer.forgot for peer in self.peers):
             self._known_to_run = -math.inf
-        elif self.phase is Phase.RUN:
+        elif self.phase is SessionPhase.RUN:
             self._known_to_run = min(peer.heard for peer in self.peers)
-        self.phase = Phase.DOWN
+        self.phase = SessionPhase.DOWN
         if self.want is Want.RUN and self._first is not None:
             self.want, self.refusal = Want.READY, why
 
@@ -142,34 +145,34 @@ class Session:
         self.want, self._quick = Want.READY, quick
         if self.stream is not None:
             self.stream.clear(wanted=True)
-        if self.phase in (Phase.ARM, Phase.START, Phase.RUN):
-            self._enter(Phase.END, now)
+        if self.phase in (SessionPhase.ARM, SessionPhase.START, SessionPhase.RUN):
+            self._enter(SessionPhase.END, now)
 
     def estop(self, now: float) -> Packet:
         """Stop for good; return the packet that is to overtake all others."""
         self.want, self.refusal, self._gave_up = Want.ESTOP, "", False
         if self.stream is not None:
             self.stream.clear(wanted=True)
-        if self.phase not in (Phase.DOWN, Phase.SEARCH):
-            self._enter(Phase.ESTOP, now)
+        if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
+            self._enter(SessionPhase.ESTOP, now)
         return self._to_all(m.Estop(REASON))
 
     def clear(self, now: float) -> None:
         """End an e-stop or a fault."""
         self.want, self.refusal, self.tripped, self._gave_up = Want.READY, "", False, False
-        if self.phase is not Phase.DOWN:
-            self._enter(Phase.TRIPS, now)
+        if self.phase is not SessionPhase.DOWN:
+            self._enter(SessionPhase.TRIPS, now)
 
     def gives_up(self, now: float) -> bool:
         """Decide whether what was played is over; tell whether it takes a `run` to play again."""
-        goes_on = self.phase is Phase.RUN or self.rearm or self._first is not None
+        goes_on = self.phase is SessionPhase.RUN or self.rearm or self._first is not None
         if self.want is Want.RUN and not goes_on and now > self._known_to_run + GIVEN_UP:
             self._give_up(self.trouble)
         return self.want is not Want.RUN
 
     def known_to_run(self, now: float) -> bool:
         """Tell whether all amplifiers play, as they said not long ago."""
-        return self.phase is Phase.RUN and all(
+        return self.phase is SessionPhase.RUN and all(
             peer.state is State.RUNNING and now <= peer.heard + GIVEN_UP for peer in self.peers
         )
 
@@ -199,12 +202,12 @@ class Session:
                 )
             elif packet.node in known:
                 known[packet.node].receive(packet, now)
-            elif self.phase is Phase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
+            elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
                 caps = m.Caps.unpack(packet.payload)
                 if caps is not None:
                     self._found[packet.node] = caps
         if self.stream is not None:
-            self.stream.control(now, running=self.phase is Phase.RUN)
+            self.stream.control(now, running=self.phase is SessionPhase.RUN)
         told = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.look(dropped + sum(status.fragments_dropped for status in told), now)
 
@@ -212,16 +215,16 @@ class Session:
         """Hand to the wire what is to be sent now."""
         self._advance(now)
         out = []
-        if self.phase is Phase.SEARCH and self._due(now, SEARCH):
+        if self.phase is SessionPhase.SEARCH and self._due(now, SEARCH):
             out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
-        heard = self.phase.value > Phase.GREET.value
+        heard = self.phase.value > SessionPhase.GREET.value
         if heard and self._owes_heartbeat and max(self._wire_free - now, wire.waited()) < QUEUED:
             self._owes_heartbeat, self._heartbeat = False, now
             out.append(self._to_all(m.Heartbeat(self.token)))
         for peer in self.peers:
             out += peer.poll(now)
         self._send(out, now, wire)
-        if self.phase is Phase.RUN and self.stream is not None:
+        if self.phase is SessionPhase.RUN and self.stream is not None:
             while now >= self._wire_free - HELD and (part := self.stream.take(now)):
                 self._send(part, now, wire)
 
@@ -233,7 +236,7 @@ class Session:
     def deadline(self) -> float:
         """Host time at which `poll` is next to be called, if nothing comes before [s]."""
         stream = math.inf
-        if self.phase is Phase.RUN and self.stream is not None:
+        if self.phase is SessionPhase.RUN and self.stream is not None:
             stream = max(self.stream.deadline, self._wire_free - HELD)
         return min([peer.deadline for peer in self.peers] + [self._until, stream])
 
@@ -241,7 +244,7 @@ class Session:
         """Return why the link is to be taken as broken; empty where it is not."""
         if any(peer.lost for peer in self.peers):
             return "the amplifier does not answer"
-        if self.phase.value > Phase.GREET.value and self.phase is not Phase.GONE:
+        if self.phase.value > SessionPhase.GREET.value and self.phase is not SessionPhase.GONE:
             for peer in self.peers:
                 if peer.forgot:
                     return f"node {peer.host.node} was reset: {peer.forgot}"
@@ -263,30 +266,30 @@ class Session:
 
     # Phases
 
-    def _enter(self, phase: Phase, now: float) -> None:
+    def _enter(self, phase: SessionPhase, now: float) -> None:
         """Begin a phase: ask what it asks."""
         self.phase, self._until = phase, math.inf
-        if phase is Phase.SEARCH:
+        if phase is SessionPhase.SEARCH:
             self._until = now
-        requests: dict[Phase, Callable[[], list[Message]]] = {
-            Phase.GREET: self._greeting,
-            Phase.HALT: lambda: [m.Stop(self.token, 1)],
-            Phase.ARM: self._arming,
-            Phase.END: lambda: [m.Stop(self.token, int(self._quick)), m.Poll()],
-            Phase.ESTOP: lambda: [m.Estop(REASON), m.Poll()],
-            Phase.TRIPS: lambda: [m.Poll()],
-            Phase.DISARM: lambda: [m.Disarm(self.token)],
+        requests: dict[SessionPhase, Callable[[], list[Message]]] = {
+            SessionPhase.GREET: self._greeting,
+            SessionPhase.HALT: lambda: [m.Stop(self.token, 1)],
+            SessionPhase.ARM: self._arming,
+            SessionPhase.END: lambda: [m.Stop(self.token, int(self._quick)), m.Poll()],
+            SessionPhase.ESTOP: lambda: [m.Estop(REASON), m.Poll()],
+            SessionPhase.TRIPS: lambda: [m.Poll()],
+            SessionPhase.DISARM: lambda: [m.Disarm(self.token)],
         }
         asked = requests.get(phase)
         for peer in self.peers:
-            if phase is Phase.LIMIT:
+            if phase is SessionPhase.LIMIT:
                 peer.ask(self._limits(peer.caps))
-            elif phase is Phase.CLEAR:
+            elif phase is SessionPhase.CLEAR:
                 status = peer.host.status or m.Status()
                 peer.ask(m.ClearFault(self.token, status.trips))
             else:
                 peer.ask(*(asked() if asked is not None else []))
-        if phase is Phase.START:
+        if phase is SessionPhase.START:
             self._starting(now)
 
     def _greeting(self) -> list[Message]:
@@ -327,13 +330,15 @@ class Session:
         before = None
         while before is not self.phase:
             before = self.phase
-            if self.phase is Phase.SEARCH:
+            if self.phase is SessionPhase.SEARCH:
                 if self._found and now >= self._until:
                     self.peers = [Peer(self.token, node) for node in sorted(self._found)]
-                    self._enter(Phase.GREET, now)
+                    self._enter(SessionPhase.GREET, now)
             elif any(peer.lost for peer in self.peers):
                 return  # `lost` says so, and the wire is let go of
-            elif self.phase not in (Phase.DOWN, Phase.GONE) and all(p.idle for p in self.peers):
+            elif self.phase not in (SessionPhase.DOWN, SessionPhase.GONE) and all(
+                p.idle for p in self.peers
+            ):
                 refused = [p.refused for p in self.peers if p.refused is not None]
                 if refused:
                     self._refused(refused[0], now)
@@ -344,20 +349,20 @@ class Session:
         """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""
         if nak.code == NakCode.SESSION:
             return
-        if self.phase is Phase.GREET and nak.code == NakCode.BUSY:
+        if self.phase is SessionPhase.GREET and nak.code == NakCode.BUSY:
             self.trouble = "another host holds the amplifier"
-            self._wait(Phase.GREET, now)
-        elif self.phase is Phase.START and nak.code in AGAIN:
+            self._wait(SessionPhase.GREET, now)
+        elif self.phase is SessionPhase.START and nak.code in AGAIN:
             self._enter(AGAIN[nak.code], now)
-        elif self.phase is Phase.CLEAR and nak.code == NakCode.STATE:
-            self._wait(Phase.TRIPS, now)
+        elif self.phase is SessionPhase.CLEAR and nak.code == NakCode.STATE:
+            self._wait(SessionPhase.TRIPS, now)
         else:
             self.refusal = INPUT_OPEN if nak.code == NakCode.INPUT_OPEN else refusal(nak)
             if self.want is Want.RUN:
                 self.want = Want.READY
-            self._enter(Phase.DISARM if self.want is Want.GONE else Phase.READY, now)
+            self._enter(SessionPhase.DISARM if self.want is Want.GONE else SessionPhase.READY, now)
 
-    def _wait(self, phase: Phase, now: float) -> None:
+    def _wait(self, phase: SessionPhase, now: float) -> None:
         """Enter a phase again after a while."""
         if self._until == math.inf:
             self._until = now + RETRY
@@ -372,9 +377,9 @@ class Session:
                 self._fit([peer.caps for peer in self.peers])
             except InputError as error:
                 self.refusal, self.error = str(error), error
-                self._enter(Phase.GONE, now)
+                self._enter(SessionPhase.GONE, now)
                 return
-        self._enter(Phase.CLOCK, now)
+        self._enter(SessionPhase.CLOCK, now)
 
     def _fit(self, caps: Sequence[m.Caps]) -> None:
         """See that the display's demands are within what the amplifiers can; make the plan."""
@@ -382,7 +387,7 @@ class Session:
         self.plan = self._choose(caps)
         self.wiring = replace(self.wiring, sample_rate=float(self.plan.sample_rate))
         w = self.wiring
-        self.stream = Stream(self.peers, self.plan, w.channels, self._counters, self._lead)
+        self.stream = LinkStream(self.peers, self.plan, w.channels, self._counters, self._lead)
 
     def _after_clock(self, now: float) -> None:
         if not all(peer.locked for peer in self.peers):
@@ -392,28 +397,28 @@ class Session:
         if resumed and self.stream is not None and set(states) == {State.RUNNING}:
             self.stream.resume()
             self.trouble = ""
-            self._enter(Phase.RUN, now)
+            self._enter(SessionPhase.RUN, now)
         elif any(state in MOVING for state in states):
-            self._enter(Phase.HALT, now)
+            self._enter(SessionPhase.HALT, now)
         else:
-            self._enter(Phase.LIMIT, now)
+            self._enter(SessionPhase.LIMIT, now)
 
     def _after_halt(self, now: float) -> None:
         if not self._moving:
-            self._enter(Phase.LIMIT, now)
+            self._enter(SessionPhase.LIMIT, now)
 
     def _after_limit(self, now: float) -> None:
         self.trouble = ""
         if self._gave_up or (self.want is Want.RUN and self._first is None and not self.rearm):
             self._give_up("the link was lost and is back")
-        self._enter(Phase.READY, now)
+        self._enter(SessionPhase.READY, now)
 
     def _after_ready(self, now: float) -> None:
         latched = self.latched
         if self.want is Want.ESTOP:
-            self._enter(Phase.ESTOP, now)
+            self._enter(SessionPhase.ESTOP, now)
         elif self.want is Want.GONE:
-            self._enter(Phase.DISARM, now)
+            self._enter(SessionPhase.DISARM, now)
         elif latched:
             if not self.tripped:
                 self.tripped = True
@@ -423,16 +428,16 @@ class Session:
             if self.want is Want.RUN:
                 self.want, self.refusal = Want.READY, self.trouble
         elif self.want is Want.RUN:
-            self._enter(Phase.ARM, now)
+            self._enter(SessionPhase.ARM, now)
 
     def _after_arm(self, now: float) -> None:
-        self._enter(Phase.START, now)
+        self._enter(SessionPhase.START, now)
 
     def _after_start(self, now: float) -> None:
         for peer in self.peers:
             peer.assume(State.RUNNING)
         self._first, self.trouble = None, ""
-        self._enter(Phase.RUN, now)
+        self._enter(SessionPhase.RUN, now)
 
     def _after_run(self, now: float) -> None:
         fallen = [peer for peer in self.peers if peer.state is not State.RUNNING]
@@ -446,7 +451,7 @@ class Session:
         elif not self.rearm:
             self._give_up(self.trouble)
         self._quick = False
-        self._enter(Phase.END, now)
+        self._enter(SessionPhase.END, now)
 
     def _give_up(self, why: str) -> None:
         self.want, self._gave_up = Want.READY, True
@@ -456,25 +461,25 @@ class Session:
         if not self._moving:
             if self.stream is not None:
                 self.stream.freeze(now)
-            self._enter(Phase.READY, now)
+            self._enter(SessionPhase.READY, now)
 
     def _after_estop(self, now: float) -> None:
         if self.want is Want.GONE:
-            self._enter(Phase.DISARM, now)
+            self._enter(SessionPhase.DISARM, now)
         elif any(peer.state is not State.ESTOP for peer in self.peers):
-            self._enter(Phase.ESTOP, now)
+            self._enter(SessionPhase.ESTOP, now)
         else:
             self.trouble = open_input(self.peers, now)
 
     def _after_trips(self, now: float) -> None:
-        self._enter(Phase.CLEAR, now)
+        self._enter(SessionPhase.CLEAR, now)
 
     def _after_clear(self, now: float) -> None:
-        self._enter(Phase.GREET, now)
+        self._enter(SessionPhase.GREET, now)
 
     def _after_disarm(self, now: float) -> None:
         if not self._moving:
-            self._enter(Phase.GONE, now)
+            self._enter(SessionPhase.GONE, now)
 
     @property
     def _moving(self) -> bool:

@@ -18,7 +18,7 @@ from firmware_protocol import spectrum
 from firmware_protocol.host import codes_of, pcm
 from firmware_protocol.messages import Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
-from tactile.bus.base import Counters, Floats
+from tactile.bus.base import BusCounters, Floats
 from tactile.bus.budget import Plan, spectrum_group
 from tactile.bus.link.follower import HALF, Follower, Piece
 from tactile.bus.link.peer import Peer
@@ -38,7 +38,7 @@ HOLD = 25e-3
 """s for which the last sample is held at the end, in which STOP comes: the ramp begins there."""
 
 
-class Part(NamedTuple):
+class PendingSamples(NamedTuple):
     """Positions from ``start`` to before ``end`` that wait to be sent.
 
     ``packets`` are an amplifier's, with the wire position after them.
@@ -60,7 +60,7 @@ def _room(plan: Plan) -> float:
     return (spectrum.QUEUE - 1 - plan.use) * plan.packet_samples / plan.sample_rate
 
 
-class Stream:
+class LinkStream:
     """What waits, and when it is due.
 
     Parameters
@@ -82,7 +82,7 @@ class Stream:
         peers: Sequence[Peer],
         plan: Plan,
         channels: int,
-        counters: Counters,
+        counters: BusCounters,
         lead: float | None = None,
     ) -> None:
         first, least, most = (LEAD, LEAST_LEAD, MOST_LEAD) if lead is None else (lead, lead, lead)
@@ -94,7 +94,7 @@ class Stream:
         self._spans = [slice(a, b) for a, b in zip(starts, ends, strict=True) if a < b]
         self._peers = peers[: len(self._spans)]
         self._followers = [Follower(plan.sample_rate) for _ in self._peers[1:]]
-        self._parts: deque[Part] = deque()
+        self._parts: deque[PendingSamples] = deque()
         self._partial: Floats = np.zeros((0, channels))
         self._partial_start = self.end = 0
         self._last: Floats | None = None
@@ -224,7 +224,7 @@ class Stream:
         for follower, peer, span in zip(self._followers, others, self._spans[1:], strict=True):
             apart = self._apart(peer, position)
             packets += self._packed(peer, follower.feed(position, volts[:, span], apart))
-        self._parts.append(Part(position, position + len(volts), packets))
+        self._parts.append(PendingSamples(position, position + len(volts), packets))
         self._tail = position + len(volts) if others else None
 
     def _packed(self, peer: Peer, pieces: list[Piece]) -> list[tuple[Peer, int, list[Packet]]]:
@@ -245,7 +245,7 @@ class Stream:
         for follower, peer in zip(self._followers, self._peers[1:], strict=True):
             packets += self._packed(peer, follower.flush())
         assert self._tail is not None
-        self._parts.append(Part(self._tail - HALF, self._tail, packets))
+        self._parts.append(PendingSamples(self._tail - HALF, self._tail, packets))
         self._tail = None
 
     def _apart(self, peer: Peer, position: int) -> float:
@@ -281,7 +281,7 @@ class Stream:
                 for part in [codes[first : first + group]]
             )  # fmt: skip
             packets.append((peer, at, self._told(peer, messages)))
-        self._parts.append(Part(position - spacing, position, packets))
+        self._parts.append(PendingSamples(position - spacing, position, packets))
 
     @staticmethod
     def _told(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
@@ -295,7 +295,7 @@ class Stream:
         self._parts.clear()
         self._last = self._tail = None
 
-    def _drop(self, part: Part) -> None:
+    def _drop(self, part: PendingSamples) -> None:
         """Count what is not sent: a frame as one sample, and nothing of what was held."""
         samples = 1 if self._plan.carriers else max(min(part.end, self.end) - part.start, 0)
         self._counters.dropped_samples += samples

@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_protocol.amplifier import Amplifier
+from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import Frame
-from firmware_protocol.config import Config
-from firmware_protocol.machine import Played
+from firmware_protocol.config import AmplifierConfig
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.ports import CanPort, I2cPort, SerialPort
-from tactile.bus.can_bus import Channel
+from tactile.bus.can_bus import CanChannel
 from tactile.bus.i2c_bus import Adapter
-from tactile.bus.serial_bus import Line
+from tactile.bus.serial_bus import SerialLine
 from tactile.bus.wire import WireError
 from tactile.bus.wire_time import (
     Can,
@@ -180,7 +180,7 @@ class Party(NamedTuple):
     seed : of what is drawn
     """
 
-    configs: list[Config]
+    configs: list[AmplifierConfig]
     faults: Faults
     clock: Clock
     drift: list[float]
@@ -210,8 +210,8 @@ class Model(ABC):
         self.out = Lane(there, faults, self.random, resent=self.resent)
         self.back = Lane(back, faults, self.random, resent=self.resent)
         self.disconnects = self.resets = self.stalls = 0
-        self.amplifiers: list[Amplifier] = []
-        self.listener: Callable[[int, Played], None] = lambda board, run: None
+        self.amplifiers: list[ReferenceAmplifier] = []
+        self.listener: Callable[[int, PlayedRun], None] = lambda board, run: None
         self._open, self._away_until = False, -math.inf
         self._events = {
             name: self._after(getattr(faults, name)) for name in ("disconnect", "power", "stall")
@@ -225,7 +225,7 @@ class Model(ABC):
 
     def _power_up(self) -> None:
         self.listen()
-        self.amplifiers = [Amplifier(config) for config in self.configs]
+        self.amplifiers = [ReferenceAmplifier(config) for config in self.configs]
         self._powered = [self.clock.now()] * len(self.configs)
         self.attach()
 
@@ -310,7 +310,7 @@ class Model(ABC):
             self._happen()
 
 
-class SerialModel(Model, Line):
+class SerialModel(Model, SerialLine):
     """One amplifier on a line; ``link`` says how long bytes take."""
 
     def __init__(self, link: Link, party: Party) -> None:
@@ -368,7 +368,7 @@ class SerialModel(Model, Line):
         self.out.forget(self.clock.now())
 
 
-class CanModel(Model, Channel):
+class CanModel(Model, CanChannel):
     """Amplifiers on CAN."""
 
     shared = resent = True

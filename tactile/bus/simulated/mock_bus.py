@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
-from tactile.bus.base import RATE, Bus, DriveBlock, Floats, Rig, Wiring
+from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Floats, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
 from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus
@@ -160,7 +160,7 @@ def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
 
 
 def open_mock(
-    address: Address, rig: Rig, sample_rate: float | None, clock: Clock = MONOTONIC
+    address: Address, rig: DisplayLike, sample_rate: float | None, clock: Clock = MONOTONIC
 ) -> Bus:
     """Open amplifiers in memory, by a clock, or a modeled link, as the URL says."""
     if "link" in address.options:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.machine import Played
+from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.player import distance
-from tactile.bus.base import RATE, Floats, Rig, Wiring
+from tactile.bus.base import RATE, DisplayLike, Floats, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
@@ -61,7 +61,7 @@ class Heard:
         self._count = self.total = 0
         self._last, self._sounding = State.IDLE, False
 
-    def add(self, run: Played, begun: int, end: int | None) -> None:
+    def add(self, run: PlayedRun, begun: int, end: int | None) -> None:
         """Take a run of instants.
 
         ``begun`` is the tick of the latest START, ``end`` the wire position after what was written
@@ -137,7 +137,7 @@ class ModeledBus(LinkBus):
             for heard in self._heard:
                 heard.rest(longest)
 
-    def _hear(self, board: int, run: Played) -> None:
+    def _hear(self, board: int, run: PlayedRun) -> None:
         node = self.model.configs[board].node
         begun = [peer.begun for peer in self._session.peers if peer.host.node == node]
         self._heard[board].add(run, begun[0] if begun else 0, self._ends[board])
@@ -160,7 +160,7 @@ class ModeledBus(LinkBus):
 
 
 def open_modeled(
-    address: Address, rig: Rig, sample_rate: float | None, model: Model | None = None
+    address: Address, rig: DisplayLike, sample_rate: float | None, model: Model | None = None
 ) -> ModeledBus:
     """Open a link as its URL says: with new amplifiers and a clock of its own, unless given."""
     address.only(*OPTIONS)

@@ -25,7 +25,7 @@ from tactile.show.plots.style import (
     plain,
     save,
 )
-from tactile.show.views import BANDS, CENTER, EDGES, SIDE, Spectrum, Sweep, View, facts
+from tactile.show.views import BANDS, CENTER, EDGES, SIDE, StrokeSpectrum, Sweep, View, facts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -129,7 +129,7 @@ def color_end(values: Floats) -> float:
     return float(np.quantile(np.abs(values), 0.995)) or 1e-6
 
 
-def draw_spectrum(axes: "Axes", spectrum: Spectrum, *, bold: float = 1.0) -> None:
+def draw_spectrum(axes: "Axes", spectrum: StrokeSpectrum, *, bold: float = 1.0) -> None:
     """Draw third octaves [µm peak], gratings and the detection threshold over frequency [Hz].
 
     What lies beyond 1 kHz is pale. ``bold`` scales the widths of the lines.

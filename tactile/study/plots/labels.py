@@ -27,7 +27,7 @@ FINGER_LOOK = {"low finger": 0, "high finger": 1, "in air": 2}
 
 
 @dataclass(frozen=True)
-class Line:
+class CurveSelection:
     """One combination of the axes that have no side of their own.
 
     Attributes
@@ -70,7 +70,7 @@ def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
     return axis
 
 
-def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
+def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelection]:
     """Return one line for each combination of the axes that are not kept.
 
     Raises
@@ -93,7 +93,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[Line]:
     known = set(names) <= set(FINGER_LOOK)
     looks = [FINGER_LOOK[name] for name in names] if known else range(count)
     return [
-        Line(name, part, COLORS[k], DASHES[k % len(DASHES)])
+        CurveSelection(name, part, COLORS[k], DASHES[k % len(DASHES)])
         for name, part, k in zip(names, parts, looks, strict=True)
     ]
 

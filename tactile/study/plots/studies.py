@@ -16,7 +16,7 @@ from tactile.errors import InputError
 from tactile.show.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
 from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
 from tactile.study.plots.labels import (
-    Line,
+    CurveSelection,
     axis_of,
     banded,
     label,
@@ -97,7 +97,7 @@ def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
     return figure
 
 
-def _look(line: Line) -> dict[str, Any]:
+def _look(line: CurveSelection) -> dict[str, Any]:
     return {"color": line.color, "linestyle": line.dashes, "linewidth": WIDTH}
 
 
@@ -210,13 +210,15 @@ def _levels(size: Floats, in_db: bool) -> Floats:
     return np.arange(max(bottom, top - DEEPEST), top + STEP / 2, STEP)
 
 
-def _smallest(data: "xarray.Dataset", line: Line, along: str, share: float) -> tuple[Range, Floats]:
+def _smallest(
+    data: "xarray.Dataset", line: CurveSelection, along: str, share: float
+) -> tuple[Range, Floats]:
     """Return the smallest size in the band along an axis, and the range that is good enough."""
     smallest = np.abs(banded(data, line.values).transpose(along, FREQUENCY).values).min(axis=1)
     return within(line.values[along].values, smallest, share=share), smallest
 
 
-def _map(axes: "Axes", line: Line, along: str, levels: Floats, in_db: bool) -> Any:
+def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats, in_db: bool) -> Any:
     """Draw levels over an axis and frequency, with contours."""
     size = np.abs(line.values.transpose(FREQUENCY, along).values)
     with np.errstate(divide="ignore"):
@@ -234,7 +236,7 @@ def _map(axes: "Axes", line: Line, along: str, levels: Floats, in_db: bool) -> A
 
 
 def _mark_range(
-    above: "Axes", below: "Axes", good: Range, line: Line, share: float, unit: str
+    above: "Axes", below: "Axes", good: Range, line: CurveSelection, share: float, unit: str
 ) -> None:
     """Mark the ends of a range in a map, shade it in the curve below, and tell it."""
     for end in (good.low, good.high):
@@ -315,7 +317,7 @@ def criterion_figure(
     return figure
 
 
-def _shade(axes: "Axes", x: Floats, line: Line, good: Range) -> None:
+def _shade(axes: "Axes", x: Floats, line: CurveSelection, good: Range) -> None:
     """Shade below a line where it is good enough."""
     inside = np.concatenate([[good.low], x[(x > good.low) & (x < good.high)], [good.high]])
     height = np.interp(inside, x, line.values.values)

@@ -24,10 +24,10 @@ from tactile.texture.formats.document import (
     HIGHEST,
     LOWEST,
     Band,
-    Channel,
     Effect,
+    EffectChannel,
     Keyframe,
-    Segment,
+    KeyframeSegment,
     channels_of,
     hertz,
     sharpness_of,
@@ -42,7 +42,7 @@ LONGEST_EVENT = 30.0
 """s of a continuous event (Core Haptics)."""
 DEFAULT = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
 """Where an event says nothing (assumed: Apple states none for sharpness)."""
-KINDS = ("Event", "Parameter", "ParameterCurve")
+KINDS = ("AhapEvent", "AhapParameter", "ParameterCurve")
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Seconds = Annotated[float, Meta(ge=0, le=3600)]
@@ -55,7 +55,7 @@ class EventParameter(Struct, frozen=True, rename="pascal"):
     parameter_value: Number
 
 
-class Event(Struct, frozen=True, rename="pascal"):
+class AhapEvent(Struct, frozen=True, rename="pascal"):
     """A tap or an oscillation."""
 
     event_type: str
@@ -71,7 +71,7 @@ class ControlPoint(Struct, frozen=True, rename="pascal"):
     parameter_value: Number
 
 
-class Parameter(Struct, frozen=True, rename="pascal"):
+class AhapParameter(Struct, frozen=True, rename="pascal"):
     """A value for all events from a time on."""
 
     parameter_id: str = msgspec.field(name="ParameterID")
@@ -90,8 +90,8 @@ class ParameterCurve(Struct, frozen=True, rename="pascal"):
 class Entry(Struct, frozen=True, rename="pascal"):
     """Of the pattern: one of them."""
 
-    event: Event | None = None
-    parameter: Parameter | None = None
+    event: AhapEvent | None = None
+    parameter: AhapParameter | None = None
     parameter_curve: ParameterCurve | None = None
 
 
@@ -154,7 +154,7 @@ def _limit(name: str, value: float, low: float, limited: list[str]) -> float:
     return min(max(value, low), 1.0)
 
 
-def _events(kind: str, events: list[Event], limited: list[str]) -> Band:
+def _events(kind: str, events: list[AhapEvent], limited: list[str]) -> Band:
     """Return events of one type as a band, a segment each; what is unknown here is kept."""
     segments = []
     for event in events:
@@ -163,7 +163,7 @@ def _events(kind: str, events: list[Event], limited: list[str]) -> Band:
             _limit(name, said.pop(name, DEFAULT[name]), 0.0, limited) for name in DEFAULT
         )
         times = [0.0] if kind == "transient" else [0.0, event.event_duration]
-        segments.append(Segment(
+        segments.append(KeyframeSegment(
             start_s=event.time, other=dict(said),
             keyframes=tuple(Keyframe(time_s=t, amplitude=intensity, frequency_hz=hertz(sharpness))
                             for t in times),
@@ -191,7 +191,7 @@ def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str])
     return Band(kind="control", segments=tuple(segments))
 
 
-def _control(where: str, curve: ParameterCurve, limited: list[str]) -> Segment:
+def _control(where: str, curve: ParameterCurve, limited: list[str]) -> KeyframeSegment:
     found = curve.parameter_curve_control_points
     if not found:
         raise InputError(f"{where}: is empty; needs a point")
@@ -213,7 +213,7 @@ def _control(where: str, curve: ParameterCurve, limited: list[str]) -> Segment:
             if intensity
             else Keyframe(time_s=time, frequency_hz=shift)
         )
-    return Segment(start_s=curve.time, keyframes=tuple(keyframes))
+    return KeyframeSegment(start_s=curve.time, keyframes=tuple(keyframes))
 
 
 def saved_ahap(effect: Effect) -> tuple[bytes, list[str]]:
@@ -233,7 +233,7 @@ def saved_ahap(effect: Effect) -> tuple[bytes, list[str]]:
     return msgspec.json.format(msgspec.json.encode(content), indent=2), lost
 
 
-def _is_pattern(channel: Channel) -> bool:
+def _is_pattern(channel: EffectChannel) -> bool:
     """Return whether a channel is what events and curves can say."""
     parts = [(b.kind, s) for b in channel.bands for s in b.segments]
     kinds = {kind for kind, _ in parts}
@@ -252,7 +252,7 @@ def _is_pattern(channel: Channel) -> bool:
     return kinds <= {"wave", "transient", "control"} and plain and steady and channel.gain == 1
 
 
-def _as_it_is(channel: Channel) -> list[dict[str, Any]]:
+def _as_it_is(channel: EffectChannel) -> list[dict[str, Any]]:
     entries = []
     for band in channel.bands:
         for s in band.segments:
@@ -312,7 +312,7 @@ def _event(
     }
     if duration is not None:
         event["EventDuration"] = duration
-    return {"Event": event}
+    return {"AhapEvent": event}
 
 
 def _curves(name: str, pairs: list[tuple[float, float]], start: float) -> list[dict[str, Any]]:

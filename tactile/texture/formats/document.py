@@ -40,11 +40,11 @@ EffectType = Literal["Basis", "Reference", "Composite"]
 DeviceType = Literal["LRA", "VCA", "ERM", "Piezo", "Unknown"]
 
 
-class Part(Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+class FileTable(Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
     """A table of the file."""
 
 
-class Keyframe(Part, frozen=True, kw_only=True):
+class Keyframe(FileTable, frozen=True, kw_only=True):
     """Values at a time after the beginning of its segment; straight between keyframes."""
 
     time_s: Seconds
@@ -52,7 +52,7 @@ class Keyframe(Part, frozen=True, kw_only=True):
     frequency_hz: Hertz | None = None
 
 
-class Segment(Part, frozen=True, kw_only=True):
+class KeyframeSegment(FileTable, frozen=True, kw_only=True):
     """Keyframes from a time on.
 
     A "Reference" plays the segment of the perception's library that has its ``id``. ``samples`` are
@@ -80,7 +80,7 @@ class Segment(Part, frozen=True, kw_only=True):
             raise ValueError(f"samples has {len(self.samples)} bytes: must be 4 for each")
 
 
-class Band(Part, frozen=True, kw_only=True):
+class Band(FileTable, frozen=True, kw_only=True):
     """Segments of one kind; where they overlap they add up."""
 
     kind: Kind
@@ -88,7 +88,7 @@ class Band(Part, frozen=True, kw_only=True):
     lower_frequency_hz: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     upper_frequency_hz: Annotated[float, Meta(ge=0, le=1e6)] = 1000.0
     sample_rate_hz: Annotated[float, Meta(ge=1, le=400_000)] | None = None
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[KeyframeSegment, ...] = ()
     other: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class Band(Part, frozen=True, kw_only=True):
             raise ValueError("a band of samples needs sample_rate_hz")
 
 
-class Channel(Part, frozen=True, kw_only=True):
+class EffectChannel(FileTable, frozen=True, kw_only=True):
     """One signal, scaled by ``gain``.
 
     Who plays several on one actuator weighs them by ``mixing_coefficient``.
@@ -112,7 +112,7 @@ class Channel(Part, frozen=True, kw_only=True):
     other: dict[str, Any] = {}
 
 
-class ReferenceDevice(Part, frozen=True, kw_only=True):
+class ReferenceDevice(FileTable, frozen=True, kw_only=True):
     """What the effect was made for."""
 
     id: int
@@ -126,7 +126,7 @@ class ReferenceDevice(Part, frozen=True, kw_only=True):
     other: dict[str, Any] = {}
 
 
-class Perception(Part, frozen=True, kw_only=True):
+class Perception(FileTable, frozen=True, kw_only=True):
     """Channels that make up one impression, such as "Vibrotactile Texture"."""
 
     id: int = 0
@@ -134,12 +134,12 @@ class Perception(Part, frozen=True, kw_only=True):
     description: str = ""
     modality: str = "Vibrotactile"
     reference_devices: tuple[ReferenceDevice, ...] = ()
-    library: tuple[Segment, ...] = ()
-    channels: tuple[Channel, ...] = ()
+    library: tuple[KeyframeSegment, ...] = ()
+    channels: tuple[EffectChannel, ...] = ()
     other: dict[str, Any] = {}
 
 
-class Effect(Part, frozen=True, kw_only=True):
+class Effect(FileTable, frozen=True, kw_only=True):
     """Haptic effects over time."""
 
     description: str = ""
@@ -158,19 +158,19 @@ class Effect(Part, frozen=True, kw_only=True):
             raise ValueError(f"has {count} keyframes: {MOST_KEYFRAMES} at most")
 
 
-class EffectFile(Part, frozen=True, kw_only=True):
+class EffectFile(FileTable, frozen=True, kw_only=True):
     """The file: one table."""
 
     effect: Effect
 
 
-def segments_of(perception: Perception) -> list[Segment]:
+def segments_of(perception: Perception) -> list[KeyframeSegment]:
     """Return the segments of all bands of all channels."""
     bands = [band for channel in perception.channels for band in channel.bands]
     return [segment for band in bands for segment in band.segments]
 
 
-def channels_of(effect: Effect) -> list[tuple[Perception, Channel]]:
+def channels_of(effect: Effect) -> list[tuple[Perception, EffectChannel]]:
     """Return all channels in order, each with its perception."""
     return [(perception, channel) for perception in effect.perceptions
             for channel in perception.channels]  # fmt: skip
@@ -178,7 +178,9 @@ def channels_of(effect: Effect) -> list[tuple[Perception, Channel]]:
 
 def single(effect_bands: tuple[Band, ...], **fields: Any) -> Effect:
     """Return an effect of one perception with one channel."""
-    return Effect(perceptions=(Perception(channels=(Channel(bands=effect_bands),)),), **fields)
+    return Effect(
+        perceptions=(Perception(channels=(EffectChannel(bands=effect_bands),)),), **fields
+    )
 
 
 def hertz(sharpness: float) -> float:

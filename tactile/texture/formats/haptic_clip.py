@@ -21,7 +21,7 @@ from tactile.texture.formats.document import (
     Band,
     Effect,
     Keyframe,
-    Segment,
+    KeyframeSegment,
     hertz,
     sharpness_of,
     single,
@@ -67,7 +67,7 @@ class AmplitudePoint(Struct, frozen=True, omit_defaults=True):
     emphasis: Emphasis | None = None
 
 
-class FrequencyPoint(Struct, frozen=True):
+class ClipFrequencyPoint(Struct, frozen=True):
     """A breakpoint."""
 
     time: Seconds
@@ -78,7 +78,7 @@ class Envelopes(Struct, frozen=True, omit_defaults=True):
     """Of the continuous signal."""
 
     amplitude: tuple[AmplitudePoint, ...]
-    frequency: tuple[FrequencyPoint, ...] | None = None
+    frequency: tuple[ClipFrequencyPoint, ...] | None = None
 
 
 class Continuous(Struct, frozen=True):
@@ -131,7 +131,7 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
     )  # fmt: skip
     if taps:
         bands.append(Band(kind="transient", lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,
-                          segments=(Segment(keyframes=taps),)))  # fmt: skip
+                          segments=(KeyframeSegment(keyframes=taps),)))  # fmt: skip
     about = {**msgspec.to_builtins(clip.metadata), "tags": list(clip.metadata.tags)}
     other = {k: v for k, v in about.items() if v and k != "description"}
     effect = single(tuple(bands), origin="haptic", ticks_per_s=FINE, other=other,
@@ -189,7 +189,7 @@ def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:
         signals=Signals(Continuous(Envelopes(
             amplitude=tuple(sorted(points, key=lambda p: p.time)),
             frequency=tuple(
-                FrequencyPoint(t, _within(sharpness_of(f))) for t, f in drawn.frequency
+                ClipFrequencyPoint(t, _within(sharpness_of(f))) for t, f in drawn.frequency
             ) or None,
         ))),
     )  # fmt: skip

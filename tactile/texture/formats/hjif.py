@@ -21,15 +21,15 @@ from tactile.texture.formats.document import (
     MOST_KEYFRAMES,
     Band,
     BaseSignal,
-    Channel,
     CurveType,
     DeviceType,
     Effect,
+    EffectChannel,
     EffectType,
     Keyframe,
+    KeyframeSegment,
     Perception,
     ReferenceDevice,
-    Segment,
     channels_of,
 )
 from tactile.texture.formats.synthesis import without_control
@@ -194,7 +194,7 @@ def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> Reference
 
 def _channel(
     path: Path, c: HjifChannel, raw: dict[str, Any], where: str, timescale: int
-) -> Channel:
+) -> EffectChannel:
     bands = []
     for i, (band, raw_band) in enumerate(zip(c.bands, raw["bands"], strict=True)):
         at = f"{where}.bands[{i}]"
@@ -211,14 +211,16 @@ def _channel(
             lower_frequency_hz=band.lower_frequency_limit,
             upper_frequency_hz=band.upper_frequency_limit, other=_other(raw_band, HjifBand),
         ))  # fmt: skip
-    return Channel(
+    return EffectChannel(
         id=c.id, description=c.description, gain=c.gain, mixing_coefficient=c.mixing_coefficient,
         body_part_mask=c.body_part_mask, reference_device_id=c.reference_device_id,
         bands=tuple(bands), other=_other(raw, HjifChannel),
     )  # fmt: skip
 
 
-def _segment(path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timescale: int) -> Segment:
+def _segment(
+    path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timescale: int
+) -> KeyframeSegment:
     at = [k.relative_position for k in e.keyframes]
     for i, (before, after) in enumerate(itertools.pairwise(at)):
         if after < before:
@@ -228,7 +230,7 @@ def _segment(path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timesca
             )
     if (e.position + max(at, default=0)) / timescale > 3600:
         raise InputError(f"{path}: {where}: ends after more than an hour")
-    return Segment(
+    return KeyframeSegment(
         start_s=e.position / timescale, type=e.effect_type, id=e.id, phase_rad=e.phase,
         base_signal=e.base_signal, keywords=e.semantic_keywords, other=_other(raw, HjifEffect),
         keyframes=tuple(
@@ -335,7 +337,7 @@ def _device_out(writer: _Writer, d: ReferenceDevice, unit: float) -> dict[str, A
     return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **known}
 
 
-def _channel_out(writer: _Writer, perception: Perception, channel: Channel) -> dict[str, Any]:
+def _channel_out(writer: _Writer, perception: Perception, channel: EffectChannel) -> dict[str, Any]:
     whole = without_control(perception, channel)
     if whole is not channel:
         writer.lost.append(f"channel {channel.id}: control curves are worked into its keyframes")
@@ -362,7 +364,7 @@ def _band_out(writer: _Writer, band: Band) -> dict[str, Any]:
     }
 
 
-def _as_keyframes(band: Band, segment: Segment) -> Segment:
+def _as_keyframes(band: Band, segment: KeyframeSegment) -> KeyframeSegment:
     """Return samples as keyframes; the last is held for one more sample, as long as it lasts."""
     if band.kind != "samples":
         return segment
@@ -374,7 +376,7 @@ def _as_keyframes(band: Band, segment: Segment) -> Segment:
     return msgspec.structs.replace(segment, samples=b"", keyframes=keyframes)
 
 
-def _segment_out(writer: _Writer, kind: str, s: Segment) -> dict[str, Any]:
+def _segment_out(writer: _Writer, kind: str, s: KeyframeSegment) -> dict[str, Any]:
     said = {
         "id": s.id, "phase": s.phase_rad, "base_signal": s.base_signal,
         "semantic_keywords": s.keywords,

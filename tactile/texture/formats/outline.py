@@ -14,11 +14,11 @@ from tactile.texture.formats.document import (
     HIGHEST,
     LOWEST,
     Band,
-    Channel,
     Effect,
+    EffectChannel,
     Keyframe,
+    KeyframeSegment,
     Perception,
-    Segment,
     channels_of,
 )
 from tactile.texture.formats.synthesis import (
@@ -67,7 +67,7 @@ def wave_band(amplitude: list[Pair], frequency: list[Pair]) -> Band:
             made.setdefault((time, i - twin), {})[name] = value
     keyframes = tuple(Keyframe(time_s=t, **values) for (t, _), values in sorted(made.items()))
     return Band(kind="wave", lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,
-                segments=(Segment(keyframes=keyframes),))  # fmt: skip
+                segments=(KeyframeSegment(keyframes=keyframes),))  # fmt: skip
 
 
 def of_effect(effect: Effect, suffix: str) -> tuple[Outline, list[str]]:
@@ -97,7 +97,7 @@ def of_effect(effect: Effect, suffix: str) -> tuple[Outline, list[str]]:
     return drawn, lost + drawn.lost
 
 
-def of_channel(perception: Perception, channel: Channel) -> Outline:
+def of_channel(perception: Perception, channel: EffectChannel) -> Outline:
     """Return the outline of a channel, its gain and control worked in."""
     whole, lost = without_control(perception, channel), []
     if whole is not channel:
@@ -130,14 +130,14 @@ def of_channel(perception: Perception, channel: Channel) -> Outline:
                    [(t, min(a, 1.0), f) for t, a, f in taps], lost)  # fmt: skip
 
 
-def _follow(waves: list[Segment]) -> bool:
+def _follow(waves: list[KeyframeSegment]) -> bool:
     """Return whether waves are sines that come after each other."""
     ends = [s.start_s + s.keyframes[-1].time_s for s in waves]
     after = all(s.start_s >= end for s, end in zip(waves[1:], ends, strict=False))
     return after and all(s.base_signal in (None, "Sine") for s in waves)
 
 
-def _joined(waves: list[Segment], gain: float) -> tuple[list[Pair], list[Pair]]:
+def _joined(waves: list[KeyframeSegment], gain: float) -> tuple[list[Pair], list[Pair]]:
     """Return the envelopes of waves that come after each other, 0 between them."""
     amplitude: list[Pair] = []
     frequency: list[Pair] = []
@@ -166,7 +166,7 @@ def _single_steps(pairs: list[Pair]) -> list[Pair]:
 
 
 def _measured(
-    perception: Perception, channel: Channel, bands: list[Band]
+    perception: Perception, channel: EffectChannel, bands: list[Band]
 ) -> tuple[list[Pair], list[Pair]]:
     """Return the envelopes of a synthesized channel."""
     only = msgspec.structs.replace(channel, bands=tuple(bands))

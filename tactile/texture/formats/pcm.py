@@ -20,10 +20,10 @@ from tactile.errors import InputError
 from tactile.texture.formats import reading
 from tactile.texture.formats.document import (
     Band,
-    Channel,
     Effect,
+    EffectChannel,
+    KeyframeSegment,
     Perception,
-    Segment,
     channels_of,
     segments_of,
 )
@@ -102,9 +102,9 @@ def load_wav(path: Path) -> tuple[Effect, list[str]]:
     if not np.array_equal(single.astype(np.float64), samples / peaks):
         lost.append("samples are rounded to float32, 24 bits")
     channels = tuple(
-        Channel(id=i, gain=float(peaks[i]), bands=(Band(
+        EffectChannel(id=i, gain=float(peaks[i]), bands=(Band(
             kind="samples", sample_rate_hz=rate, upper_frequency_hz=rate / 2,
-            segments=(Segment(samples=column.tobytes()),),
+            segments=(KeyframeSegment(samples=column.tobytes()),),
         ),))
         for i, column in enumerate(single.T)
     )  # fmt: skip

@@ -14,12 +14,12 @@ from tactile.texture.descriptor import About, Descriptor, Periodic, Reference
 from tactile.texture.formats import reading
 from tactile.texture.formats.document import (
     Band,
-    Channel,
     Effect,
+    EffectChannel,
     Keyframe,
+    KeyframeSegment,
     Perception,
     ReferenceDevice,
-    Segment,
 )
 from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_control
 from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
@@ -63,7 +63,7 @@ def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
     reach = np.abs(np.sin(2 * np.pi * np.outer(time, hertz) + phase) @ amplitude).max()
     keyword = KEYWORDS.get(texture.texture.category)
     segments = tuple(
-        Segment(
+        KeyframeSegment(
             phase_rad=float(p), base_signal="Sine",
             keywords=None if keyword is None else f"Texture/{keyword}",
             keyframes=tuple(
@@ -79,7 +79,7 @@ def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
     )  # fmt: skip
     perception = Perception(
         description=texture.texture.description, modality=MODALITY, reference_devices=(device,),
-        channels=(Channel(
+        channels=(EffectChannel(
             description=texture.texture.id, reference_device_id=0,
             bands=(Band(kind="wave", upper_frequency_hz=TOP, segments=segments),),
         ),),
@@ -180,7 +180,7 @@ def texture_from(
     return texture, lost + told + dropped + more
 
 
-def _reach(perception: Perception, channel: Channel) -> tuple[float, list[str]]:
+def _reach(perception: Perception, channel: EffectChannel) -> tuple[float, list[str]]:
     """Return the displacement of an amplitude of 1 [µm]."""
     for device in perception.reference_devices:
         reach = device.maximum_displacement_mm
@@ -192,7 +192,7 @@ def _reach(perception: Perception, channel: Channel) -> tuple[float, list[str]]:
 
 
 def _gratings(
-    perception: Perception, channel: Channel, speed_mm_s: float, reach_um: float
+    perception: Perception, channel: EffectChannel, speed_mm_s: float, reach_um: float
 ) -> tuple[list[Periodic], list[str]]:
     """Return a grating for each oscillation, at its mean amplitude and frequency."""
     gratings, wrong, varying = [], 0, 0
@@ -223,7 +223,7 @@ def _gratings(
     return gratings[:MOST_GRATINGS], lost
 
 
-def _mean(segment: Segment, name: str, empty: float) -> tuple[float, bool]:
+def _mean(segment: KeyframeSegment, name: str, empty: float) -> tuple[float, bool]:
     """Return the mean of a curve over its time, and whether it changes."""
     at, value = points(segment.keyframes, name)
     if not len(at):
@@ -233,7 +233,7 @@ def _mean(segment: Segment, name: str, empty: float) -> tuple[float, bool]:
     return float(np.trapezoid(value, at) / (at[-1] - at[0])), bool(np.ptp(value) > 0)
 
 
-def _category(perception: Perception, channel: Channel) -> tuple[str, list[str]]:
+def _category(perception: Perception, channel: EffectChannel) -> tuple[str, list[str]]:
     words = [
         resolved(perception, s).keywords or s.keywords or ""
         for band in channel.bands for s in band.segments

@@ -18,11 +18,11 @@ from tactile.errors import InputError
 from tactile.texture.formats.document import (
     Band,
     BaseSignal,
-    Channel,
     Effect,
+    EffectChannel,
     Keyframe,
+    KeyframeSegment,
     Perception,
-    Segment,
     channels_of,
 )
 
@@ -56,7 +56,7 @@ def duration(effect: Effect) -> float:
     return max(ends, default=0.0)
 
 
-def end_of(band: Band, segment: Segment) -> float:
+def end_of(band: Band, segment: KeyframeSegment) -> float:
     """Return when a segment of a band is over [s]."""
     end = segment.start_s + (segment.keyframes[-1].time_s if segment.keyframes else 0.0)
     if band.kind == "transient":
@@ -67,7 +67,7 @@ def end_of(band: Band, segment: Segment) -> float:
     return end if band.kind != "control" else 0.0
 
 
-def resolved(perception: Perception, segment: Segment) -> Segment:
+def resolved(perception: Perception, segment: KeyframeSegment) -> KeyframeSegment:
     """Return a segment, or what it refers to, at its time.
 
     Raises
@@ -118,7 +118,7 @@ def synthesize(effect: Effect, sample_rate: float) -> Floats:
     return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
 
-def _signal(perception: Perception, channel: Channel, count: int, rate: float) -> Floats:
+def _signal(perception: Perception, channel: EffectChannel, count: int, rate: float) -> Floats:
     """Return a channel's samples (S,)."""
     whole, out = without_control(perception, channel), np.zeros(count)
     for band in whole.bands:
@@ -132,7 +132,7 @@ def _signal(perception: Perception, channel: Channel, count: int, rate: float) -
     return np.asarray(np.clip(out, -1, 1) * channel.gain)
 
 
-def _played(band: Band, segment: Segment, time: Floats, rate: float) -> Floats:
+def _played(band: Band, segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
     """Return a segment at times after its start [s]."""
     if band.kind == "wave":
         return _wave(segment, time, rate)
@@ -153,7 +153,7 @@ def points(keyframes: tuple[Keyframe, ...], name: str) -> Floats:
     return np.array(pairs, np.float64).reshape(-1, 2).T
 
 
-def _wave(segment: Segment, time: Floats, rate: float) -> Floats:
+def _wave(segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
     amplitude, frequency = (points(segment.keyframes, n) for n in ("amplitude", "frequency_hz"))
     size = np.interp(time, *amplitude) if amplitude.size else np.ones(len(time))
     if not frequency.size:
@@ -176,7 +176,7 @@ def _turns(time: Floats, at: Floats, frequency: Floats) -> Floats:
     return np.asarray(whole[k] + rest * (frequency[k] + slope[k] * rest / 2))
 
 
-def _curve(segment: Segment, curve_type: str, time: Floats) -> Floats:
+def _curve(segment: KeyframeSegment, curve_type: str, time: Floats) -> Floats:
     at, value = points(segment.keyframes, "amplitude")
     if not len(at):
         return np.zeros(len(time))
@@ -207,7 +207,7 @@ def _tap_shape(keyframe: Keyframe) -> tuple[int, float]:
 # Control
 
 
-def control(channel: Channel, name: str) -> Floats | None:
+def control(channel: EffectChannel, name: str) -> Floats | None:
     """Return time [s] and value (2, P) of what a channel's control bands say, all in one.
 
     Held before the first point at its neutral value, and between and after segments at the last.
@@ -225,7 +225,7 @@ def control(channel: Channel, name: str) -> Floats | None:
     return np.array(said).T if len(said) > 1 else None
 
 
-def without_control(perception: Perception, channel: Channel) -> Channel:
+def without_control(perception: Perception, channel: EffectChannel) -> EffectChannel:
     """Return a channel with its control bands worked into its waves and transients."""
     amplitude, frequency = control(channel, "amplitude"), control(channel, "frequency_hz")
     if amplitude is None and frequency is None:
@@ -244,8 +244,8 @@ def without_control(perception: Perception, channel: Channel) -> Channel:
 
 
 def _controlled(
-    band: Band, segment: Segment, amplitude: Floats | None, frequency: Floats | None
-) -> Segment:
+    band: Band, segment: KeyframeSegment, amplitude: Floats | None, frequency: Floats | None
+) -> KeyframeSegment:
     """Return a segment multiplied and shifted; keyframes at all points of either."""
     a, f = (points(segment.keyframes, name) for name in ("amplitude", "frequency_hz"))
     at = np.array([k.time_s for k in segment.keyframes])

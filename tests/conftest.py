@@ -276,7 +276,7 @@ def serve(
     from bringup_rig import serving
 
     for limit in ("session.SILENCE", "link_bus.OPENING", "link_bus.STARTING"):
-        monkeypatch.setattr(f"tactile.bus.{limit}", 60.0)
+        monkeypatch.setattr(f"tactile.bus.link.{limit}", 60.0)
     monkeypatch.setattr("tactile.bus.link.peer.TRIES", 40)
     with serving(virtual_amplifier, tmp_path / "out") as start:
         yield start

@@ -44,7 +44,7 @@ def open_files() -> set[tuple[str, str]]:
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let what answers take its time, and be silent meanwhile."""
     for limit in ("link_bus.OPENING", "link_bus.STARTING", "link_bus.ENDING", "session.SILENCE"):
-        monkeypatch.setattr(f"tactile.bus.{limit}", DEADLINE)
+        monkeypatch.setattr(f"tactile.bus.link.{limit}", DEADLINE)
     monkeypatch.setattr("tactile.bus.link.peer.TRIES", 40)
 
 

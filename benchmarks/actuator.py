@@ -11,7 +11,8 @@ from tactile.actuator.bimorph import Bimorph, active_segment, transfer_matrix
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
 from tactile.actuator.response import tip_response
-from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most, seconds
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
 
 
 def _first_order(bimorph: Bimorph, omega: float, axial_force: float) -> NDArray[np.complex128]:

@@ -19,7 +19,8 @@ from firmware_protocol.messages import SampleFormat
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import encode_frame
 from tactile.actuator.amplifier import Amplifier
-from tactile.bench.figures import Figure, Floats, at_least, at_most
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, at_least, at_most
 from tactile.bus.base import DriveBlock
 from tactile.bus.registry import open_bus
 from tactile.bus.simulated.modeled_bus import ModeledBus

@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from firmware_protocol.clock import ClockEstimator, Exchange
-from tactile.bench.figures import Figure, Floats, at_most, seconds
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, at_most, seconds
 
 Delay = Callable[[np.random.Generator, float], float]
 """Time that a packet takes [s] which is sent at a host time [s]."""

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile.bench.figures import Figure, Floats, at_least, at_most
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, at_least, at_most
 from tactile.texture import measures
 from tactile.texture.descriptor import About
 from tactile.texture.fitting import RecordingMeasures, describe, measure_slides

@@ -16,11 +16,11 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.virtual import VirtualAmplifier, can_be_built, workshop
 from firmware_protocol.messages import State
 from tactile import messages as m
+from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.playback.shared_memory import BlockTrace, Touch
 from tactile.rendering.limiter import LOOK_AHEAD
@@ -28,8 +28,6 @@ from tactile.server.config import DaemonConfig, DisplayConfig, ServerConfig
 from tactile.server.host import Host
 from tactile.server.playing import Playing
 from tactile.server.server import running
-
-Floats = NDArray[np.float64]
 
 RATE = 1000.0
 """Messages a second."""

@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 
-from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
+from tactile.arrays import Complex, Floats
+from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import Display, load_display
 from tactile.playback.runs import run
 from tactile.rendering.contact import Trajectory
@@ -49,8 +49,6 @@ KURTOSIS, DEPTH, LEVEL, COHERENCE = 0.5, 0.06, 1.0, 0.1
 """What may lie between descriptor and rendered cuts; level in dB."""
 FIDELITY, SIMILARITY = 40.0, 0.99
 """What played shear must reach: signal-to-error ratio [dB] and ST-SIM."""
-
-Complex = NDArray[np.complex128]
 
 
 def bands_alone(texture: Texture) -> Texture:

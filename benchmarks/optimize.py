@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tactile.bench.figures import Figure, Floats, at_least, at_most
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, at_least, at_most
 from tactile.study.criteria import Conditions
 from tactile.study.optimizing import Task, find_designs, scores
 from tactile.study.scenarios import draw_scenarios

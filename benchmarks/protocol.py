@@ -17,7 +17,8 @@ from firmware_protocol.i2c_link import SMBUS_BLOCK, WRITE_COMMAND
 from firmware_protocol.messages import Pcm, SampleFormat
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
-from tactile.bench.figures import HANDFUL, RATE, Figure, Floats, at_least, at_most, seconds
+from tactile.arrays import Floats
+from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, seconds
 from tactile.bus.wire_time import (
     Stuffing,
     can_bits,

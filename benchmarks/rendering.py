@@ -7,7 +7,8 @@ import numpy as np
 
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
-from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import Display, load_display
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory

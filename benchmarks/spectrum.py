@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks.rendering import without_events
 from firmware_protocol import spectrum as wire
-from tactile.bench.figures import RATE, Figure, Floats, at_most, seconds
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE, Figure, at_most, seconds
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render

@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from tactile.bench.figures import RATE, Figure, Floats, at_least, at_most
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import matplotlib
 
+from tactile.arrays import Floats
+
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE
@@ -24,8 +25,6 @@ from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture, without_friction
-
-Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 URL = "mock:?link=serial&bit_rate=3000000&rearm=true"

@@ -14,7 +14,8 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
-from tactile.bus.base import RATE, Bus, DisplayLike, Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.mock_bus import MockBus, kept_and_format
 from tactile.display.display import Display

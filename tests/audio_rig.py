@@ -19,11 +19,10 @@ from typing import IO, Any
 import numpy as np
 import pytest
 from display_files import load
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 
-Floats = NDArray[np.float64]
 Block = tuple[float, Floats]
 """What came at a time [s, monotonic], (S, C) [full scale]."""
 

@@ -15,11 +15,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bringup.bringup import CheckReport
 from tactile.bus.base import Bus
 from tactile.display.display import Display
-
-Floats = NDArray[np.float64]
 
 CHANNELS = 5
 PF = (12800, 0, 99, 22000, 12000)

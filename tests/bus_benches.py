@@ -23,13 +23,13 @@ from bus_bridges import bridge, virtual_can
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import FULL_SCALE_CODE, State
+from tactile.arrays import Floats
 from tactile.bus.base import Bus
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError
 
-Floats = NDArray[np.float64]
 Rows = NDArray[Any]
 Test = TypeVar("Test", bound=type)
 

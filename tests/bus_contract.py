@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bus_benches import PCM16, RATE, Bench, Floats, Test, steadied
+from bus_benches import PCM16, RATE, Bench, Test, steadied
 
+from tactile.arrays import Floats
 from tactile.bus.base import Bus, DriveBlock
 from tactile.display.display import Display
 

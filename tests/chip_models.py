@@ -13,11 +13,9 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.clock import Clock, ModelClock
-
-Floats = NDArray[np.float64]
 
 
 class VirtualRunner(ModelClock):

@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tactile import cli
-
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 KEYS = {
     "drive_v", "shear_target_m", "shear_played_m", "time_s", "position_mm", "sample_rate_hz",

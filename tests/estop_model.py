@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis.stateful import RuleBasedStateMachine
-from virtual_daemon import Floats, PlaybackProcess, virtual_world
+from virtual_daemon import PlaybackProcess, virtual_world
 
 from tactile import messages as m
+from tactile.arrays import Floats
 from tactile.server.client import Client
 
 RATE = 2500.0

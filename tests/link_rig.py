@@ -18,14 +18,12 @@ from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.packet import Packet
+from tactile.arrays import Floats, Ints
 from tactile.bus.base import DriveBlock
 from tactile.bus.link.phases import SessionPhase
 from tactile.bus.simulated.line_model import Faults
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RATE = 2500.0
 VOLTAGE = 100.0

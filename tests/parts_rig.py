@@ -13,15 +13,13 @@ from chip_models import (
     Tca9548aModel,
     VirtualRunner,
 )
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.chips.adapter import Place
 from tactile.bus.chips.bos1921 import Bos1921Bus
 from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.chips.drv2667 import Drv2667Bus
-
-Floats = NDArray[np.float64]
 
 LSB = {"drv2667": 50 / 127, "bos1921": 3.6 * 31 / 2047}
 """V a code, at 100 V peak to peak and ±95 V."""

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
@@ -15,8 +15,6 @@ from tactile.playback.offline import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 FADE = 160

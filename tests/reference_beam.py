@@ -40,8 +40,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from tactile.arrays import Complex
+
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Load = tuple[float, float, tuple[tuple[float, float], ...]]
 """Generalized Maxwell load: stiffness k0, damping d0, then (k, d) of each spring-dashpot pair."""
 

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
 
+from tactile.arrays import Floats
 from tactile.texture.picture import HeightMap
 from tactile.texture.relief_texture import Relief, texture_of
 
 Image = pytest.importorskip("PIL.Image")
 
-Floats = NDArray[np.float64]
 
 COUNT, PIXEL, LEVEL = 384, 53.5e-6, 10e-9
 X, Y = np.meshgrid(

@@ -7,14 +7,11 @@ of the amplifier that has changed; so does one that still differs when the gain 
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from firmware_protocol.machine import AmplifierCounters, PlayedRun
 from firmware_protocol.messages import State
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock
 
-Floats = NDArray[np.float64]
 KEPT, SETTLED = 2000, 64
 """Samples that a ledger keeps, and that must be right in a row before a wrong one counts."""
 FADED = 500

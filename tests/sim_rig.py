@@ -5,14 +5,12 @@ from pathlib import Path
 
 import numpy as np
 from display_files import load
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.sim import SimulatedDisplay
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 SHUFFLED = """[[contactor]]

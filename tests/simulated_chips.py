@@ -6,7 +6,8 @@ import numpy as np
 from chip_models import ChipModel, Drv2667Model, ModelBus, Tca9548aModel
 from numpy.typing import NDArray
 from virtual_clock import VirtualClock
-from virtual_daemon import Floats
+
+from tactile.arrays import Floats
 
 Bools = NDArray[np.bool_]
 DEVICE = "drv2667:0?mux=0x70&ports=0,1"

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from sample_ledger import Ledger
 from simulated_chips import Chips
 from virtual_clock import VirtualClock
-from virtual_daemon import Floats, World
+from virtual_daemon import World
 from virtual_loop import LoopProcess
 
 from firmware_protocol.machine import PlayedRun
+from tactile.arrays import Floats
 from tactile.bus.registry import parse
 from tactile.bus.simulated.line_model import Model
 from tactile.client import aio

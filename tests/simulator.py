@@ -30,11 +30,12 @@ from numpy.typing import NDArray
 from osc_faults import mutated, packet
 from sample_ledger import Ledger
 from simulated_route import RATE, Program, Route
-from virtual_daemon import Floats, small_display, virtual_world
+from virtual_daemon import small_display, virtual_world
 from virtual_loop import Datagrams
 
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock
 from tactile.bus.link.stream import LinkStream
 from tactile.bus.registry import Address

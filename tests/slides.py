@@ -7,11 +7,9 @@ sees of it at a speed is derived in time by the closed form of a Fourier series.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.texture.recorded_slide import Quantity, Recorded
-
-Floats = NDArray[np.float64]
 
 RATE = 10e3
 ORDERS = {"acceleration": 2, "velocity": 1, "displacement": 0, "force": 0}

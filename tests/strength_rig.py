@@ -8,17 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Rendering, render
 from tactile.strength.strength import SteadyStroke
 from tactile.texture.perception import channel_sensation
 from tactile.texture.surface import Texture, load_texture, without_friction
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 STROKE = SteadyStroke()

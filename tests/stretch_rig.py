@@ -6,17 +6,16 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 
 from benchmarks.friction import STICKY, friction_only
 from tactile.actuator.finger import FingerLoad
+from tactile.arrays import Floats
 from tactile.display.display import Display, load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.texture.descriptor import Friction
 from tactile.texture.surface import Texture
 
-Floats = NDArray[np.float64]
 RATE = 8000.0
 DISPLAY = load_display("reference-24")
 STICKY_ONLY = friction_only(STICKY)

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from reference_beam import Beam, lossless, matrix_exponential, scaled
 from reference_beam import section as reference_section
 from scipy.optimize import brentq
@@ -25,8 +24,7 @@ from tactile.actuator.bimorph import (
     section,
     transfer_matrix,
 )
-
-Complex = NDArray[np.complex128]
+from tactile.arrays import Complex
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 13)
 LENGTHS = [5e-3, 20e-3, 45e-3]

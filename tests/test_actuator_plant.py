@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.signal
-from numpy.typing import NDArray
 from reference_beam import HIGH_FINGER, LOW_FINGER, Beam, Load, natural_frequencies, response
 
 from tactile.actuator.amplifier import Amplifier
@@ -20,9 +19,7 @@ from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant, StateSpace, beam_modes, state_space
 from tactile.actuator.response import tip_response
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tactile.arrays import Complex, Floats
 
 RATE = 8000.0
 SINES = np.arange(10.0, 1001.0, 30.0)

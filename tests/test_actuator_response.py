@@ -20,8 +20,7 @@ from tactile.actuator.bimorph import Bimorph, active_segment, passive_segment
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.materials import CFRP, PIEZO_3203HD
 from tactile.actuator.response import TipResponse, blocked_force, chain_response, tip_response
-
-Complex = NDArray[np.complex128]
+from tactile.arrays import Complex
 
 FREQUENCIES = np.array([1.0, 10.0, 60.0, 250.0, 600.0, 930.0, 1000.0, 2000.0, 3500.0, 5000.0])
 LOADS: dict[str, tuple[Load | None, FingerLoad]] = {

@@ -26,7 +26,6 @@ from audio_rig import (
     FULL_SCALE,
     LONG_BUFFER,
     RATE,
-    Floats,
     Server,
     display_of,
     needed,
@@ -34,6 +33,7 @@ from audio_rig import (
     waves,
 )
 
+from tactile.arrays import Floats
 from tactile.bus.audio import audio_bus
 from tactile.bus.audio import process as audio_process
 from tactile.bus.audio.audio_bus import AudioBus, find

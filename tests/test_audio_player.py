@@ -9,8 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from audio_rig import ANY, CODE, FADE, FULL_SCALE, RATE, SLEW, STEP, VOLTAGE, WIRE, Floats, waves
+from audio_rig import ANY, CODE, FADE, FULL_SCALE, RATE, SLEW, STEP, VOLTAGE, WIRE, waves
 
+from tactile.arrays import Floats
 from tactile.bus.audio.devices import Device, choose, rate_of
 from tactile.bus.audio.player import CardOutput
 from tactile.bus.base import Wiring

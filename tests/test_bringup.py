@@ -12,10 +12,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from bringup_rig import CHANNELS, FOUR, LOADS, PF, RATE, Floats, Served, check_drive, verdicts
+from bringup_rig import CHANNELS, FOUR, LOADS, PF, RATE, Served, check_drive, verdicts
 from c_amplifier_rig import IDLE, MS, SENSE, SET, owned, playing
 
 from firmware_protocol import messages as m
+from tactile.arrays import Floats
 from tactile.bringup import bringup, probe
 from tactile.bringup.bringup import bring_up
 from tactile.bringup.probe import LineLoad, Signal, judge, load_of

@@ -5,8 +5,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 from link_rig import Bench
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.bus.link.follower import Follower
 from tactile.bus.registry import open_bus
@@ -14,7 +14,6 @@ from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import KINDS
 from tactile.display.display import load_display
 
-Floats = NDArray[np.float64]
 RATE = 8000.0
 BLOCK = 16
 HALF = 8

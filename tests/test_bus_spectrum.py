@@ -13,6 +13,7 @@ from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile.arrays import Complex, Floats
 from tactile.bus.base import BusCounters, DriveBlock, DriveFrame
 from tactile.bus.board import config_of
 from tactile.bus.simulated import modeled_bus
@@ -22,9 +23,6 @@ from tactile.display.display import Display
 from tactile.errors import BusStateError, InputError
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
-
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 FRAMES = 16
 TURN = 2**32

@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_rig import SHORT, Command, Floats, assert_mistake, started
+from cli_rig import SHORT, Command, assert_mistake, started
 
 from tactile import cli
+from tactile.arrays import Floats
 from tactile.bus import registry
 from tactile.bus.base import Bus, DisplayLike
 from tactile.bus.registry import Address

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError, NotFoundError
 from tactile.rendering.contact import Trajectory
-
-Floats = NDArray[np.float64]
 
 TIME: Floats = np.array([0.5, 0.6, 0.65, 0.9, 1.0, 1.1])
 PLACE: Floats = np.array([[0, 0], [5, 2], [6, 2], [6, 2], [1, 9], [-4, 9]]) * 1e-3

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from virtual_clock import LinkTime
 
+from tactile.arrays import Floats, Singles
 from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.bus.simulated.modeled_bus import ModeledBus
@@ -19,14 +19,13 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.shared_memory import Shared, Touch
-from tactile.playback.waves import Curve, Singles, Voice
+from tactile.playback.waves import Curve, Voice
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import render
 from tactile.texture.surface import load_texture
 from tactile.tracking.tracker import ContactTracker
 
-Floats = NDArray[np.float64]
 RATE = 8000.0
 BLOCK = 16
 """Samples, 2 ms at 8 kHz."""

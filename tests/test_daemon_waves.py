@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.playback.waves import Curve, EffectPlayer, Queue
 
 RATE = 8000.0
@@ -11,7 +11,6 @@ N = 3
 BLOCK = 16
 ENDING = 5e-3
 """s in which what is replaced or ends early falls to nothing."""
-Floats = NDArray[np.float64]
 
 
 def drained(queue: Queue, most: int = 2000) -> Floats:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.playback.waves import Curve, EffectPlayer, Queue, Voice, affordable
 
 RATE = 8000.0
@@ -23,7 +24,6 @@ MOST_TRANSIENTS, MOST_SEGMENTS = 16, 128
 """That sound at once, 1280 taps a second of 160 Hz, and that wait, one each 8 ms of a second."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
-Floats = NDArray[np.float64]
 Take = tuple[int, Curve | None]
 
 

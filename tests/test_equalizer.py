@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tactile.arrays import Complex, Floats, Singles
 from tactile.rendering.equalizer import (
     DELAYS,
     TAPS,
@@ -25,10 +26,6 @@ from tactile.rendering.equalizer import (
     inverse,
     roll_off,
 )
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Singles = NDArray[np.float32]
 
 FREQUENCY: Floats = np.arange(0, 1251, 10, dtype=np.float64)
 HEARD: NDArray[np.bool_] = (FREQUENCY >= 10) & (FREQUENCY <= 1000)

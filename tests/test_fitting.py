@@ -5,8 +5,9 @@ Slides are made in `slides`, from closed forms.
 
 import numpy as np
 import pytest
-from slides import Floats, Surface, slide
+from slides import Surface, slide
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import fitting, judging
 from tactile.texture.descriptor import About

@@ -19,6 +19,7 @@ from scipy.io import wavfile
 from scipy.signal import freqz, welch
 
 import tactile
+from tactile.arrays import Floats
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.formats import load_effect, surface_effect, synthesize
@@ -30,7 +31,6 @@ from tactile.texture.formats.hatt import (
     texture_from,
 )
 
-Floats = NDArray[np.float64]
 RATE = 2000.0
 A = np.poly([0.9 * np.exp(0.6j), 0.9 * np.exp(-0.6j), 0.5 * np.exp(2j), 0.5 * np.exp(-2j), 0.3])
 B = np.poly([0.7 * np.exp(1.1j), 0.7 * np.exp(-1.1j)])

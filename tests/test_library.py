@@ -16,11 +16,11 @@ from typing import Literal, get_args
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import wavfile
 from scipy.signal import welch
 from texture_rig import BETWEEN, CENTERS, EDGES, misses, rms
 
+from tactile.arrays import Floats
 from tactile.files import shipped, shipped_names
 from tactile.rendering.shear import EventField
 from tactile.texture import descriptor
@@ -28,8 +28,6 @@ from tactile.texture.amplitudes import strength_of
 from tactile.texture.descriptor import About, Descriptor, Events
 from tactile.texture.event_power import mean_square
 from tactile.texture.surface import Texture, load_texture
-
-Floats = NDArray[np.float64]
 
 PATHS = shipped_names("textures")
 LIBRARY = {name: descriptor.load(name) for name in PATHS}

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import DriveLimits
 from tactile.rendering.limiter import Limiter
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 ANYTHING = settings(max_examples=200)

@@ -10,21 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from reference_beam import HIGH_FINGER, LOW_FINGER, Beam, Load, dynamic_stiffness, response
 from scipy.stats import binom
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
+from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.study import load_fit
 from tactile.study.adjusted import Constant
 from tactile.study.fit_figures import load_fit_figures
 from tactile.study.load_fit import LoadFit, corner_frequency, fit_load
 from tactile.study.measurement import Kind, Measurement
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FREQUENCY = np.geomspace(10, 1000, 40)
 AIR = response(Beam(), FREQUENCY).displacement

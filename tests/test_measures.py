@@ -9,12 +9,10 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import measures
-
-Floats = NDArray[np.float64]
 
 STEP = 50e-6
 LONG = 32_000

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from numpy.typing import NDArray
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.study.criteria import Conditions
 from tactile.study.optimizing import Task, attained, find_designs, judge
@@ -19,8 +19,6 @@ from tactile.study.parameters import between
 from tactile.study.recommending import recommend
 from tactile.study.scenarios import TOLERANCES, draw_scenarios
 from tactile.study.sweep import Study, solve_study
-
-Floats = NDArray[np.float64]
 
 BAND = Conditions(band=(10.0, 1000.0))
 AT_REST = Conditions(band=(0.0, 0.1))

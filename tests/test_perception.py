@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.texture.perception import (
     EDGES,
     TOUCH_CHANNELS,
@@ -17,8 +17,6 @@ from tactile.texture.perception import (
     detection_threshold,
     felt_level,
 )
-
-Floats = NDArray[np.float64]
 
 TABLE = Path(__file__).parents[2] / "shared" / "data" / "perception_thresholds.csv"
 ROUNDED = 5e-3

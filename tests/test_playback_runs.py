@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_rig import recorded
-from playback_rig import FIDELITY, RATE, SLIDE, Floats, played, stroke, swing
+from playback_rig import FIDELITY, RATE, SLIDE, played, stroke, swing
 from scipy.signal import butter, sosfilt
 
+from tactile.arrays import Floats
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus

@@ -13,15 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from numpy.typing import NDArray
 
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
+from tactile.arrays import Floats
 from tactile.display.display import load_display
 from tactile.errors import InputError
 from tactile.show import plots
-
-Floats = NDArray[np.float64]
 
 DISPLAY = load_display("reference-24")
 FREQUENCY = np.geomspace(0.5, 4000, 90)

@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import wavfile
 
+from tactile.arrays import Floats
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import recorded_slide
 from tactile.texture.recorded_slide import load_recorded
-
-Floats = NDArray[np.float64]
 
 RATE = 10000
 TONE = 0.5 * np.sin(2 * np.pi * 100 * np.arange(RATE) / RATE)

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_rig import recorded
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.playback.recording import Recorder
-
-Floats = NDArray[np.float64]
 
 TROUBLE = [0.0, -0.0, math.nan, math.inf, -math.inf, 5e-324, -1.7976931348623157e308, 1 / 3]
 

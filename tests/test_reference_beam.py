@@ -15,7 +15,6 @@ from reference_beam import (
     HIGH_FINGER,
     LOW_FINGER,
     Beam,
-    Complex,
     Load,
     Response,
     dynamic_stiffness,
@@ -28,6 +27,8 @@ from reference_beam import (
     section,
 )
 from scipy.optimize import brentq
+
+from tactile.arrays import Complex
 
 BEAM = Beam()
 FREQUENCIES = np.array([1.0, 30.0, 300.0, 930.0, 1000.0, 3000.0, 5000.0, 5783.0, 20000.0])

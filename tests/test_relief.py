@@ -16,7 +16,6 @@ from relief_rig import (
     COUNT,
     LEVEL,
     PIXEL,
-    Floats,
     X,
     Y,
     along,
@@ -28,6 +27,7 @@ from relief_rig import (
 )
 from scipy.signal import welch
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import skin
 from tactile.texture.descriptor_file import write

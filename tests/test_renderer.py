@@ -18,6 +18,7 @@ from strength_rig import few
 
 import tactile
 from tactile.actuator.amplifier import Amplifier
+from tactile.arrays import Floats
 from tactile.playback.runs import run as play
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.shear import Law
@@ -26,7 +27,6 @@ from tactile.sim import Fidelity
 from tactile.texture.descriptor import Laws
 from tactile.texture.surface import without_friction
 
-Floats = NDArray[np.float64]
 RATE = 8000.0
 FIRST = (
     "glass-ribbed",

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.rendering.shear import EventField, Law, held_power_law
 from tactile.texture.descriptor import About, Descriptor, Events, Laws, Reference
 from tactile.texture.surface import Partials, Surface
-
-Floats = NDArray[np.float64]
 
 EXPONENTS = [-4.0, -1.0, -0.5, 0.4, 1.0, 3.0]
 RANGE = (10.0, 1000.0)

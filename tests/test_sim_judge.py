@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
-from sim_rig import RATE, Floats
+from sim_rig import RATE
 
+from tactile.arrays import Floats
 from tactile.sim import Fidelity
 
 

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace as changed
-from numpy.typing import NDArray
 
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
+from tactile.arrays import Complex, Floats
 from tactile.display.display import Display, load_display
 from tactile.errors import InputError
 from tactile.rendering.contact import Trajectory
@@ -29,9 +29,6 @@ from tactile.rendering.spectrum import (
 )
 from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Texture, load_texture, without_friction
-
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 

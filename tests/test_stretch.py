@@ -19,7 +19,6 @@ from stretch_rig import (
     RATE,
     STROKE_SHARE,
     VS,
-    Floats,
     expected_stretch,
     law,
     rubbed,
@@ -30,6 +29,7 @@ from stretch_rig import (
 
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.plant import Plant
+from tactile.arrays import Floats
 from tactile.display.display import load_display
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.skin_stretch import Bristles

@@ -7,17 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.live import Live
 from rich.segment import Segment
 
+from tactile.arrays import Floats
 from tactile.display.display import Display, load_display
 from tactile.show import live as terminal
 from tactile.show.live import LivePicture, nice, pitch, rasterize
 from tactile.show.trace import TraceBins, braille
 
-Floats = NDArray[np.float64]
 Pixels = dict[tuple[int, int], tuple[int, int, int]]
 
 SMALL, LARGE = load_display("reference-24"), load_display("reference-64")

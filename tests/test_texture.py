@@ -11,18 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import nnls
-from texture_rig import (
-    CENTERS,
-    EDGES,
-    WITH_BANDS,
-    Floats,
-    bands,
-    counted,
-    misses,
-    rms,
-    write,
-)
+from texture_rig import CENTERS, EDGES, WITH_BANDS, bands, counted, misses, rms, write
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import descriptor
 from tactile.texture.surface import Partials, load_texture

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import i0
-from texture_rig import FALLING, Floats, bands, rms, write
+from texture_rig import FALLING, bands, rms, write
 
+from tactile.arrays import Floats
 from tactile.texture.surface import Surface, load_texture
 
 # Envelope

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage, imread
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import load_display
 from tactile.errors import InputError
 from tactile.show import views
@@ -20,8 +20,6 @@ from tactile.show.views import Tile, View, view_texture
 from tactile.strength.commanded import commanded_lines
 from tactile.texture.perception import band_sensation, detection_threshold
 from tactile.texture.surface import Texture, load_texture
-
-Floats = NDArray[np.float64]
 
 DISPLAY = load_display("reference-24")
 REFERENCE = {"speed": 0.04, "normal_force": 0.5}

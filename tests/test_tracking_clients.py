@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_rig import Floats, Run, speeds, stroke
+from tracking_rig import Run, speeds, stroke
 
 from benchmarks import tracking as bench
 from benchmarks.tracking import SamplingClient
+from tactile.arrays import Floats
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.tracker import ContactTracker
 

@@ -12,15 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from reference_beam import HIGH_FINGER, LOW_FINGER, Beam, Load, response
 
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
 from tactile.actuator.response import blocked_force, tip_response
-
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 FREQUENCIES = np.array([1.0, 60.0, 250.0, 930.0, 2000.0, 5000.0])
 LOADS: dict[str, tuple[Load | None, FingerLoad]] = {

@@ -8,11 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.texture.surface import Texture
-
-Floats = NDArray[np.float64]
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10)
 """Cycles/mm, exact."""

@@ -5,12 +5,10 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks import tracking as bench
+from tactile.arrays import Floats
 from tactile.tracking.tracker import ContactTracker
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 LATENCY = 0.012

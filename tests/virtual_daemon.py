@@ -22,9 +22,7 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
-import numpy as np
 from chip_models import ModelBus
-from numpy.typing import NDArray
 from virtual_clock import (
     PIPE,
     ChipThread,
@@ -37,6 +35,7 @@ from virtual_clock import (
 from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import PlayedRun
+from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
@@ -59,7 +58,6 @@ from tactile.server.host import Host
 from tactile.server.server import running
 
 T = TypeVar("T")
-Floats = NDArray[np.float64]
 OPENING, DRAWING = 20e-3, 30e-3
 """s to open a device, and to make a texture ready."""
 RENDERING = 0.2e-3

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.actuator.beam import Complex
 from tactile.actuator.materials import require_not_negative, require_positive
+from tactile.arrays import Complex
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.actuator.beam import Complex, CrossSection, transition
+from tactile.actuator.beam import CrossSection, transition
 from tactile.actuator.materials import (
     CFRP,
     PIEZO_3203HD,
@@ -29,6 +29,7 @@ from tactile.actuator.materials import (
     require_not_negative,
     require_positive,
 )
+from tactile.arrays import Complex
 
 SHEAR_FACTOR = 5 / 6
 """κ² of a rectangular cross-section (Timoshenko)."""

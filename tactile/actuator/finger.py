@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile.actuator.beam import Complex
 from tactile.actuator.materials import Real, require_not_negative
+from tactile.arrays import Complex
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq, newton
 
 from tactile.actuator.amplifier import Amplifier
-from tactile.actuator.beam import Complex, CrossSection, Transition, transition
+from tactile.actuator.beam import CrossSection, Transition, transition
 from tactile.actuator.bimorph import Bimorph, capacitance, coupling, section
 from tactile.actuator.finger import FingerLoad
-
-Floats = NDArray[np.float64]
+from tactile.arrays import Complex, Floats
 
 MODES = 5
 """Beam modes kept; the default design's fifth lies at 50 kHz."""

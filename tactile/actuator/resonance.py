@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from tactile.actuator.beam import CrossSection, transition
 from tactile.actuator.bimorph import Bimorph, section
 from tactile.actuator.materials import Real
-
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 EULER_ROOT = 1.8751040687119611
 """First root of cosh λ cos λ = −1: ω = λ² √(EI/m)/l² of a slender cantilever (any textbook)."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile.actuator.beam import Complex, Matrix2, Transition, characteristic_roots, transition
+from tactile.actuator.beam import Matrix2, Transition, characteristic_roots, transition
 from tactile.actuator.bimorph import (
     Bimorph,
     Segment,
@@ -30,6 +30,7 @@ from tactile.actuator.bimorph import (
 )
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import Real
+from tactile.arrays import Complex
 
 Vector2 = tuple[Complex, Complex]
 ZERO: Complex = np.zeros((), np.complex128)

@@ -7,12 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile.bench.metronome import STEP, beating
 from tactile.bus.link.stream import LEAD, LONGEST_LEAD, MOST_LEAD
-
-Floats = NDArray[np.float64]
 
 RATE = 8000.0
 """Hz of every drive that is measured."""

@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
+from tactile.arrays import Floats
+from tactile.bus.base import Bus, DriveBlock, DriveFrame
 from tactile.display.display import Display
 
 TEST_VOLTAGE = 5.0

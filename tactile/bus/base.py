@@ -32,11 +32,11 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.states import BusState, States
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
 
-Floats = NDArray[np.float64]
 HostDeath = Literal["ramps", "zero", "holds", "unknown"]
 
 RATE = 8000.0

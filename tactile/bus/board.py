@@ -17,7 +17,8 @@ from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, S
 from firmware_protocol.packet import TURN, Packet, encode_packet
 from firmware_protocol.ports import SerialPort
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
-from tactile.bus.base import Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import Wiring
 from tactile.errors import BusError, InputError
 
 MOST_CHANNELS = 255

@@ -28,6 +28,7 @@ from tactile.actuator.materials import (
     ShimMaterial,
 )
 from tactile.actuator.response import tip_response
+from tactile.arrays import Complex, Floats
 from tactile.display.tables import (
     AmplifierTable,
     BimorphTable,
@@ -38,8 +39,6 @@ from tactile.display.tables import (
 )
 from tactile.errors import InputError
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "unit")

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, Floats
+from tactile.arrays import Floats, Singles
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.shared_memory import COUNTERS, BlockTrace, PlaybackReport, Shared, State
-from tactile.playback.waves import TURN, Singles, Voice, affordable
+from tactile.playback.waves import TURN, Voice, affordable
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
@@ -42,8 +42,6 @@ REPORTED = 5
 """Blocks from report to report of shear and drive."""
 SMOOTHED = 0.02
 """Weight of a block's latency in the mean."""
-
-Complex = NDArray[np.complex128]
 
 
 def state_of(status: BusStatus) -> State:

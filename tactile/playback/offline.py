@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile.bus.base import Bus, DriveBlock, DriveFrame, Floats
+from tactile.arrays import Floats
+from tactile.bus.base import Bus, DriveBlock, DriveFrame
 from tactile.clock import Clock
 from tactile.display.display import Display
 from tactile.errors import BusError

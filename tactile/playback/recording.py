@@ -14,9 +14,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 
-Floats = NDArray[np.float64]
 COPY = 1 << 20
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile.bus.base import Bus, Floats
+from tactile.arrays import Floats
+from tactile.bus.base import Bus
 from tactile.clock import MONOTONIC
 from tactile.devices import open_bus
 from tactile.display.display import Display

@@ -17,10 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from tactile.arrays import Floats, Singles
 
 LONGEST = 1.0
 """s of samples that wait for one client at most."""

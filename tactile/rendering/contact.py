@@ -4,13 +4,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from tactile import files
+from tactile.arrays import Floats
 from tactile.errors import InputError
-
-Floats = NDArray[np.float64]
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "normal_force_n")
 LARGEST_FORCE = 50.0

@@ -16,9 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from tactile.arrays import Complex, Floats, Singles
 
 SMALLEST_SHEAR = 0.1e-6
 """m peak: the lowest detection threshold over frequency (250 Hz; Verrillo and Bolanowski)."""

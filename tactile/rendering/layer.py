@@ -17,15 +17,13 @@ plays it.
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats, Singles
 from tactile.display.display import Display
 from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
 from tactile.texture.surface import Partials, Texture
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 PHASORS = 8192
 PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 LOOK_AHEAD = 8
 """Samples: 1 ms at 8 kHz."""

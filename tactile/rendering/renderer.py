@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tactile.arrays import Floats, Singles
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
@@ -23,9 +24,6 @@ from tactile.rendering.limiter import Limiter
 from tactile.rendering.skin_stretch import Bristles, Stretch
 from tactile.rendering.stroke import FARTHEST, NODE, Motion, Stroke
 from tactile.texture.surface import Texture
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 CHUNK = BLOCK = 64
 FASTEST = 200e3

@@ -1,14 +1,11 @@
 """What the skin is to do: the laws of speed and force, and sparse events, as shear targets."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats, Singles
 from tactile.texture.descriptor import Descriptor, Events
 from tactile.texture.event_power import FWHM
 from tactile.texture.surface import Surface
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 CONTACT_FORCE = 0.05
 """N; below it the finger is leaving and shear falls to nothing at 0 N (assumed)."""

@@ -52,15 +52,13 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats, Singles
 from tactile.display.display import Display
 from tactile.rendering.contact import LARGEST_SPEED
 from tactile.rendering.stroke import Stroke
 from tactile.texture.descriptor import Descriptor
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Pair = tuple[float, float]
 
 STROKE_SHARE = 0.3

@@ -43,6 +43,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile.arrays import Complex, Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
@@ -52,9 +53,6 @@ from tactile.rendering.shear import Law
 from tactile.rendering.stroke import FARTHEST, STILL
 from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Texture
-
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 HIGHEST = 1e3 * 10**0.05
 """Hz, end of the third octave at 1 kHz and of the last sub-band; the rest, rolled off, joins it."""

@@ -7,9 +7,9 @@ is needed. What cannot be is mended: an invalid sample holds the last good place
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 NODE = 8
 """Samples between nodes of the roll-off, and behind each sample that give its velocity."""

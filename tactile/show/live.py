@@ -24,10 +24,10 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.show.trace import TraceBins, braille
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Line = list[Segment]
 

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
+from tactile.arrays import Floats
 from tactile.show.live import (
     BADGE,
     HEIGHTS,
@@ -31,8 +31,6 @@ from tactile.show.live import (
     palette,
 )
 from tactile.show.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
-
-Floats = NDArray[np.float64]
 
 COLUMNS = (40, 24, 12)
 """Characters that a surface may be wide; each divides its pixels, as half of it does."""

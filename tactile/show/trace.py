@@ -1,9 +1,8 @@
 """The last second of a signal as a band of Braille dots."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 SPAN, BINS = 1.0, 250
 """Seconds that the trace looks back, and bins that it keeps of them."""

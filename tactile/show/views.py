@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.files import nearest
@@ -28,8 +29,6 @@ from tactile.texture.descriptor import Events, Periodic
 from tactile.texture.event_power import mean_square, power_below
 from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Surface, Texture, without_friction
-
-Floats = NDArray[np.float64]
 
 BANDS = 34
 """Third octaves from 1 Hz to 2 kHz."""

@@ -11,15 +11,13 @@ Sparse events have the expected spectrum of `tactile.texture.event_power`.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.rendering.equalizer import roll_off
 from tactile.rendering.shear import Law
 from tactile.texture.descriptor import Events
 from tactile.texture.event_power import power_below
 from tactile.texture.surface import Partials, Texture
-
-Floats = NDArray[np.float64]
 
 EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 400))
 """Hz between which the events' power is told as one line."""

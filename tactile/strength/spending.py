@@ -25,6 +25,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.rendering.equalizer import roll_off
 from tactile.strength.commanded import LineSpectrum, law_factor
@@ -38,8 +39,6 @@ from tactile.strength.strength import (
 from tactile.texture import perception
 from tactile.texture.perception import CENTERS, TOUCH_CHANNELS, TouchChannel
 from tactile.texture.surface import Texture, band_edges, grating, stroke_directions
-
-Floats = NDArray[np.float64]
 
 DISTANCE_DB = 2.5
 """By which a part that is felt may be lowered against the others: at most the just noticeable

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED
@@ -29,8 +29,6 @@ from tactile.rendering.skin_stretch import STROKE_SHARE
 from tactile.strength.commanded import LineSpectrum, commanded_lines
 from tactile.texture import perception
 from tactile.texture.surface import GOLDEN, Texture, without_friction
-
-Floats = NDArray[np.float64]
 
 PLACES = 32
 """Where a trial strokes, spread over `SPREAD`."""

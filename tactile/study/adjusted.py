@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile.study.log_fit import Complex, Floats, LogFit, interval, unknown_directions
+from tactile.arrays import Complex, Floats
+from tactile.study.log_fit import LogFit, interval, unknown_directions
 from tactile.study.measurement import Measurement
 
 WIDE = 2.0

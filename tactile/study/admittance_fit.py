@@ -17,6 +17,7 @@ from tactile.actuator.bimorph import Bimorph, capacitance, coupling
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import VACUUM_PERMITTIVITY
 from tactile.actuator.response import tip_response
+from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.adjusted import (
@@ -26,15 +27,7 @@ from tactile.study.adjusted import (
     what_is_left,
     what_is_unknown,
 )
-from tactile.study.log_fit import (
-    Complex,
-    Floats,
-    LogFit,
-    fit_logs,
-    interval,
-    model_slope,
-    response_spread,
-)
+from tactile.study.log_fit import LogFit, fit_logs, interval, model_slope, response_spread
 from tactile.study.measurement import Measurement
 
 CONSTANTS = {

@@ -9,15 +9,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile.actuator.materials import LARGEST_FIELD, Real
 from tactile.actuator.resonance import first_resonance
 from tactile.actuator.response import TipResponse, blocked_force
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.study.parameters import Specimen
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,9 @@ import numpy as np
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import tip_response
+from tactile.arrays import Complex
 from tactile.study.adjusted import decibel
 from tactile.study.load_fit import LoadFit, fit_load
-from tactile.study.log_fit import Complex
 from tactile.study.measurement import Measurement
 
 FREQUENCY = np.geomspace(10.0, 1000.0, 60)

@@ -18,6 +18,7 @@ from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import Real
 from tactile.actuator.response import blocked_force
+from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.study.adjusted import (
     Comparison,
@@ -26,7 +27,7 @@ from tactile.study.adjusted import (
     what_is_left,
     what_is_unknown,
 )
-from tactile.study.log_fit import Complex, Floats, LogFit, Model, fit_logs, response_spread
+from tactile.study.log_fit import LogFit, Model, fit_logs, response_spread
 from tactile.study.measurement import Kind, Measurement
 
 KINDS: tuple[Kind, ...] = ("displacement", "velocity", "force")

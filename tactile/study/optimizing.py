@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.criteria import CRITERIA, Conditions, Solved, numbers_of, variable
@@ -31,7 +32,6 @@ from tactile.study.sweep import PIECE_POINTS, Study, in_band, provenance, respon
 if TYPE_CHECKING:
     import xarray
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Is told how many generations of how many are done."""
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.response import blocked_force
+from tactile.arrays import Floats
 from tactile.study.criteria import Conditions
 from tactile.study.findings import range_of
 from tactile.study.parameters import standard_value
@@ -28,7 +29,6 @@ from tactile.study.sweep import Study, solve_study
 if TYPE_CHECKING:
     import xarray
 
-Floats = NDArray[np.float64]
 Kind = Literal["fit", "check", "record"]
 
 REFERENCE = (

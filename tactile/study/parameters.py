@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from tactile.actuator.bimorph import Bimorph, section
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import PIEZOS, SHIMS, VACUUM_PERMITTIVITY, Real
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.files import nearest
 
-Floats = NDArray[np.float64]
 Values = Mapping[str, ArrayLike]
 """Values of parameters by name, in the unit that the name ends in."""
 

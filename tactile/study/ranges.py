@@ -7,11 +7,9 @@ The paper's question was which lengths keep the smallest amplitude within some p
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
-
-Floats = NDArray[np.float64]
 
 SHARE = 0.85
 """Of the best that is good enough, unless told otherwise: the paper's."""

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.study.criteria import CRITERIA, variable
 from tactile.study.parameters import PARAMETERS
 
 if TYPE_CHECKING:
     import xarray
 
-Floats = NDArray[np.float64]
 
 ALIKE = 0.005
 """Relative difference that is not worth a word."""

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.parameters import PARAMETERS
-
-Floats = NDArray[np.float64]
 
 FIRMNESS = (0.5, 0.5)
 """Mean and standard deviation; see the module's docstring."""

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution, minimize
 from scipy.stats import qmc
 
+from tactile.arrays import Floats
 from tactile.study.extras import study_extra
 
-Floats = NDArray[np.float64]
 Score = Callable[[Floats], tuple[Floats, Floats]]
 """From designs (N, D) to what is lowered (N, O) and what limits are missed by (N, L)."""
 

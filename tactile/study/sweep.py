@@ -39,7 +39,6 @@ from tactile.study.scenarios import Scenarios
 if TYPE_CHECKING:
     import xarray
 
-Floats = NDArray[np.float64]
 Block = tuple[slice, ...]
 """A slice of each axis."""
 

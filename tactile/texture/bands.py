@@ -5,9 +5,8 @@ the skin.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 BELOW, ABOVE = 10**-0.05, 10**0.05
 """Of a band's center, its edges."""

@@ -12,12 +12,10 @@ from the stroke λ⟨A²⟩πσ² e [erf(u)/2 − cos²β u exp(−u²)/√π].
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
+from tactile.arrays import Floats
 from tactile.texture.descriptor import Events
-
-Floats = NDArray[np.float64]
 
 FWHM = float(np.sqrt(8 * np.log(2)))
 """Full width at half maximum of a Gaussian, in standard deviations."""

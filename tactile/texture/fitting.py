@@ -13,8 +13,8 @@ from dataclasses import replace as changed
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
@@ -33,8 +33,6 @@ from tactile.texture.lines import HarmonicLines, find_gratings, without
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
-
-Floats = NDArray[np.float64]
 
 FIRST = 25.0
 """Hz at the reference speed, of the lowest band's center."""

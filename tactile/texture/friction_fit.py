@@ -8,15 +8,13 @@ does not tell, because it has one speed or one force, is left at what a descript
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.descriptor import Friction
 from tactile.texture.recorded_slide import Recorded
-
-Floats = NDArray[np.float64]
 
 QUASI_STATIC = 0.05
 """s over which forces are averaged."""

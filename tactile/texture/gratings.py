@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 from scipy.ndimage import maximum_filter, uniform_filter
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tactile.arrays import Complex, Floats
 
 PERIODS = 6
 """Fewest periods of a line in the shorter side; from 8 on its wavelength is good to 1 %."""

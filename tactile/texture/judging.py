@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
+from tactile.arrays import Floats
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import About, Stochastic
@@ -20,8 +20,6 @@ from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_sl
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
 from tactile.texture.surface import Partials, envelope, stochastic_waves
-
-Floats = NDArray[np.float64]
 
 ORDER = 8
 WAVES = 384

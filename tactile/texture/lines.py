@@ -15,8 +15,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import detrend, find_peaks, zoom_fft
 from scipy.signal.windows import blackmanharris
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tactile.arrays import Complex, Floats
 
 PROMINENCE = 13.0
 """Times the surroundings' mean power: 2e-6 of all bins of noise stand out that far (e^−13)."""

@@ -14,10 +14,9 @@ from scipy.signal import butter, detrend, sosfiltfilt
 from scipy.signal.windows import tukey
 from scipy.special import hyp2f1
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.bands import third_octaves
-
-Floats = NDArray[np.float64]
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10) * 1e3
 """Of the 16 third octaves, exact (IEC 61260-1) [cycles/m]; a file may round them."""

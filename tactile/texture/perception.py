@@ -33,9 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.texture.bands import third_octaves
-
-Floats = NDArray[np.float64]
 
 THRESHOLD = np.array(
     [

@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile import files
+from tactile.arrays import Floats
 from tactile.errors import InputError, NotFoundError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Floats = NDArray[np.float64]
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 LONGEST_SIDE, SHORTEST_SIDE = 4096, 64

@@ -20,14 +20,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from tactile import files
+from tactile.arrays import Floats
 from tactile.errors import InputError, NotFoundError
 from tactile.texture.formats import reading
 
-Floats = NDArray[np.float64]
 Quantity = Literal["acceleration", "velocity", "displacement", "force"]
 
 COLUMNS: dict[str, tuple[Quantity, float]] = {

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter
 
+from tactile.arrays import Floats
 from tactile.texture.bands import third_octaves
 from tactile.texture.gratings import hann
-
-Floats = NDArray[np.float64]
 
 CENTERS = (
     0.25, 0.316, 0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile import files
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import skin
 from tactile.texture.descriptor import About, Descriptor, Laws, Periodic, Reference, Stochastic
@@ -33,8 +33,6 @@ from tactile.texture.relief import (
     stroke_levels,
     unsteadiness_of,
 )
-
-Floats = NDArray[np.float64]
 
 SHORTEST = 8e-3
 """Meters of the shorter side: four periods of 0.5 cycles/mm, below which bands are assumed."""

@@ -34,10 +34,10 @@ tractions, and that skin yields up to twice as much to waves that lie along the 
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import erf
 
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 FRICTION = 0.4
 PRESSURE = 5e3

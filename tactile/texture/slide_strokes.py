@@ -8,15 +8,13 @@ gives a fingertip's skin. Then the signal is read at even steps of place.
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import detrend
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.recorded_slide import Quantity, Recorded
-
-Floats = NDArray[np.float64]
 
 LOWEST = 10.0
 """Hz from which a recording is believed (assumed: hands move below, and integrated drift)."""

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtri
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
-
-Floats = NDArray[np.float64]
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 DIRECTIONS = 72

@@ -41,8 +41,9 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tactile.arrays import Floats
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_POSITION, LARGEST_SPEED
 from tactile.tracking.finger_motion import (
     FORGETTING,
@@ -53,8 +54,6 @@ from tactile.tracking.finger_motion import (
     Stillness,
     basis,
 )
-
-Floats = NDArray[np.float64]
 
 SILENCE = 0.1
 """Age of the newest arrival at which the finger is taken as gone [s]."""

@@ -14,12 +14,11 @@ from guest_tools import wait_for
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import FULL_SCALE_CODE, SampleFormat
+from tactile.arrays import Floats
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.registry import open_bus
 from tactile.errors import BusError
-
-Floats = NDArray[np.float64]
 
 PEAK = 80.0
 """V of `waves`."""

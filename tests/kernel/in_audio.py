@@ -5,10 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from bus_tools import CODE, Floats, Rig, play, playing
+from bus_tools import CODE, Rig, play, playing
 from guest_tools import wait_for
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.audio.audio_bus import AudioBus
 from tactile.bus.registry import open_bus
 

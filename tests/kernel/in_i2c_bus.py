@@ -9,7 +9,6 @@ import pytest
 from bus_tools import (
     CODE,
     TRIES,
-    Floats,
     Limits,
     Rig,
     assert_is,
@@ -29,6 +28,7 @@ from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
+from tactile.arrays import Floats
 from tactile.bus import i2c_bus
 from tactile.bus.chips import bos1921, drv2667
 from tactile.bus.chips.chip import ChipCounters

@@ -21,14 +21,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import CFRP
 from tactile.actuator.response import tip_response
-
-Floats = NDArray[np.float64]
+from tactile.arrays import Floats
 
 DESIGN = Bimorph()
 AIR, LOW, HIGH = FingerLoad.none(), FingerLoad.low(), FingerLoad.high()

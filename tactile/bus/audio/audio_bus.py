@@ -25,10 +25,11 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from tactile.arrays import Floats
 from tactile.bus.audio import process as audio_process
 from tactile.bus.audio.player import Order, Told
 from tactile.bus.audio.process import ANSWER, AudioProcess, opened
-from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Floats, Wiring
+from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.errors import BusError, InputError

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import HEARTBEAT_MS, SampleFormat, State
+from tactile.arrays import Floats
 from tactile.bus.audio.devices import choose, default_output, imported, outputs, rate_of
-from tactile.bus.base import Floats, Wiring
+from tactile.bus.base import Wiring
 from tactile.bus.board import REASON, SESSION, Board, config_of
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, TactileError

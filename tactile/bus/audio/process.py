@@ -16,9 +16,9 @@ from typing import Any, cast
 
 import numpy as np
 
+from tactile.arrays import Floats
 from tactile.bus.audio.devices import Device
 from tactile.bus.audio.player import Failed, Order, StreamOpened, Told
-from tactile.bus.base import Floats
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
 

@@ -13,7 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from tactile.bus.base import BusCounters, Floats
+from tactile.arrays import Floats
+from tactile.bus.base import BusCounters
 from tactile.bus.chips.adapter import ChipTarget
 from tactile.bus.chips.occupancy import RATE
 from tactile.clock import Clock

@@ -5,7 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from firmware_protocol.messages import FADE_MS, SampleFormat
-from tactile.bus.base import Bus, BusStatus, DriveBlock, Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import Bus, BusStatus, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS, Board, config_of
 from tactile.bus.chips import adapter
 from tactile.bus.chips.adapter import I2cAdapter

@@ -17,7 +17,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from tactile.bus.base import Floats
+from tactile.arrays import Floats
 from tactile.bus.board import Board
 from tactile.bus.chips.chip import BURST, LEAST, Chip, ChipCounters, LostError
 from tactile.bus.chips.occupancy import RATE

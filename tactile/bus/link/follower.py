@@ -10,7 +10,7 @@ itself shifted; at 2.5 kHz, where 1 kHz is near half the rate, within −24 dB, 
 
 import numpy as np
 
-from tactile.bus.base import Floats
+from tactile.arrays import Floats
 
 HALF = 8
 """Samples on either side that a value is made of; those after it are waited for, 1 ms at 8 kHz."""

@@ -14,7 +14,8 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol.messages import FULL_SCALE_CODE, Feature, Parameter, SampleFormat
 from firmware_protocol.player import distance
-from tactile.bus.base import Bus, Floats
+from tactile.arrays import Floats
+from tactile.bus.base import Bus
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.peer import Peer
 

@@ -14,7 +14,8 @@ from collections.abc import Callable, Sequence
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Message
-from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, Floats, FrameCapability, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, FrameCapability, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import SessionPhase, Want

@@ -17,7 +17,8 @@ from firmware_protocol import spectrum
 from firmware_protocol.host import refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
-from tactile.bus.base import BusCounters, Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import BusCounters, Wiring
 from tactile.bus.budget import Plan, check_limits
 from tactile.bus.link.aside import RETRY
 from tactile.bus.link.peer import Peer

@@ -11,19 +11,17 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.host import codes_of, pcm
 from firmware_protocol.messages import Message, SampleFormat
 from firmware_protocol.packet import TURN, Packet
-from tactile.bus.base import BusCounters, Floats
+from tactile.arrays import Complex, Floats
+from tactile.bus.base import BusCounters
 from tactile.bus.budget import Plan, spectrum_group
 from tactile.bus.link.follower import HALF, Follower, Piece
 from tactile.bus.link.peer import Peer
-
-Complex = NDArray[np.complex128]
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
 """s that samples are sent before they are put out: at first, and between what (SPEC.md, 8.1)."""

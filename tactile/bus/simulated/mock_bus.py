@@ -13,7 +13,8 @@ from collections import deque
 import numpy as np
 
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
-from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
 from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus

@@ -14,7 +14,8 @@ import numpy as np
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.player import distance
-from tactile.bus.base import RATE, DisplayLike, Floats, Wiring
+from tactile.arrays import Floats
+from tactile.bus.base import RATE, DisplayLike, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire

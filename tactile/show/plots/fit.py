@@ -4,13 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tactile.arrays import Floats
 from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, check_file, new_figure, plain, save
 from tactile.texture.fitting import Fit
 from tactile.texture.judging import Verdict
-
-Floats = NDArray[np.float64]
 
 HERTZ = (10, 20, 50, 100, 200, 500, 1000)
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.show.plots.style import (
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
-Floats = NDArray[np.float64]
 
 SNAPSHOTS = 4
 WINDOW = 40e-3

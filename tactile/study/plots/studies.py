@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.show.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
 from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 Ends = list[tuple[float, str, str]]
 """Values, names and colors at the right ends of lines."""
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import freqz, lfilter
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.descriptor import (
     BANDS,
@@ -33,8 +34,6 @@ from tactile.texture.descriptor import (
     Stochastic,
 )
 from tactile.texture.formats import reading
-
-Floats = NDArray[np.float64]
 
 REFERENCE_SPEED, REFERENCE_FORCE = 0.1, 1.0
 """m/s and N at which a texture is made: in the middle of what was recorded (assumed)."""

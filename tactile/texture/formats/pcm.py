@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import wavfile
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.formats import reading
 from tactile.texture.formats.document import (
@@ -28,8 +29,6 @@ from tactile.texture.formats.document import (
     segments_of,
 )
 from tactile.texture.formats.synthesis import synthesize, unplayed
-
-Floats = NDArray[np.float64]
 
 LARGEST_WAV = 64 * 1024 * 1024
 """Bytes: a minute of 24 channels at 8 kHz is 44 MiB."""

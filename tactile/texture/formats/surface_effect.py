@@ -7,8 +7,8 @@ power. The way back takes each oscillation for a grating.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.descriptor import About, Descriptor, Periodic, Reference
 from tactile.texture.formats import reading
@@ -23,8 +23,6 @@ from tactile.texture.formats.document import (
 )
 from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_control
 from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
-
-Floats = NDArray[np.float64]
 
 MODALITY = "Vibrotactile Texture"
 KEYWORDS = {

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
 
+from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.formats.document import (
     Band,
@@ -25,8 +25,6 @@ from tactile.texture.formats.document import (
     Perception,
     channels_of,
 )
-
-Floats = NDArray[np.float64]
 
 TRANSIENT = 22e-3
 """s that a transient lasts (MPEG)."""

@@ -164,15 +164,17 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     return plant  # type: ignore[no-any-return]
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> Bus:
     address.only("keep", "plant", "format")
-    if not isinstance(rig, Display):
+    if not isinstance(display, Display):
         raise InputError("sim: needs a Display, not only its wiring")
     sample_rate = sample_rate or RATE
     name = address.options.get("plant")
-    plant = None if name is None else _foreign(name, rig, sample_rate)
+    plant = None if name is None else _foreign(name, display, sample_rate)
     keep, sample_format = kept_and_format(address)
-    return SimulatedDisplay(rig, sample_rate, plant=plant, keep=keep, sample_format=sample_format)
+    return SimulatedDisplay(
+        display, sample_rate, plant=plant, keep=keep, sample_format=sample_format
+    )
 
 
 register_bus("sim", _open)

@@ -80,7 +80,7 @@ class FrameCapability:
     rate: float
 
 
-class RigLimits(Protocol):
+class LimitsLike(Protocol):
     """What a display may never exceed, in SI units."""
 
     @property
@@ -89,7 +89,7 @@ class RigLimits(Protocol):
     def fade(self) -> float: ...  # noqa: D102
 
 
-class RigAmplifier(Protocol):
+class AmplifierLike(Protocol):
     """How an audio card's outputs are wired to it; no other bus asks."""
 
     @property
@@ -106,9 +106,9 @@ class DisplayLike(Protocol):
     @property
     def slew(self) -> float: ...  # noqa: D102
     @property
-    def limits(self) -> RigLimits: ...  # noqa: D102
+    def limits(self) -> LimitsLike: ...  # noqa: D102
     @property
-    def amplifier(self) -> RigAmplifier: ...  # noqa: D102
+    def amplifier(self) -> AmplifierLike: ...  # noqa: D102
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +131,14 @@ class Wiring:
     fade: float
 
     @classmethod
-    def of(cls, rig: DisplayLike, sample_rate: float) -> "Wiring":
+    def of(cls, display: DisplayLike, sample_rate: float) -> "Wiring":
         """Return that of a display."""
         return cls(
-            channels=rig.channels,
+            channels=display.channels,
             sample_rate=sample_rate,
-            voltage=rig.limits.voltage,
-            slew=rig.slew,
-            fade=rig.limits.fade,
+            voltage=display.limits.voltage,
+            slew=display.slew,
+            fade=display.limits.fade,
         )
 
 
@@ -171,6 +171,10 @@ class BusCounters:
     dropped_samples: int = 0
     disconnects: int = 0
     reconnects: int = 0
+
+    def common(self) -> dict[str, int]:
+        """Return the counters that every bus has, by name."""
+        return {f.name: int(getattr(self, f.name)) for f in fields(BusCounters)}
 
     def faults(self) -> dict[str, int]:
         """Return the counters that should be zero and are not."""

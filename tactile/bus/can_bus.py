@@ -413,11 +413,11 @@ def find() -> Iterator[Found]:
                     yield Found(f"can:socketcan/{name}", "CAN interface")
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
     link = link_of(address)
     return open_link(
-        address, rig, sample_rate, link, lambda: connect(address, link, MONOTONIC),
+        address, display, sample_rate, link, lambda: connect(address, link, MONOTONIC),
         nodes=wholes(address, "nodes", 1, 127),
     )  # fmt: skip
 

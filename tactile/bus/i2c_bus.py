@@ -289,14 +289,14 @@ def find() -> Iterator[Found]:
         yield Found(f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}")
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("address", "clock", "smbus", *LINK_OPTIONS, path=True)
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
     addresses = wholes(address, "address", 0x08, 0x77) or (ADDRESS,)
     link = link_of(address)
     return open_link(
-        address, rig, sample_rate, link, lambda: connect(address, addresses, link, MONOTONIC)
+        address, display, sample_rate, link, lambda: connect(address, addresses, link, MONOTONIC)
     )
 
 

@@ -138,7 +138,7 @@ def link_at(url: str) -> Link:
 
 def open_bus(
     url: str,
-    rig: DisplayLike,
+    display: DisplayLike,
     *,
     sample_rate: float | None = None,
     accept_unsafe_hold: bool = False,
@@ -149,7 +149,7 @@ def open_bus(
     ----------
     url : such as ``mock:``, ``sim:?format=bfp8``, ``serial:///dev/ttyACM0``,
         ``can:socketcan/can0?fd=true``, ``i2c:1?address=0x42``, ``audio:NAME?channels=24``
-    rig : the display
+    display : the display
     sample_rate : of the drive [Hz]; by default the bus's choice, told by its `wiring`
     accept_unsafe_hold : open also what holds its last voltage, or does nobody knows what, when
         the host dies
@@ -167,7 +167,7 @@ def open_bus(
     if driver.on_host_death in UNSAFE and not accept_unsafe_hold:
         raise InputError(f"device {url!r}: {UNSAFE[driver.on_host_death]} {ACCEPT}")
     try:
-        return driver.factory(address, rig, sample_rate)
+        return driver.factory(address, display, sample_rate)
     except OSError as error:
         if isinstance(error, BusError):
             raise

@@ -336,10 +336,10 @@ def find() -> Iterator[Found]:
         yield Found(f"serial://{port.device}", about)
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> LinkBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
     address.only("baud", *LINK_OPTIONS, path=True)
     link = link_of(address)
-    return open_link(address, rig, sample_rate, link, lambda: connect(address, link, MONOTONIC))
+    return open_link(address, display, sample_rate, link, lambda: connect(address, link, MONOTONIC))
 
 
 register_bus("serial", _open, find=find, link=link_of)

@@ -19,7 +19,13 @@ from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
-from tactile.playback.shared_memory import COUNTERS, BlockTrace, PlaybackReport, Shared, State
+from tactile.playback.shared_memory import (
+    BlockTrace,
+    PlaybackCounters,
+    PlaybackReport,
+    Shared,
+    State,
+)
 from tactile.playback.waves import TURN, Voice, affordable
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
@@ -360,17 +366,16 @@ class PlaybackLoop:
         r.link, r.detail, r.running = status.link, status.detail, self.running
         r.touching, r.client = self.tracker.touching, self._client
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])
-        own = {
-            "limited_samples": self.rendering.limited,
-            "lost_contacts": self.memory.lost_contacts,
-            "skipped_samples": self._skipped,
-            "dropped_waves": self._dropped_waves,
-            "late_contacts": self.tracker.late,
-            "invalid_contacts": self.tracker.invalid,
-        }
-        r.counters = {
-            name: own[name] if name in own else int(getattr(self.bus.counters, name))
-            for name in COUNTERS
-        }
+        r.counters = vars(
+            PlaybackCounters(
+                **self.bus.counters.common(),
+                limited_samples=self.rendering.limited,
+                lost_contacts=self.memory.lost_contacts,
+                skipped_samples=self._skipped,
+                dropped_waves=self._dropped_waves,
+                late_contacts=self.tracker.late,
+                invalid_contacts=self.tracker.invalid,
+            )
+        )
         self.memory.write_report(r)
         self.memory.shear[:], self.memory.drive[:] = self.rendering.shear, self.rendering.drive

@@ -17,25 +17,44 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.bus.base import BusCounters
+
 CONTACTS, TRACES = 256, 8192
 """Entries of the rings: a quarter of a second at 1 kHz, and 16 s of blocks."""
-COUNTERS = (
-    "blocks", "samples", "lost_samples", "repeated_samples", "invalid_samples", "clipped_samples",
-    "underruns", "late_blocks", "dropped_samples", "disconnects", "reconnects",
-    "limited_samples", "late_contacts", "invalid_contacts", "lost_contacts", "skipped_samples",
-    "dropped_waves",
-)  # fmt: skip
-"""Of a report: what a bus counts, then what playback does."""
 DETAIL = 240
 """Bytes of its line."""
 
+
+@dataclass
+class PlaybackCounters(BusCounters):
+    """Counters of one display's playback since it began, besides those of its bus.
+
+    Attributes
+    ----------
+    limited_samples : samples that the limiter changed, or frames on a link that takes frames
+    late_contacts, invalid_contacts : contacts that came too late or were not finite
+    lost_contacts : contacts that were overwritten before playback read them
+    skipped_samples : positions that playback left out because it was late
+    dropped_waves : blocks of a client's waveforms, and transients, for which there was no time
+    """
+
+    limited_samples: int = 0
+    late_contacts: int = 0
+    invalid_contacts: int = 0
+    lost_contacts: int = 0
+    skipped_samples: int = 0
+    dropped_waves: int = 0
+
+
+COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
+"""Names of the counters, in the order of the report."""
 NUMBER = struct.Struct("<Q")
 CONTACT = struct.Struct("<QQddddddd?")
 TRACE = struct.Struct("<QQQdd")

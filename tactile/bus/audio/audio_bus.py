@@ -311,31 +311,31 @@ def find() -> Iterator[Found]:
         )
 
 
-def _channels(address: Address, rig: DisplayLike) -> int:
-    text = address.options.get("channels", str(rig.channels))
-    if not text.isdecimal() or int(text) < rig.channels:
-        raise InputError(f"audio: channels = {text!r}: must be a number from {rig.channels} up")
-    if rig.channels > MOST_CHANNELS:
-        raise InputError(f"audio: {rig.channels} channels; {MOST_CHANNELS} at most")
+def _channels(address: Address, display: DisplayLike) -> int:
+    text = address.options.get("channels", str(display.channels))
+    if not text.isdecimal() or int(text) < display.channels:
+        raise InputError(f"audio: channels = {text!r}: must be a number from {display.channels} up")
+    if display.channels > MOST_CHANNELS:
+        raise InputError(f"audio: {display.channels} channels; {MOST_CHANNELS} at most")
     return int(text)
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> AudioBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> AudioBus:
     address.only("channels", path=True)
-    channels = _channels(address, rig)
-    full_scale = rig.amplifier.audio_full_scale
+    channels = _channels(address, display)
+    full_scale = display.amplifier.audio_full_scale
     if full_scale is None:
         raise InputError(MISSING)
-    if rig.limits.voltage > full_scale:
+    if display.limits.voltage > full_scale:
         raise InputError(
-            f"audio: limits.voltage_v = {rig.limits.voltage:g} exceeds audio_full_scale_v = "
+            f"audio: limits.voltage_v = {display.limits.voltage:g} exceeds audio_full_scale_v = "
             f"{full_scale:g}: the card would clip; lower the limit"
         )
     order = Order(
         device=unquote(address.path), channels=channels, sample_rate=sample_rate,
-        wiring=Wiring.of(rig, sample_rate or math.nan), full_scale=full_scale,
+        wiring=Wiring.of(display, sample_rate or math.nan), full_scale=full_scale,
     )  # fmt: skip
-    return AudioBus(order, rig.amplifier.ac_coupling)
+    return AudioBus(order, display.amplifier.ac_coupling)
 
 
 register_bus("audio", _open, on_host_death="unknown", find=find)

@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import IO, Any, Literal, NamedTuple, NoReturn
 
@@ -150,6 +151,15 @@ class CardOutput:
 
     def __init__(self, wiring: Wiring, full_scale: float) -> None:
         self.inbox: deque[tuple[Any, ...]] = deque(maxlen=BACKLOG)
+        self._handlers: dict[str, Callable[..., None]] = {
+            "start": self._on_start,
+            "samples": self._on_samples,
+            "go": self._on_go,
+            "stop": self._on_stop,
+            "abort": self._on_abort,
+            "estop": self._on_estop,
+            "clear": self._on_clear,
+        }
         self.phase: Phase = "rest"
         self.position = self.frames = self.xruns = self.late_blocks = self.dropped_samples = 0
         self.called, self.refused, self.fault = MONOTONIC.now(), "", ""
@@ -208,7 +218,7 @@ class CardOutput:
     def _next(self, frames: int) -> Floats | None:
         while self.inbox:
             kind, *rest = self.inbox[0]
-            getattr(self, f"_on_{kind}")(*rest)
+            self._handlers[kind](*rest)
             self.inbox.popleft()
         if self.phase == "rest":
             return None

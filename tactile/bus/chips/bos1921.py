@@ -313,17 +313,17 @@ class Bos1921Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> ChipBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> ChipBus:
     address.only("address", "mux", "ports", "range", "clock_hz", "parcap", "sup_rise", path=True)
-    wiring = Wiring.of(rig, checked_rate("bos1921", sample_rate))
+    wiring = Wiring.of(display, checked_rate("bos1921", sample_rate))
     checked_estop(wiring, HIGH)
     place = Place.of(address, ADDRESS, ADDRESSES)
     extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
-    place.check("bos1921", rig.channels, bits_per_second() + extra, FASTEST)
+    place.check("bos1921", display.channels, bits_per_second() + extra, FASTEST)
     wide = address.options.get("range", "95")
     if wide not in SCALES:
         raise InputError(f"bos1921: range = {wide!r}: must be one of {', '.join(SCALES)}")
-    checked_voltage("bos1921", rig.limits.voltage, PEAKS[wide])
+    checked_voltage("bos1921", display.limits.voltage, PEAKS[wide])
     board = {
         register: adapter.number(address, name, "", range(0x10000))
         for name, register in (("parcap", PARCAP), ("sup_rise", SUP_RISE))

@@ -356,14 +356,14 @@ class Drv2667Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, rig: DisplayLike, sample_rate: float | None) -> ChipBus:
+def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> ChipBus:
     address.only("address", "mux", "ports", "range", "clock_hz", path=True)
-    wiring = Wiring.of(rig, checked_rate("drv2667", sample_rate))
+    wiring = Wiring.of(display, checked_rate("drv2667", sample_rate))
     checked_estop(wiring, HIGH)
     place = Place.of(address, ADDRESS, range(ADDRESS, ADDRESS + 1))
     extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
-    place.check("drv2667", rig.channels, bits_per_second() + extra, FASTEST)
-    wide = chosen_range(rig.limits.voltage, address.options.get("range"))
+    place.check("drv2667", display.channels, bits_per_second() + extra, FASTEST)
+    wide = chosen_range(display.limits.voltage, address.options.get("range"))
     return opened(place.path, lambda i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide))
 
 

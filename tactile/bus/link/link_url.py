@@ -19,7 +19,7 @@ LINK_OPTIONS = ("format", "rearm", "lead_ms")
 
 def open_link(
     address: Address,
-    rig: DisplayLike,
+    display: DisplayLike,
     sample_rate: float | None,
     link: Link,
     connect: Callable[[], Wire],
@@ -27,9 +27,9 @@ def open_link(
     nodes: Sequence[int] = (),
 ) -> LinkBus:
     """Open a bus for an address, which sends what fits its link, or what it asks for."""
-    wiring = Wiring.of(rig, sample_rate or RATE)
+    wiring = Wiring.of(display, sample_rate or RATE)
     config_of(wiring, 1, 1)
-    choose = planner(address, rig, sample_rate, link)
+    choose = planner(address, display, sample_rate, link)
     return LinkBus(
         wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"), lead=lead_of(address)
     )
@@ -42,13 +42,13 @@ def lead_of(address: Address) -> float | None:
 
 
 def planner(
-    address: Address, rig: DisplayLike, sample_rate: float | None, link: Link
+    address: Address, display: DisplayLike, sample_rate: float | None, link: Link
 ) -> Callable[[Sequence[m.Caps]], Plan]:
     """Return what makes the plan of what amplifiers say that they can."""
     wanted = sample_format(address, spectrum=True)
 
     def choose(caps: Sequence[m.Caps]) -> Plan:
         ability = Ability.of(caps)
-        return plan(link, rig.channels, ability, sample_rate=sample_rate, sample_format=wanted)
+        return plan(link, display.channels, ability, sample_rate=sample_rate, sample_format=wanted)
 
     return choose

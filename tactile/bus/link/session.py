@@ -46,8 +46,6 @@ LATCHED = (State.ESTOP, State.FAULT)
 MOVING = (State.RUNNING, State.RAMPDOWN)
 
 
-AFTER = {phase: f"_after_{phase.name.lower()}" for phase in SessionPhase}
-"""What ends each but the first two and the last."""
 AGAIN: dict[int, SessionPhase] = {
     NakCode.TIME: SessionPhase.START,
     NakCode.NOT_ARMED: SessionPhase.ARM,
@@ -107,6 +105,21 @@ class LinkSession:
         self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
         self._seq = 0
+        self._endings: dict[SessionPhase, Callable[[float], None]] = {
+            SessionPhase.GREET: self._after_greet,
+            SessionPhase.CLOCK: self._after_clock,
+            SessionPhase.HALT: self._after_halt,
+            SessionPhase.LIMIT: self._after_limit,
+            SessionPhase.READY: self._after_ready,
+            SessionPhase.ARM: self._after_arm,
+            SessionPhase.START: self._after_start,
+            SessionPhase.RUN: self._after_run,
+            SessionPhase.END: self._after_end,
+            SessionPhase.ESTOP: self._after_estop,
+            SessionPhase.TRIPS: self._after_trips,
+            SessionPhase.CLEAR: self._after_clear,
+            SessionPhase.DISARM: self._after_disarm,
+        }
 
     # What is wanted
 
@@ -344,7 +357,7 @@ class LinkSession:
                 if refused:
                     self._refused(refused[0], now)
                 else:
-                    getattr(self, AFTER[self.phase])(now)
+                    self._endings[self.phase](now)
 
     def _refused(self, nak: m.Nak, now: float) -> None:
         """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""

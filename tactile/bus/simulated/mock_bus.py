@@ -161,14 +161,14 @@ def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
 
 
 def open_mock(
-    address: Address, rig: DisplayLike, sample_rate: float | None, clock: Clock = MONOTONIC
+    address: Address, display: DisplayLike, sample_rate: float | None, clock: Clock = MONOTONIC
 ) -> Bus:
     """Open amplifiers in memory, by a clock, or a modeled link, as the URL says."""
     if "link" in address.options:
-        return open_modeled(address, rig, sample_rate)
+        return open_modeled(address, display, sample_rate)
     address.only("keep", "format")
     keep, kind = kept_and_format(address)
-    wiring = Wiring.of(rig, sample_rate or RATE)
+    wiring = Wiring.of(display, sample_rate or RATE)
     return MockBus(wiring, keep=keep, sample_format=kind, clock=clock)
 
 

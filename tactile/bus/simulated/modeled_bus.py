@@ -161,14 +161,14 @@ class ModeledBus(LinkBus):
 
 
 def open_modeled(
-    address: Address, rig: DisplayLike, sample_rate: float | None, model: Model | None = None
+    address: Address, display: DisplayLike, sample_rate: float | None, model: Model | None = None
 ) -> ModeledBus:
     """Open a link as its URL says: with new amplifiers and a clock of its own, unless given."""
     address.only(*OPTIONS)
     keep = address.options.get("keep", "second")
     if keep not in ("second", "all"):
         raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
-    wiring = Wiring.of(rig, sample_rate or RATE)
+    wiring = Wiring.of(display, sample_rate or RATE)
     if model is None:
         model = model_of(address, wiring, ModelClock())
     clock, link = model.clock, link_of(address)
@@ -185,7 +185,7 @@ def open_modeled(
         return SerialWire(model, link, clock)
 
     return ModeledBus(
-        wiring, model, connect, planner(address, rig, sample_rate, link),
+        wiring, model, connect, planner(address, display, sample_rate, link),
         keep=keep, rearm=flag(address, "rearm"), lead=lead_of(address),
     )  # fmt: skip
 

@@ -74,7 +74,7 @@ made: list[Card] = []
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch) -> AudioBus:
     made.clear()
-    monkeypatch.setattr(audio_bus, "Player", Card)
+    monkeypatch.setattr(audio_bus, "AudioProcess", Card)
     monkeypatch.setattr(audio_bus, "opened", lambda player: player.opened)
     monkeypatch.setattr(audio_bus, "RETRY", 0.0)
     return AudioBus(ORDER)

@@ -126,7 +126,7 @@ def test_a_daemon_that_is_silent_is_a_timeout_and_may_answer_the_next(
     script.answers[m.GetStats] = asked.append
 
     def ask() -> list[m.GetStats]:
-        with pytest.raises(ClientTimeoutError, match=r"getstats: no answer in 0.05 s"):
+        with pytest.raises(ClientTimeoutError, match=r"get_stats: no answer in 0.05 s"):
             remote.stats(timeout=0.05)
         return asked
 

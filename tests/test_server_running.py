@@ -195,7 +195,7 @@ PROCESS = """
     sys.path.insert(0, {tests!r})
     import daemon_rig
     from tactile.server import server
-    from tactile.server.config import Config, LogConfig, OscConfig, ServerConfig
+    from tactile.server.config import DaemonConfig, LogConfig, OscConfig, ServerConfig
 
     class Hands(daemon_rig.Hands):
         def beat(self):
@@ -210,7 +210,7 @@ PROCESS = """
 
     server._host = lambda config: Hands()
     log = LogConfig(format="json")
-    config = Config(server=ServerConfig(port=0, socket=""), log=log)
+    config = DaemonConfig(server=ServerConfig(port=0, socket=""), log=log)
     server.serve(config, ready=lambda there: print(there.port, gc.get_freeze_count(), flush=True))
     print("ended", flush=True)
 """

@@ -42,7 +42,7 @@ LONGEST_EVENT = 30.0
 """s of a continuous event (Core Haptics)."""
 DEFAULT = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
 """Where an event says nothing (assumed: Apple states none for sharpness)."""
-KINDS = ("AhapEvent", "AhapParameter", "ParameterCurve")
+KINDS = ("Event", "Parameter", "ParameterCurve")
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Seconds = Annotated[float, Meta(ge=0, le=3600)]
@@ -312,7 +312,7 @@ def _event(
     }
     if duration is not None:
         event["EventDuration"] = duration
-    return {"AhapEvent": event}
+    return {"Event": event}
 
 
 def _curves(name: str, pairs: list[tuple[float, float]], start: float) -> list[dict[str, Any]]:

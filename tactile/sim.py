@@ -16,13 +16,32 @@ from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
+from tactile.bus.options import FORMATS, Keep, Options, SampleFormatName
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.simulated.mock_bus import MockBus, kept_and_format
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import Display
 from tactile.errors import InputError
 
 HEARD = (20.0, 1000.0)
 """Hz over which played shear is judged."""
+
+
+class SimOptions(Options, frozen=True, kw_only=True):
+    """Options of a ``sim:`` URL.
+
+    Attributes
+    ----------
+    keep : str
+        How much of what was put out is remembered: the last second, or all.
+    plant : str or None
+        Factory of a plant, as ``package.module:factory``; None for the display's own.
+    format : str
+        Format of the samples on the line to the amplifier.
+    """
+
+    keep: Keep = "second"
+    plant: str | None = None
+    format: SampleFormatName = "pcm16"
 
 
 class PlantLike(Protocol):
@@ -164,17 +183,16 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     return plant  # type: ignore[no-any-return]
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> Bus:
-    address.only("keep", "plant", "format")
+def _open(address: Address[SimOptions], display: DisplayLike, sample_rate: float | None) -> Bus:
     if not isinstance(display, Display):
         raise InputError("sim: needs a Display, not only its wiring")
     sample_rate = sample_rate or RATE
-    name = address.options.get("plant")
-    plant = None if name is None else _foreign(name, display, sample_rate)
-    keep, sample_format = kept_and_format(address)
+    options = address.options
+    plant = None if options.plant is None else _foreign(options.plant, display, sample_rate)
     return SimulatedDisplay(
-        display, sample_rate, plant=plant, keep=keep, sample_format=sample_format
-    )
+        display, sample_rate,
+        plant=plant, keep=options.keep, sample_format=FORMATS[options.format],
+    )  # fmt: skip
 
 
-register_bus("sim", _open)
+register_bus("sim", _open, SimOptions)

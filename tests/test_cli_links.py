@@ -9,7 +9,7 @@ from cli_rig import Command, assert_mistake
 from tactile.bus import registry
 from tactile.bus.base import DriveFrame
 from tactile.bus.simulated.mock_bus import open_mock
-from tactile.bus.simulated.modeled_bus import ModeledBus
+from tactile.bus.simulated.modeled_bus import MockOptions, ModeledBus
 from tactile.devices import link_at, open_bus
 from tactile.display.display import load_display
 from tactile.errors import InputError
@@ -63,7 +63,7 @@ def test_devices_lists_what_every_driver_finds(
     found = [registry.Found("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
     monkeypatch.setattr(registry, "_drivers", {})
     assert command("devices").out == "no device found; sim: and mock: are always there\n"
-    registry.register_bus("serial", open_mock, find=lambda: found)
+    registry.register_bus("serial", open_mock, MockOptions, find=lambda: found)
     assert "serial:///dev/ttyACM7  an amplifier, USB 1209:0001" in command("devices").out
     listed = json.loads(command("devices", "--json").out)
     assert listed == [{"url": found[0].url, "about": found[0].about}]

@@ -11,6 +11,7 @@ from tactile import cli
 from tactile.arrays import Floats
 from tactile.bus import registry
 from tactile.bus.base import Bus, DisplayLike
+from tactile.bus.options import Options
 from tactile.bus.registry import Address
 from tactile.errors import BusError
 from tactile.files import shipped
@@ -215,10 +216,10 @@ def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
 def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def absent(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
+    def absent(address: Address[Options], rig: DisplayLike, sample_rate: float | None) -> Bus:
         raise BusError("absent: the amplifier does not answer")
 
-    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, "ramps", tuple))
+    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, Options))
     before = content(folder)
     result = command("play", "wood-oak", *SHORT, "--device", "absent:", "--record", "new.npz")
     assert result.err == "tactile: absent: the amplifier does not answer\n"

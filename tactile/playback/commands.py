@@ -24,6 +24,7 @@ class Setup:
 
     display: Display
     device: str
+    rearm: bool
     sample_rate: float | None
     accept_unsafe_hold: bool
     gain: float

@@ -22,6 +22,7 @@ from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tactile.bus.base import Bus
+from tactile.bus.registry import with_default_option
 from tactile.devices import open_bus
 from tactile.errors import BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
@@ -305,8 +306,11 @@ def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
     TactileError
         Where it cannot be.
     """
+    device = setup.device
+    if setup.rearm:
+        device = with_default_option(device, "rearm", "true")
     bus = open_bus(
-        setup.device, setup.display,
+        device, setup.display,
         sample_rate=setup.sample_rate, accept_unsafe_hold=setup.accept_unsafe_hold,
     )  # fmt: skip
     frames = bus.frames

@@ -39,8 +39,6 @@ ENDING = 1.0
 FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
 STILL = 4.0
 """s without a report after which playback hangs."""
-REARMED = ("serial:", "can:", "i2c:")
-"""Devices whose link may arm again by itself."""
 SERVER = 0
 """The client for whom the server itself has textures made anew."""
 
@@ -140,13 +138,11 @@ class Playing:
                 self._heard(what)
 
         child = self._child = Child("tactile.playback.process", heard, inherited)
-        url = config.device
-        if config.rearm and url.startswith(REARMED) and "rearm=" not in url:
-            url += ("&" if "?" in url else "?") + "rearm=true"
         child.tell(
             Setup(
-                self.display, url, config.sample_rate_hz, config.accept_unsafe_hold,
-                config.gain, config.worn, self.memory.handle, self.latch.handle,
+                self.display, config.device, config.rearm, config.sample_rate_hz,
+                config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
+                self.latch.handle,
             )
         )  # fmt: skip
         try:

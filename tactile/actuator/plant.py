@@ -277,7 +277,7 @@ class Plant:
         window = np.arange(-HALF_WIDTH - late, HALF_WIDTH + 1, dtype=np.float64)
         shift = window + self.amplifier.delay * sample_rate
         edges = np.arange(FINE + 1) / FINE
-        if self.amplifier.hold == "zoh":  # one step, at the fraction of a sample that it is late
+        if self.amplifier.hold == "zoh":  # one jump per sample, at the fraction of the delay
             edges = np.unique([0.0, self.amplifier.delay * sample_rate % 1, 1.0])
         size = len(self.system.A)
         self._transition, self._input = np.eye(size), np.zeros((size, len(window)))

@@ -9,8 +9,8 @@ The matrix is built from four functions c0…c3 of the two roots z1 = λ1² and 
 characteristic polynomial. These functions are divided differences of entire functions of z, so they
 have no singular point, neither at ω = 0 nor where λ1 turns imaginary at √(AG/ρI). Since they are
 symmetric in the two roots, they are power series in the sum and the product of the roots. Up to λ =
-10 these series are summed without a square root or an exponential, which is two to five times as
-fast as the closed form and loses no accuracy at λ = 0.
+10 these series are summed without computing the roots or an exponential, which is two to five times
+as fast as the closed form and loses no accuracy at λ = 0.
 
 Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
 """

@@ -65,8 +65,8 @@ def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -
 def measure_speed() -> Iterator[Figure]:
     """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
 
-    The plain surface consists of waves and of the laws of speed and force only. The shipped textures have an envelope, and
-    some of them sparse events.
+    The plain surface consists of waves and of the laws of speed and force only. The shipped
+    textures have an envelope, and some of them sparse events.
 
     Yields
     ------

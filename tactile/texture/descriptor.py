@@ -108,9 +108,9 @@ class Stochastic(_Part, frozen=True, kw_only=True):
         Centers of the 16 third-octave bands, each 0.01 to 100 [cycles/mm]. Each center is 10^0.1
         (1.26) times the one before it, within 5 %.
     level_db : tuple of float
-        One-sided power spectral density of displacement in each of the 16 bands, −120 to 60 [dB re
-        1 µm²·mm, that is µm² per cycle/mm]. The variance of a band is 10^(level/10) times its
-        width.
+        One-sided power spectral density of displacement in each of the 16 bands, −120 to 60
+        [dB re 1 µm²·mm, that is µm² per cycle/mm]. The variance of a band is 10^(level/10) times
+        its width.
     level_sd_db : tuple of float
         Standard deviation of each level from piece to piece of the material, 0 to 40 [dB]. 16
         values, or empty (the default) where it is unknown.
@@ -277,8 +277,8 @@ class Friction(_Part, frozen=True, kw_only=True):
     force_exponent : float
         Exponent of the coefficient over the normal force, (N/N0)^e, −4 to 4, default −0.2.
     stribeck_speed_mm_s : float
-        Speed vs over which friction falls from static to kinetic, above 0 and at most 1000, default
-        10 [mm/s].
+        Speed vs over which friction falls from static to kinetic, above 0 and at most 1000,
+        default 10 [mm/s].
     stick_slip : float
         Share of the contact that sticks and slips instead of sliding evenly, 0 to 1, default 0.
     """

@@ -64,9 +64,9 @@ THRESHOLD = np.array(
 """Detection threshold of motion normal to the skin under a large contactor [Hz, µm peak], with the
 shape of Verrillo and Bolanowski.
 
-It is interpolated linearly in the logarithms. Below 1 Hz it is held (NP III is flat there). Above 1
-kHz it continues at its last slope, 22 dB per octave (assumed; 1–2 kHz is normally not felt: Lamoré,
-Muijser & Keemink, J. Acoust. Soc. Am. 79:1082, 1986)."""
+It is interpolated linearly in the logarithms. Below 1 Hz it is held (NP III is flat there). Above
+1 kHz it continues at its last slope, 22 dB per octave (assumed; 1–2 kHz is normally not felt:
+Lamoré, Muijser & Keemink, J. Acoust. Soc. Am. 79:1082, 1986)."""
 THRESHOLD_SPREAD_DB = 5.0
 """Uncertainty (±) of the detection threshold [dB]."""
 TANGENTIAL = 0.45

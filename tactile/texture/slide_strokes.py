@@ -97,21 +97,21 @@ def steady_parts(recorded: Recorded, shortest: float) -> list[slice]:
     moving = smooth[smooth > 0.25 * smooth.max()] if smooth.max() > 0 else smooth[:0]
     if not len(moving):
         raise InputError(f"{recorded.name}: speed is never above 0; record while the finger slides")
-    median_speed = float(np.median(moving))
-    steady = np.abs(smooth - median_speed) <= STEADY * median_speed
+    typical_speed = float(np.median(moving))
+    steady = np.abs(smooth - typical_speed) <= STEADY * typical_speed
     edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
     parts = []
     for start, stop in edges.reshape(-1, 2):
         pieces = int(np.ceil((stop - start) / rate / LONGEST))
         cuts = np.linspace(start, stop, pieces + 1).astype(int)
         parts += [
-            slice(a, b) for a, b in pairwise(cuts) if (b - a) / rate * median_speed >= shortest
+            slice(a, b) for a, b in pairwise(cuts) if (b - a) / rate * typical_speed >= shortest
         ]
     if not parts:
-        longest = max((b - a for a, b in edges.reshape(-1, 2)), default=0) / rate * median_speed
+        longest = max((b - a for a, b in edges.reshape(-1, 2)), default=0) / rate * typical_speed
         raise InputError(
             f"{recorded.name}: speed is not steady: it stays within {STEADY:.0%} of "
-            f"{median_speed * 1e3:.3g} mm/s for {longest * 1e3:.3g} mm at most, needs "
+            f"{typical_speed * 1e3:.3g} mm/s for {longest * 1e3:.3g} mm at most, needs "
             f"{shortest * 1e3:.3g} mm; slide longer and more evenly"
         )
     return parts

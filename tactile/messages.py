@@ -208,7 +208,7 @@ class Select(Request, frozen=True, kw_only=True, tag="select"):
     """Select the textures that the finger feels of this client; requires the role "play".
 
     They replace the client's earlier selection in a cross-fade. `Done` follows once the textures
-    are ready, which takes about a second for each that is not ready yet.
+    are ready; preparing one may take a second.
 
     Attributes
     ----------

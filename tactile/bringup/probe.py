@@ -139,7 +139,7 @@ class LineLoad:
 
     @property
     def loss(self) -> float:
-        """Loss factor tan δ, the ratio of the currents in phase and in quadrature with the voltage."""
+        """Loss factor tan δ: ratio of the currents in phase and in quadrature with voltage."""
         y = self.admittance
         return max(y.real, 0.0) / y.imag if y.imag > 0 else math.inf
 

@@ -73,12 +73,19 @@ class Close(NamedTuple):
 
 
 GONE = Close(0, "gone")
+"""End by the other side."""
 SLOW = Close(4008, "does not read")
+"""End because the client does not read."""
 FLOOD = Close(4008, "nothing but failures")
+"""End after too many failures in a row."""
 TOO_LARGE = Close(1009, "too large")
+"""End after a message that was too large."""
 FULL = Close(4429, "too many clients")
+"""End because there is no free place."""
 ENDING = Close(1001, "the daemon ends")
+"""End because the daemon ends."""
 BROKEN = Close(1011, "the daemon failed")
+"""End after an internal failure of the daemon."""
 
 
 class Welcomed(NamedTuple):
@@ -300,10 +307,12 @@ class ServerConnection:
         return await judge(socket)
 
     def _full_text(self) -> str:
+        """Return the explanation that all places are taken."""
         most = self._site.config.most_clients
         return f"there are {most} clients, as many as server.most_clients allows"
 
     async def _refuse(self, close: Close, failure: Failure) -> Close:
+        """Queue the failure of a client that is not admitted; return the close reason."""
         self._traffic.failure(failure.code)
         self._queue(failure)
         return close
@@ -405,6 +414,7 @@ class ServerConnection:
             self._answer(failure)
 
     def _handle(self, command: Command | Failure, arrival: float) -> Failure | None:
+        """Handle a decoded message; return what is wrong with it."""
         if not isinstance(command, EStop | Failure) and self._site.places.is_reserved(self):
             text = f"{self._full_text()}; this connection may only e-stop"
             return failed("too_many_clients", text, to=id_of(command))
@@ -438,6 +448,7 @@ class ServerConnection:
     # Sending
 
     def _answer(self, answer: Answer) -> None:
+        """Queue an answer, and count failures in a row."""
         if isinstance(answer, Failure):
             self._traffic.failure(answer.code)
             self._failures += 1
@@ -448,6 +459,7 @@ class ServerConnection:
         self._queue(answer)
 
     def _queue(self, answer: Answer) -> None:
+        """Queue an answer; end the connection if the client does not read its answers."""
         try:
             self._answers.put_nowait(answer)
         except asyncio.QueueFull:
@@ -455,6 +467,7 @@ class ServerConnection:
             self.end(SLOW)
 
     async def _send_all(self, welcome: Welcome) -> Close:
+        """Send the welcome, then answers, events and telemetry as they come."""
         await self._send(welcome)
         self._start_part(self._pump(self._client.outbox))
         return await self._pump(self._answers)
@@ -465,6 +478,7 @@ class ServerConnection:
             await self._send(self._answers.get_nowait())
 
     async def _pump(self, queue: "asyncio.Queue[Any]") -> Close:
+        """Send what is put in a queue."""
         while True:
             await self._send(await queue.get())
 

@@ -94,7 +94,7 @@ class Listener(uvicorn.Server):
         """
         await super().startup(sockets)
         for listening in sockets or ():
-            listening.listen(WAITING)  # asyncio has listening number for both
+            listening.listen(WAITING)  # asyncio has one parameter for both
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End all connections within a bounded time, whether or not the other side closes them.

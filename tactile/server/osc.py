@@ -390,6 +390,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._first, self._names, self._ask_again = names[0] if names else "", set(names), now + 1
 
     def _sender(self, addr: Address, now: float) -> Sender | None:
+        """Return the sender with an address, which is added if there is room."""
         sender = self._senders.pop(addr, None)
         if sender is None:
             if len(self._senders) >= MOST_SENDERS:
@@ -415,11 +416,13 @@ class OscProtocol(asyncio.DatagramProtocol):
             self._log_failure(answer, ("e-stop", 0))
 
     def _log_failure(self, failure: Failure, addr: Address) -> None:
+        """Count and log a message that was not used."""
         self._traffic.failure(failure.code)
         fields = {"code": failure.code, "why": failure.message, "sender": f"{addr[0]}:{addr[1]}"}
         log.warning("an OSC message was not used", extra={"fields": fields})
 
     def _forget(self, addr: Address) -> None:
+        """Close the client of a sender."""
         sender = self._senders.pop(addr)
         self._traffic.clients.dec()
         sender.client.close()

@@ -190,7 +190,7 @@ class Playing:
         self._opened = loop.create_future()
 
         def on_message(what: Any) -> None:
-            if self._child is child:  # and not descriptor that was killed before it
+            if self._child is child:  # ignore a process that was killed
                 self._receive(what)
 
         child = self._child = Child("tactile.playback.process", on_message, inherited)

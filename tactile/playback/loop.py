@@ -294,17 +294,17 @@ class FramePlayback:
         waves : (S, N) array of float32 or None
             Ignored.
         """
-        at = position + self.spacing
+        frame_position = position + self.spacing
         step = min(8, len(place) - 1)
         velocity = (place[-1] - place[-1 - step]) * self._rate / (BLOCK * max(step, 1))
         lines = np.zeros((self._display.channels, len(self._carriers)), np.complex128)
         total = np.zeros((len(self._display.contactors), len(self._carriers)), np.complex128)
         for texture, gain in self._playing:
-            texture.sample = at
+            texture.sample = frame_position
             total += gain * self._rise * texture.unlimited(place[-1], velocity, float(force[-1]))
         total = self._limiter(total)
         lines[self._display.channel] = total
-        self._bus.write_frame(DriveFrame(at, lines))
+        self._bus.write_frame(DriveFrame(frame_position, lines))
         self._rise = 1.0
         self.drive = np.asarray(np.abs(total).sum(axis=1))
 
@@ -374,7 +374,7 @@ class PlaybackLoop:
     def __post_init__(self) -> None:
         rendering = SamplePlayback if self.bus.frames is None else FramePlayback
         self.rendering: SamplePlayback | FramePlayback = rendering(self.display, self.bus)
-        ContactTracker().at(np.zeros(BLOCK), 0.0)  # warm up: the first use takes long
+        ContactTracker().at(np.zeros(BLOCK), 0.0)  # the first call is slow: make it before playing
         self.tracker = ContactTracker()
         self.report = PlaybackReport(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate

@@ -153,7 +153,8 @@ class Program:
             elif holds and holds != self._estop:
                 before = bus.estops
                 bus.estop()
-                self._bus_estops += min(bus.estops - before, 1)  # one more is the amplifier's own
+                # A second e-stop within the call is the amplifier's own, left for the next look.
+                self._bus_estops += min(bus.estops - before, 1)
                 self._estop = holds
 
     def look_at_server(self, passed: float) -> None:

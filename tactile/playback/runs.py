@@ -175,10 +175,10 @@ class _Run:
         )
         pairs: list[tuple[PlayedBlock, Floats | None]] = []
         while self._waiting and len(self._skin_shear) >= len(self._waiting[0].time):
-            done = self._waiting.pop(0)
-            count = len(done.time)
-            self._fidelity.add(done.shear, self._skin_shear[:count])
-            pairs.append((done, self._skin_shear[:count]))
+            block_played = self._waiting.pop(0)
+            count = len(block_played.time)
+            self._fidelity.add(block_played.shear, self._skin_shear[:count])
+            pairs.append((block_played, self._skin_shear[:count]))
             self._skin_shear = self._skin_shear[count:]
         return pairs
 
@@ -225,9 +225,9 @@ class _Run:
 
     def _write(self, block: PlayedBlock | None) -> None:
         """Record the blocks that are complete by now."""
-        for done, shear in self.paired(block):
+        for played, shear in self.paired(block):
             if self._recorder is not None:
-                self._recorder.add(**_rows(done, shear))
+                self._recorder.add(**_rows(played, shear))
 
     def _finish(self, renderer: Renderer) -> None:
         """Complete the summary."""

@@ -86,7 +86,9 @@ Ring = tuple[int, int, int, struct.Struct, int]
 """Offset of a ring, size of an entry [bytes], number of entries, format of an entry, offset of the
 count."""
 CONTACT_RING: Ring = (AT_CONTACTS, 128, CONTACTS, CONTACT, 0)
+"""Ring of the contacts, written by the server."""
 TRACE_RING: Ring = (AT_TRACES, 64, TRACES, TRACE, 8)
+"""Ring of the traces, written by playback."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
 STATES: tuple[State, ...] = get_args(State)
@@ -282,7 +284,7 @@ class Shared:
     # Signs of life
 
     def beat(self) -> None:
-        """Give a sign of life of the server."""
+        """Count one more sign of life of the server."""
         NUMBER.pack_into(self._map, 24, self.beats + 1)
 
     @property

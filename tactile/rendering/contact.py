@@ -64,7 +64,7 @@ class Trajectory:
             raise InputError("normal_force: needs one value, or as many as time") from None
         self._check()
         samples = np.column_stack([self.position, self.normal_force])
-        with np.errstate(over="ignore"):  # 1 / (a subnormal slope): scipy takes the inverse again
+        with np.errstate(over="ignore"):  # scipy inverts subnormal slopes twice, which is harmless
             self._curve = PchipInterpolator(self.time, samples)
 
     def _check(self) -> None:

@@ -142,9 +142,9 @@ class Limiter:
         if change.max(initial=0.0) > self._step:
             for k, row in enumerate(wanted):
                 move = row - (wanted[k - 1] if k else self._last)
-                far = float(np.abs(move).max())
-                if far > self._step:
-                    row += move * (self._step / far - 1)
+                largest = float(np.abs(move).max())
+                if largest > self._step:
+                    row += move * (self._step / largest - 1)
                     self.guarded_samples += 1
         self._last = wanted[-1].copy()
         return wanted

@@ -63,6 +63,7 @@ from tactile.rendering.stroke import Stroke
 from tactile.texture.descriptor import Descriptor
 
 Pair = tuple[float, float]
+"""Vector, x and y."""
 
 STROKE_SHARE = 0.3
 """Largest part of the shear attained by full drive at rest that friction may take. The rest is for

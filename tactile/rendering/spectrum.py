@@ -433,8 +433,8 @@ class SpectrumRenderer:
         played = np.zeros((self._table.shape[1], len(index), self._table.shape[3]), np.complex64)
         for k in {int(load), math.ceil(load)}:
             table = self._table[k]
-            here = table[:, index]
-            played += (here + (table[:, index + 1] - here) * part) * np.float32(1 - abs(load - k))
+            lower = table[:, index]
+            played += (lower + (table[:, index + 1] - lower) * part) * np.float32(1 - abs(load - k))
         return played
 
     def _factor(self, velocity: Floats, force: float) -> Floats:

@@ -29,7 +29,9 @@ from tactile.display.display import Display
 from tactile.show.trace import TraceBins, braille
 
 Indices = NDArray[np.intp]
+"""Array of indices."""
 Line = list[Segment]
+"""Line of a picture, as styled pieces of text."""
 
 DECAY = 2.0
 """Time in which the image's scale falls to 1/e once the contactors move less [s]."""

@@ -155,10 +155,10 @@ def spend(
         return texture
     least = np.where(parts.silent, 0.0, 10 ** (-DISTANCE_DB / 10))
     budget = float(parts.cost.sum()) * (allowed.value / gain) ** 2
-    spent = weighted(texture, np.sqrt(weights(parts.felt, parts.cost, least, budget)))
+    candidate = weighted(texture, np.sqrt(weights(parts.felt, parts.cost, least, budget)))
     drive = able.drive_rms(stroke.lines(texture).times(allowed.value))
-    before, after = (level_at_drive(one, stroke, able, drive) for one in (texture, spent))
-    return spent if after > before else texture
+    before, after = (level_at_drive(one, stroke, able, drive) for one in (texture, candidate))
+    return candidate if after > before else texture
 
 
 def level_at_drive(texture: Texture, stroke: SteadyStroke, able: Reach, drive: float) -> float:
@@ -217,14 +217,14 @@ def parts_of(texture: Texture, stroke: SteadyStroke, able: Reach, channel: Touch
         frequency = np.abs(wave_vector @ along)
         lines = LineSpectrum(frequency, (amplitude * roll_off(frequency)) ** 2 / 2)
         band = perception.band_of(frequency)
-        here = np.zeros((count, len(CENTERS) + 1))
-        np.add.at(here, (part, band), lines.power)
-        audible = np.append(_felt_bands(here.sum(axis=0)[:-1], channel), False)[band]
+        by_band = np.zeros((count, len(CENTERS) + 1))
+        np.add.at(by_band, (part, band), lines.power)
+        audible = np.append(_felt_bands(by_band.sum(axis=0)[:-1], channel), False)[band]
         delivered = able.delivered(lines).power * audible
         share = delivered * 2 / channel.threshold(frequency) ** 2
         felt += np.bincount(part, share, count) / len(directions)
         cost += np.bincount(part, able.cost(frequency) * lines.power, count) / len(directions)
-        power = np.concatenate([power, here[None]])
+        power = np.concatenate([power, by_band[None]])
     return Parts(power, felt, cost)
 
 

@@ -221,12 +221,12 @@ def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -
         Response at the stroke's normal force, up to `HIGHEST` or half the sample rate.
     """
     frequency = np.arange(0.0, min(HIGHEST, sample_rate / 2) + GRID / 2, GRID)
-    here = replace(display, load=display.load_at(stroke.normal_force))
-    response = np.abs(here.responses(frequency, sample_rate)[0])
+    loaded = replace(display, load=display.load_at(stroke.normal_force))
+    response = np.abs(loaded.responses(frequency, sample_rate)[0])
     inverse = Renderer(display, None, sample_rate=sample_rate).filter
     place = np.interp(stroke.normal_force, display.load_forces, np.arange(len(inverse.taps)))
-    near = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
-    taps = inverse.mix @ np.tensordot(near, inverse.taps, axes=1)
+    weight = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
+    taps = inverse.mix @ np.tensordot(weight, inverse.taps, axes=1)
     turns = np.exp(-2j * np.pi / sample_rate * np.outer(np.arange(taps.shape[1]), frequency))
     gain = np.abs(taps @ turns)
     steepest = 2 * sample_rate * np.sin(np.pi * np.minimum(frequency / sample_rate, 0.5))

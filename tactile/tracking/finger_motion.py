@@ -33,8 +33,10 @@ import math
 from collections import deque
 
 Pair = tuple[float, float]
+"""Vector, x and y."""
 Triple = tuple[float, float, float]
 Numbers = list[float]
+"""State, or filter, as a list of plain numbers."""
 
 ACCELERATIONS = (0.02, 0.7, 5.0)
 """Standard deviation σ of the acceleration in each filter [m/s²]: a glide, a 1 Hz swing of 200 mm/s

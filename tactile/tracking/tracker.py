@@ -572,8 +572,8 @@ def _differ(one: Sample, next_one: Sample, *, contact: bool = True) -> bool:
 
     With ``contact``, also whether only one of them is in contact, or only one has a velocity.
     """
-    far = math.hypot(next_one.x - one.x, next_one.y - one.y)
-    if far > SMALLEST_LEAP and far > FASTEST * (next_one.time - one.time):
+    distance = math.hypot(next_one.x - one.x, next_one.y - one.y)
+    if distance > SMALLEST_LEAP and distance > FASTEST * (next_one.time - one.time):
         return True
     return contact and (
         (one.normal_force > 0) != (next_one.normal_force > 0)

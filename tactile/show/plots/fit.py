@@ -120,8 +120,8 @@ def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
             k, side.level - verdict.held_out, line, color=color, linewidth=1.8,
             label=f"{name}, {side.rms_db:.2f} dB rms",
         )  # fmt: skip
-    near = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
-    most = 1.1 * float(np.nanmax(np.abs(near))) + 1
+    errors = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
+    most = 1.1 * float(np.nanmax(np.abs(errors))) + 1
     axes.set(
         xscale="log", ylim=(-most, 1.8 * most), xlabel="spatial frequency [cycles/mm]",
         ylabel="above what was held out [dB]",

@@ -196,8 +196,8 @@ def _shift(places: Floats, direction: Floats) -> float:
     along = direction / max(float(np.linalg.norm(direction)), 1e-12)
     gap = (places[:, None] - places).reshape(-1, 2)
     ahead = gap @ along
-    aside = np.abs(gap @ np.array([-along[1], along[0]]))
-    beside = (ahead > 1e-6) & (aside < 0.1 * ahead)
+    across = np.abs(gap @ np.array([-along[1], along[0]]))
+    beside = (ahead > 1e-6) & (across < 0.1 * ahead)
     length = np.linalg.norm(gap, axis=1)
     return float(ahead[beside].min() if beside.any() else length[length > 0].min(initial=np.inf))
 

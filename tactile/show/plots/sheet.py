@@ -81,16 +81,16 @@ def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
     figure.set_layout_engine("none")
     _write(figure, MARGIN, size[1] - 0.3, f"{len(ordered)} textures", 15, weight="bold")
     ends = category_ends(ordered)
-    for k, one in enumerate(ordered):
+    for k, tile in enumerate(ordered):
         row, column = divmod(k, columns)
         left = MARGIN + column * CELL_WIDTH
         top = size[1] - HEAD - row * CELL_HEIGHT
-        if not column or ordered[k - 1].category != one.category:
+        if not column or ordered[k - 1].category != tile.category:
             last = (row + 1) * columns
-            count = sum(other.category == one.category for other in ordered[k:last])
-            again = k > 0 and ordered[k - 1].category == one.category
-            _category(figure, left, top, count, one.category, ends[one.category], again)
-        _draw(figure, left, top - RULE - GAP, one, ends[one.category])
+            count = sum(other.category == tile.category for other in ordered[k:last])
+            continued = k > 0 and ordered[k - 1].category == tile.category
+            _category(figure, left, top, count, tile.category, ends[tile.category], continued)
+        _draw(figure, left, top - RULE - GAP, tile, ends[tile.category])
     _legend(figure, speed)
     return figure
 
@@ -109,8 +109,8 @@ def category_ends(tiles: Sequence[Tile]) -> dict[str, float]:
         End of the color scale by category [m].
     """
     ends: dict[str, float] = {}
-    for one in tiles:
-        ends[one.category] = max(ends.get(one.category, 0.0), color_end(one.surface))
+    for tile in tiles:
+        ends[tile.category] = max(ends.get(tile.category, 0.0), color_end(tile.surface))
     return ends
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 
 import tactile.client
-import tactile.client.websocket  # loaded before the fork
+import tactile.client.websocket  # Loaded before the fork, so that programs begin sooner.
 from benchmarks.daemon import NAME, PATIENCE
 from tactile.client import RemoteDisplay
 from tactile.errors import ClientError

@@ -74,12 +74,13 @@ def measure_dask() -> Iterator[Figure]:
 
 def measure_million() -> Iterator[Figure]:
     """Measure memory and growth of time of a robust sweep over a million designs."""
-    if sys.platform == "win32":  # no accounting of a process's memory there
+    if sys.platform == "win32":  # Windows has no getrusage.
         return
     from resource import RUSAGE_SELF, getrusage
 
     rates = {}
-    with TemporaryDirectory() as folder:  # libraries are loaded
+    # A first small study loads the libraries, so that their time does not count.
+    with TemporaryDirectory() as folder:
         run_study(robust_study(SCENARIOS), store=Path(folder) / "study.zarr")
     for designs in DESIGNS:
         study = robust_study(designs)

@@ -210,7 +210,7 @@ class Tries:
             app.kill()
             app.join()
         if not outcomes.add(output, moment):
-            self._daemon.close()  # what is left of it would spoil the next try
+            self._daemon.close()  # Its remains would spoil the next try.
 
     def _playing(self, sound: str) -> BaseProcess:
         """Return an app that plays."""
@@ -219,7 +219,8 @@ class Tries:
             self._recorder.read()
             if self._is_heard(app):
                 return app
-            if app.is_alive():  # else it met playback as it was started again
+            # An app that ended met playback while that was started again.
+            if app.is_alive():
                 self._daemon.close()
                 self._daemon.start()
             app.kill()

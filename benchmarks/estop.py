@@ -279,7 +279,7 @@ def is_refused(display: RemoteDisplay) -> bool:
     while time.monotonic() < deadline:
         try:
             display.arm(timeout=PATIENCE)
-        except ClientError as error:  # one that is not connected connects again
+        except ClientError as error:  # A client that has lost its connection connects again.
             if isinstance(error, RequestError) and error.code == "estopped":
                 return True
         else:

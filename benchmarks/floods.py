@@ -190,7 +190,7 @@ def drain(link: socket.socket) -> None:
 def open_connections(load: Burden, port: int, rate: float, seconds: float) -> None:
     """Open connections that send nothing; only the last few of them stay open."""
     links: deque[socket.socket] = deque()
-    at_once = struct.pack("ii", 1, 0)  # closed by a reset: no port is kept waiting
+    at_once = struct.pack("ii", 1, 0)  # Closing by a reset keeps no port in TIME_WAIT.
     for count in paced(load, rate, seconds):
         for _ in range(count):
             link = socket.socket()

@@ -122,7 +122,7 @@ def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
                 drain(link)
                 time.sleep(rng.choice([0, 0, 0.002, 0.01]))
         except OSError:
-            pass  # the server closed it
+            pass  # The server has closed the connection.
         hang_up(link)
         load.count(1)
 

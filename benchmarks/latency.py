@@ -72,7 +72,7 @@ class Traced:
         self._playing, self._next, self._touch = playing, 0, playing.touch
         self.traces: list[BlockTrace] = []
         self.numbers: list[int] = []
-        """Of the messages whose contacts came, in that order; the client drops what is old."""
+        """Numbers of the messages whose contacts came, in order; the client drops outdated ones."""
         setattr(playing, "touch", self._noted)  # noqa: B010
 
     def _noted(self, client: int, touch: Touch) -> None:

@@ -46,12 +46,12 @@ def power_below(kind: Events, wave_number: Floats, angle: float = 0.0) -> Floats
     """
     sigma = kind.width_mm * MILLI / FWHM
     square = (kind.amplitude_um * MICRO) ** 2 * np.exp(2 * kind.amplitude_sd**2)
-    whole = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
+    total = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
     u = np.minimum(np.asarray(wave_number) * sigma, ALL)
     if kind.shape == "pulse":
-        return np.asarray(whole * erf(u))
+        return np.asarray(total * erf(u))
     along = np.cos(angle - np.radians(kind.direction_deg)) ** 2
-    return np.asarray(whole * np.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
+    return np.asarray(total * np.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
 
 
 def mean_square(kind: Events) -> float:

@@ -221,15 +221,15 @@ def measure_slides(
     """
     _check_together(recordings, noise)
     progress("strokes")
-    usual = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
-    reference = reference_speed or float(np.exp(np.log(usual).mean()))
+    median_speeds = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
+    reference = reference_speed or float(np.exp(np.log(median_speeds).mean()))
     center = centers_at(reference)
     step = 1 / (2 * OVERSAMPLING * third_octaves(center)[-1])
     slides = [_slide(r, step, measures.SHORTEST / center[0]) for r in recordings]
     progress("lines")
-    whole = [u for s in slides for u in s.strokes]
+    strokes = [u for s in slides for u in s.strokes]
     lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
-    gratings = find_gratings(whole, step, lows, third_octaves(center)[-1])
+    gratings = find_gratings(strokes, step, lows, third_octaves(center)[-1])
     slides = [changed(s, bare=[without(u, step, gratings) for u in s.strokes]) for s in slides]
     progress("bands")
     level = np.array([_level(s, step, center, noise) for s in slides])
@@ -341,13 +341,13 @@ def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floa
     their own line, with `SCATTER` as two more of them.
     """
     lever = 20 * np.log10(np.stack([speed, force], axis=1))
-    lever, about = lever - lever.mean(axis=0), level - level.mean()
-    line = np.linalg.lstsq(lever, about, rcond=None)[0]
-    squared_error = float(np.sum((about - lever @ line) ** 2))
+    lever, deviation = lever - lever.mean(axis=0), level - level.mean()
+    line = np.linalg.lstsq(lever, deviation, rcond=None)[0]
+    squared_error = float(np.sum((deviation - lever @ line) ** 2))
     scatter = (2 * SCATTER**2 + squared_error) / max(len(level), 2)
     prior, spread = np.transpose([SPEED_PRIOR, FORCE_PRIOR])
     covariance = np.linalg.inv(lever.T @ lever / scatter + np.diag(spread**-2))
-    estimate = covariance @ (lever.T @ about / scatter + prior / spread**2)
+    estimate = covariance @ (lever.T @ deviation / scatter + prior / spread**2)
     return estimate, np.sqrt(np.diag(covariance))
 
 

@@ -202,11 +202,11 @@ def background(power: Floats, number: Floats) -> Floats:
     mean = np.bincount(ring, log.ravel()) / np.maximum(np.bincount(ring), 1)
     along = mean[ring].reshape(log.shape)
     near = 2 * NEAR - 1
-    wide, middle = (
+    wide_sum, near_sum = (
         uniform_filter(log - along, size, mode=["wrap", "reflect"]) * size**2
         for size in (WIDE, near)
     )
-    return np.asarray(np.exp(along + (wide - middle) / (WIDE**2 - near**2) + EULER))
+    return np.asarray(np.exp(along + (wide_sum - near_sum) / (WIDE**2 - near**2) + EULER))
 
 
 def _at(values: NDArray[Any], row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[Any]:

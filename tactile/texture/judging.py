@@ -114,8 +114,8 @@ def halves(recordings: Sequence[Recorded]) -> list[Recorded]:
     """
     if len(recordings) > 1:
         return list(recordings)
-    whole, middle = recordings[0], len(recordings[0].signal) // 2
-    return [_cut(whole, slice(None, middle)), _cut(whole, slice(middle, None))]
+    recording, middle = recordings[0], len(recordings[0].signal) // 2
+    return [_cut(recording, slice(None, middle)), _cut(recording, slice(middle, None))]
 
 
 def _cut(whole: Recorded, part: slice) -> Recorded:
@@ -169,16 +169,16 @@ def fit_texture(
     InputError
         If the recordings differ in quantity or calibration, are not steady, or cover too little.
     """
-    found = measure_slides(
+    measured = measure_slides(
         recordings, noise=noise, reference_speed=reference_speed, progress=progress
     )
-    fit = describe(found, about, progress)
+    fit = describe(measured, about, progress)
     if len(recordings) == 1:
-        found = measure_slides(
-            halves(recordings), noise=noise, reference_speed=found.reference, progress=progress
+        measured = measure_slides(
+            halves(recordings), noise=noise, reference_speed=measured.reference, progress=progress
         )
     progress("judging")
-    return fit, judge(found, about)
+    return fit, judge(measured, about)
 
 
 def judge(found: RecordingMeasures, about: About) -> Verdict:

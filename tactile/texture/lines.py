@@ -97,6 +97,7 @@ def peaks(stroke: Floats, step: float, low: float, high: float, prominence: floa
     peak_index = peak_index[
         (peak_index > 0) & (peak_index < len(searched) - 1) & (searched[peak_index] >= low)
     ]
+    # The vertex of a parabola through three bins of log power gives the place between bins.
     left, middle, right = (np.log(power[peak_index + k]) for k in (-1, 0, 1))
     offset = 0.5 * (left - right) / (left - 2 * middle + right)
     return np.asarray(searched[peak_index] + offset * (searched[1] - searched[0]))
@@ -110,8 +111,8 @@ def _surroundings(frequency: Floats, power: Floats) -> Floats:
     even = np.geomspace(frequency[0], frequency[-1], 2 * len(frequency))
     octaves = np.log2(frequency[-1] / frequency[0])
     size = max(int(len(even) * NEIGHBORHOOD / octaves), 9)
-    middle = median_filter(np.interp(even, frequency, power), size, mode="reflect")
-    return np.asarray(np.interp(frequency, even, middle / np.log(2)))
+    median = median_filter(np.interp(even, frequency, power), size, mode="reflect")
+    return np.asarray(np.interp(frequency, even, median / np.log(2)))
 
 
 def common_lines(

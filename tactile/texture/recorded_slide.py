@@ -145,21 +145,21 @@ def load_recorded(
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: is no recording; a .wav, .csv or .npz is")
     columns, rate = readers[path.suffix.lower()](path, quantity)
-    name, own = next((n, c) for n, c in COLUMNS.items() if n in columns)
-    signal = columns[name] * own[1]
-    whole = path.suffix.lower() == ".wav"
+    name, column = next((n, c) for n, c in COLUMNS.items() if n in columns)
+    signal = columns[name] * column[1]
+    is_wav = path.suffix.lower() == ".wav"
     _check(path, signal, rate)
-    scale = (full_scale if full_scale is not None else 1.0) / own[1] if whole else 1.0
+    scale = (full_scale if full_scale is not None else 1.0) / column[1] if is_wav else 1.0
     sides = {side: columns[side] * unit for side, unit in SIDES.items() if side in columns}
     return Recorded(
         name=path.name,
         signal=signal * scale,
-        quantity=own[0],
+        quantity=column[0],
         sample_rate=rate,
         speed=_side(path, "speed_mm_s", sides, speed, signal),
         normal_force=_side(path, "normal_force_n", sides, normal_force, signal, needed=False),
         tangential_force=sides.get("tangential_force_n"),
-        calibrated=not whole or full_scale is not None,
+        calibrated=not is_wav or full_scale is not None,
     )
 
 
@@ -186,22 +186,22 @@ def _side(
 
 def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
     """Read a WAV file, full scale 1, and return its column and sample rate [Hz]."""
-    raw = reading.contents(path, LARGEST_WAV)  # whatever its header claims
+    raw = reading.contents(path, LARGEST_WAV)  # the size is limited whatever its header claims
     with warnings.catch_warnings(record=True) as warnings_raised:
         warnings.simplefilter("always", wavfile.WavFileWarning)
         try:
             rate, data = wavfile.read(io.BytesIO(raw))
-        except Exception as error:  # of many kinds, struct.error among them
+        except Exception as error:  # scipy raises many types, struct.error among them
             raise InputError(f"{path}: no WAV that can be read: {_line(error)}") from error
     if any("EOF" in str(warning.message) for warning in warnings_raised):
         raise InputError(f"{path}: is cut off; copy it again")
     if data.ndim != 1:
         raise InputError(f"{path}: has {data.shape[1]} channels; a recording has one")
-    middle = 128 if data.dtype == np.uint8 else 0
+    zero = 128 if data.dtype == np.uint8 else 0
     full = -float(np.iinfo(data.dtype).min) if data.dtype.kind == "i" else 1.0
     full = 128.0 if data.dtype == np.uint8 else full
     name = next(n for n, (known, _) in COLUMNS.items() if known == quantity)
-    return {name: (data.astype(np.float64) - middle) / full}, float(rate)
+    return {name: (data.astype(np.float64) - zero) / full}, float(rate)
 
 
 def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
@@ -214,12 +214,12 @@ def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
     if len(table) < 2:
         raise InputError(f"{path}: has {len(table)} rows; a recording has seconds")
     step = np.diff(table[:, 0])
-    usual = float(np.median(step))
-    worst = int(np.argmax(np.abs(step - usual)))
-    if usual <= 0 or abs(step[worst] - usual) > JITTER * usual + 1e-6:
+    median_step = float(np.median(step))
+    worst = int(np.argmax(np.abs(step - median_step)))
+    if median_step <= 0 or abs(step[worst] - median_step) > JITTER * median_step + 1e-6:
         raise InputError(
             f"{path}: line {worst + 3}: time_s goes on by {step[worst]:g} s, elsewhere by "
-            f"{usual:g} s; must be even"
+            f"{median_step:g} s; must be even"
         )
     rate = (len(table) - 1) / float(table[-1, 0] - table[0, 0])
     return {name: table[:, i] for i, name in enumerate(names) if i}, rate
@@ -246,8 +246,8 @@ def _npz(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
                 f"{path}: {n} has {array.shape[0]} values for {len(arrays[name])} samples"
             )
     count = len(arrays[name])
-    whole = {n: np.broadcast_to(a.astype(np.float64), (count,)) for n, a in arrays.items()}
-    return whole, rate
+    columns = {n: np.broadcast_to(a.astype(np.float64), (count,)) for n, a in arrays.items()}
+    return columns, rate
 
 
 def _signal_of(path: Path, names: list[str]) -> str:

@@ -127,6 +127,7 @@ def leveled(height: Floats) -> tuple[Floats, float]:
     """
     y, x = (np.linspace(-1, 1, n) for n in height.shape)
     rest = height - height.mean()
+    # Adding 0 * rest broadcasts the squares of a base to the shape of the picture.
     for base in (x[None, :], y[:, None]):
         rest = rest - base * (np.sum(rest * base) / np.sum(base**2 + 0 * rest))
     sag = np.zeros_like(rest)
@@ -344,8 +345,8 @@ def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
     spectrum *= np.where(number <= EDGES[-1], 1 / np.sqrt(1 + ratio**-8), 0)
     kurtosis, power = _moments(irfft2(spectrum, height.shape), pixel)
     noise = rfft2(np.random.default_rng(0).standard_normal(height.shape))
-    drawn = np.abs(spectrum) * noise / np.maximum(np.abs(noise), 1e-300)
-    by_chance, power_by_chance = _moments(irfft2(drawn, height.shape), pixel)
+    random_spectrum = np.abs(spectrum) * noise / np.maximum(np.abs(noise), 1e-300)
+    by_chance, power_by_chance = _moments(irfft2(random_spectrum, height.shape), pixel)
     excess = max(kurtosis - by_chance, 0.0)
     if min(height.shape) * pixel < PATCHES / CORNER:
         return Unsteadiness(excess, None)

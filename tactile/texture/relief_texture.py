@@ -120,18 +120,18 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
             f"{SHORTEST * 1e3:g} mm, four periods of 0.5 cycles/mm"
         )
     height, sag = leveled(relief.height[::-1])
-    whole = spectrum_of(height, relief.pixel)
+    spectrum = spectrum_of(height, relief.pixel)
     lines, rest = take_lines(height, relief.pixel, finest=EDGES[-1], least=ROUNDING * relief.level)
     rest, gratings = leveled(rest)[0], gather(lines, relief.side)
-    periodic = tuple(_periodic(one, whole) for one in gratings)
+    periodic = tuple(_periodic(grating, spectrum) for grating in gratings)
     has_random_part = not gratings or rest.std() > ROUNDING * relief.level
     notes = list(relief.notes)
     stochastic, orientation = None, Orientation(0.0, None, 0.0)
     if has_random_part:
-        stochastic, orientation = _stochastic(rest, relief, whole, notes)
+        stochastic, orientation = _stochastic(rest, relief, spectrum, notes)
     else:
         notes.append("no random part: beside its gratings the picture holds only rounding")
-    finest = float(whole.rms_slope(EDGES[-1:])[0])
+    finest = float(spectrum.rms_slope(EDGES[-1:])[0])
     _note_steepness(finest, notes)
     return Relief(
         descriptor=Descriptor(
@@ -148,7 +148,7 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         rms_slope=finest,
         contact_share=float(skin.share_in_contact(finest)),
         resultant=orientation.resultant,
-        outside=_outside(whole),
+        outside=_outside(spectrum),
         notes=tuple(notes),
     )
 
@@ -168,7 +168,7 @@ def check_name(name: str, category: str) -> None:
     InputError
         If it cannot. The message names the nearest category.
     """
-    categories = [str(one) for one in get_args(About.__annotations__["category"])]
+    categories = [str(known) for known in get_args(About.__annotations__["category"])]
     if category not in categories:
         raise InputError(f"category {category!r}: unknown; {files.nearest(category, categories)}")
     if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", name):

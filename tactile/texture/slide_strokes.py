@@ -155,6 +155,7 @@ def displacement(
     rise = np.clip((frequency / low - (1 - ROLL)) / ROLL, 0, 1)
     fall = np.clip(((1 + ROLL) - frequency / high) / ROLL, 0, 1)
     weight = np.sin(np.pi / 2 * rise) ** 2 * np.sin(np.pi / 2 * fall) ** 2
+    # The limit avoids a division by zero; the weight is zero below 0.8 of the lower edge.
     omega = 2j * np.pi * np.maximum(frequency, low / 2)
     spectrum = np.fft.rfft(plain) * weight / omega ** INTEGRATIONS[quantity]
     return np.asarray(np.fft.irfft(spectrum, len(plain)))

@@ -394,6 +394,7 @@ def _powers(share: Floats, ring: NDArray[np.intp]) -> Floats:
     ring_power = membership @ nnls(share @ membership, np.ones(rows))[0]
     ring_power = np.maximum(ring_power, 1e-6 * ring_power.max())
     weight = NEARNESS * np.sqrt(rows / BANDS)
+    # Rows below those of the bands pull the power of each wave, relative to its ring, to 1.
     matrix = np.concatenate([share * ring_power, weight * np.eye(count)])
     target = np.concatenate([np.ones(rows), np.full(count, weight)])
     return np.asarray(ring_power * nnls(matrix, target)[0])

@@ -267,10 +267,12 @@ def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str])
     """Return parameters and curves as a band with a segment each."""
     segments = []
     for i, entry in enumerate(pattern.pattern):
-        one, curve = entry.parameter, entry.parameter_curve
-        if one:
+        parameter, curve = entry.parameter, entry.parameter_curve
+        if parameter:
             curve = ParameterCurve(
-                one.parameter_id, (ControlPoint(0.0, one.parameter_value),), one.time
+                parameter.parameter_id,
+                (ControlPoint(0.0, parameter.parameter_value),),
+                parameter.time,
             )
         if curve is None:
             continue

@@ -220,8 +220,8 @@ def convert_file(
                 raise InputError("--speed-mm-s: has no use where an effect stays an effect")
             lost = notes + save_effect(effect, target, force=force)
             return _effect_conversion(effect, lost)
-        texture, more = surface_effect.texture_from(effect, speed, target.stem, path.name)
-        notes += more
+        texture, further_notes = surface_effect.texture_from(effect, speed, target.stem, path.name)
+        notes += further_notes
     if target.suffix == ".toml":
         _save_texture(texture, target, force=force)
         return Conversion("texture", tuple(notes))
@@ -229,8 +229,10 @@ def convert_file(
         raise InputError(
             f"{target}: a texture lives in space: --speed-mm-s says how fast the finger moves"
         )
-    effect, more = surface_effect.effect_of(texture, speed)
-    return _effect_conversion(effect, notes + more + save_effect(effect, target, force=force))
+    effect, further_notes = surface_effect.effect_of(texture, speed)
+    return _effect_conversion(
+        effect, notes + further_notes + save_effect(effect, target, force=force)
+    )
 
 
 def _effect_conversion(effect: Effect, lost: list[str]) -> Conversion:
@@ -275,8 +277,8 @@ def _checked_target(path: Path, *, force: bool) -> None:
 
 def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
     """Write a texture under the name of its file, after a check that it can be read back."""
-    about = msgspec.structs.replace(texture.texture, id=target.stem)
-    content = _as_toml(msgspec.structs.replace(texture, texture=about))
+    identity = msgspec.structs.replace(texture.texture, id=target.stem)
+    content = _as_toml(msgspec.structs.replace(texture, texture=identity))
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / target.name
         trial.write_bytes(content)

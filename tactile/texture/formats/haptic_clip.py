@@ -232,8 +232,8 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
     if taps:
         bands.append(Band(kind="transient", lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,
                           segments=(KeyframeSegment(keyframes=taps),)))  # fmt: skip
-    about = {**msgspec.to_builtins(clip.metadata), "tags": list(clip.metadata.tags)}
-    other = {k: v for k, v in about.items() if v and k != "description"}
+    metadata = {**msgspec.to_builtins(clip.metadata), "tags": list(clip.metadata.tags)}
+    other = {k: v for k, v in metadata.items() if v and k != "description"}
     effect = single(tuple(bands), origin="haptic", ticks_per_s=FINE, other=other,
                     description=clip.metadata.description)  # fmt: skip
     return effect, ignored
@@ -317,8 +317,8 @@ def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:
 def _metadata(effect: Effect) -> Metadata:
     """Return the metadata of an effect, those of its own file included."""
     other = effect.other if effect.origin == "haptic" else {}
-    about = {**other, "description": effect.description}
-    return reading.fitted(Path("effect.other"), about, Metadata)
+    fields = {**other, "description": effect.description}
+    return reading.fitted(Path("effect.other"), fields, Metadata)
 
 
 def _within(value: float) -> float:

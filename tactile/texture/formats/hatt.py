@@ -142,11 +142,13 @@ class ModelSet:
         target = np.clip([speed, normal_force], self.point.min(axis=0), largest) / largest
         corner = (self.point / largest)[self.triangle]
         edges = np.stack([corner[:, 0] - corner[:, 2], corner[:, 1] - corner[:, 2]], axis=2)
+        # Barycentric weights of the point in each triangle; flat triangles have none.
         flat = np.abs(np.linalg.det(edges)) < 1e-12
         edges[flat] = np.eye(2)
         part = np.linalg.solve(edges, (target - corner[:, 2])[:, :, None])[:, :, 0]
         weight = np.column_stack([part, 1 - part.sum(axis=1)])
         weight[flat] = -np.inf
+        # If no triangle contains the point, the one that comes nearest to doing so is taken.
         best = int(np.argmax(weight.min(axis=1)))
         inside = np.clip(weight[best], 0, None)
         return self.triangle[best], inside / inside.sum()
@@ -229,7 +231,7 @@ def _circle(angle: Floats, real: list[float]) -> Floats:
     return np.asarray(np.real(np.poly(zeros)))
 
 
-# Reading
+# Reading of a file
 
 
 def load_model(path: Path) -> ModelSet:
@@ -340,7 +342,7 @@ def _triangles(path: Path, root: ElementTree.Element, count: int) -> NDArray[np.
     return np.array(rows).astype(np.intp) - 1
 
 
-# As a texture
+# Conversion to a texture
 
 
 def texture_from(

@@ -387,7 +387,7 @@ def _segment(
     )  # fmt: skip
 
 
-# Writing
+# Writing of a file
 
 
 class _Writer:
@@ -400,15 +400,15 @@ class _Writer:
 
     def ticks(self, seconds: float) -> int:
         """Return a time in whole ticks, and count it if it was rounded."""
-        whole = round(seconds * self.timescale)
-        self.rounded_times += abs(whole - seconds * self.timescale) > 1e-6
-        return whole
+        ticks = round(seconds * self.timescale)
+        self.rounded_times += abs(ticks - seconds * self.timescale) > 1e-6
+        return ticks
 
     def hertz(self, frequency: float) -> int:
         """Return a frequency in whole Hz, and count it if it was rounded."""
-        whole = round(max(frequency, 0.0))
-        self.rounded_hertz += whole != frequency
-        return whole
+        hertz = round(max(frequency, 0.0))
+        self.rounded_hertz += hertz != frequency
+        return hertz
 
     def other(self, fields: dict[str, Any]) -> dict[str, Any]:
         """Return the fields of ``other`` to write, none for a document of another origin."""
@@ -468,8 +468,8 @@ def _with_ticks_for_samples(effect: Effect) -> Effect:
             "file would do"
         )
     rate = max(rate for rate, _ in sampled)
-    whole = rate if rate == int(rate) and rate <= 48_000 else 48_000
-    return msgspec.structs.replace(effect, ticks_per_s=int(whole))
+    ticks_per_s = rate if rate == int(rate) and rate <= 48_000 else 48_000
+    return msgspec.structs.replace(effect, ticks_per_s=int(ticks_per_s))
 
 
 def _perception_out(writer: _Writer, p: Perception) -> dict[str, Any]:
@@ -491,27 +491,27 @@ def _perception_out(writer: _Writer, p: Perception) -> dict[str, Any]:
 def _device_out(writer: _Writer, d: ReferenceDevice, unit: float) -> dict[str, Any]:
     """Return a device as an object of the file."""
     reach = d.maximum_displacement_mm
-    said = {
+    limits = {
         "minimum_frequency": d.minimum_frequency_hz, "maximum_frequency": d.maximum_frequency_hz,
         "resonance_frequency": d.resonance_frequency_hz, "maximum_voltage": d.maximum_voltage_v,
         "maximum_displacement": None if reach is None else reach * unit,
     }  # fmt: skip
-    known = {k: v for k, v in said.items() if v is not None}
-    return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **known}
+    present = {k: v for k, v in limits.items() if v is not None}
+    return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **present}
 
 
 def _channel_out(writer: _Writer, perception: Perception, channel: EffectChannel) -> dict[str, Any]:
     """Return a channel as an object of the file."""
-    whole = without_control(perception, channel)
-    if whole is not channel:
+    plain = without_control(perception, channel)
+    if plain is not channel:
         writer.lost.append(f"channel {channel.id}: control curves are worked into its keyframes")
-    device = whole.reference_device_id
+    device = plain.reference_device_id
     return {
-        **writer.other(whole.other), "id": whole.id, "description": whole.description,
-        "gain": whole.gain, "mixing_coefficient": whole.mixing_coefficient,
-        "body_part_mask": whole.body_part_mask,
+        **writer.other(plain.other), "id": plain.id, "description": plain.description,
+        "gain": plain.gain, "mixing_coefficient": plain.mixing_coefficient,
+        "body_part_mask": plain.body_part_mask,
         **({} if device is None else {"reference_device_id": device}),
-        "bands": [_band_out(writer, b) for b in whole.bands if b.kind != "control"],
+        "bands": [_band_out(writer, b) for b in plain.bands if b.kind != "control"],
     }  # fmt: skip
 
 
@@ -543,19 +543,19 @@ def _as_keyframes(band: Band, segment: KeyframeSegment) -> KeyframeSegment:
 
 def _segment_out(writer: _Writer, kind: str, s: KeyframeSegment) -> dict[str, Any]:
     """Return a segment as an object of the file."""
-    said = {
+    optional = {
         "id": s.id, "phase": s.phase_rad, "base_signal": s.base_signal,
         "semantic_keywords": s.keywords,
     }  # fmt: skip
     if kind == "wave" and not writer.ours and s.type == "Basis":
-        said["phase"], said["base_signal"] = s.phase_rad or 0.0, s.base_signal or "Sine"
-    out = {
+        optional["phase"], optional["base_signal"] = s.phase_rad or 0.0, s.base_signal or "Sine"
+    fields = {
         **writer.other(s.other), "effect_type": s.type, "position": writer.ticks(s.start_s),
-        **{k: v for k, v in said.items() if v is not None},
+        **{k: v for k, v in optional.items() if v is not None},
     }  # fmt: skip
     if s.keyframes or not (s.other or s.type == "Reference"):
-        out["keyframes"] = [_keyframe_out(writer, k) for k in s.keyframes]
-    return out
+        fields["keyframes"] = [_keyframe_out(writer, k) for k in s.keyframes]
+    return fields
 
 
 def _keyframe_out(writer: _Writer, k: Keyframe) -> dict[str, Any]:

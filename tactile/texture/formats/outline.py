@@ -151,12 +151,12 @@ def of_channel(perception: Perception, channel: EffectChannel) -> Outline:
     Outline
         Outline, which may be empty.
     """
-    whole, lost = without_control(perception, channel), []
-    if whole is not channel:
+    uncontrolled, lost = without_control(perception, channel), []
+    if uncontrolled is not channel:
         lost.append("control curves are worked into the envelopes")
     bands = [
         msgspec.structs.replace(b, segments=tuple(resolved(perception, s) for s in b.segments))
-        for b in whole.bands
+        for b in uncontrolled.bands
     ]
     waves = sorted((s for b in bands if b.kind == "wave" for s in b.segments if s.keyframes),
                    key=lambda s: s.start_s)  # fmt: skip
@@ -228,14 +228,14 @@ def _measured_envelopes(
     x = synthesize(Effect(perceptions=(alone,)), RATE)[:, 0]
     size = round(WINDOW * RATE)
     x = np.pad(x, (0, -len(x) % size)).reshape(-1, size)
-    middle = (np.arange(len(x)) + 0.5) * WINDOW
+    middle_time = (np.arange(len(x)) + 0.5) * WINDOW
     crossings = np.count_nonzero(np.diff(np.signbit(x), axis=1), axis=1)
     pitch = np.where(crossings > 0, crossings / 2 / (WINDOW - 1 / RATE), PLAIN)
     peak = np.abs(x).max(axis=1)
-    times = [0.0, *middle.tolist(), len(x) * WINDOW]
+    times = [0.0, *middle_time.tolist(), len(x) * WINDOW]
     amplitude = list(zip(times, [peak[0], *peak, peak[-1]], strict=True)) if len(x) else []
     return [(t, float(a)) for t, a in amplitude], list(
-        zip(middle.tolist(), pitch.tolist(), strict=True)
+        zip(middle_time.tolist(), pitch.tolist(), strict=True)
     )
 
 

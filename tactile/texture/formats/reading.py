@@ -251,5 +251,5 @@ def told(what: str, names: Iterator[str] | list[str]) -> list[str]:
         f"{what} {name}" + (f" ({count} times)" if count > 1 else "")
         for name, count in counts.items()
     ]
-    more = len(lines) - MOST_LINES
-    return lines if more <= 1 else [*lines[:MOST_LINES], f"{what} {more} more names"]
+    remaining = len(lines) - MOST_LINES
+    return lines if remaining <= 1 else [*lines[:MOST_LINES], f"{what} {remaining} more names"]

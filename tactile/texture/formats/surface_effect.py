@@ -110,23 +110,25 @@ def _partials(texture: Descriptor) -> Partials:
     gratings = sum(
         len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in texture.periodic
     )
-    drawn = np.zeros((0, 2)), np.zeros(0)
+    stochastic_part = np.zeros((0, 2)), np.zeros(0)
     if texture.stochastic:
-        drawn = stochastic_waves(texture.stochastic, max(PARTIALS - gratings, PARTIALS // 2))
-    return Texture(texture.texture.id, texture, *drawn, np.zeros(0), np.zeros(0)).partials
+        stochastic_part = stochastic_waves(
+            texture.stochastic, max(PARTIALS - gratings, PARTIALS // 2)
+        )
+    return Texture(texture.texture.id, texture, *stochastic_part, np.zeros(0), np.zeros(0)).partials
 
 
 def _lines(partials: Partials, speed: float) -> tuple[Floats, Floats, Floats, float]:
     """Return whole Hz, peaks [m], phases of a sine [rad], and the share of power left out."""
     signed = partials.wave_vector[:, 0] * speed / (2 * np.pi)
-    whole = np.rint(np.abs(signed)).astype(np.intp)
+    rounded = np.rint(np.abs(signed)).astype(np.intp)
     phase = np.where(signed < 0, -partials.phase, partials.phase) + np.pi / 2
-    in_range = (whole >= 1) & (whole <= TOP) & (partials.amplitude > 0)
-    power = np.bincount(whole[in_range], partials.amplitude[in_range] ** 2, TOP + 1)
+    in_range = (rounded >= 1) & (rounded <= TOP) & (partials.amplitude > 0)
+    power = np.bincount(rounded[in_range], partials.amplitude[in_range] ** 2, TOP + 1)
     order = np.argsort(partials.amplitude)
     strongest = np.zeros(TOP + 1)
     ascending = order[in_range[order]]
-    strongest[whole[ascending]] = phase[ascending]
+    strongest[rounded[ascending]] = phase[ascending]
     hertz = np.flatnonzero(power)
     share = 1 - power.sum() / max(float(np.sum(partials.amplitude**2)), 1e-30)
     turned = (strongest[hertz] + np.pi) % (2 * np.pi) - np.pi
@@ -205,7 +207,7 @@ def texture_from(
     gratings, dropped = _gratings(perception, channel, speed * 1e3, reach * abs(channel.gain))
     if not gratings:
         raise InputError(f"{source}: has no oscillation that could be a grating")
-    category, more = _category(perception, channel)
+    category, category_notes = _category(perception, channel)
     texture = Descriptor(
         texture=About(
             id=name, category=category, provenance="authored", source=reading.one_line(source),  # type: ignore[arg-type]
@@ -214,7 +216,7 @@ def texture_from(
         reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=1.0),
         periodic=tuple(gratings),
     )  # fmt: skip
-    return texture, lost + assumed + dropped + more
+    return texture, lost + assumed + dropped + category_notes
 
 
 def _reach(perception: Perception, channel: EffectChannel) -> tuple[float, list[str]]:
@@ -253,8 +255,8 @@ def _gratings(
     gratings.sort(key=lambda p: -p.harmonics_um[0])
     lost = []
     if wrong or len(gratings) > MOST_GRATINGS:
-        left = wrong + max(len(gratings) - MOST_GRATINGS, 0)
-        lost.append(f"{left} effects are no grating of 0.02 … 100 mm, or too many: left out")
+        dropped = wrong + max(len(gratings) - MOST_GRATINGS, 0)
+        lost.append(f"{dropped} effects are no grating of 0.02 … 100 mm, or too many: left out")
     if varying:
         lost.append(f"{varying} oscillations change over time: their mean is taken")
     return gratings[:MOST_GRATINGS], lost

@@ -161,8 +161,8 @@ def synthesize(effect: Effect, sample_rate: float) -> Floats:
 
 def _signal(perception: Perception, channel: EffectChannel, count: int, rate: float) -> Floats:
     """Return the samples (S,) of a channel."""
-    whole, samples = without_control(perception, channel), np.zeros(count)
-    for band in whole.bands:
+    uncontrolled, samples = without_control(perception, channel), np.zeros(count)
+    for band in uncontrolled.bands:
         for segment in band.segments:
             played = resolved(perception, segment)
             first = min(int(np.ceil(played.start_s * rate - 1e-9)), count)
@@ -224,11 +224,11 @@ def _turns(time: Floats, at: Floats, frequency: Floats) -> Floats:
     if at[0] > 0:
         at, frequency = np.append(0.0, at), np.append(frequency[0], frequency)
     step = np.diff(at)
-    whole = np.append(0.0, np.cumsum(step * (frequency[1:] + frequency[:-1]) / 2))
+    turns_at_points = np.append(0.0, np.cumsum(step * (frequency[1:] + frequency[:-1]) / 2))
     slope = np.append(np.diff(frequency) / np.where(step > 0, step, np.inf), 0.0)
     k = np.maximum(np.searchsorted(at, time, side="right") - 1, 0)
-    rest = time - at[k]
-    return np.asarray(whole[k] + rest * (frequency[k] + slope[k] * rest / 2))
+    elapsed = time - at[k]
+    return np.asarray(turns_at_points[k] + elapsed * (frequency[k] + slope[k] * elapsed / 2))
 
 
 def _curve(segment: KeyframeSegment, curve_type: str, time: Floats) -> Floats:
@@ -261,7 +261,7 @@ def _tap_shape(keyframe: Keyframe) -> tuple[int, float]:
     return max(1, round(frequency * TRANSIENT)), max(frequency, 1.0)
 
 
-# Control
+# Control curves
 
 
 def control(channel: EffectChannel, name: str) -> Floats | None:

@@ -157,6 +157,7 @@ class ReferenceAmplifier(Machine):
         return self.state == State.RUNNING and start.position == self._start_position
 
     def _hello(self, hello: m.Hello) -> Reply:
+        """Handle HELLO: take a new session, and answer with CAPS."""
         if hello.major != MAJOR:
             return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
         if hello.session not in (0, self.session):
@@ -173,13 +174,16 @@ class ReferenceAmplifier(Machine):
         )  # fmt: skip
 
     def _time(self, time: m.Time) -> Reply:
+        """Handle TIME."""
         return m.TimeReply(time.host_time, self._now, self._now)
 
     def _take_sync(self, sync: m.Sync) -> Reply:
+        """Handle SYNC."""
         self._sync = (sync.index, self._now)
         return None
 
     def _arm(self, arm: m.Arm) -> Reply:
+        """Handle ARM."""
         if arm.mode > Mode.SPECTRUM:
             return Refusal(NakCode.RANGE, 1)
         rate = arm.sample_rate_hz
@@ -196,6 +200,7 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _start(self, start: m.Start) -> Reply:
+        """Handle START."""
         if self._repeated(start):
             return None
         if self._mode == Mode.SPECTRUM and not len(self._increments):
@@ -209,22 +214,26 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _stop(self, stop: m.Stop) -> Reply:
+        """Handle STOP."""
         self._to(TABLE["stop"][self.state])
         if self.state == State.RAMPDOWN and stop.quick:
             self._player.ramp(quick=True)
         return None
 
     def _disarm(self, disarm: m.Disarm) -> Reply:
+        """Handle DISARM."""
         self._to(TABLE["disarm"][self.state])
         return None
 
     def _estop(self, estop: m.Estop) -> Reply:
+        """Handle ESTOP."""
         self.counters.trips += 1
         self._estop_reason = 0 if estop.reason == EstopReason.INPUT else estop.reason
         self._to(TABLE["estop"][self.state])
         return None
 
     def _clear_fault(self, clear: m.ClearFault) -> Reply:
+        """Handle CLEAR_FAULT, which must know of the latest trip."""
         if self.state in (State.FAULT, State.ESTOP):
             if clear.trips != self.counters.trips % TURN:
                 return Refusal(NakCode.STATE, self.counters.trips % TURN)
@@ -239,10 +248,12 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _take_heartbeat(self, heartbeat: m.Heartbeat) -> Reply:
+        """Handle HEARTBEAT."""
         self._heartbeat = self._last_alive = self._now
         return None
 
     def _lower_limits(self, limits: m.Limits) -> Reply:
+        """Handle LIMITS."""
         if not self._player.silent:
             return Refusal(NakCode.STATE, 0)
         lowered = self._limits.lowered(limits)
@@ -254,6 +265,7 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _get(self, get: m.Get) -> Reply:
+        """Handle GET."""
         if get.parameter == Parameter.UPTIME_S:
             return m.Value(get.parameter, self._now // self.config.tick_hz % TURN)
         if get.parameter not in self._settings:
@@ -261,6 +273,7 @@ class ReferenceAmplifier(Machine):
         return m.Value(get.parameter, self._settings[Parameter(get.parameter)])
 
     def _set(self, setting: m.Set) -> Reply:
+        """Handle SET."""
         key = setting.parameter
         if key == Parameter.UPTIME_S:
             return Refusal(NakCode.READ_ONLY, key)
@@ -276,9 +289,11 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _identify(self, identify: m.Identify) -> Reply:
+        """Handle IDENTIFY; there is no board to find."""
         return None
 
     def _poll(self, poll: m.Poll) -> Reply:
+        """Handle POLL."""
         counters = {f.name: getattr(self.counters, f.name) % TURN for f in fields(self.counters)}
         return m.Status(
             state=self.state, phase=self.phase, fault=self._fault,
@@ -293,11 +308,13 @@ class ReferenceAmplifier(Machine):
     # Streams
 
     def _channels_wrong(self, first: int, count: int) -> Refusal | None:
+        """Return the refusal of a range of channels that does not exist, or None."""
         if not count or first + count > self.config.channels:
             return Refusal(NakCode.CHANNEL, first + count, "wrong_channel")
         return None
 
     def _pcm(self, pcm: m.Pcm) -> Reply:
+        """Handle PCM."""
         known = pcm.format <= SampleFormat.BFP8 and self.config.formats >> pcm.format & 1
         source = self._player.source
         if not isinstance(source, PcmSource) or not known:
@@ -321,6 +338,7 @@ class ReferenceAmplifier(Machine):
         source.late = source.future = 0
 
     def _carriers(self, carriers: m.Carriers) -> Reply:
+        """Handle CARRIERS."""
         if not 1 <= carriers.count <= self.config.carriers:
             return Refusal(NakCode.RANGE, 1)
         if len(carriers.increments) != 4 * carriers.count:
@@ -330,6 +348,7 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _spectrum(self, frame: m.Spectrum) -> Reply:
+        """Handle SPECTRUM."""
         source, count = self._player.source, len(self._increments)
         known = frame.format == SampleFormat.SPECTRUM8 and self.config.formats >> frame.format & 1
         if not isinstance(source, SpectrumSource) or not known or frame.carriers != count:
@@ -355,6 +374,7 @@ SETTING_RANGES = {
 }
 """Smallest and largest value of each parameter that can be set."""
 Handler = Callable[[ReferenceAmplifier, Any], Reply]
+"""Function that handles a message and returns the reply."""
 HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Hello: ("hello_other", ReferenceAmplifier._hello),
     m.Time: ("", ReferenceAmplifier._time),

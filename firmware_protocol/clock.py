@@ -260,8 +260,8 @@ class ClockEstimator:
             Whether the exchange was used; otherwise it is counted as rejected.
         """
         new, last = Exchange(t1, t2, t3, t4), self._window[-1] if self._window else None
-        late = last is not None and last.t1 - SILENCE <= t1 <= last.t1 and t2 <= last.t2
-        if late or not new.is_possible(self.tick_hz):
+        is_overtaken = last is not None and last.t1 - SILENCE <= t1 <= last.t1 and t2 <= last.t2
+        if is_overtaken or not new.is_possible(self.tick_hz):
             self.rejected += 1
             return False
         if last is None or not new.continues(last, self.tick_hz):

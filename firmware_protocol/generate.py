@@ -27,7 +27,9 @@ REFUSED, STAYS = 0x80, 0x40
 else state | next << 3, where next is the state that follows RAMPDOWN."""
 
 Schema = dict[str, Any]
+"""Content of schema.toml."""
 Message = dict[str, Any]
+"""Definition of a message in the schema."""
 
 
 def load(path: Path = HERE / "schema.toml") -> Schema:
@@ -250,6 +252,7 @@ def python_text(schema: Schema) -> str:
 
 
 def _python_enum(name: str, members: dict[str, int]) -> list[str]:
+    """Return the lines of an enumeration's class."""
     lines = ["", "", f"class {_title(name)}(IntEnum):"]
     lines += [f'    """{ENUM_TEXTS[name]} (section {_section(name)})."""', ""]
     return lines + [f"    {member} = {_number(value)}" for member, value in members.items()]
@@ -324,9 +327,11 @@ class Message:
         if len(payload) < size:
             return None
         return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))'''
+"""Base class of the messages in messages.py."""
 
 
 def _python_message(message: Message) -> list[str]:
+    """Return the lines of a message's class."""
     fields, body = message["fields"], message.get("body")
     code = "<" + "".join(STRUCT[kind] for _, kind in fields)
     types = {"char16": "bytes"}
@@ -423,9 +428,11 @@ static inline uint64_t tp_get_le(const uint8_t *in, size_t length, size_t at, si
     }
     return value;
 }"""
+"""Functions of the header that the coding functions use."""
 
 
 def _c_message(message: Message) -> list[str]:
+    """Return the lines of a message's structure and coding functions."""
     fields, body = message["fields"], message.get("body")
     upper, name = _upper(message["name"]), _upper(message["name"]).lower()
     size = sum(SIZES[kind] for _, kind in fields)
@@ -448,6 +455,7 @@ def _c_message(message: Message) -> list[str]:
 def _c_encode(
     name: str, upper: str, fields: list[list[str]], body: str | None, size: int
 ) -> list[str]:
+    """Return the lines of a message's encoding function."""
     lines = [
         f"static inline size_t tp_{name}_encode(const tp_{name} *m, uint8_t *out, size_t room)",
         "{",
@@ -483,6 +491,7 @@ def _c_encode(
 def _c_decode(
     name: str, upper: str, fields: list[list[str]], body: str | None, size: int
 ) -> list[str]:
+    """Return the lines of a message's decoding function."""
     lines = [
         f"static inline bool tp_{name}_decode(tp_{name} *m, const uint8_t *in, size_t length)",
         "{",

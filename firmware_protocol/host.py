@@ -85,6 +85,7 @@ class AmplifierHost:
         return self._packet(message, ask=True)
 
     def _packet(self, message: Message, *, ask: bool) -> Packet:
+        """Encode a message with the next sequence number, and forget an old answer to it."""
         packet = Packet.of(message, node=self.node, seq=self._seq, ask=ask)
         self._answers.pop((packet.type, packet.seq), None)
         self._seq = (self._seq + 1) & 0xFF

@@ -158,7 +158,7 @@ class Machine:
             )
         self._limit(own)
 
-    # What comes out
+    # Output
 
     def take_sent(self) -> list[Packet]:
         """Return the packets that were sent since the last call.
@@ -212,7 +212,7 @@ class Machine:
                 return self._start_tick + (count - first) * self.config.tick_hz // self.rate
         return self._tick(self._instant + count)
 
-    # Time
+    # Sample clock
 
     def _tick(self, k: int) -> int:
         """Return the tick of instant k of the present sample clock."""
@@ -396,7 +396,7 @@ class Machine:
         settling = since is not None and self._now < self._later(since, INPUT_CLOSED_MS)
         return self._contact_open or settling
 
-    # What is played
+    # Playback
 
     def _limit(self, limits: LimitsInForce) -> None:
         """Put limits in force at the present sample rate."""
@@ -411,7 +411,7 @@ class Machine:
             return SpectrumSource(c.channels, c.fifo, self.rate, self._increments)
         return PcmSource(c.channels, c.fifo, self.rate)
 
-    # What is sent
+    # Messages to the host
 
     def _send(self, message: Message, node: int | None = None) -> None:
         """Queue a message to the host; ``node`` is its sender if not the present node."""

@@ -87,6 +87,7 @@ def find_sockets(name: str = API_SOCKET) -> list[Path]:
 
 
 def _is_open(path: Path) -> bool:
+    """Return whether a path is a socket to which this user may connect."""
     try:
         return path.is_socket() and os.access(path, os.W_OK)
     except OSError:

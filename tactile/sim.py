@@ -108,6 +108,7 @@ class SimulatedDisplay(MockBus):
         self._step_plant(volts[:, self._display.channel])
 
     def _step_plant(self, volts: Floats) -> None:
+        """Feed the plant with the drive of the contactors, and keep its shear."""
         shear, current = self._plant.step(volts)
         self.peak_current = max(self.peak_current, float(np.abs(current).max(initial=0.0)))
         skipped = min(self._late, len(shear))
@@ -225,6 +226,7 @@ def _load_plant(name: str, display: Display, sample_rate: float) -> PlantLike:
 
 
 def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> Bus:
+    """Open the device of a ``sim:`` URL."""
     address.only("keep", "plant", "format")
     if not isinstance(display, Display):
         raise InputError("sim: needs a Display, not only its wiring")

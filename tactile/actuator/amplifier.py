@@ -109,11 +109,11 @@ class Amplifier:
         integrator, which the equalizer's filter of a few milliseconds cannot realize, and which
         would spend the voltage limit on frequencies below the band.
         """
-        held = 1.0
+        hold = 1.0
         if self.hold == "zoh":
-            held = np.sinc(frequency / sample_rate) * np.exp(-1j * np.pi * frequency / sample_rate)
-        late = np.exp(-2j * np.pi * frequency * self.delay)
-        slow = 1 + 1j * frequency / self.bandwidth
+            hold = np.sinc(frequency / sample_rate) * np.exp(-1j * np.pi * frequency / sample_rate)
+        delay = np.exp(-2j * np.pi * frequency * self.delay)
+        low_pass = 1 + 1j * frequency / self.bandwidth
         return np.asarray(
-            self.gain * held * late / slow / (1 + self.output_resistance * admittance)
+            self.gain * hold * delay / low_pass / (1 + self.output_resistance * admittance)
         )

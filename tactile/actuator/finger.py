@@ -170,6 +170,7 @@ class FingerTable:
         """
 
         def along(values: list[Real]) -> Real:
+            """Interpolate a constant."""
             return np.interp(normal_force, self.normal_force, np.asarray(values, np.float64))
 
         return FingerLoad(

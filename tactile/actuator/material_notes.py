@@ -37,7 +37,9 @@ _CLEVITE = (
     "Berlincourt, Krueger & Near, Properties of Piezoelectricity Ceramics, Morgan TP-226; "
     "tanθ assumed"
 )
+"""Source of PZT-4 and PZT-8."""
 _ERTURK = "Erturk & Inman 2011, Piezoelectric Energy Harvesting, appendix E (after TP-226); "
+"""Beginning of the source of PZT-5A and PZT-5H."""
 
 MATERIAL_NOTES = {
     "3203hd": MaterialNote(

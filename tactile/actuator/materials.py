@@ -205,6 +205,7 @@ PZT_5A = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PZT-5A; `MATERIAL_NOTES` has the source of its constants."""
 PZT_5H = PiezoMaterial(
     s11E=16.5e-12,
     s55E=43.5e-12,
@@ -215,6 +216,7 @@ PZT_5H = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PZT-5H; `MATERIAL_NOTES` has the source of its constants."""
 PZT_4 = PiezoMaterial(
     s11E=12.3e-12,
     s55E=39.0e-12,
@@ -225,6 +227,7 @@ PZT_4 = PiezoMaterial(
     loss_tangent=0.004,
     piezo_loss_tangent=0.002,
 )
+"""Hard ceramic PZT-4; `MATERIAL_NOTES` has the source of its constants."""
 PZT_8 = PiezoMaterial(
     s11E=11.5e-12,
     s55E=31.9e-12,
@@ -235,6 +238,7 @@ PZT_8 = PiezoMaterial(
     loss_tangent=0.004,
     piezo_loss_tangent=0.002,
 )
+"""Hard ceramic PZT-8; `MATERIAL_NOTES` has the source of its constants."""
 PSI_5A4E = PiezoMaterial(
     s11E=15.1e-12,
     s55E=40.0e-12,
@@ -245,6 +249,7 @@ PSI_5A4E = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic of the piezo.com benders; `MATERIAL_NOTES` has the source of its constants."""
 PIC_255 = PiezoMaterial(
     s11E=16.1e-12,
     s55E=1 / 21e9,
@@ -255,6 +260,7 @@ PIC_255 = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PIC 255; `MATERIAL_NOTES` has the source of its constants."""
 APC_855 = PiezoMaterial(
     s11E=1 / 59e9,
     s55E=43.5e-12,
@@ -265,6 +271,7 @@ APC_855 = PiezoMaterial(
     loss_tangent=0.025,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic APC 855; `MATERIAL_NOTES` has the source of its constants."""
 
 PIEZOS = {
     "3203hd": PIEZO_3203HD,

@@ -67,6 +67,7 @@ class Modes:
 
 
 def _lossless(s: CrossSection) -> CrossSection:
+    """Return a cross-section with the real parts of its stiffnesses."""
     return CrossSection(
         np.asarray(s.EI.real, np.complex128), np.asarray(s.AG.real, np.complex128), s.m, s.rhoI
     )
@@ -214,20 +215,20 @@ def state_space(bimorph: Bimorph, load: FingerLoad, amplifier: Amplifier) -> Sta
     k, n = len(modes.frequency), len(M)
     K = float(coupling(bimorph).real)
     C = float(capacitance(bimorph, bimorph.length + bimorph.clamped_length).real)
-    slow, resistive = np.isfinite(amplifier.bandwidth), amplifier.output_resistance > 0
-    size = n + int(slow) + int(resistive)
+    has_low_pass, has_resistance = np.isfinite(amplifier.bandwidth), amplifier.output_resistance > 0
+    size = n + int(has_low_pass) + int(has_resistance)
     A, B = np.zeros((size, size)), np.zeros(size)
     A[:n, :n] = M
     moment, turning = np.zeros(size), np.zeros(size)
     moment[k : 2 * k] = K * modes.shape[:, 1]
     turning[k : 2 * k] = K * modes.shape[:, 1]
     volts, rise, direct = np.zeros(size), np.zeros(size), amplifier.gain
-    if slow:
+    if has_low_pass:
         corner = 2 * np.pi * amplifier.bandwidth
         A[n, n], B[n] = -corner, corner * amplifier.gain
         volts[n], rise, direct = 1.0, A[n].copy(), 0.0
     C_i, D_i, R_i = turning + C * rise, C * B[-1], C * direct
-    if resistive:
+    if has_resistance:
         R, last = amplifier.output_resistance, size - 1
         A[last] = (volts / R - turning) / C
         A[last, last] -= 1 / (R * C)
@@ -266,9 +267,9 @@ def kernel(time: Floats, amplifier: Amplifier) -> Floats:
 def _step(system: StateSpace, step: float) -> tuple[Floats, Floats, Floats]:
     """Return Φ, Γ0 and Γ1 of one time step during which the drive runs linearly from v0 to v1."""
     n = len(system.A)
-    both = np.zeros((n + 2, n + 2))
-    both[:n, :n], both[:n, n], both[n, n + 1] = system.A * step, system.B * step, 1.0
-    e = expm(both)
+    augmented = np.zeros((n + 2, n + 2))
+    augmented[:n, :n], augmented[:n, n], augmented[n, n + 1] = system.A * step, system.B * step, 1.0
+    e = expm(augmented)
     return e[:n, :n], e[:n, n] - e[:n, n + 1], e[:n, n + 1]
 
 
@@ -378,8 +379,8 @@ class Plant:
         for start in range(0, len(drive), CHUNK):
             block = drive[start : start + CHUNK]
             outputs, state = self._map(len(block))
-            known = np.concatenate([self._state, self._past, block])
-            out[:, start : start + len(block)] = outputs @ known
-            self._state = state @ known
-            self._past = known[len(known) - self._taps :].copy()
+            state_and_drive = np.concatenate([self._state, self._past, block])
+            out[:, start : start + len(block)] = outputs @ state_and_drive
+            self._state = state @ state_and_drive
+            self._past = state_and_drive[len(state_and_drive) - self._taps :].copy()
         return out[0], out[1]

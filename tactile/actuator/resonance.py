@@ -66,6 +66,7 @@ def _first_zero(s: CrossSection, length: Floats, axial_force: Floats, bound: Flo
     """Return ω (...,) of the first change of sign of det ff, which is 1 at rest."""
 
     def is_beyond(omega: Floats) -> NDArray[np.bool_]:
+        """Return whether det ff is negative."""
         (a, b), (c, d) = transition(s, length, omega, axial_force).ff
         return np.asarray((a * d - b * c).real < 0)
 

@@ -38,7 +38,9 @@ from tactile.actuator.materials import Real
 from tactile.arrays import Complex
 
 Vector2 = tuple[Complex, Complex]
+"""A vector of two arrays."""
 ZERO: Complex = np.zeros((), np.complex128)
+"""Complex zero that broadcasts."""
 
 LARGEST_GROWTH = 10.0
 """Largest λ1 of a piece. Rounding errors grow as exp(λ1), to 2e-10 at λ1 = 12 (measured)."""
@@ -90,6 +92,7 @@ class _Cut:
 
 
 def _product(a: Matrix2, b: Matrix2) -> Matrix2:
+    """Return the matrix product."""
     return (
         (a[0][0] * b[0][0] + a[0][1] * b[1][0], a[0][0] * b[0][1] + a[0][1] * b[1][1]),
         (a[1][0] * b[0][0] + a[1][1] * b[1][0], a[1][0] * b[0][1] + a[1][1] * b[1][1]),
@@ -97,6 +100,7 @@ def _product(a: Matrix2, b: Matrix2) -> Matrix2:
 
 
 def _sum(a: Matrix2, b: Matrix2) -> Matrix2:
+    """Return the sum of two matrices."""
     return (
         (a[0][0] + b[0][0], a[0][1] + b[0][1]),
         (a[1][0] + b[1][0], a[1][1] + b[1][1]),
@@ -104,14 +108,17 @@ def _sum(a: Matrix2, b: Matrix2) -> Matrix2:
 
 
 def _apply(a: Matrix2, x: Vector2) -> Vector2:
+    """Return the product of a matrix and a vector."""
     return a[0][0] * x[0] + a[0][1] * x[1], a[1][0] * x[0] + a[1][1] * x[1]
 
 
 def _less(a: Vector2, b: Vector2) -> Vector2:
+    """Return the difference of two vectors."""
     return a[0] - b[0], a[1] - b[1]
 
 
 def _inverse(a: Matrix2) -> Matrix2:
+    """Return the inverse of a matrix."""
     scale = 1 / (a[0][0] * a[1][1] - a[0][1] * a[1][0])
     back = -1 * scale  # twice as fast as two negations
     return (a[1][1] * scale, a[0][1] * back), (a[1][0] * back, a[0][0] * scale)

@@ -128,12 +128,12 @@ def beside_machine(name: str, measured: Iterator[Figure]) -> Iterator[Figure]:
     """
     with beating() as steps:
         yield from measured
-    late = 1e3 * STEP * np.array(steps)
+    lateness = 1e3 * STEP * np.array(steps)
     for part in (50, 99, 99.9):
-        yield Figure(f"{name}.machine.p{part:g}", float(np.percentile(late, part)), "ms")
-    yield Figure(f"{name}.machine.most", float(late.max()), "ms")
+        yield Figure(f"{name}.machine.p{part:g}", float(np.percentile(lateness, part)), "ms")
+    yield Figure(f"{name}.machine.most", float(lateness.max()), "ms")
     for lead in 1e3 * np.array((LEAD, MOST_LEAD, LONGEST_LEAD)):
-        missed = 1e4 * float(np.mean(late > lead))
+        missed = 1e4 * float(np.mean(lateness > lead))
         yield Figure(f"{name}.machine.later_than_{lead:g}_ms", missed, "of 10 000")
 
 

@@ -312,6 +312,7 @@ def load_display(
 
 
 def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
+    """Return the display that a file describes."""
     contactors = contactors_of(content)
     measured, kind = _measured(content, contactors, path)
     return Display(
@@ -361,6 +362,7 @@ def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
 
 
 def _bimorph(table: BimorphTable) -> Bimorph:
+    """Return the bender that a table describes."""
     for key, known in (("piezo", PIEZOS), ("shim", SHIMS)):
         name = getattr(table, key)
         if name not in known:
@@ -387,6 +389,7 @@ def _bimorph(table: BimorphTable) -> Bimorph:
 
 
 def _in_si(value: float | None, unit: float) -> float | None:
+    """Return a value in SI units, or None for None."""
     return None if value is None else value * unit
 
 
@@ -396,6 +399,7 @@ def _adjusted(material: Material, **constants: float | None) -> Material:
 
 
 def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:
+    """Return the load that a table describes."""
     if finger.preset is not None:
         return getattr(FingerLoad, finger.preset)()  # type: ignore[no-any-return]
     if finger.table:
@@ -412,6 +416,7 @@ def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:
 
 
 def _amplifier(table: AmplifierTable) -> Amplifier:
+    """Return the amplifier that a table describes."""
     return Amplifier(
         gain=table.gain,
         bandwidth=math.inf if table.bandwidth_hz is None else table.bandwidth_hz,
@@ -424,6 +429,7 @@ def _amplifier(table: AmplifierTable) -> Amplifier:
 
 
 def _limits(table: LimitsTable) -> DriveLimits:
+    """Return the limits that a table describes."""
     return DriveLimits(
         voltage=table.voltage_v,
         slew=table.slew_v_per_us * 1e6,

@@ -248,14 +248,17 @@ def _with_table(text: str, table: str, values: Mapping[str, Value]) -> str:
 
 
 def _appended(text: str, table: str, rows: Iterable[str]) -> str:
+    """Return text with a table appended."""
     return "".join([text.rstrip("\n"), f"\n\n[{table}]\n", *rows])
 
 
 def _line(key: str, value: Value) -> str:
+    """Return the line that assigns a value to a key."""
     return f"{key} = {_toml(value)}\n"
 
 
 def _toml(value: Value) -> str:
+    """Return a value in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -273,20 +276,20 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
 def _replaced(path: Path, contactors: Sequence[Contactor]) -> str:
     """Return the text of a file with its contactors replaced; all other tables remain."""
     text = files.read_text(path)
-    left, out = list(contactors), []
+    pending, out = list(contactors), []
     for kind, lines in _sections(text.splitlines(keepends=True)):
         if kind not in MAPPED:
             out += lines
             continue
-        here = left if kind == ("[", "grid") else left[:1]
-        left = left[len(here) :]
+        replacement = pending if kind == ("[", "grid") else pending[:1]
+        pending = pending[len(replacement) :]
         comments = [
             match[1] + "\n" for line in lines if (match := COMMENT.fullmatch(line.rstrip("\n")))
         ]
-        out += [*comments, *(line for c in here for line in _lines(c))]
+        out += [*comments, *(line for c in replacement for line in _lines(c))]
     new = "".join(out)
     expected = _without_map(text)
-    if left or _parsed(new) is None or _without_map(new) != expected:
+    if pending or _parsed(new) is None or _without_map(new) != expected:
         raise InputError(f"{path}: the map is not written as tables [grid] or [[contactor]]")
     return new
 
@@ -307,6 +310,7 @@ def _sections(lines: list[str]) -> Iterator[tuple[tuple[str, str], list[str]]]:
 
 
 def _lines(c: Contactor) -> list[str]:
+    """Return the lines of a ``[[contactor]]`` table."""
     rows: dict[str, Any] = {
         "position_mm": list(c.position_mm),
         "channel": c.channel,
@@ -321,6 +325,7 @@ def _lines(c: Contactor) -> list[str]:
 
 
 def _parsed(text: str) -> dict[str, Any] | None:
+    """Return the content of TOML text, or None if it is not valid."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -328,4 +333,5 @@ def _parsed(text: str) -> dict[str, Any] | None:
 
 
 def _without_map(text: str) -> dict[str, Any]:
+    """Return the content of TOML text without its contactors."""
     return {k: v for k, v in (_parsed(text) or {}).items() if k not in ("grid", "contactor")}

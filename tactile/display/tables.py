@@ -5,15 +5,23 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 Millimeters = Annotated[float, Meta(gt=0, le=200)]
+"""Length [mm]."""
 Place = Annotated[float, Meta(ge=-500, le=500)]
+"""Coordinate [mm]."""
 Degrees = Annotated[float, Meta(ge=-360, le=360)]
+"""Angle [°]."""
 Stiffness = Annotated[float, Meta(ge=0, le=1e6)]
+"""Stiffness [N/m]."""
 Damping = Annotated[float, Meta(ge=0, le=1e3)]
+"""Damping [N s/m]."""
 Quality = Annotated[float, Meta(ge=1, le=1e5)]
+"""Mechanical quality factor."""
 CHANNELS = 4096
 """Number of channels that a display may have; channel numbers are below it."""
 Channel = Annotated[int, Meta(ge=0, lt=CHANNELS)]
+"""Channel number, from 0."""
 Index = Annotated[int, Meta(ge=0)]
+"""Contactor number, from 0."""
 
 
 class AboutTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -49,9 +49,10 @@ restarts of playback, daemon and machine, until a `ClearEstop` names that number
 another number, so that a `ClearEstop` of an older one does not end it.
 
 **Roles.** What a client may do follows from the token in its `ClientHello`, or from the user that
-it runs as. "watch" reads displays, textures and states, "play" touches, selects and plays, "arm"
-arms, disarms and clears e-stops, "stop" disarms. Every client that is admitted may trigger an
-e-stop and read. `Welcome` lists the roles of the client.
+it runs as. Every client that is admitted may trigger an e-stop and read displays, textures and
+states. "watch" allows no more than that on this connection; it is the role that reading the
+daemon's metrics over HTTP requires. "play" touches, selects and plays, "arm" arms, disarms and
+clears e-stops, "stop" disarms. `Welcome` lists the roles of the client.
 """
 
 from typing import Annotated, Any, Literal, get_args

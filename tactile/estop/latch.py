@@ -159,7 +159,7 @@ class Latch:
 
     @property
     def reason(self) -> str:
-        """Who tripped the latch last, and when, in one line; empty if nobody did."""
+        """Line that says who tripped the latch last, and when; empty if nobody did."""
         notes = []
         for writer in LatchWriter:
             offset = self._note_offset(writer)

@@ -53,7 +53,7 @@ def is_loopback(host: str) -> bool:
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where clients connect, and which of them may.
+    """Configuration of the server: where clients connect, and which of them may.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class OscConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class LogConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is logged, and where.
+    """Configuration of logging.
 
     Attributes
     ----------

@@ -81,6 +81,7 @@ AMPLITUDE_JND_DB = (2.2, 2.5)
 FREQUENCY_JND = (0.18, 0.25)
 """Range of the just noticeable relative difference of frequency (Israr & Tan 2006)."""
 MICRO = 1e-6
+"""Meters per micrometer."""
 CENTERS = 10 ** (np.arange(32) / 10)
 """Centers of the third octaves 1 … 1000 Hz and of the one above, in which commanded shear ends (IEC
 61260) [Hz]."""
@@ -88,7 +89,7 @@ EDGES = third_octaves(CENTERS)
 """Edges of the bands around `CENTERS` [Hz]."""
 
 
-def _straight(frequency: Floats, knots: Floats) -> Floats:
+def _interpolated(frequency: Floats, knots: Floats) -> Floats:
     """Interpolate knots (K, 2) of Hz and µm in the logarithms and return the amplitude [m].
 
     Below the first knot the amplitude is held. Above the last one it continues at the last slope.
@@ -115,17 +116,17 @@ def detection_threshold(frequency: Floats, factor: float = TANGENTIAL) -> Floats
     array of float
         Peak displacement at threshold, of the same shape [m].
     """
-    return factor * _straight(np.asarray(frequency, np.float64), THRESHOLD)
+    return factor * _interpolated(np.asarray(frequency, np.float64), THRESHOLD)
 
 
-def _taken(low: float, high: float) -> list[tuple[float, float]]:
+def _threshold_knots(low: float, high: float) -> list[tuple[float, float]]:
     """Return the knots (Hz, µm) of the normal threshold from one frequency to another."""
     inside = [(f, s) for f, s in THRESHOLD.tolist() if low < f < high]
     ends = detection_threshold(np.array([low, high]), factor=1.0) / MICRO
     return [(low, float(ends[0])), *inside, (high, float(ends[1]))]
 
 
-def _sloped(
+def _slope_knot(
     knot: tuple[float, float], frequency: float, db_per_octave: float
 ) -> tuple[float, float]:
     """Return the knot (Hz, µm) at a frequency on a straight line through another knot."""
@@ -173,7 +174,7 @@ class TouchChannel:
         array of float
             Peak displacement at threshold, of the same shape [m].
         """
-        return factor * _straight(np.asarray(frequency, np.float64), self.knots)
+        return factor * _interpolated(np.asarray(frequency, np.float64), self.knots)
 
     def selective_range_db(self, frequency: Floats) -> Floats:
         """Compute how far above the threshold of this channel the next one begins to respond.
@@ -197,19 +198,23 @@ class TouchChannel:
 
 def _channels() -> tuple[TouchChannel, ...]:
     """Return the four channels. `TouchChannel.source` says where their curves come from."""
-    merkel, meissner, pacini = _taken(1.0, 4.0), _taken(4.0, 40.0), _taken(40.0, 1000.0)
+    merkel, meissner, pacini = (
+        _threshold_knots(1.0, 4.0),
+        _threshold_knots(4.0, 40.0),
+        _threshold_knots(40.0, 1000.0),
+    )
     ruffini = (250.0, 3.16)
     return (
         TouchChannel(
             "NP III", "Merkel", (0.4, 4.0),
-            np.array([*merkel, _sloped(merkel[-1], 100.0, 0.0)]),
+            np.array([*merkel, _slope_knot(merkel[-1], 100.0, 0.0)]),
             "threshold below 4 Hz; above held at its value there (assumed)",
         ),
         TouchChannel(
             "NP I", "Meissner", (4.0, 40.0),
             np.array([
-                _sloped(meissner[0], 1.0, -5.0), *meissner,
-                _sloped(meissner[-1], 100.0, 0.0), (200.0, 4 * meissner[-1][1]),
+                _slope_knot(meissner[0], 1.0, -5.0), *meissner,
+                _slope_knot(meissner[-1], 100.0, 0.0), (200.0, 4 * meissner[-1][1]),
             ]),
             "threshold in 4–40 Hz, which falls by 5 dB per octave; below on at that slope, above "
             "held to 100 Hz, then rising by 12 dB per octave (both assumed; RA units are most "
@@ -217,13 +222,13 @@ def _channels() -> tuple[TouchChannel, ...]:
         ),
         TouchChannel(
             "P", "Pacini", (40.0, 1000.0),
-            np.array([_sloped(pacini[0], 1.0, -12.0), *pacini]),
+            np.array([_slope_knot(pacini[0], 1.0, -12.0), *pacini]),
             "threshold from 40 Hz; below on at 12 dB per octave, the slope of the published curve "
             "between 40 and 250 Hz",
         ),
         TouchChannel(
             "NP II", "Ruffini", (15.0, 400.0),
-            np.array([_sloped(ruffini, 1.0, -5.0), ruffini, _sloped(ruffini, 400.0, 6.0)]),
+            np.array([_slope_knot(ruffini, 1.0, -5.0), ruffini, _slope_knot(ruffini, 400.0, 6.0)]),
             "range as published, at high level; that its curve is 10 dB re 1 µm at 250 Hz, falling "
             "to it by 5 and rising from it by 6 dB per octave is assumed",
         ),

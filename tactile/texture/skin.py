@@ -5,22 +5,23 @@ so no linear model is true. This is the simplest one that physics allows. It is 
 for the shape of spectra, not for levels:
 
 1. Skin is an elastic half-space of contact modulus E* under a mean pressure p. To follow a wave of
-relief of height h and wave number k it takes the pressure E* k h/2 (full contact of a wavy surface,
-Westergaard; the mean pressure needed is π E* h/λ: tribonet.org, "Indentation of elastic body by
-sinusoidal surface").
+   relief of height h and wave number k it takes the pressure E* k h/2 (full contact of a wavy
+   surface, Westergaard; the mean pressure needed is π E* h/λ: tribonet.org, "Indentation of elastic
+   body by sinusoidal surface").
 2. Two tractions result. One is friction, µ times that pressure. The other is the mean pressure
-tilted by the slope, p k h: a lateral force in proportion to slope, by which a surface can be felt
-without any height (Minsky, "Computational haptics: the Sandpaper system", MIT 1995; its abstract
-and a summary of the paper of 1990 were read).
-3. A half-space yields by 2/(E* k) per traction, so that k cancels: the displacements are µ h and (2
-p/E*) h, a quarter period apart. **Skin in contact moves in proportion to height, at every
-wavelength.**
+   tilted by the slope, p k h: a lateral force in proportion to slope, by which a surface can be
+   felt without any height (Minsky, "Computational haptics: the Sandpaper system", MIT 1995; its
+   abstract and a summary of the paper of 1990 were read).
+3. A half-space yields by 2/(E* k) per traction, so that k cancels: the displacements are µ h and
+   (2p/E*) h, a quarter period apart. **Skin in contact moves in proportion to height, at every
+   wavelength.**
 4. Where relief is too steep for the pressure, skin bridges its valleys. As ever finer relief is
-added, the pressure at a place makes a random walk that ends at zero, where contact is lost
-(Persson's theory, as described by Dapp, Prodanov & Müser 2014, whose abstract was read). This gives
-the share of the skin that is still in contact, and power is transmitted in proportion to it.
+   added, the pressure at a place makes a random walk that ends at zero, where contact is lost
+   (Persson's theory, as described by Dapp, Prodanov & Müser 2014, whose abstract was read). This
+   gives the share of the skin that is still in contact, and power is transmitted in proportion to
+   it.
 5. Descriptors state the displacement of the skin beside the contact patch, for which the reference
-spectrum of `textures/README.md` was drawn. It is smaller than that of the patch.
+   spectrum of `textures/README.md` was drawn. It is smaller than that of the patch.
 
 All numbers are assumed: µ = 0.4 (finger on most solids, 0.3–0.6 in the prior), p = 5 kPa (0.5 N on
 1 cm²), E* = 50 kPa, displacement of the patch ÷ that of the skin beside it = 3 ("several times").

@@ -10,7 +10,7 @@ amplitude and the frequency of a keyframe mean:
 - ``transient``: a tap of 22 ms at each keyframe;
 - ``wavelet``: kept as it is in the .hjif file, and not decoded;
 - ``control``: factor (amplitude) and shift (frequency) of everything else in the channel, held
-between and after its segments. MPEG has none; the parameter curves of Apple become this.
+  between and after its segments. MPEG has none; the parameter curves of Apple become this.
 
 An amplitude of 1 is the maximum of the device. ``other`` holds fields of the format that the
 document came from (``origin``) which have no meaning here and are written only to that format. As a

@@ -449,9 +449,11 @@ def _laws(model: ModelSet, speed: float, force: float) -> Laws:
     f = np.geomspace(HAND, _top(model), 400)
 
     def power(v: float, n: float) -> float:
+        """Return the power of the displacement at a speed and force [m²]."""
         return float(np.trapezoid(_displacement_psd(model, f, v, n), f))
 
     def moved(v: float) -> float:
+        """Return the power of the reference displacement, shifted in frequency to a speed [m²]."""
         density = _displacement_psd(model, np.minimum(f * speed / v, _top(model)), speed, force)
         return float(np.trapezoid(density * speed / v, f))
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialNote:
-    """What a designer needs to know of a material besides its constants.
+    """Description, source and coercive field of a material, besides its constants.
 
     Parameters
     ----------

@@ -191,20 +191,9 @@ MESSAGE_TEXTS = {
 """Docstrings of the messages: what each does or contains."""
 
 
-def python_text(schema: Schema) -> str:
-    """Generate messages.py.
-
-    Parameters
-    ----------
-    schema : dict
-        Schema.
-
-    Returns
-    -------
-    str
-        Text of the module.
-    """
-    lines = [
+def _python_head(schema: Schema) -> list[str]:
+    """Return the lines of messages.py before its enumerations."""
+    return [
         '"""Messages, codes and states of the protocol; written by generate.py from schema.toml.',
         "",
         "SPEC.md defines their meaning. ``pack`` returns the payload of a message and ``unpack``",
@@ -227,6 +216,22 @@ def python_text(schema: Schema) -> str:
             for line in (f"{name} = {_number(value)}", f'"""{LIMIT_TEXTS[name]}"""')
         ),
     ]
+
+
+def python_text(schema: Schema) -> str:
+    """Generate messages.py.
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    str
+        Text of the module.
+    """
+    lines = _python_head(schema)
     for name, members in schema["enum"].items():
         lines += _python_enum(name, members)
     lines += ["", "", "TABLE: dict[str, tuple[int, ...]] = {"]

@@ -22,7 +22,7 @@ from tactile.texture.recorded_slide import Recorded, load_recorded
 
 ABOUT = About(
     id="bench", category="test", description="", provenance="fitted", source="bench",
-    licence="CC0-1.0",
+    license="CC0-1.0",
 )  # fmt: skip
 BIOTAC_SPEED = 0.019
 BIOTAC_STEADY = slice(1320, 7920)

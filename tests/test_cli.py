@@ -64,14 +64,14 @@ def test_one_texture_as_json_says_what_a_surface_can_have(command: Command) -> N
     waves = math.sqrt(float(np.sum(texture.partials.amplitude**2)) / 2) * 1e6
     assert facts["rms_um"] == pytest.approx(math.hypot(waves, 0.50), rel=0.01)  # README: 0.50 pores
     assert len(facts["band_frequency_per_mm"]) == len(facts["band_error_db"]) > 0
-    for key in ("description", "provenance", "source", "licence"):
+    for key in ("description", "provenance", "source", "license"):
         assert facts[key].strip()
 
 
 def test_one_texture_tells_a_person_its_bands(command: Command) -> None:
     result = command("textures", "wood-oak")
     assert (result.code, result.err) == (0, "")
-    for part in ("wood-oak:", "licence", "µm rms at", "partials", "cycles/mm"):
+    for part in ("wood-oak:", "license", "µm rms at", "partials", "cycles/mm"):
         assert part in result.out
 
 

@@ -55,7 +55,7 @@ def fit_recordings(
     ] = None,
     description: Annotated[str, typer.Option(help="For people.")] = "",
     source: Annotated[str, typer.Option(help="Where the recordings come from.")] = "",
-    licence: Annotated[str, typer.Option(help="Of the texture.")] = "unstated",
+    license: Annotated[str, typer.Option(help="Of the texture.")] = "unstated",
     plot: Annotated[Path | None, typer.Option(help="Draw the fit to a PNG, SVG or PDF.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
     as_json: AsJson = False,
@@ -65,7 +65,7 @@ def fit_recordings(
     Example: tactile fit denim1.wav denim2.wav --speed-mm-s 20 --speed-mm-s 30 --full-scale 104.6
     --category textile -o denim.toml --plot denim.png
     """
-    about = _about(out, category, description, source, licence)
+    about = _about(out, category, description, source, license)
     check_target(out, about.id, force=force)
     if plot is not None:
         from tactile.show.plots import check_file
@@ -105,14 +105,14 @@ def fit_recordings(
     typer.echo(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))
 
 
-def _about(out: Path, category: str, description: str, source: str, licence: str) -> About:
+def _about(out: Path, category: str, description: str, source: str, license: str) -> About:
     told = {
         "id": out.stem,
         "category": category,
         "description": description or out.stem,
         "provenance": "fitted",
         "source": source or "not told; fitted by tactile fit",
-        "licence": licence,
+        "license": license,
     }
     try:
         return msgspec.convert(told, About)

@@ -83,7 +83,7 @@ def _facts(d: Descriptor) -> dict[str, Any]:
         "description": about.description,
         "provenance": about.provenance,
         "source": about.source,
-        "licence": about.licence,
+        "license": about.license,
         "rms_um": strength_of(d).rms_um,
     }
 
@@ -102,7 +102,7 @@ def _texture(name: str, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(facts))
         return
-    rows = {k: str(facts[k]).strip() for k in ("category", "provenance", "licence", "source")}
+    rows = {k: str(facts[k]).strip() for k in ("category", "provenance", "license", "source")}
     d = t.descriptor
     rows["strength"] = f"{facts['rms_um']:.2f} µm rms at {d.reference.speed_mm_s:g} mm/s"
     rows["parts"] = (

@@ -373,7 +373,7 @@ def test_the_command_overwrites_only_when_told_to(command: Command, tmp_path: Pa
         assert reason in said.err
     said = command("convert", "wood-oak", tmp_path / "y.wav", "--speed-mm-s", 0)
     assert said.code == 2
-    assert "--speed-mm-s 0: must be 1 … 1000" in said.err
+    assert "--speed-mm-s 0: must be between 1 and 1000" in said.err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x.haptic", "x.wav"]
     assert command("convert", source, target, "--force").code == 0
     assert target.read_bytes()[:4] == b"RIFF"

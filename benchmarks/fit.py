@@ -24,7 +24,7 @@ from tactile.texture.recorded_slide import Recorded, load_recorded
 
 ABOUT = About(
     id="bench", category="test", description="", provenance="fitted", source="bench",
-    licence="CC0-1.0",
+    license="CC0-1.0",
 )  # fmt: skip
 """Description of the fitted textures."""
 BIOTAC_SPEED = 0.019

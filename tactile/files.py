@@ -10,7 +10,7 @@ import csv
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -186,7 +186,9 @@ def _checked_depth(path: Path, text: str) -> str:
     return text
 
 
-def read(path: Path, shape: type[Shape]) -> Shape:
+def read(
+    path: Path, shape: type[Shape], *, adapt: Callable[[dict[str, Any]], None] | None = None
+) -> Shape:
     """Read a TOML file into a Struct.
 
     Parameters
@@ -195,6 +197,8 @@ def read(path: Path, shape: type[Shape]) -> Shape:
         TOML file.
     shape : type of msgspec.Struct
         Shape of the content.
+    adapt : callable, optional
+        Function that changes the content of an older file to that of a present one.
 
     Returns
     -------
@@ -212,6 +216,8 @@ def read(path: Path, shape: type[Shape]) -> Shape:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no valid TOML: {_one_line(str(error))}") from error
+    if adapt is not None:
+        adapt(data)
     for field, value in _leaves(data):
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{path}: {field} = {value}: must be a finite number")

@@ -179,7 +179,7 @@ def bring_up(
     """
     if write is not None:
         if ask is None:
-            raise InputError("--write: needs a person at a terminal, who sees what moves")
+            raise InputError("--out: needs a person at a terminal, who sees what moves")
         checked_target(source, write, force=force)
     display = cautious(load_display(source))
     drive = display.limits.voltage
@@ -415,7 +415,7 @@ def _conclude(
         write_map(source, write, reported, force=force)
         report.written = str(write)
     elif changed:
-        report.faults.append("the display file has another map than the display; see --write")
+        report.faults.append("the display file has another map than the display; see --out")
 
 
 def _describe_fault(one: CheckedChannel, report: CheckReport) -> str:

@@ -185,17 +185,44 @@ def ask(words: Words, start: StudyBase | None = None) -> Study:
     )
 
 
+def assignments(texts: Iterable[str], example: str) -> dict[str, str]:
+    """Split texts of the form ``name=value``.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        Texts to split.
+    example : str
+        Text that would do, for the error message.
+
+    Returns
+    -------
+    dict of str to str
+        Value of each name.
+
+    Raises
+    ------
+    InputError
+        If a text has no "=", or a name is given twice.
+    """
+    values: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"{text!r}: must be name=value, for example {example}")
+        if name in values:
+            raise InputError(f"{name}: is given twice")
+        values[name] = value
+    return values
+
+
 def _parse_assignments(texts: Iterable[str], start: StudyBase) -> dict[str, NDArray[Any]]:
     """Return values by name from texts "name=values", each name once."""
-    assigned: dict[str, NDArray[Any]] = {}
-    for text in texts:
-        name, equals, values = text.partition("=")
-        if not equals:
-            raise InputError(f"{text!r}: reads as name=values, as length_mm=8:30:0.5")
-        if name in assigned:
-            raise InputError(f"{name}: given twice")
-        assigned[name] = parse_values(name, values, is_named=name in names_of(start.fingers))
-    return assigned
+    names = names_of(start.fingers)
+    return {
+        name: parse_values(name, values, is_named=name in names)
+        for name, values in assignments(texts, "length_mm=8:30:0.5").items()
+    }
 
 
 def _single(name: str, values: NDArray[Any]) -> Any:
@@ -209,10 +236,7 @@ def _band(words: Words, *, is_paper: bool) -> tuple[float, float] | None:
     """Return the band of a request, or None."""
     if words.band is None:
         return BAND if is_paper and words.frequency is None else None
-    low, colon, high = words.band.partition(":")
-    if not colon:
-        raise InputError(f"band = {words.band!r}: reads as low:high in Hz, as 10:1000")
-    return _number("band", low), _number("band", high)
+    return parse_span("band", words.band, "in Hz, for example 10:1000")
 
 
 def _frequency(words: Words, band: tuple[float, float] | None) -> NDArray[np.float64]:
@@ -255,7 +279,7 @@ def parse_values(name: str, text: str, *, is_named: bool) -> NDArray[Any]:
         raise InputError(f"{name}: the axis is empty; give at least one value")
     if len(set(words)) < len(words):
         raise InputError(f"{name} = {text}: has a value twice")
-    return np.array(words if is_named else [_number(name, word) for word in words])
+    return np.array(words if is_named else [parse_number(name, word) for word in words])
 
 
 def _range(name: str, text: str) -> NDArray[np.float64]:
@@ -263,7 +287,7 @@ def _range(name: str, text: str) -> NDArray[np.float64]:
     parts = text.split(":")
     if len(parts) != 3:
         raise InputError(f"{name} = {text}: a range reads as start:stop:step")
-    start, stop, step = (_number(name, part) for part in parts)
+    start, stop, step = (parse_number(name, part) for part in parts)
     if not step > 0:
         raise InputError(f"{name} = {text}: step {step:g}: must be above 0")
     if stop < start:
@@ -275,8 +299,54 @@ def _range(name: str, text: str) -> NDArray[np.float64]:
     return np.asarray(np.round(start + step * np.arange(count), DIGITS))
 
 
-def _number(name: str, text: str) -> float:
-    """Return a finite number, or raise InputError."""
+def parse_span(name: str, text: str, hint: str) -> tuple[float, float]:
+    """Read a text of the form ``low:high``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the value, for the error message.
+    text : str
+        Text to read.
+    hint : str
+        What would do, for the error message.
+
+    Returns
+    -------
+    tuple of float
+        The two numbers, in any order.
+
+    Raises
+    ------
+    InputError
+        If it is not two finite numbers.
+    """
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise InputError(f"{name} = {text}: must be low:high, {hint}")
+    return parse_number(name, low), parse_number(name, high)
+
+
+def parse_number(name: str, text: str) -> float:
+    """Read a finite number.
+
+    Parameters
+    ----------
+    name : str
+        Name of the value, for the error message.
+    text : str
+        Text to read.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    InputError
+        If it is not a finite number.
+    """
     try:
         number = float(text)
     except ValueError:

@@ -8,7 +8,7 @@ explains why there are 16 bands. The names of fields carry their units, and unkn
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -78,7 +78,7 @@ class About(_Part, frozen=True, kw_only=True):
     description: str
     provenance: Literal["fitted", "published", "authored"]
     source: Annotated[str, Meta(min_length=1)]
-    licence: str
+    license: str
 
 
 class Reference(_Part, frozen=True, kw_only=True):
@@ -358,10 +358,20 @@ def load(name_or_path: str | Path) -> Descriptor:
         If the file is invalid. The message is one line with the file, field, value and limit.
     """
     path = files.find("textures", name_or_path)
-    descriptor = files.read(path, Descriptor)
+    descriptor = files.read(path, Descriptor, adapt=_rename_license)
     if descriptor.texture.id != path.stem:
         raise InputError(
             f"{path}: texture.id = {descriptor.texture.id!r}: "
             f"must equal the file's name {path.stem!r}"
         )
     return descriptor
+
+
+def _rename_license(content: dict[str, Any]) -> None:
+    """Rename the key ``licence`` of files for version 0.1.0; remove this in version 0.2.
+
+    Where both keys are present, the old one is left and refused as unknown.
+    """
+    about = content.get("texture")
+    if isinstance(about, dict) and "licence" in about and "license" not in about:
+        about["license"] = about.pop("licence")

@@ -274,7 +274,7 @@ def _about(name: str, category: str, picture: str, relief: HeightMap) -> About:
             f"{skin.PATCH:g} times the skin beside it. Levels are known within a factor of 2. "
             "Speed and force laws: assumed, as for the shipped textures."
         ),
-        licence="not stated",
+        license="not stated",
     )
 
 

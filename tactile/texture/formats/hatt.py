@@ -394,7 +394,7 @@ def texture_from(
             description=f"{material}, under a tool",
             source=f"Penn Haptic Texture Toolkit, {material}: its spectrum at {speed * 1e3:g} mm/s "
                    f"and {force:g} N, tool acceleration taken for skin acceleration",
-            licence="Penn Haptic Texture Toolkit: research only, not to be redistributed",
+            license="Penn Haptic Texture Toolkit: research only, not to be redistributed",
         ),
         reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=force),
         stochastic=Stochastic(

@@ -211,7 +211,7 @@ def texture_from(
     texture = Descriptor(
         texture=About(
             id=name, category=category, provenance="authored", source=reading.one_line(source),  # type: ignore[arg-type]
-            description=reading.one_line(effect.description) or name, licence="as of its source",
+            description=reading.one_line(effect.description) or name, license="as of its source",
         ),
         reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=1.0),
         periodic=tuple(gratings),

@@ -41,8 +41,8 @@ MAP: dict[str, set[str]] = {
     "devices": {"bus", "sim"},
     "estop": {"clock", "paths"},
     "playback": {
-        "bus", "clock", "devices", "display", "estop", "paths", "rendering", "sim",
-        "strength", "texture", "tracking",
+        "bus", "clock", "devices", "display", "estop", "messages", "paths", "rendering",
+        "sim", "strength", "texture", "tracking",
     },
     "bringup": {"bus", "devices", "display", "playback"},
     "server": {

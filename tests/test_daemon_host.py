@@ -341,11 +341,11 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     program.ask(OAK, m.Select(display=NAME, layers=(m.Layer(texture="leather-calf"),)))
     program.ask(OAK)
     playing = host.playing[NAME]
-    (part,) = playing.parts.values()
-    before = part.layers
+    (state,) = playing.states.values()
+    before = state.layers
     runner.run(host.reload())
     assert host.playing[NAME] is playing
-    assert part.layers != before, "made anew"
+    assert state.layers != before, "made anew"
     assert list(playing._shelf.ready) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.EventMessage)}

@@ -97,7 +97,7 @@ def stage(display: Display, oak: RealizedLayer, leather: RealizedLayer) -> Itera
     built = Stage(clock, player, bus, memory)
     player.keep(1, oak)
     player.keep(2, leather)
-    player.voice(ME).layers = ((1, 1.0),)
+    player.voice(ME).state.layers = ((1, 1.0),)
     player.arm()
     built.origin = built.now
     yield built
@@ -152,14 +152,14 @@ def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage) -> No
     Over 0.25 s that is within a tenth. The stretch of friction, the mean, adds as it is.
     """
     alone = parts(stage.slide(0.5)[2000:])
-    stage.player.voice(YOU).layers = ((1, 1.0), (2, 1.0))
+    stage.player.voice(YOU).state.layers = ((1, 1.0), (2, 1.0))
     stage.player.refresh(YOU)
     stage.slide(0.1, force=0.0)
     assert parts(stage.slide(0.5)[2000:]) == pytest.approx(alone, rel=1e-3), "not your finger"
     stage.slide(0.1, force=0.0)
     yours = parts(stage.slide(0.5, client=YOU)[2000:])
     stage.slide(0.1, force=0.0, client=YOU)
-    stage.player.voice(YOU).layers = ((2, 1.0),)
+    stage.player.voice(YOU).state.layers = ((2, 1.0),)
     stage.player.refresh(YOU)
     leather = parts(stage.slide(0.5, client=YOU)[2000:])
     assert yours[0] == pytest.approx(np.hypot(alone[0], leather[0]), rel=0.1)
@@ -168,17 +168,17 @@ def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage) -> No
 
 def test_gains_scale_and_stop_fades(stage: Stage) -> None:
     alone = rms(stage.slide(0.5)[2000:])
-    stage.player.voice(ME).gain = 0.25
+    stage.player.voice(ME).state.gain = 0.25
     stage.player.refresh(ME)
     stage.slide(0.1, force=0.0)
     assert rms(stage.slide(0.5)[2000:]) == pytest.approx(alone / 4, rel=1e-3)
-    stage.player.voice(ME).sounds = False
+    stage.player.voice(ME).state.sounds = False
     stage.player.refresh(ME)
     assert not stage.slide(0.1)[400:].any()
 
 
 def test_waves_of_all_clients_add_up_and_a_forgotten_one_is_let_go(stage: Stage) -> None:
-    stage.player.voice(ME).layers = ()
+    stage.player.voice(ME).state.layers = ()
     stage.slide(0.1)
     tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
     for client in (ME, YOU):
@@ -196,7 +196,7 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
     tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
     stage.player.voice(ME).queue.append(tone, RATE, ())
     air = rms(stage.rest(0.3)[800:])
-    stage.player.voice(ME).layers = ()
+    stage.player.voice(ME).state.layers = ()
     touched = rms(stage.slide(0.4)[800:])
     assert air / touched == pytest.approx(10 ** (-34 / 20), rel=0.05)
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=stage.clock)
@@ -211,7 +211,7 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
 
 def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) -> None:
     """Neither after a disarm nor after an e-stop: whoever arms decides what sounds."""
-    stage.player.voice(ME).layers = ()
+    stage.player.voice(ME).state.layers = ()
     stage.player.refresh(ME)
     tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
     stage.player.voice(ME).queue.append(tone, RATE, ())
@@ -296,7 +296,7 @@ def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: 
 def test_a_texture_that_is_changed_while_it_plays_makes_no_step(stage: Stage) -> None:
     steady = stage.slide(0.4)[1000:]
     largest = np.abs(np.diff(steady, axis=0)).max()
-    stage.player.voice(ME).layers = ((2, 1.0),)
+    stage.player.voice(ME).state.layers = ((2, 1.0),)
     stage.player.refresh(ME)
     change = stage.slide(0.1)
     assert np.abs(np.diff(change, axis=0)).max() < 1.5 * largest
@@ -343,7 +343,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
         )  # fmt: skip
         player = PlaybackLoop(display, bus, Shared(memory.handle, 24), clock=LinkTime(bus))
         player.keep(1, texture)
-        player.voice(ME).layers = ((1, 1.0),)
+        player.voice(ME).state.layers = ((1, 1.0),)
         player.arm()
         begun = player.rendering.asked(0)
         for k in range(30):

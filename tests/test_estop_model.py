@@ -298,7 +298,7 @@ class Model(Judged):
                 assert {one.state for one in amplifiers if one.high_voltage} <= allowed
         if not host.tasks and not any(app.tasks for app in self.apps):
             numbers = {app.client.number for app in self.apps}
-            assert set(playing.parts) <= numbers
+            assert set(playing.states) <= numbers
             assert playing.owners.clients <= numbers | {0}
 
     def teardown(self) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tactile import messages as m
 from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.clock import ModelClock
@@ -25,6 +26,8 @@ from tactile.playback.shared_memory import Shared
 from tactile.playback.waves import Curve
 
 RATE = 8000.0
+NAME = "left"
+ARM, DISARM = m.ArmDisplay(display=NAME), m.DisarmDisplay(display=NAME)
 BLOCK = 16
 ME = 1
 WATCH = 5e-3
@@ -75,7 +78,7 @@ class Stage:
             np.zeros((0, 3)),
             stream=False,
         )
-        assert not self.order(commands.Shape(ME, curve)).failure
+        assert not self.order(commands.BeginEffect(ME, curve)).failure
 
 
 @pytest.fixture
@@ -97,14 +100,14 @@ def stage(display: Display) -> Iterator[Stage]:
 def playing(stage: Stage) -> Stage:
     """Return a stage on which an effect sounds."""
     stage.play(WATCH)
-    assert not stage.order(commands.StartBus()).failure
+    assert not stage.order(ARM).failure
     stage.sound()
     assert stage.play(0.1).any()
     return stage
 
 
 def test_who_arms_what_is_armed_silences_nobody(playing: Stage) -> None:
-    assert not playing.order(commands.StartBus()).failure
+    assert not playing.order(ARM).failure
     assert playing.play(0.05).any()
 
 
@@ -121,15 +124,15 @@ def test_without_heartbeats_all_fades_and_is_disarmed(playing: Stage, display: D
 def test_what_was_faded_does_not_come_back_with_the_server(playing: Stage) -> None:
     playing.play(0.3, beats=False)
     assert not playing.play(0.3).any(), "nobody armed it"
-    assert not playing.order(commands.StartBus()).failure
+    assert not playing.order(ARM).failure
     assert not playing.play(0.3).any(), "the effect is gone"
 
 
 def test_a_silent_server_arms_nothing(stage: Stage) -> None:
     stage.play(0.3, beats=False)
-    assert "silent" in stage.order(commands.StartBus()).failure
+    assert "silent" in stage.order(ARM).failure
     stage.play(WATCH)
-    assert not stage.order(commands.StartBus()).failure
+    assert not stage.order(ARM).failure
 
 
 def test_time_in_which_playback_stood_still_is_not_the_servers_silence(playing: Stage) -> None:
@@ -148,7 +151,7 @@ def test_whoever_trips_the_latch_the_output_falls_and_stays_at_0(
     after = playing.play(0.1)
     assert not after[round(0.01 * RATE) :].any()
     assert playing.bus.state == "estopped"
-    assert f"e-stop {number} holds" in playing.order(commands.StartBus()).failure
+    assert f"e-stop {number} holds" in playing.order(ARM).failure
     assert not playing.play(0.1).any()
 
 
@@ -156,13 +159,11 @@ def test_a_clear_must_name_the_e_stop_that_holds(playing: Stage) -> None:
     playing.latch.trip("first")
     playing.latch.trip("second")
     playing.play(0.05)
-    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
-    assert playing.order(commands.ClearDevice(2)) == Answer(playing._number)
-    assert "e-stop 2 holds" in playing.order(commands.StartBus()).failure, (
-        "the server has not said so"
-    )
+    assert "e-stop 2 holds, not 1" in playing.order(m.ClearEstop(display=NAME, estop=1)).failure
+    assert playing.order(m.ClearEstop(display=NAME, estop=2)) == Answer(playing._number)
+    assert "e-stop 2 holds" in playing.order(ARM).failure, "the server has not said so"
     playing.latch.clear(2)
-    assert not playing.order(commands.StartBus()).failure
+    assert not playing.order(ARM).failure
 
 
 def test_an_e_stop_while_another_is_cleared_holds(
@@ -177,7 +178,7 @@ def test_an_e_stop_while_another_is_cleared_holds(
         playing.latch.trip("second, while the amplifier was cleared")
 
     monkeypatch.setattr(playing.bus, "clear", interrupted)
-    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
+    assert "e-stop 2 holds, not 1" in playing.order(m.ClearEstop(display=NAME, estop=1)).failure
     playing.play(0.05)
     assert playing.bus.state == "estopped"
     assert playing.latch.holds == 2
@@ -190,9 +191,9 @@ def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> 
     assert "by the amplifier" in playing.latch.reason
     playing.play(0.5)
     assert playing.latch.number == 1, "it is one e-stop, however long it lasts"
-    assert not playing.order(commands.ClearDevice(1)).failure
+    assert not playing.order(m.ClearEstop(display=NAME, estop=1)).failure
     playing.latch.clear(1)
-    assert not playing.order(commands.StartBus()).failure
+    assert not playing.order(ARM).failure
 
 
 def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
@@ -202,17 +203,17 @@ def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
     playing.latch.trip("by a program")
     playing.play(0.05)
     playing.bus.estop()
-    assert "e-stop 2 holds, not 1" in playing.order(commands.ClearDevice(1)).failure
+    assert "e-stop 2 holds, not 1" in playing.order(m.ClearEstop(display=NAME, estop=1)).failure
     playing.play(0.05)
     assert playing.latch.number == 2
-    assert not playing.order(commands.ClearDevice(2)).failure
+    assert not playing.order(m.ClearEstop(display=NAME, estop=2)).failure
 
 
 def test_a_new_playback_finds_the_latch_of_the_one_before(stage: Stage, display: Display) -> None:
     stage.latch.trip("while there was no playback")
     stage.play(0.05)
     assert stage.bus.state == "estopped"
-    assert "e-stop 1 holds" in stage.order(commands.StartBus()).failure
+    assert "e-stop 1 holds" in stage.order(ARM).failure
 
 
 def test_an_amplifier_that_is_still_e_stopped_is_no_new_e_stop(
@@ -235,7 +236,7 @@ def test_an_order_that_fails_is_answered_and_the_loop_goes_on(
         raise ZeroDivisionError("nobody expected that")
 
     monkeypatch.setattr(playing.player, "disarm", broken)
-    assert "nobody expected that" in playing.order(commands.StopBus()).failure
+    assert "nobody expected that" in playing.order(DISARM).failure
     assert "ZeroDivisionError" in capfd.readouterr().err
     assert playing.play(0.05).any()
 

@@ -100,7 +100,7 @@ class DrawingProcess(Process):
     def receive(self, order: Any) -> None:
         assert isinstance(order, drawing.DrawingRequest)
         try:
-            keep = commands.Keep(order.number, Stored(order))  # type: ignore[arg-type]
+            keep = commands.KeepTexture(order.number, Stored(order))  # type: ignore[arg-type]
             made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
         except TactileError as error:
             made = drawing.Made(order.number, failure=str(error))

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.display.display import Display
-from tactile.playback.waves import Curve
+from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
+from tactile.playback.waves import ClientState, Curve
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 
@@ -29,6 +30,8 @@ class Setup:
         Display to play.
     device : str
         URL of the bus.
+    rearm : bool
+        Whether the link may arm again by itself, if it can and the URL does not say.
     sample_rate : float or None
         Sample rate of the drive; None for the choice of the device [Hz].
     accept_unsafe_hold : bool
@@ -83,7 +86,7 @@ class DeviceOpened:
 
 
 @dataclass(frozen=True)
-class Keep:
+class KeepTexture:
     """Order to keep a texture ready under a number.
 
     Attributes
@@ -99,7 +102,7 @@ class Keep:
 
 
 @dataclass(frozen=True)
-class Drop:
+class DropTexture:
     """Order to drop a texture that no client selects any more.
 
     Attributes
@@ -112,42 +115,23 @@ class Drop:
 
 
 @dataclass(frozen=True)
-class SelectTextures:
-    """Order to select the textures of a client.
+class SetState:
+    """Order to set what a client plays besides its waves.
 
     Attributes
     ----------
     client : int
         Number of the client.
-    layers : tuple of (int, float)
-        Number of each texture, with its gain.
+    state : ClientState
+        Textures and gain of the client.
     """
 
     client: int
-    layers: tuple[tuple[int, float], ...]
+    state: ClientState
 
 
 @dataclass(frozen=True)
-class Scale:
-    """Order to set the gain of everything that a client plays.
-
-    Attributes
-    ----------
-    client : int
-        Number of the client.
-    gain : float
-        Gain of its textures and waves.
-    sounds : bool
-        Whether its textures sound.
-    """
-
-    client: int
-    gain: float
-    sounds: bool
-
-
-@dataclass(frozen=True)
-class Wave:
+class AppendSamples:
     """Order to play samples of a client.
 
     The answer is the number of samples that were taken, and the duration of those that wait [s].
@@ -174,7 +158,7 @@ class Wave:
 
 
 @dataclass(frozen=True)
-class Shape:
+class BeginEffect:
     """Order to play a parametric effect of a client.
 
     Attributes
@@ -190,7 +174,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Silence:
+class EndWaves:
     """Order to end the waveforms and effects of a client.
 
     Attributes
@@ -203,7 +187,7 @@ class Silence:
 
 
 @dataclass(frozen=True)
-class Forget:
+class ForgetClient:
     """Order to forget a client that has left.
 
     Attributes
@@ -213,29 +197,6 @@ class Forget:
     """
 
     client: int
-
-
-@dataclass(frozen=True)
-class StartBus:
-    """Order to start the bus."""
-
-
-@dataclass(frozen=True)
-class StopBus:
-    """Order to fade out and stop the bus."""
-
-
-@dataclass(frozen=True)
-class ClearDevice:
-    """Order to end an e-stop at the device; the server then writes it to the latch.
-
-    Attributes
-    ----------
-    estop : int
-        Number of the e-stop.
-    """
-
-    estop: int
 
 
 @dataclass(frozen=True)
@@ -264,7 +225,7 @@ class News:
     Attributes
     ----------
     kind : str
-        Kind of a `messages.Event`.
+        Kind of an `EventMessage`.
     detail : str
         One line about it.
     """
@@ -274,7 +235,7 @@ class News:
 
 
 Order = (
-    Keep | Drop | SelectTextures | Scale | Wave | Shape | Silence | Forget | StartBus | StopBus
-    | ClearDevice
+    KeepTexture | DropTexture | SetState | AppendSamples | BeginEffect | EndWaves | ForgetClient
+    | ArmDisplay | DisarmDisplay | ClearEstop
 )  # fmt: skip
-"""Any order to a playback process."""
+"""Any order to a playback process. What needs no preparation is the client's own request."""

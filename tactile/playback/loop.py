@@ -27,7 +27,7 @@ from tactile.playback.shared_memory import (
     Shared,
     State,
 )
-from tactile.playback.waves import TURN, Voice, affordable
+from tactile.playback.waves import TURN, ClientState, Voice, affordable
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer
@@ -427,7 +427,7 @@ class PlaybackLoop:
         if voice is not None:
             voice.queue.clear()
             voice.effect.begin(None)
-            voice.layers, voice.gone = (), True
+            voice.state.layers, voice.gone = (), True
             self.refresh(client)
 
     def refresh(self, client: int) -> None:
@@ -440,9 +440,8 @@ class PlaybackLoop:
         """
         if client != self._client:
             return
-        voice = self.voices.get(client)
-        layers = voice.layers if voice is not None and voice.sounds else ()
-        gain = self.gain * (voice.gain if voice is not None else 0.0)
+        state = self.voices[client].state if client in self.voices else ClientState()
+        layers, gain = state.layers if state.sounds else (), self.gain * state.gain
         self.rendering.play([(self.textures[n], g * gain) for n, g in layers if n in self.textures])
 
     def arm(self) -> None:
@@ -542,7 +541,7 @@ class PlaybackLoop:
             voice.effect.dropped = 0
             wave = voice.skip(count) if dropped else voice.take(count)
             if wave is not None:
-                scaled = wave * np.float32(voice.gain * self.gain)
+                scaled = wave * np.float32(voice.state.gain * self.gain)
                 total = scaled if total is None else total + scaled
             elif voice.gone and client not in work:
                 del self.voices[client]

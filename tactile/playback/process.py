@@ -26,6 +26,7 @@ from tactile.bus.registry import with_default_option
 from tactile.devices import open_bus
 from tactile.errors import BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
+from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import commands, priority
 from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
 from tactile.playback.loop import PlaybackLoop, state_of
@@ -190,33 +191,29 @@ class Program:
         """Execute an order; return its result."""
         player = self._player
         match order:
-            case commands.Keep():
+            case commands.KeepTexture():
                 player.keep(order.number, order.texture)
-            case commands.Drop():
+            case commands.DropTexture():
                 player.textures.pop(order.number, None)
-            case commands.SelectTextures():
-                player.voice(order.client).layers = order.layers
+            case commands.SetState():
+                player.voice(order.client).state = order.state
                 player.refresh(order.client)
-            case commands.Scale():
-                voice = player.voice(order.client)
-                voice.gain, voice.sounds = order.gain, order.sounds
-                player.refresh(order.client)
-            case commands.Shape():
+            case commands.BeginEffect():
                 player.voice(order.client).effect.begin(order.curve)
-            case commands.Wave():
+            case commands.AppendSamples():
                 return self._append(order)
-            case commands.Silence():
+            case commands.EndWaves():
                 player.voice(order.client).queue.clear()
                 player.voice(order.client).effect.begin(None)
-            case commands.Forget():
+            case commands.ForgetClient():
                 player.forget(order.client)
-            case commands.StartBus():
+            case ArmDisplay():
                 self._check_may_arm()
                 if not player.running:  # arming would silence what others play
                     player.arm()
-            case commands.StopBus():
+            case DisarmDisplay():
                 player.disarm()
-            case commands.ClearDevice():
+            case ClearEstop():
                 self._clear(order.estop)
         return ()
 
@@ -248,7 +245,7 @@ class Program:
         if self._latch.holds not in (0, estop):  # 0: another order has cleared the same before
             raise BusStateError(f"e-stop {self._latch.holds} holds, not {estop}")
 
-    def _append(self, order: commands.Wave) -> tuple[float, ...]:
+    def _append(self, order: commands.AppendSamples) -> tuple[float, ...]:
         """Queue samples; return how many were taken, and the time of those that wait [s]."""
         waves = self._player.voice(order.client).queue
         if not order.append:

@@ -508,6 +508,25 @@ def _taps(time: Floats, transients: Floats) -> Floats:
     return np.asarray(transients[:, 1] @ ((1 + np.cos(phase / (2 * PERIODS))) * np.sin(phase)))
 
 
+@dataclass
+class ClientState:
+    """What a client plays besides its waves.
+
+    Attributes
+    ----------
+    layers : tuple of (int, float)
+        Number of each selected texture, with its gain.
+    gain : float
+        Gain of everything that the client plays.
+    sounds : bool
+        Whether its textures sound.
+    """
+
+    layers: tuple[tuple[int, float], ...] = ()
+    gain: float = 1.0
+    sounds: bool = True
+
+
 class Voice:
     """What one client plays.
 
@@ -524,12 +543,8 @@ class Voice:
         Streamed waveforms.
     effect : EffectPlayer
         Parametric effects.
-    layers : tuple of (int, float)
-        Number of each texture, with its gain.
-    gain : float
-        Gain of everything that the client plays.
-    sounds : bool
-        Whether its textures sound.
+    state : ClientState
+        Textures and gain.
     gone : bool
         Whether the client has left.
     """
@@ -537,9 +552,8 @@ class Voice:
     def __init__(self, sample_rate: float, contactors: int) -> None:
         self._rate, self._contactors = sample_rate, contactors
         self.silence()
-        self.layers: tuple[tuple[int, float], ...] = ()
-        self.gain = 1.0
-        self.sounds, self.gone = True, False
+        self.state = ClientState()
+        self.gone = False
 
     def silence(self) -> None:
         """Drop all waves at once, while nothing sounds."""

@@ -29,7 +29,7 @@ from tactile.playback import commands
 from tactile.playback.shared_memory import Touch
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import hint
-from tactile.server.playing import ClientState, Playing
+from tactile.server.playing import Playing
 from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import watched
 from tactile.tracking.clock_map import ClockMap
@@ -119,8 +119,8 @@ class Client:
         """Fade the client's waveforms and effects, because it gives no sign of life."""
         self._sounds_until = -math.inf
         for playing in self._host.playing.values():
-            if self.number in playing.parts:
-                self._host.run(partial(playing.ask, commands.Silence(self.number)))
+            if self.number in playing.states:
+                self._host.run(partial(playing.ask, commands.EndWaves(self.number)))
                 self.post(EventMessage(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
@@ -242,10 +242,6 @@ class Client:
             }
         )
 
-    def _state(self, playing: Playing) -> ClientState:
-        """Return the client's state on a display, which is created if there is none."""
-        return playing.parts.setdefault(self.number, ClientState())
-
     async def _select(self, playing: Playing, command: m.Select) -> Answer:
         known = {texture.name for texture in self._host.textures()}
         for k, layer in enumerate(command.layers):
@@ -261,24 +257,23 @@ class Client:
             return Failure(code="busy", message=str(error), field="layers")
         return m.Done()
 
-    async def _send_scale(self, playing: Playing) -> Answer:
-        """Have playback apply the client's gain, and whether its textures sound."""
-        part = self._state(playing)
-        await playing.ask(commands.Scale(self.number, part.gain, part.sounds))
+    async def _apply_state(self, playing: Playing) -> Answer:
+        """Have playback play what the client's state says."""
+        await playing.apply_state(self.number)
         return m.Done()
 
     async def _play(self, playing: Playing, command: m.Play) -> Answer:
-        self._state(playing).sounds = True
-        return await self._send_scale(playing)
+        playing.state_of(self.number).sounds = True
+        return await self._apply_state(playing)
 
     async def _stop(self, playing: Playing, command: m.StopPlaying) -> Answer:
-        self._state(playing).sounds = False
-        await playing.ask(commands.Silence(self.number))
-        return await self._send_scale(playing)
+        playing.state_of(self.number).sounds = False
+        await playing.ask(commands.EndWaves(self.number))
+        return await self._apply_state(playing)
 
     async def _gain(self, playing: Playing, command: m.SetGain) -> Answer:
-        self._state(playing).gain = command.gain
-        return await self._send_scale(playing)
+        playing.state_of(self.number).gain = command.gain
+        return await self._apply_state(playing)
 
     def _waveform_refusal(self, playing: Playing) -> Failure | None:
         """Return why a display cannot play waveforms now, None if it can."""
@@ -317,9 +312,9 @@ class Client:
                 )
         else:
             samples = np.array(command.samples, np.float32)
-        self._state(playing)
+        playing.state_of(self.number)
         consumed, queued = await playing.ask(
-            commands.Wave(
+            commands.AppendSamples(
                 self.number, np.float32(command.amplitude_um * 1e-6) * samples,
                 command.sample_rate_hz, command.contactors, command.append,
             )
@@ -331,7 +326,7 @@ class Client:
         failure = self._waveform_refusal(playing)
         if failure is not None:
             return failure
-        self._state(playing)
+        playing.state_of(self.number)
         curve = Curve(
             command.amplitude_um * 1e-6,
             _point_rows([(p.time_ms, p.value) for p in command.amplitude], 2),
@@ -342,7 +337,7 @@ class Client:
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
             if np.any(np.diff(rows[:, 0]) < 0):
                 return Failure(code="invalid_field", field=name, message="times must not descend")
-        await playing.ask(commands.Shape(self.number, curve))
+        await playing.ask(commands.BeginEffect(self.number, curve))
         self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
         return m.Done()
 

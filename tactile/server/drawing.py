@@ -13,7 +13,7 @@ from typing import Any
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
-from tactile.playback.commands import Keep, Texture
+from tactile.playback.commands import KeepTexture, Texture
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
@@ -112,7 +112,7 @@ def main() -> None:
         except (EOFError, OSError, pickle.UnpicklingError):
             sys.exit(0)
         try:
-            order = request.number, Keep(request.number, make(request))
+            order = request.number, KeepTexture(request.number, make(request))
             answer = Made(request.number, pickle.dumps(order, protocol=5))
         except (TactileError, OSError) as error:
             answer = Made(request.number, failure=str(error))

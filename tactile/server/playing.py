@@ -11,15 +11,23 @@ written to the latch, which playback watches, and waits for nothing.
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, Literal
 
 from tactile.errors import BusError
 from tactile.estop.latch import Latch
-from tactile.messages import DisplayDescription, EventMessage, Layer
+from tactile.messages import (
+    ArmDisplay,
+    ClearEstop,
+    DisarmDisplay,
+    DisplayDescription,
+    EventMessage,
+    Layer,
+)
 from tactile.playback import commands
 from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
 from tactile.playback.shared_memory import PlaybackReport, Shared, Touch
+from tactile.playback.waves import ClientState
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, load_configured
 from tactile.server.description import describe
@@ -67,25 +75,6 @@ def hangs(now: float, reported: float, opened: float) -> bool:
     return now - max(reported, opened) > STILL
 
 
-@dataclass
-class ClientState:
-    """State of a client on a display.
-
-    Attributes
-    ----------
-    layers : tuple of (int, float)
-        Number and gain of each selected texture.
-    gain : float
-        Factor of everything that the client plays.
-    sounds : bool
-        Whether its textures sound.
-    """
-
-    layers: tuple[tuple[int, float], ...] = ()
-    gain: float = 1.0
-    sounds: bool = True
-
-
 class Playing:
     """Display that is played by a process.
 
@@ -112,7 +101,7 @@ class Playing:
         Memory that is shared with the playback process.
     how : DeviceOpened
         How the device plays.
-    parts : dict of int to ClientState
+    states : dict of int to ClientState
         States of the clients, by number.
     finger : FingerOwnership
         Owner of the finger.
@@ -136,7 +125,7 @@ class Playing:
         self.latch = latch
         self.memory = Shared.create(len(self.display.contactors))
         self.how = DeviceOpened()
-        self.parts: dict[int, ClientState] = {}
+        self.states: dict[int, ClientState] = {}
         self.finger = FingerOwnership()
         self.lost = True
         self.failure = ""
@@ -284,10 +273,8 @@ class Playing:
             await self._open()
             self.failure = ""
             await self.renew()
-            for client, part in list(self.parts.items()):
-                await self.ask(commands.Scale(client, part.gain, part.sounds))
             if self.owners.clients and not self.latch.holds:
-                await self.ask(commands.StartBus())
+                await self.ask(ArmDisplay(display=self.config.name))
             else:
                 self._announce("disarmed", "playback is back, and disarmed")
 
@@ -358,7 +345,7 @@ class Playing:
         self.owners.clients.add(client)
         with self.owners.arm():
             try:
-                await self.ask(commands.StartBus())
+                await self.ask(ArmDisplay(display=self.config.name))
             except BusError:
                 self.owners.clients.discard(client)
                 raise
@@ -373,7 +360,7 @@ class Playing:
         """
         self.owners.clients.clear()
         if not self.lost:
-            await self.ask(commands.StopBus())
+            await self.ask(DisarmDisplay(display=self.config.name))
 
     async def give_up(self, client: int) -> None:
         """Take away a client's share of high voltage; switch it off if nobody else has one.
@@ -441,7 +428,7 @@ class Playing:
         """
         if not self.latch.holds:
             return
-        await self.ask(commands.ClearDevice(estop))
+        await self.ask(ClearEstop(display=self.config.name, estop=estop))
         self.latch.clear(estop)
         self._announce("cleared", f"e-stop {estop} was cleared", estop=estop)
 
@@ -490,15 +477,45 @@ class Playing:
         BusError
             If a texture cannot be prepared, or there is no room for it.
         """
-        part = self.parts.setdefault(client, ClientState())
+        state = self.state_of(client)
         with self._shelf.held() as held:
             selection = []
             for layer in layers:
                 number = await self.texture(client, layer.texture, layer.seed)
                 held.add(number)
                 selection.append((number, layer.gain))
-            part.layers = tuple(selection)
-        await self.ask(commands.SelectTextures(client, part.layers))
+            state.layers = tuple(selection)
+        await self.ask(commands.SetState(client, replace(state)))
+
+    def state_of(self, client: int) -> ClientState:
+        """Return what a client plays, which is nothing as yet for a new one.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+
+        Returns
+        -------
+        ClientState
+            State of the client; changes take effect with `apply_state`.
+        """
+        return self.states.setdefault(client, ClientState())
+
+    async def apply_state(self, client: int) -> None:
+        """Have playback play what a client's state says.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+
+        Raises
+        ------
+        BusError
+            If playback does not answer.
+        """
+        await self.ask(commands.SetState(client, replace(self.state_of(client))))
 
     async def texture(self, client: int, name: str, seed: int) -> int:
         """Return the number of a texture, once it is ready.
@@ -542,10 +559,10 @@ class Playing:
         self._child.tell(order)
 
     async def _drop_texture(self, number: int) -> None:
-        await self.ask(commands.Drop(number))
+        await self.ask(commands.DropTexture(number))
 
     def _selected(self) -> set[int]:
-        return {n for part in self.parts.values() for n, _ in part.layers}
+        return {n for state in self.states.values() for n, _ in state.layers}
 
     async def renew(self) -> None:
         """Prepare the selected textures anew, as their files may have changed, and play them."""
@@ -559,10 +576,10 @@ class Playing:
                         held.add(numbers[n])
                     except BusError as error:
                         log.error("%s: %s", self.config.name, error)
-            for part in self.parts.values():
-                part.layers = tuple((numbers.get(n, n), gain) for n, gain in part.layers)
-        for client, part in list(self.parts.items()):
-            await self.ask(commands.SelectTextures(client, part.layers))
+            for state in self.states.values():
+                state.layers = tuple((numbers.get(n, n), gain) for n, gain in state.layers)
+        for client in list(self.states):
+            await self.apply_state(client)
         for n, _ in old.values():
             await self._drop_texture(n)
 
@@ -592,12 +609,12 @@ class Playing:
         if lifted is not None:
             self.touch(client, lifted)
         work = [self.give_up(client)]
-        if self.parts.pop(client, None) is not None and not self.lost:
+        if self.states.pop(client, None) is not None and not self.lost:
             work.append(self._forget(client))
         await asyncio.gather(*work)
 
     async def _forget(self, client: int) -> None:
-        await self.ask(commands.Forget(client))
+        await self.ask(commands.ForgetClient(client))
 
     # State
 

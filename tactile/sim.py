@@ -8,13 +8,12 @@ bimorph, amplifier and finger. ``sim:?plant=package.module:factory`` uses anothe
 
 import importlib
 from collections import deque
-from typing import Protocol
 
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
-from tactile.actuator.plant import Plant
+from tactile.actuator.actuator import PlantLike
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.options import FORMATS, Keep, Options, SampleFormatName
@@ -43,35 +42,6 @@ class SimOptions(Options, frozen=True, kw_only=True):
     keep: Keep = "second"
     plant: str | None = None
     format: SampleFormatName = "pcm16"
-
-
-class PlantLike(Protocol):
-    """Interface of a plant behind the drive.
-
-    Attributes
-    ----------
-    delay : int
-        Delay of the outputs of `step` against the drive [samples].
-    """
-
-    delay: int
-
-    def step(self, drive: Floats) -> tuple[Floats, Floats]:
-        """Compute the response to further drive samples.
-
-        Parameters
-        ----------
-        drive : (S, N) array of float
-            Drive of each contactor [V].
-
-        Returns
-        -------
-        displacement : (S, N) array of float
-            Shear displacement of the skin [m].
-        current : (S, N) array of float
-            Current into each contactor [A].
-        """
-        ...
 
 
 class SimulatedDisplay(MockBus):
@@ -163,8 +133,8 @@ class SimulatedDisplay(MockBus):
         self._late = self._plant.delay
 
 
-def default_plant(display: Display, sample_rate: float) -> Plant:
-    """Create the plant of a display from its own bimorph, amplifier and finger.
+def default_plant(display: Display, sample_rate: float) -> PlantLike:
+    """Create the plant of a display from its own actuators, amplifier and finger.
 
     Parameters
     ----------
@@ -175,12 +145,11 @@ def default_plant(display: Display, sample_rate: float) -> Plant:
 
     Returns
     -------
-    Plant
-        Model of all contactors.
+    PlantLike
+        Simulation of all contactors.
     """
     force = display.load_forces[len(display.load_forces) // 2]
-    return Plant(
-        display.bimorph,
+    return display.actuator.plant(
         display.load_at(force),
         sample_rate,
         contactors=len(display.contactors),

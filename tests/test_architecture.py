@@ -44,7 +44,7 @@ MAP: dict[str, set[str]] = {
         "bus", "clock", "devices", "display", "estop", "messages", "paths", "rendering",
         "sim", "strength", "texture", "tracking",
     },
-    "bringup": {"bus", "devices", "display", "playback"},
+    "bringup": {"actuator", "bus", "devices", "display", "playback"},
     "server": {
         "clock", "display", "estop", "files", "messages", "paths", "playback",
         "rendering", "texture", "tracking",

@@ -318,13 +318,13 @@ def test_verdicts(share: float, volts: float, loss: float, verdict: str) -> None
     omega = 2 * np.pi * FREQUENCY
     y = omega * 1e-8 * share * (1j + loss)
     load = LineLoad(5 * volts, abs(y) * 5 * volts, complex(y), 0.001)
-    assert judge(load, drive=5.0, capacitance=1e-8) == verdict
+    assert judge(load, drive=5.0, admittance=2j * np.pi * FREQUENCY * 1e-8) == verdict
 
 
 def test_no_voltage_at_all() -> None:
     at, volts, current = pairs(1e-8)
     short = load_of(at, 0 * volts, current, sample_rate=RATE)
     assert (short.voltage, short.error) == (0.0, math.inf)
-    assert judge(short, drive=4.9, capacitance=0.9e-8) == "short"
+    assert judge(short, drive=4.9, admittance=2j * np.pi * FREQUENCY * 0.9e-8) == "short"
     dead = load_of(at, 0 * volts, 0 * current, sample_rate=RATE)
-    assert judge(dead, drive=4.9, capacitance=1e-8) == "no voltage"
+    assert judge(dead, drive=4.9, admittance=2j * np.pi * FREQUENCY * 1e-8) == "no voltage"

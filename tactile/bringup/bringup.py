@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile.actuator.finger import FingerLoad
 from tactile.bringup.probe import (
     FREQUENCY,
     INTERVAL,
@@ -280,9 +281,10 @@ def _measure_one(one: CheckedChannel, bus: Bus, display: Display) -> str:
     load = load_of(*np.array(rows, np.float64).T, sample_rate=rate)
     drive = float(signal.envelope(np.array([signal.duration / 2]))[0])
     gain = display.amplifier.gain
-    one.verdict = judge(load, drive=drive, capacitance=display.capacitance * gain)
+    free = display.actuator.response(FingerLoad.none(), np.array([FREQUENCY]))
+    one.verdict = judge(load, drive=drive, admittance=complex(free.admittance[0]) * gain)
     one.voltage_v, one.current_ua = load.voltage, load.current * 1e6
-    if math.isfinite(load.error):
+    if math.isfinite(load.error) and display.capacitance > 0:
         one.capacitance_nf = load.capacitance / gain * 1e9
         one.error_percent = load.error * 100
         one.loss = load.loss if math.isfinite(load.loss) else None

@@ -275,7 +275,7 @@ def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: fl
     return LineLoad(float(size[0]), float(size[1]), complex(i / v), error)
 
 
-def judge(load: LineLoad, *, drive: float, capacitance: float) -> Verdict:
+def judge(load: LineLoad, *, drive: float, admittance: complex) -> Verdict:
     """Judge a line by its load.
 
     Parameters
@@ -284,15 +284,15 @@ def judge(load: LineLoad, *, drive: float, capacitance: float) -> Verdict:
         Measured load.
     drive : float
         Amplitude that was sent [V].
-    capacitance : float
-        Capacitance that the line should have, seen at the drive [F].
+    admittance : complex
+        Admittance that the line should have, seen at the drive [A/V].
 
     Returns
     -------
     Verdict
         Verdict on the line.
     """
-    expected = 2 * np.pi * FREQUENCY * capacitance * drive
+    expected = abs(admittance) * drive
     if load.voltage < COLLAPSED * drive:
         return "short" if load.current > expected else "no voltage"
     if load.current > SHORT * expected:
@@ -301,6 +301,7 @@ def judge(load: LineLoad, *, drive: float, capacitance: float) -> Verdict:
         return "open"
     if abs(load.voltage / drive - 1) > VOLTAGE_TOLERANCE:
         return "wrong voltage"
-    if load.loss > LOSS:
+    if admittance.imag > abs(admittance.real) and load.loss > LOSS:
         return "leaks"
-    return "good" if abs(load.capacitance / capacitance - 1) <= TOLERANCE else "off"
+    deviation = abs(load.admittance) / abs(admittance) - 1
+    return "good" if abs(deviation) <= TOLERANCE else "off"

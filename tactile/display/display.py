@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile import files
+from tactile.actuator.actuator import Actuator
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
+from tactile.actuator.bimorph_actuator import BimorphActuator
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.materials import (
-    LARGEST_FIELD,
     PIEZOS,
     SHIMS,
     VACUUM_PERMITTIVITY,
     PiezoMaterial,
     ShimMaterial,
 )
-from tactile.actuator.response import tip_response
 from tactile.arrays import Complex, Floats
 from tactile.display.tables import (
     AmplifierTable,
@@ -92,14 +92,15 @@ class DriveLimits:
         sample_rate : float
             Sample rate of the drive [Hz].
         capacitance : float
-            Capacitance of a bimorph times the gain of the amplifier [F].
+            Capacitance of an actuator times the gain of the amplifier [F]; 0 for none.
 
         Returns
         -------
         float
             Largest change per sample [V].
         """
-        return min(self.slew, self.current / capacitance) / sample_rate
+        charging = self.current / capacitance if capacitance > 0 else math.inf
+        return min(self.slew, charging) / sample_rate
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,8 @@ class Display:
         Size of an opening along and across the shear direction [m].
     projected : bool
         Whether shear is projected on the direction of motion.
-    bimorph : Bimorph
-        Bender of every contactor.
+    actuator : Actuator
+        Actuator of every contactor.
     load : FingerLoad or FingerTable
         Load of every contactor.
     amplifier : Amplifier
@@ -182,7 +183,7 @@ class Display:
     channel: NDArray[np.intp]
     opening: tuple[float, float]
     projected: bool
-    bimorph: Bimorph
+    actuator: Actuator
     load: FingerLoad | FingerTable
     amplifier: Amplifier
     limits: DriveLimits
@@ -200,13 +201,22 @@ class Display:
         return np.stack([np.cos(self.shear_direction), np.sin(self.shear_direction)], axis=1)
 
     @property
-    def capacitance(self) -> float:
-        """Capacitance of one bimorph at rest, clamped segment included [F].
+    def bimorph(self) -> Bimorph:
+        """Bender of every contactor.
 
-        The current limit refers to it.
+        Raises
+        ------
+        InputError
+            If the display has actuators of another kind.
         """
-        r = tip_response(self.bimorph, FingerLoad.none(), [1.0])
-        return float((r.admittance / (2j * np.pi * r.frequency)).real[0])
+        if not isinstance(self.actuator, BimorphActuator):
+            raise InputError(f"display {self.name!r}: its actuators are no bimorphs")
+        return self.actuator.bimorph
+
+    @property
+    def capacitance(self) -> float:
+        """Capacitance of one actuator at rest, to which the current limit refers [F]."""
+        return self.actuator.capacitance
 
     @property
     def slew(self) -> float:
@@ -250,7 +260,7 @@ class Display:
         """
         table = []
         for force in self.load_forces:
-            model = tip_response(self.bimorph, self.load_at(force), frequency)
+            model = self.actuator.response(self.load_at(force), frequency)
             volts = self.amplifier.response(frequency, model.admittance, sample_rate)
             table.append([model.displacement * volts, *(m.at(frequency) for m in self.measured)])
         return np.array(table)
@@ -323,7 +333,7 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
         channel=np.array([c.channel for c in contactors], np.intp),
         opening=(content.display.opening_mm[0] * 1e-3, content.display.opening_mm[1] * 1e-3),
         projected=content.display.shear_projection == "motion",
-        bimorph=_bimorph(content.bimorph),
+        actuator=BimorphActuator(_bimorph(content.bimorph)),
         load=_load(content.finger) if load is None else load,
         amplifier=_amplifier(content.amplifier),
         limits=_limits(content.limits),
@@ -499,23 +509,19 @@ def load_response(path: str | Path) -> Measured:
 def _check_geometry(display: Display) -> None:
     """Raise InputError for a display that cannot be built or must not be driven."""
     highest = display.limits.voltage * display.amplifier.peak
-    layer = display.bimorph.layer_voltage / display.bimorph.piezo_height
-    field = highest * float(layer)
-    if field > LARGEST_FIELD:
-        largest = _three_digits_below(display.limits.voltage * LARGEST_FIELD / field)
-        swing = ", twice the drive's behind AC coupling," if display.amplifier.ac_coupling else ""
+    share, reason = display.actuator.overload(highest)
+    if share > 1:
+        largest = _three_digits_below(display.limits.voltage / share)
+        swing = ", twice that behind AC coupling" if display.amplifier.ac_coupling else ""
         raise InputError(
-            f"limits.voltage_v = {display.limits.voltage:g}: {field / 1e3:.0f} V/mm in the piezo "
-            f"layers{swing} exceeds {LARGEST_FIELD / 1e3:.0f} V/mm; at most {largest:g} V"
+            f"limits.voltage_v = {display.limits.voltage:g}{swing}: {reason}; at most {largest:g} V"
         )
-    in_air = tip_response(display.bimorph, FingerLoad.none(), [0.0]).displacement[0]
-    travel = highest * float(np.abs(in_air))
-    needs = (float(display.bimorph.height) + 2 * travel, float(display.bimorph.width))
+    needs = display.actuator.size(highest)
     for need, has, side in zip(needs, display.opening, ("along", "across"), strict=True):
         if need > has:
             raise InputError(
                 f"display.opening_mm: {has * 1e3:g} mm {side} the shear direction, "
-                f"the bender with its travel needs {need * 1e3:.2f} mm"
+                f"the actuator with its travel needs {need * 1e3:.2f} mm"
             )
     channels, counts = np.unique(display.channel, return_counts=True)
     if np.any(counts > 1):

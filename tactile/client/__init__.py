@@ -7,12 +7,12 @@ times of `time.monotonic` (on Linux, that is OpenXR's XrTime in seconds).
 
 from tactile.client import aio as aio
 from tactile.client.base import BaseConnection as BaseConnection
-from tactile.client.base import BaseDisplay as BaseDisplay
-from tactile.client.sync import Connection as Connection
-from tactile.client.sync import RemoteDisplay as RemoteDisplay
-from tactile.client.sync import TelemetryStream as TelemetryStream
-from tactile.client.sync import connect as connect
-from tactile.client.sync import open_connection as open_connection
+from tactile.client.connection import Connection as Connection
+from tactile.client.connection import connect as connect
+from tactile.client.connection import open_connection as open_connection
+from tactile.client.display import BaseDisplay as BaseDisplay
+from tactile.client.display import RemoteDisplay as RemoteDisplay
+from tactile.client.telemetry import TelemetryStream as TelemetryStream
 from tactile.client.transport import Receiver as Receiver
 from tactile.client.transport import Transport as Transport
 from tactile.client.wire import Appended as Appended

@@ -4,6 +4,7 @@ A `ClientSession` stands between a twin (`sync`, `aio`), which asks, and a `Tran
 carries. Everything here may be called from any thread, and nothing waits.
 """
 
+import dataclasses
 import threading
 import weakref
 from collections import Counter, deque
@@ -16,7 +17,7 @@ from typing import Any
 import msgspec
 
 from tactile.client import wire
-from tactile.client.telemetry import TelemetryQueue
+from tactile.client.telemetry_queue import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.wishes import EStops, Wishes
 from tactile.clock import Clock
@@ -306,8 +307,9 @@ class ClientSession:
                 self._queues.pop(telemetry.display, None)
         if not queues and known:
             self._transport.send(Subscribe(display=telemetry.display, rate_hz=0))
-        made = wire.from_telemetry(telemetry, self.offset.seconds)
-        lost = sum(queue.put(made) for queue in queues)
+        item = wire.from_message(wire.Telemetry, telemetry)
+        item = dataclasses.replace(item, time=item.time - self.offset.seconds)
+        lost = sum(queue.put(item) for queue in queues)
         if lost:
             with self._lock:
                 self.counters["dropped_telemetry"] += lost

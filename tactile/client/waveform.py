@@ -5,9 +5,12 @@ from array import array
 from collections.abc import Iterable, Iterator
 from itertools import islice
 
-from tactile.client.wire import checked, to_index, to_items, to_number
+from tactile.client.wire import Appended, checked, to_index, to_items, to_number
 from tactile.errors import InputError
 from tactile.messages import MOST_SAMPLES, Append
+
+SHORTEST_PAUSE, LONGEST_PAUSE = 0.005, 0.1
+"""Limits of the time to wait before what the daemon had no room for is sent again [s]."""
 
 
 def packed(samples: Iterable[float]) -> bytes:
@@ -90,3 +93,23 @@ class Waveform:
         self._rest = self._rest[4 * samples_consumed :]
         if samples_consumed:
             self._append = True
+
+
+def pause_after(message: Append, appended: Appended) -> float:
+    """Return how long to wait before more of a waveform is sent.
+
+    Parameters
+    ----------
+    message : Append
+        What was sent.
+    appended : Appended
+        What the daemon took of it.
+
+    Returns
+    -------
+    float
+        Half of what waits to be played, within limits; 0 if all of the message was taken [s].
+    """
+    if appended.samples_consumed * 4 >= len(message.samples):
+        return 0.0
+    return min(max(appended.buffered / 2, SHORTEST_PAUSE), LONGEST_PAUSE)

@@ -20,7 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect, unix_connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
-from tactile.client.base import UNIX
+from tactile.client.address import UNIX
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
 from tactile.errors import ClientError, InputError

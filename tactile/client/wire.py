@@ -3,6 +3,8 @@
 `to_` makes messages, checked as the daemon will check them; `from_` reads them.
 """
 
+import dataclasses
+import functools
 import math
 import operator
 import reprlib
@@ -13,7 +15,6 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tactile import messages
 from tactile.errors import InputError
 from tactile.messages import (
     MOST_LAYERS,
@@ -29,6 +30,7 @@ from tactile.messages import (
 )
 
 M = TypeVar("M", bound=ApiMessage)
+S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry")
 
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
 """A texture or several, each with its gain where it is a pair; none is ``()``."""
@@ -357,50 +359,54 @@ def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 
-def from_info(info: messages.DisplayDescription) -> DisplayInfo:
-    """Return a display's description in SI."""
-    return DisplayInfo(
-        name=info.name,
-        contactors=tuple((x * 1e-3, y * 1e-3) for x, y in info.contactors_mm),
-        shear_direction=tuple(math.radians(angle) for angle in info.shear_direction_deg),
-        sample_rate=info.sample_rate_hz,
-        voltage_limit=info.voltage_limit_v,
-        waveforms=info.waveforms,
-        latency=info.latency_ms * 1e-3,
-    )
+UNITS = {
+    "_mm_s": 1e-3,
+    "_mm": 1e-3,
+    "_um": 1e-6,
+    "_ms": 1e-3,
+    "_us": 1e-6,
+    "_deg": math.pi / 180,
+    "_hz": 1.0,
+    "_n": 1.0,
+    "_v": 1.0,
+}
+"""Value in SI of the unit that a field of a message ends with."""
 
 
-def from_appended(reply: messages.AppendedReply) -> Appended:
-    """Return what became of an append in SI."""
-    return Appended(reply.samples_consumed, reply.buffered_ms * 1e-3)
+@functools.cache
+def _units(message: type[msgspec.Struct]) -> dict[str, tuple[str, float | None]]:
+    """Return each field of a message and the value of its unit, by its name without the unit."""
+    units = {}
+    for field in message.__struct_fields__:
+        suffix = next((suffix for suffix in UNITS if field.endswith(suffix)), "")
+        units[field.removesuffix(suffix)] = field, UNITS.get(suffix)
+    return units
 
 
-def from_stats(stats: messages.StatsReply) -> Stats:
-    """Return how a display stands in SI."""
-    return Stats(
-        display=stats.display,
-        state=stats.state,
-        link=stats.link,
-        detail=stats.detail,
-        touching=stats.touching,
-        owner=stats.owner,
-        latency=stats.latency_ms * 1e-3,
-        counters=stats.counters,
-        estop=stats.estop,
-    )
+def _scaled(value: Any, unit: float) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_scaled(item, unit) for item in value)
+    return value * unit
 
 
-def from_telemetry(telemetry: messages.TelemetryMessage, clock_offset: float) -> Telemetry:
-    """Return telemetry in SI; the daemon's clock less the offset [s] is this program's."""
-    (x, y), (vx, vy) = telemetry.position_mm, telemetry.velocity_mm_s
-    return Telemetry(
-        display=telemetry.display,
-        time=telemetry.time_us * 1e-6 - clock_offset,
-        state=telemetry.state,
-        position=(x * 1e-3, y * 1e-3),
-        velocity=(vx * 1e-3, vy * 1e-3),
-        normal_force=telemetry.normal_force_n,
-        shear=tuple(shear * 1e-6 for shear in telemetry.shear_um),
-        drive=telemetry.drive_v,
-        counters=telemetry.counters,
-    )
+def from_message(kind: type[S], message: msgspec.Struct) -> S:
+    """Return what a message holds in SI.
+
+    Parameters
+    ----------
+    kind : type
+        Data class whose fields are those of the message, without their units.
+    message : Struct
+        Message of the daemon.
+
+    Returns
+    -------
+    kind
+        Values in SI.
+    """
+    units, values = _units(type(message)), {}
+    for name in (field.name for field in dataclasses.fields(kind)):
+        field, unit = units[name]
+        value = getattr(message, field)
+        values[name] = value if unit is None else _scaled(value, unit)
+    return kind(**values)

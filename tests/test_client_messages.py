@@ -1,5 +1,6 @@
 """The SDK says each call as its message, and takes the daemon's answers, in both twins."""
 
+import inspect
 import math
 import threading
 import time
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, until
 
+from tactile import client
 from tactile import messages as m
+from tactile.client import aio
 from tactile.errors import ClientError, ClientTimeoutError, NotFoundError, RequestError
 
 
@@ -43,6 +46,32 @@ def test_positions_may_be_arrays_of_numpy(remote: Any, daemon: Daemon) -> None:
     remote.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
     (said,) = until(lambda: daemon.of(m.Contact))
     assert list(said.position_mm) == pytest.approx([1.0, 2.0], rel=1e-6)  # of float32
+
+
+@pytest.mark.parametrize(
+    ("synchronous", "asynchronous"),
+    [
+        (client.Connection, aio.AsyncConnection),
+        (client.RemoteDisplay, aio.AsyncDisplay),
+        (client.TelemetryStream, aio.AsyncTelemetryStream),
+        (client, aio),
+    ],
+)
+def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> None:
+    """As one is made of the other, what could be missing is its line."""
+
+    def calls(twin: Any) -> dict[str, list[str]]:
+        found = {name: getattr(twin, name) for name in dir(twin) if not name.startswith("_")}
+        return {
+            name: [str(parameter) for parameter in inspect.signature(call).parameters.values()]
+            for name, call in found.items()
+            if inspect.isfunction(call) and call.__doc__
+        }
+
+    expected = calls(asynchronous)
+    expected.pop("open", None)  # which the synchronous one does when it is made
+    assert calls(synchronous) == expected
+    assert "close" in expected or "connect" in expected
 
 
 # Answers

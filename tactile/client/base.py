@@ -99,7 +99,6 @@ class BaseConnection(ABC):
         if self._opened:
             return
         self._opened = True
-        self._dispatcher.start()
         self._session.notify = self._dispatcher.put
         self._transport.open(self._session)
         try:

@@ -38,13 +38,17 @@ class AsyncConnection(AsyncClosing, BaseConnection):
 
     def __init__(self, transport: Transport, **options: Any) -> None:
         super().__init__(transport, **options)
-        self._dispatcher = TaskDispatcher(self._session.counters)
+        self._dispatcher: TaskDispatcher = TaskDispatcher(self._session.counters)
 
     async def _wait(self, future: "Future[T]", timeout: float, what: str) -> T:
         return await suspend(future, timeout, what)
 
     async def _sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
+
+    async def _open(self) -> None:
+        self._dispatcher.start()
+        await super()._open()
 
     async def open(self) -> Self:
         """Connect, and return the connection.
@@ -83,7 +87,7 @@ class AsyncConnection(AsyncClosing, BaseConnection):
             If there are several and none is named, or none of that name (`NotFoundError`).
         """
         name = self._name(name)
-        display: AsyncDisplay = self._displays.get(name) or AsyncDisplay(self, name)
+        display: AsyncDisplay = self._displays.setdefault(name, AsyncDisplay(self, name))
         return display
 
     async def textures(
@@ -167,7 +171,7 @@ class Connection(Closing, BaseConnection):
             If there are several and none is named, or none of that name (`NotFoundError`).
         """
         name = self._name(name)
-        display: RemoteDisplay = self._displays.get(name) or RemoteDisplay(self, name)
+        display: RemoteDisplay = self._displays.setdefault(name, RemoteDisplay(self, name))
         return display
 
     textures = blocking(AsyncConnection.textures)

@@ -59,11 +59,7 @@ class Dispatcher(ABC):
         self._counters = counters
         self._lock = threading.Lock()
         self._callbacks: tuple[Callback, ...] = ()
-        self._calls = 0
-        self._closed = False
-
-    def start(self) -> None:  # noqa: B027
-        """Get ready, before the first event; a thread only starts with its first callback."""
+        self._calls = 0  # that wait or run
 
     def add(self, callback: Callback) -> None:
         """Call back to one more function from now on.
@@ -123,11 +119,12 @@ class Dispatcher(ABC):
 class ThreadDispatcher(Dispatcher):
     """Calls back one after the other in a thread of its own, which starts with the first callback.
 
-    So a callback may wait, and use displays.
+    A callback may therefore wait, and use displays.
     """
 
     def __init__(self, counters: Counter[str]) -> None:
         super().__init__(counters)
+        self._closed = False
         self._queue: queue.SimpleQueue[tuple[Callback, Event] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
 
@@ -173,14 +170,14 @@ class ThreadDispatcher(Dispatcher):
 
 
 class TaskDispatcher(Dispatcher):
-    """Calls back in the event loop of the program; a coroutine function runs as a task there."""
+    """Calls back in the program's event loop; a coroutine function runs as a task there."""
 
     def __init__(self, counters: Counter[str]) -> None:
         super().__init__(counters)
         self._tasks: set[asyncio.Task[None]] = set()
 
     def start(self) -> None:
-        """Call back in the running event loop."""
+        """Call back in the running event loop; do this before the first event."""
         self._loop = asyncio.get_running_loop()
 
     def _hand_over(self, callback: Callback, event: Event) -> None:

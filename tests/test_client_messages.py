@@ -1,5 +1,6 @@
 """The SDK says each call as its message, and takes the daemon's answers, in both twins."""
 
+import asyncio
 import inspect
 import math
 import threading
@@ -14,7 +15,7 @@ from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, u
 
 from tactile import client
 from tactile import messages as m
-from tactile.client import aio
+from tactile.client import aio, waiting
 from tactile.errors import ClientError, ClientTimeoutError, NotFoundError, RequestError
 
 
@@ -72,6 +73,20 @@ def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> 
     expected.pop("open", None)  # which the synchronous one does when it is made
     assert calls(synchronous) == expected
     assert "close" in expected or "connect" in expected
+
+
+def test_what_would_be_suspended_for_good_in_the_synchronous_twin_is_an_error() -> None:
+    ended: list[bool] = []
+
+    async def suspended() -> None:
+        try:
+            await asyncio.sleep(0)
+        finally:
+            ended.append(True)
+
+    with pytest.raises(RuntimeError, match="suspended"):
+        waiting.finish(suspended())
+    assert ended == [True]
 
 
 # Answers

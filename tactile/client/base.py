@@ -1,4 +1,4 @@
-"""What connections have in common: how a request becomes a message and its reply a result.
+"""Base of connections: how a request is sent, and how its reply is waited for.
 
 Coroutines of this module wait only by `BaseConnection._wait` and `BaseConnection._sleep`, see
 `tactile.client.waiting`.
@@ -194,7 +194,7 @@ class BaseConnection(ABC):
 
     @property
     def welcome(self) -> Welcome:
-        """What the daemon said about itself when it was last connected to.
+        """Description that the daemon gave of itself when it was last connected to.
 
         Raises
         ------
@@ -213,7 +213,7 @@ class BaseConnection(ABC):
 
     @property
     def roles(self) -> frozenset[Role]:
-        """What the daemon lets this program do: some of "watch", "play", "arm" and "stop"."""
+        """Roles that the daemon gives this program: some of "watch", "play", "arm" and "stop"."""
         return frozenset(self.welcome.roles)
 
     @property

@@ -181,7 +181,7 @@ class Connection(Closing, BaseConnection):
 
 @dataclass(frozen=True)
 class Opener(Generic[C, D]):
-    """What connects to daemons, for either kind of connection.
+    """Factory of either kind of connection.
 
     Attributes
     ----------

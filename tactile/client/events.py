@@ -1,4 +1,4 @@
-"""Calls back with events, where no callback holds up a request: in a thread, or as tasks."""
+"""Dispatchers of events to callbacks, none of which holds up a request: a thread, or tasks."""
 
 import asyncio
 import inspect
@@ -29,7 +29,7 @@ def as_callback(callback: Callback) -> Callback:
     Parameters
     ----------
     callback : Callable
-        What a program gave as one.
+        Callback as the program gave it.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def as_callback(callback: Callback) -> Callback:
 
 
 class Dispatcher(ABC):
-    """Calls back with events; `ThreadDispatcher` and `TaskDispatcher` say where.
+    """Dispatcher of events to callbacks; `ThreadDispatcher` and `TaskDispatcher` say where.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Dispatcher(ABC):
         self._counters = counters
         self._lock = threading.Lock()
         self._callbacks: tuple[Callback, ...] = ()
-        self._calls = 0  # that wait or run
+        self._calls = 0  # number of calls that wait or run
 
     def add(self, callback: Callback) -> None:
         """Call back to one more function from now on.
@@ -107,7 +107,7 @@ class Dispatcher(ABC):
 
     @abstractmethod
     async def close(self, timeout: float) -> None:
-        """End all calls but one that closes.
+        """End all calls, except the one that closes.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class Dispatcher(ABC):
 
 
 class ThreadDispatcher(Dispatcher):
-    """Calls back one after the other in a thread of its own, which starts with the first callback.
+    """Dispatcher that calls back in a thread of its own, which starts with the first callback.
 
     A callback may therefore wait, and use displays.
     """
@@ -170,7 +170,7 @@ class ThreadDispatcher(Dispatcher):
 
 
 class TaskDispatcher(Dispatcher):
-    """Calls back in the program's event loop; a coroutine function runs as a task there."""
+    """Dispatcher in the program's event loop, where a coroutine function runs as a task."""
 
     def __init__(self, counters: Counter[str]) -> None:
         super().__init__(counters)
@@ -196,7 +196,7 @@ class TaskDispatcher(Dispatcher):
                 await result
 
     async def close(self, timeout: float) -> None:
-        """Cancel all tasks but one that closes.
+        """Cancel all tasks, except the one that closes.
 
         Parameters
         ----------

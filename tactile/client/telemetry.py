@@ -9,7 +9,7 @@ from tactile.client.wire import Telemetry
 
 
 class BaseTelemetryStream:
-    """What a display does, as it comes; the newest 64 items wait until they are read.
+    """Stream of what a display does; the newest 64 items wait until they are read.
 
     Reading raises `ClientTimeoutError` if nothing comes, and may go on afterwards. The stream goes
     on after a reconnection, and ends when the connection is closed.
@@ -35,7 +35,7 @@ class BaseTelemetryStream:
 
 
 class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Telemetry]):
-    """What a display does, for ``async for``. Get it from `AsyncDisplay.telemetry`."""
+    """Stream of what a display does, for ``async for``. Get it from `AsyncDisplay.telemetry`."""
 
     async def __anext__(self: BaseTelemetryStream) -> Telemetry:
         connection, queue = self._connection, self._queue
@@ -49,12 +49,12 @@ class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Tele
         return telemetry
 
     async def close(self: BaseTelemetryStream) -> None:
-        """Ask for no more; so it is also when nobody holds the stream any more."""
+        """End the telemetry; this also happens when nobody holds the stream any more."""
         self._connection._session.leave(self._queue)
 
 
 class TelemetryStream(Closing, BaseTelemetryStream, Iterator[Telemetry]):
-    """What a display does, as an iterator. Get it from `RemoteDisplay.telemetry`."""
+    """Iterator over what a display does. Get it from `RemoteDisplay.telemetry`."""
 
     def __next__(self) -> Telemetry:
         try:

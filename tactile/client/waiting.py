@@ -132,7 +132,7 @@ def blocking(function: Callable[P, Coroutine[Any, Any, R]]) -> Callable[P, R]:
 
 
 class Closing:
-    """What is closed at the end of a ``with``."""
+    """Base of objects that are closed at the end of a ``with``."""
 
     def close(self: Any) -> None:
         """Close it."""
@@ -151,7 +151,7 @@ class Closing:
 
 
 class AsyncClosing:
-    """What is closed at the end of an ``async with``."""
+    """Base of objects that are closed at the end of an ``async with``."""
 
     async def close(self) -> None:
         """Close it."""

@@ -110,7 +110,7 @@ class BaseConnection(ABC):
     async def _close(self) -> None:
         """Stop the displays that were used, and close."""
         if not self._session.closed:
-            await self._stop(self._displays)
+            await self._stop(list(self._displays))
             await self._end()
 
     async def _stop(self, names: Iterable[str]) -> None:

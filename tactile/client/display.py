@@ -487,7 +487,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         AsyncTelemetryStream
             Stream that ends with the connection.
         """
-        return AsyncTelemetryStream(self._connection, self.name, rate, timeout)
+        return AsyncTelemetryStream(self, rate, timeout)
 
     async def close(self: BaseDisplay) -> None:
         """Stop, and close the connection if `connect` made it for this display."""
@@ -546,4 +546,4 @@ class RemoteDisplay(Closing, BaseDisplay):
         TelemetryStream
             Stream that ends with the connection.
         """
-        return TelemetryStream(self._connection, self.name, rate, timeout)
+        return TelemetryStream(self, rate, timeout)

@@ -1,11 +1,14 @@
 """Streams of telemetry: `TelemetryStream`, and `AsyncTelemetryStream` for asyncio."""
 
 from collections.abc import AsyncIterator, Iterator
+from typing import TYPE_CHECKING
 
-from tactile.client.base import BaseConnection
 from tactile.client.telemetry_queue import TelemetryQueue
 from tactile.client.waiting import AsyncClosing, Closing, blocking, finish
 from tactile.client.wire import Telemetry
+
+if TYPE_CHECKING:
+    from tactile.client.display import BaseDisplay
 
 
 class BaseTelemetryStream:
@@ -16,22 +19,18 @@ class BaseTelemetryStream:
 
     Parameters
     ----------
-    connection : BaseConnection
-        Connection that the display is of.
-    display : str
-        Name of the display.
+    display : BaseDisplay
+        Display that the telemetry is of.
     rate : float
         Rate of the telemetry [Hz].
     timeout : float, optional
         Longest wait for each item, beyond its period [s]; by default that of the connection.
     """
 
-    def __init__(
-        self, connection: BaseConnection, display: str, rate: float, timeout: float | None
-    ) -> None:
-        self._connection = connection
-        self._queue = TelemetryQueue(display, rate)
-        self._timeout, self._subscribed = connection._patience(timeout), False
+    def __init__(self, display: "BaseDisplay", rate: float, timeout: float | None) -> None:
+        self._connection = display._connection
+        self._queue = TelemetryQueue(display.name, rate)
+        self._timeout, self._subscribed = self._connection._patience(timeout), False
 
 
 class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Telemetry]):

@@ -23,7 +23,8 @@ from websockets.typing import Subprotocol
 from tactile.client.address import UNIX
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
-from tactile.errors import ClientError, InputError
+from tactile.client.waiting import suspend
+from tactile.errors import ClientError, ClientTimeoutError, InputError
 from tactile.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
@@ -313,9 +314,8 @@ class WebSocketTransport(ABC):
 
     async def _answer(self, future: "Future[Any]", timeout: float, what: str) -> Any:
         try:
-            async with asyncio.timeout(timeout):
-                return await asyncio.wrap_future(future)
-        except TimeoutError:
+            return await suspend(future, timeout, what)
+        except ClientTimeoutError:
             raise _SilentError(f"no answer to {what} in {timeout:g} s") from None
 
 

@@ -1,8 +1,8 @@
 """Benchmarks of every figure that the project promises: accuracy, fidelity, speed and memory.
 
-Each benchmark is a function that yields figures; a figure has a goal, or none where it is there to
-compare with. Where another library does the same work it is measured in the same run. BLAS is held
-to one thread. ``python -m benchmarks`` runs them.
+Each benchmark is a function that yields figures. A figure has a goal, or none if it only serves as
+a comparison. Where another library does the same work, it is measured in the same run. BLAS is
+limited to one thread. ``python -m benchmarks`` runs the benchmarks.
 """
 
 from functools import partial
@@ -60,6 +60,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "deaths": measure_deaths,
     "estop": measure_estop,
 }
+"""Short benchmarks, by name."""
 LONG: dict[str, Benchmark] = {
     "soak": partial(measure_memory, 600),
     "fuzz": measure_fuzz,
@@ -75,4 +76,4 @@ LONG: dict[str, Benchmark] = {
     "dask": measure_dask,
     "million": measure_million,
 }
-"""Benchmarks that take minutes."""
+"""Benchmarks that take minutes, by name."""

@@ -1,4 +1,4 @@
-"""Measure the figures of the project: ``python -m benchmarks [NAME …] [--long] [--json]``."""
+"""Command that measures the figures: ``python -m benchmarks [NAME …] [--long] [--json]``."""
 
 import json
 import sys
@@ -19,7 +19,7 @@ def main(
     long: Annotated[bool, typer.Option("--long", help="Also run those that take minutes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print figures for machines.")] = False,
 ) -> None:
-    """Measure every figure that the documentation promises, beside other libraries.
+    """Measure every figure that the documentation promises, compared with other libraries.
 
     Example: python -m benchmarks speed clock --json
     """

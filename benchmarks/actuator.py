@@ -1,4 +1,4 @@
-"""The actuator: transfer matrix, loaded response and plant, beside other solvers."""
+"""Actuator: transfer matrix, loaded response and plant, compared with other solvers."""
 
 from collections.abc import Iterator
 
@@ -16,7 +16,7 @@ from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
 
 
 def _first_order(bimorph: Bimorph, omega: float, axial_force: float) -> NDArray[np.complex128]:
-    """Return the beam's equations as x' = A x, x = (v, ψ̇, M, F, U, I)."""
+    """Return the matrix A of the beam's equations x' = A x, with x = (v, ψ̇, M, F, U, I)."""
     s = active_segment(bimorph)
     EI, AG, K = complex(s.section.EI), complex(s.section.AG), complex(s.coupling)
     A = np.zeros((6, 6), np.complex128)
@@ -57,7 +57,7 @@ def measure_matrix() -> Iterator[Figure]:
 
 
 def _scales(A: NDArray[np.complex128], unit: float) -> Floats:
-    """Return scales of the state that balance a matrix: rows and columns of like size."""
+    """Return scales of the state that balance a matrix: rows and columns of similar size."""
     scale = np.ones(len(A))
     size = np.abs(A) + np.abs(A).max() * 1e-300
     for _ in range(50):
@@ -79,7 +79,7 @@ def measure_response() -> Iterator[Figure]:
 
 
 def measure_plant() -> Iterator[Figure]:
-    """Time the plant beside scipy's simulation of the same system."""
+    """Time the plant and scipy's simulation of the same system."""
     ours = Plant(Bimorph(), FingerLoad.low(), RATE, contactors=24)
     drive = np.random.default_rng(0).standard_normal((8000, 24))
     yield Figure("plant.24.times_real_time", 1 / seconds(lambda: ours.step(drive)), "×")

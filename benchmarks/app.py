@@ -1,4 +1,4 @@
-"""Programs that play through a daemon until somebody ends them, each in a process of its own.
+"""Programs that play through a daemon until they are ended, each in its own process.
 
 They are forked from a process that has loaded the SDK, so that one begins within milliseconds.
 """
@@ -10,31 +10,32 @@ from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 
 import tactile.client
-import tactile.client.websocket  # loaded before the fork
+import tactile.client.websocket  # Loaded before the fork, so that programs begin sooner.
 from benchmarks.daemon import NAME, PATIENCE
 from tactile.client import RemoteDisplay
 from tactile.errors import ClientError
 
 LASTS = 120.0
-"""s after which a program ends by itself, where it is not said otherwise."""
+"""Default time after which a program ends by itself [s]."""
 RATE = 90.0
-"""Hz at which a finger is told."""
+"""Rate at which the finger's position is sent [Hz]."""
 FREQUENCY, AMPLITUDE = 160.0, 20e-6
-"""Hz and m of the shear of waveforms and effects."""
+"""Frequency [Hz] and amplitude [m] of the shear of waveforms and effects."""
 SAMPLE_RATE, AHEAD = 8000, 0.4
-"""Hz of the waveform; s of it that wait in the daemon."""
+"""Sample rate of the waveform [Hz], and the duration of it that waits in the daemon [s]."""
 EFFECT = 60.0
-"""s, the longest effect that may be asked for."""
+"""Longest duration of an effect that may be requested [s]."""
 TEXTURE = "wood-oak"
+"""Texture of the strokes."""
 
 
 def get_ready(display: RemoteDisplay, sound: str) -> None:
-    """Select and arm as soon as the daemon allows it: playback may be started again just now.
+    """Select and arm as soon as the daemon permits it; playback may be being started again.
 
     Raises
     ------
     ClientError
-        Where it does not for too long.
+        If the daemon does not permit it in time.
     """
     deadline = time.monotonic() + PATIENCE
     while True:
@@ -49,7 +50,7 @@ def get_ready(display: RemoteDisplay, sound: str) -> None:
 
 
 def play_stroke(display: RemoteDisplay, lasts: float) -> None:
-    """Move a finger over oak, to and fro."""
+    """Move a finger over oak, back and forth."""
     begun = time.monotonic()
     while (now := time.monotonic() - begun) < lasts:
         speed = 0.08 * math.cos(2 * now)
@@ -78,7 +79,7 @@ def play_effect(display: RemoteDisplay, lasts: float) -> None:
 
 
 def begin_effect(display: RemoteDisplay) -> None:
-    """Ask for an effect of a minute."""
+    """Request an effect of a minute."""
     display.effect(
         AMPLITUDE,
         amplitude_points=[(0.0, 1.0), (EFFECT, 1.0)],
@@ -91,6 +92,7 @@ SOUNDS: dict[str, Callable[[RemoteDisplay, float], None]] = {
     "waveform": play_waveform,
     "effect": play_effect,
 }
+"""Functions that play, by name."""
 
 
 def _be_app(url: str, sound: str, lasts: float) -> None:
@@ -100,7 +102,7 @@ def _be_app(url: str, sound: str, lasts: float) -> None:
 
 
 def start_app(url: str, sound: str, lasts: float = LASTS) -> BaseProcess:
-    """Start a program that plays one of `SOUNDS` for so long [s], and return its process."""
+    """Start a program that plays one of `SOUNDS` for a duration [s], and return its process."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
     process = context.Process(target=_be_app, args=(url, sound, lasts), daemon=True)

@@ -1,9 +1,10 @@
-"""What links hold, counted in frames of real drive, and how soon they let an e-stop through.
+"""Capacity of links, counted in frames of real drive, and e-stops on saturated links.
 
-The design's table of most channels (one amplifier, packets of 4 ms, 85 % of a UART, 70 % of CAN,
-80 % of I²C) is compared with what oak's own frames take, stuff bits included. The design counted
-I²C transfers of any length; those of 2 ms that the protocol wants (SPEC.md, 3.3) hold less at
-400 kHz: both are told. Of entries up to 10, one channel less is rounding.
+The design's table of the largest number of channels (one amplifier, packets of 4 ms, 85 % of a
+UART, 70 % of CAN, 80 % of I²C) is compared with what the frames of oak take, stuff bits included.
+The design counted I²C transfers of any length. Transfers of 2 ms, as the protocol requires
+(SPEC.md, 3.3), hold less at 400 kHz; both are reported. In entries up to 10, one channel less is
+rounding.
 """
 
 from collections.abc import Iterator
@@ -33,11 +34,11 @@ class LongI2c(I2c):
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name for people."""
         return f"{super().name} any length"
 
     def largest(self) -> int:
-        """Return what a target takes."""
+        """Return the size of the largest packet that a target accepts [bytes]."""
         return DEFAULT_LIMIT
 
 
@@ -53,16 +54,18 @@ TABLE: dict[Link, tuple[int, int, int, int, int]] = {
     I2c(1e6): (6, 10, 13, 20, 31),
     I2c(3.4e6): (23, 35, 47, 69, 108),
 }
-"""The design's most channels, by coding."""
+"""Largest number of channels in the design, by link and coding."""
 CODINGS = (
     (SampleFormat.PCM12, 8000), (SampleFormat.BFP8, 8000), (SampleFormat.PCM12, 4000),
     (SampleFormat.BFP8, 4000), (SampleFormat.BFP8, 2500),
 )  # fmt: skip
+"""Sample formats and sample rates [Hz] of the table's columns."""
 SHORTEST = I2c(400e3)
-"""Which the design's figures do not hold for."""
+"""Link for which the design's figures do not hold."""
 BOARD = 255
-"""Channels of an amplifier."""
+"""Number of channels of an amplifier."""
 TRIALS = 20
+"""Number of e-stops on each link."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Bench:
-    """A display of so many channels."""
+    """Display with a given number of channels."""
 
     channels: int
     slew: float = 0.7e6
@@ -84,7 +87,7 @@ class Bench:
 
 
 def packet_seconds(link: Link, packet: Packet, encoder: CanEncoder) -> float:
-    """Return the time that a packet takes on a link [s], counted bit by bit."""
+    """Return the time that a packet takes on a link, counted bit by bit [s]."""
     if isinstance(link, Uart):
         return uart_bits(len(encode_frame(encode_packet(packet)))) / link.bit_rate
     if isinstance(link, I2c):
@@ -97,7 +100,7 @@ def packet_seconds(link: Link, packet: Packet, encoder: CanEncoder) -> float:
 
 
 def used(link: Link, kind: SampleFormat, rate: int, drive: Floats) -> float:
-    """Return the fraction of a link that a stretch of drive (S, C) at a rate takes."""
+    """Return the fraction of a link that drive (S, C) takes at a sample rate [Hz]."""
     size = rate * 4 // 1000
     encoder = CanEncoder(from_amplifier=False, fd=isinstance(link, Can) and link.data is not None)
     total = 0.0
@@ -111,7 +114,7 @@ def used(link: Link, kind: SampleFormat, rate: int, drive: Floats) -> float:
 
 
 def _most(link: Link, kind: SampleFormat, rate: int, drive: Floats) -> int:
-    """Return the most channels that stay below the cap, found by halving."""
+    """Return the largest number of channels that stays within the cap, by bisection."""
     low, high = 0, 500
     while high - low > 1:
         middle = (low + high) // 2
@@ -122,13 +125,13 @@ def _most(link: Link, kind: SampleFormat, rate: int, drive: Floats) -> int:
 
 
 def measure_wire() -> Iterator[Figure]:
-    """Compare the channels that links hold with the design's table, the worst of its entries."""
+    """Compare the number of channels that links hold with the design's table; the worst counts."""
     drive = oak_drive()[800:1000] * 5
     for link, row in TABLE.items():
         shares = []
-        for (kind, rate), wanted in zip(CODINGS, row, strict=True):
+        for (kind, rate), expected in zip(CODINGS, row, strict=True):
             most = _most(link, kind, rate, drive)
-            shares.append(1.0 if most == wanted - 1 < 10 else most / wanted)
+            shares.append(1.0 if most == expected - 1 < 10 else most / expected)
         name = f"links.wire.{link.name.replace(' ', '_')}"
         share = 100 * min(shares)
         if link == SHORTEST:
@@ -143,10 +146,11 @@ SATURATED = {
     "canfd_1_5": ("mock:?link=canfd&format=bfp8", 35),
     "i2c_1M": ("mock:?link=i2c&bit_rate=1000000&format=bfp8", 9),
 }
+"""Saturated links: URL and number of channels, by name."""
 
 
 def measure_estop() -> Iterator[Figure]:
-    """Press e-stop at any moment of a saturated link, at full drive; time until 0 V."""
+    """Measure the time until 0 V of an e-stop at any moment on a saturated link at full drive."""
     random = np.random.default_rng(0)
     for name, (url, channels) in SATURATED.items():
         with open_bus(url, Bench(channels), sample_rate=8000.0) as bus:
@@ -158,7 +162,7 @@ def measure_estop() -> Iterator[Figure]:
 
 
 def _estop(bus: ModeledBus, after: int) -> float:
-    """Return the time from an e-stop, so many samples after a start, to 0 V [s]."""
+    """Return the time from an e-stop, a number of samples after a start, to 0 V [s]."""
     (amplifier,) = bus.model.amplifiers
     time = np.arange(after + 64) / 8000
     tone = 100 * np.sin(2 * np.pi * 100 * time)[:, None] * np.minimum(time * 50, 1)[:, None]
@@ -175,6 +179,6 @@ def _estop(bus: ModeledBus, after: int) -> float:
 
 
 def measure_budgets() -> Iterator[Figure]:
-    """Measure both."""
+    """Measure the capacity of links and the delay of e-stops."""
     yield from measure_wire()
     yield from measure_estop()

@@ -1,7 +1,7 @@
-"""The estimate of an amplifier's clock beside simpler ones, over modeled links, in virtual time.
+"""Estimates of an amplifier's clock compared with simpler ones, over modeled links in virtual time.
 
-Every estimator is fed the same exchanges. An error is what an estimate shows less what the clock
-shows, at random instants from 20 s after the first exchange on, all runs together.
+Every estimator receives the same exchanges. An error is the difference between the estimate and the
+clock at random instants from 20 s after the first exchange on, over all runs together.
 """
 
 import math
@@ -18,33 +18,43 @@ from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_most, seconds
 
 Delay = Callable[[np.random.Generator, float], float]
-"""Time that a packet takes [s] which is sent at a host time [s]."""
+"""Function that returns the time that a packet takes [s] if it is sent at a host time [s]."""
 
 TICK_HZ = 1e6
+"""Nominal frequency of the amplifier's clock [Hz]."""
 DRIFT_PPM = 30.0
+"""Deviation of the amplifier's clock from its nominal frequency [ppm]."""
 HOLD = 20e-6
-"""s from reception to answer in the amplifier (assumed)."""
+"""Time from reception to answer in the amplifier (assumed) [s]."""
 DURATION = 120.0
+"""Duration of a run [s]."""
 SETTLED = 20.0
-"""s, from when on errors count."""
+"""Time from which on errors count [s]."""
 SEEDS = range(8)
+"""Seeds of the runs."""
 
 MICROFRAME, FRAME = 125e-6, 1e-3
-"""s between two of USB high speed and full speed (USB 2.0, 8.4.3)."""
+"""Intervals of USB high speed and full speed (USB 2.0, 8.4.3) [s]."""
 CAN_BIT = 1e-6
+"""Duration of a bit on the CAN bus [s]."""
 CAN_FRAME_BITS = 111
-"""Of 8 data bytes and an 11-bit id with the gap after it, before stuffing (ISO 11898-1)."""
+"""Bits of a CAN frame of 8 data bytes and an 11-bit identifier, before stuffing (ISO 11898-1).
+
+The gap after the frame is included.
+"""
 CAN_STUFF_BITS = 24
-"""At most (Davis et al., Controller Area Network schedulability analysis, 2007)."""
+"""Largest number of stuff bits (Davis et al., Controller Area Network schedulability analysis,
+2007)."""
 CAN_LOAD = 0.5
-"""Part of the time that others hold the bus (assumed)."""
+"""Share of the time for which other nodes hold the bus (assumed)."""
 TIME_FRAMES, REPLY_FRAMES = 3, 5
-"""CAN frames of TIME (16 bytes) and TIME_REPLY (32 bytes), 7 bytes each, 2 for the length."""
+"""CAN frames of TIME (16 bytes) and TIME_REPLY (32 bytes): 7 bytes each, and 2 bytes for the
+length."""
 
 
 @dataclass(frozen=True)
 class LinkDelays:
-    """Delays out and back, and what of either the host knows and takes off [s]."""
+    """Delays of a link out and back, and the known part of either that the host subtracts [s]."""
 
     out: Delay
     back: Delay
@@ -53,33 +63,36 @@ class LinkDelays:
 
 @dataclass(frozen=True)
 class DriftingClock:
-    """An amplifier's clock that reads `start` ticks at host time 0."""
+    """Clock of an amplifier that reads `start` ticks at host time 0."""
 
     drift_ppm: float = DRIFT_PPM
     start: int = 123_456_789
 
     def ticks(self, host_time: float) -> int:
-        """Return what it shows."""
+        """Return the reading of the clock at a host time [s]."""
         return self.start + math.floor(host_time * (1 + self.drift_ppm * 1e-6) * TICK_HZ)
 
 
 def jittery(rng: np.random.Generator, _: float) -> float:
-    """Return 150 µs and 100 µs exponential; 3 % are 3 ms later, exponential (the figure's own)."""
+    """Return a delay of 150 µs plus 100 µs, exponential; 3 % are 3 ms longer, also exponential [s].
+
+    The numbers are the benchmark's own.
+    """
     spike = rng.exponential(3e-3) if rng.random() < 0.03 else 0.0
     return 150e-6 + rng.exponential(100e-6) + spike
 
 
 def polled(interval: float, rng: np.random.Generator, _: float) -> float:
-    """Return 100 µs of host and driver (assumed) and a wait for a poll at any phase."""
+    """Return a delay of 100 µs for host and driver (assumed) plus a wait for a poll [s]."""
     return 100e-6 + rng.uniform(0, interval)
 
 
 def over_can(frames: int, rng: np.random.Generator, sent: float) -> float:
-    """Return USB high speed to the adapter, and frames that wait for others' on a 1 Mbit/s bus.
+    """Return the delay of USB high speed to an adapter and of frames on a 1 Mbit/s CAN bus [s].
 
-    Each is stuffed by its data, and waits for the rest of a frame where it finds one on the bus
-    (arbitration among those that wait is left out); the host wakes late by 30 µs, exponential
-    (assumed).
+    Each frame is stuffed according to its data, and waits for the rest of a frame that it finds on
+    the bus; arbitration among waiting frames is left out. The host wakes up late by 30 µs,
+    exponential (assumed).
     """
     longest = CAN_FRAME_BITS + CAN_STUFF_BITS
     bits = rng.uniform(CAN_FRAME_BITS, longest, frames)
@@ -89,27 +102,28 @@ def over_can(frames: int, rng: np.random.Generator, sent: float) -> float:
 
 
 def in_step(rng: np.random.Generator, sent: float) -> float:
-    """Return a wait for the next full-speed frame, by a clock 1 ppm off the host's (assumed)."""
+    """Return a delay until the next full-speed frame of a clock 1 ppm off (assumed) [s]."""
     return 100e-6 + rng.exponential(10e-6) + FRAME - (sent * (1 + 1e-6)) % FRAME
 
 
 def timed_out(latency: float, rng: np.random.Generator, sent: float) -> float:
-    """Return full speed after FTDI's latency timer, which runs freely while nothing is received.
+    """Return the delay of full speed after FTDI's latency timer [s].
 
-    FTDI AN232B-04: fewer than 62 bytes wait until it ends. Its crystal is 40 ppm off (assumed).
+    The timer runs freely while nothing is received. According to FTDI AN232B-04, fewer than 62
+    bytes wait until it ends. Its crystal is 40 ppm off (assumed).
     """
     wait = latency - (sent * (1 + 40e-6)) % latency
     return wait + polled(FRAME, rng, sent)
 
 
 def can_usb(frames: int) -> LinkDelays:
-    """Return the link by the frames of TIME, the time of all without stuffing taken off."""
+    """Return a CAN link by the number of frames of TIME; the known delay leaves out stuffing."""
     known = frames * CAN_FRAME_BITS * CAN_BIT, REPLY_FRAMES * CAN_FRAME_BITS * CAN_BIT
     return LinkDelays(partial(over_can, frames), partial(over_can, REPLY_FRAMES), known)
 
 
 def ftdi(latency: float) -> LinkDelays:
-    """Return an FTDI serial adapter by its latency timer [s]; the wire's time is taken off."""
+    """Return an FTDI serial adapter by its latency timer [s], without the time on the wire."""
     return LinkDelays(partial(polled, FRAME), partial(timed_out, latency))
 
 
@@ -122,21 +136,23 @@ LINKS: dict[str, LinkDelays] = {
     "ftdi_1ms": ftdi(1e-3),
     "ftdi_16ms": ftdi(16e-3),
 }
+"""Modeled links by name."""
 LIMITS_US = {"jitter": 20.0, "can_usb": 50.0, "can_usb_padded": 50.0}
+"""Largest permitted spread of the error on a link [µs]."""
 
 
 class Estimator(Protocol):
-    """What is compared."""
+    """Interface of the estimators that are compared."""
 
     def add(self, t1: float, t2: int, t3: int, t4: float) -> object:
-        """Take an exchange."""
+        """Add an exchange."""
 
     def ticks_at(self, host_time: float) -> int:
-        """Return the estimate."""
+        """Return the estimated reading of the clock at a host time [s]."""
 
 
 class LastSample:
-    """The middle of the last exchange, and the rate by name."""
+    """Estimator by the middle of the last exchange, at the nominal rate."""
 
     def __init__(self) -> None:
         self.samples: list[tuple[float, float, float]] = []
@@ -144,30 +160,30 @@ class LastSample:
         self.rate = 1.0
 
     def add(self, t1: float, t2: int, t3: int, t4: float) -> None:
-        """Keep (round trip, host time, amplifier's time) [s]; choose what to go by."""
+        """Store (round trip, host time, amplifier's time) [s], and update the estimate."""
         e = Exchange(t1, t2, t3, t4)
         self.samples.append((e.round_trip(TICK_HZ), (t1 + t4) / 2, (t2 + t3) / 2 / TICK_HZ))
         self.choose()
 
     def choose(self) -> None:
-        """Go by the last."""
+        """Use the last exchange."""
         _, self.time, self.seconds = self.samples[-1]
 
     def ticks_at(self, host_time: float) -> int:
-        """Return the estimate."""
+        """Return the estimated reading of the clock at a host time [s]."""
         return round((self.seconds + self.rate * (host_time - self.time)) * TICK_HZ)
 
 
 class ShortestTrip(LastSample):
-    """The middle of the shortest round trip of the last 8 (Cristian 1989), and the rate by name."""
+    """Estimator by the shortest round trip of the last 8 (Cristian 1989), at the nominal rate."""
 
     def choose(self) -> None:
-        """Go by the shortest."""
+        """Use the exchange with the shortest round trip."""
         _, self.time, self.seconds = min(self.samples[-8:])
 
 
 class LeastSquares(LastSample):
-    """A line through the middles of the last 64."""
+    """Estimator by a line through the middles of the last 64 exchanges."""
 
     def choose(self) -> None:
         """Fit the line."""
@@ -178,12 +194,14 @@ class LeastSquares(LastSample):
 
 
 class Regression(LastSample):
-    """The shortest round trip of the last 8, once, into an exponential regression of gain 1/12.
+    """Estimator by an exponential regression of gain 1/12 on the shortest trips of the last 8.
 
-    After Klipper's clocksync; its first time variance, 1 s², holds the rate at the beginning.
+    It follows Klipper's clocksync. Its initial time variance of 1 s² holds the rate at the
+    beginning.
     """
 
     GAIN = 1 / 12
+    """Gain of the regression."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -191,7 +209,7 @@ class Regression(LastSample):
         self.variance, self.covariance = 1.0, 1.0
 
     def choose(self) -> None:
-        """Feed the shortest, unless it was the last that was fed."""
+        """Feed the shortest round trip, unless it was the last to be fed."""
         shortest = min(self.samples[-8:])
         if self.fed and shortest == self.fed[-1]:
             return
@@ -213,14 +231,15 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "least_squares_64": LeastSquares,
     "last": LastSample,
 }
+"""Estimators by name; "error" is the project's own."""
 
 
 def exchanges(
     link: LinkDelays, clock: DriftingClock, rng: np.random.Generator, interval: float | None = None
 ) -> Iterator[Exchange]:
-    """Yield what the host sees from host time 100 s on; it probes when the estimator would.
+    """Yield the exchanges that the host sees from host time 100 s on.
 
-    An interval [s] stands in place of the estimator's.
+    The host probes when the estimator requests it, or at a fixed interval [s] if one is given.
     """
     schedule = ClockEstimator(TICK_HZ)
     now = 100.0
@@ -240,19 +259,19 @@ def exchanges(
 def followed(estimator: Estimator, seen: list[Exchange], clock: DriftingClock, seed: int) -> Floats:
     """Return (time since the first exchange, error) [s] at 4 random instants per exchange."""
     rng = np.random.default_rng(seed)
-    found: list[tuple[float, float]] = []
+    errors: list[tuple[float, float]] = []
     for e, following in pairwise(seen):
         estimator.add(e.t1, e.t2, e.t3, e.t4)
         for instant in rng.uniform(e.t4, max(e.t4, following.t4), 4):
             off = estimator.ticks_at(float(instant)) - clock.ticks(float(instant))
-            found.append((float(instant) - seen[0].t1, off / TICK_HZ))
-    return np.array(found)
+            errors.append((float(instant) - seen[0].t1, off / TICK_HZ))
+    return np.array(errors)
 
 
 def trial(
     link: LinkDelays, estimator: Callable[[], Estimator], interval: float | None = None
 ) -> Floats:
-    """Return (time, error) [s] of all seeds."""
+    """Return (time, error) [s] for all seeds."""
     clock, runs = DriftingClock(), []
     for seed in SEEDS:
         seen = list(exchanges(link, clock, np.random.default_rng(seed), interval))
@@ -261,23 +280,23 @@ def trial(
 
 
 def settled(found: Floats) -> Floats:
-    """Return the errors that count [µs]."""
+    """Return the errors after the estimate has settled [µs]."""
     return np.asarray(found[found[:, 0] >= SETTLED, 1] * 1e6)
 
 
 def measure_clock() -> Iterator[Figure]:
-    """Estimate a clock that is 30 ppm off over every link, by every estimator."""
+    """Measure the estimates of a clock that is 30 ppm off, over every link, by every estimator."""
     for link, delays in LINKS.items():
         for name, estimator in ESTIMATORS.items():
-            found = trial(delays, estimator)
-            error = settled(found)
+            errors = trial(delays, estimator)
+            error = settled(errors)
             spread = f"clock.{link}.{name}", float(error.std()), "µs"
             if name == "error" and link in LIMITS_US:
                 yield at_most(*spread, LIMITS_US[link])
             else:
                 yield Figure(*spread)
             yield Figure(f"clock.{link}.{name}.bias", float(error.mean()), "µs")
-            yield Figure(f"clock.{link}.{name}.at_first", _at_first(found), "µs")
+            yield Figure(f"clock.{link}.{name}.at_first", _at_first(errors), "µs")
     error = settled(trial(LINKS["usb_in_step"], ESTIMATORS["error"], 0.25))
     yield Figure("clock.usb_in_step.probed_each_250ms.bias", float(error.mean()), "µs")
     yield Figure("clock.add", _cost() * 1e6, "µs")
@@ -290,7 +309,7 @@ def _at_first(found: Floats) -> float:
 
 
 def _cost() -> float:
-    """Return the time that an exchange takes [s]."""
+    """Return the processing time of an exchange [s]."""
     seen = list(exchanges(LINKS["jitter"], DriftingClock(), np.random.default_rng(0)))
 
     def feed() -> None:

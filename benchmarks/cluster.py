@@ -1,8 +1,8 @@
-"""Studies beyond one process: what a second Dask worker brings, and a million designs.
+"""Studies beyond one process: the gain of a second Dask worker, and a million designs.
 
-A real scheduler with worker processes on this machine, which needs two free cores. The million is
-solved by this process alone and stored as it goes: what counts is that memory stays where it is,
-and that time (of the processor, whatever else runs) grows as the study does.
+A real scheduler runs with worker processes on this machine, which needs two free cores. The million
+designs are solved by this process alone and stored as they go. Memory must stay constant, and time
+(processor time, so that other programs do not matter) must grow in proportion to the study.
 """
 
 import logging
@@ -23,18 +23,21 @@ from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import Study
 
 FREQUENCY = np.linspace(10.0, 1000.0, 32)
-"""Hz of every study here."""
+"""Frequencies of all studies here [Hz]."""
 SCENARIOS = 64
+"""Number of scenarios of each design."""
 BLOCKS = 96
-"""Of the study that workers share: some ten seconds of one."""
+"""Number of blocks of the study that workers share: some ten seconds for one worker."""
 DESIGNS = (100_000, 1_000_000)
+"""Number of designs, scenarios included, of the small and of the large study."""
 MEMORY_GIB = 4.0
+"""Largest permitted memory [GiB]."""
 GROWTH = 1.15
-"""Time for one point of the large study over that of the small one."""
+"""Largest permitted ratio of the time per point in the large study to that in the small one."""
 
 
 def robust_study(designs: int) -> Study:
-    """Return a study of so many designs: lengths under fingers and tolerances."""
+    """Return a study of a number of designs: lengths with fingers and tolerances."""
     return Study(
         axes={"length_mm": np.linspace(8.0, 30.0, designs // SCENARIOS)},
         frequency=FREQUENCY,
@@ -45,7 +48,7 @@ def robust_study(designs: int) -> Study:
 
 
 def _cluster_time(study: Study, workers: int) -> float:
-    """Return how long a cluster takes for a study [s], its start left out."""
+    """Return the time that a cluster takes for a study, without its start [s]."""
     from distributed import LocalCluster
 
     with LocalCluster(  # type: ignore[no-untyped-call]
@@ -70,13 +73,14 @@ def measure_dask() -> Iterator[Figure]:
 
 
 def measure_million() -> Iterator[Figure]:
-    """Solve a robust sweep of a million designs: memory, and time against a tenth of it."""
-    if sys.platform == "win32":  # no accounting of a process's memory there
+    """Measure memory and growth of time of a robust sweep over a million designs."""
+    if sys.platform == "win32":  # Windows has no getrusage.
         return
     from resource import RUSAGE_SELF, getrusage
 
     rates = {}
-    with TemporaryDirectory() as folder:  # libraries are loaded
+    # A first small study loads the libraries, so that their time does not count.
+    with TemporaryDirectory() as folder:
         run_study(robust_study(SCENARIOS), store=Path(folder) / "study.zarr")
     for designs in DESIGNS:
         study = robust_study(designs)

@@ -1,9 +1,9 @@
-"""A crowd: fifty programs touch one display at once while another one keeps a core busy.
+"""Crowd: fifty programs touch one display at once while another program keeps a core busy.
 
-And a soak: two programs touch it for an hour on a machine that has nothing else to do.
+There is also a soak test: two programs touch the display for an hour on an otherwise idle machine.
 
-The daemon plays on 24 contactors to the C amplifier on a pty. What counts is that blocks are in
-time, that the amplifier's output never steps, and that memory does not grow.
+The daemon plays on 24 contactors to the C amplifier on a pty. Blocks must be in time, the
+amplifier's output must never step, and memory must not grow.
 """
 
 import asyncio
@@ -28,19 +28,22 @@ from tactile.server.host import Host
 from tactile.server.server import running
 
 RATE = 90.0
-"""Hz at which each touches."""
+"""Rate at which each program touches [Hz]."""
 SETTLED = 0.2
-"""Of the blocks after which memory has grown to what it needs."""
+"""Share of the blocks after which memory has grown to what it needs."""
 NAME, BLOCKS_PER_S = "bench", 500
+"""Name of the display, and blocks per second."""
 CROWD = "from benchmarks.crowd import be_many; be_many({!r}, {!r}, {!r})"
+"""Code of the process that runs the crowd."""
 BUSY = "while True: pass"
+"""Code of the process that keeps a core busy."""
 CHUNK = 1 << 22
-"""Bytes of records that are read at a time."""
+"""Number of bytes of records that are read at a time."""
 
 
 @dataclass(frozen=True)
 class Crowd:
-    """How many touch, for how long [s], and whether another program keeps a core busy."""
+    """Number of programs, their duration [s], and whether another program keeps a core busy."""
 
     name: str
     clients: int
@@ -54,7 +57,7 @@ SOAK = Crowd("hour", 2, 3600.0, is_disturbed=False)
 
 
 def be_many(url: str, clients: int, seconds: float) -> None:
-    """Be so many programs, each of which touches for a while."""
+    """Run a number of programs, each of which touches for a while."""
     asyncio.run(_be_many(url, clients, seconds))
 
 
@@ -76,7 +79,7 @@ async def _be_many(url: str, clients: int, seconds: float) -> None:
 
 
 def resident(pid: int | str = "self") -> float:
-    """Return what a process has in memory [MiB]."""
+    """Return the resident memory of a process [MiB]."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024
@@ -84,7 +87,7 @@ def resident(pid: int | str = "self") -> float:
 
 
 class Steps:
-    """The largest step of what an amplifier puts out, read as it plays."""
+    """Largest step of an amplifier's output, read as it plays."""
 
     def __init__(self, amplifier: VirtualAmplifier) -> None:
         self._amplifier = amplifier
@@ -92,7 +95,7 @@ class Steps:
         self.largest = 0
 
     def take(self) -> None:
-        """Read what there is."""
+        """Read the records so far."""
         while len(codes := self._amplifier.take(CHUNK).codes):
             wide = codes.astype(np.int32)
             before = wide[:1] if self._last is None else self._last
@@ -111,9 +114,9 @@ async def _session(amplifier: VirtualAmplifier, crowd: Crowd) -> Iterator[Figure
     async with running(config, host=host) as server:
         child = host.playing[NAME].child
         assert child is not None
-        words = CROWD.format(server.url, crowd.clients, crowd.seconds)
+        code = CROWD.format(server.url, crowd.clients, crowd.seconds)
         busy = subprocess.Popen([sys.executable, "-c", BUSY if crowd.is_disturbed else ""])
-        programs = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
+        programs = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
         memory = [(0.0, 0.0, 0.0)]
         ended = asyncio.create_task(programs.wait())
         while not ended.done():
@@ -137,6 +140,7 @@ def _figures(
     largest: int,
     crowd: Crowd,
 ) -> Iterator[Figure]:
+    """Yield the figures of a crowd's session."""
     display = load_display("reference-24")
     blocks = max(counters["blocks"], 1)
     bad = counters["late_blocks"] + counters["skipped_samples"] / 16
@@ -153,7 +157,7 @@ def _figures(
 
 
 def measure_crowd(crowd: Crowd = SHORT) -> Iterator[Figure]:
-    """Measure a crowd's daemon for a short while."""
+    """Measure a daemon under a crowd for a short while."""
     if not can_be_built() or sys.platform != "linux":
         return
     yield from beside_machine(crowd.name, _measured(crowd))
@@ -165,10 +169,10 @@ def _measured(crowd: Crowd) -> Iterator[Figure]:
 
 
 def measure_crowd_long() -> Iterator[Figure]:
-    """Measure it for five minutes."""
+    """Measure a daemon under a crowd for five minutes."""
     yield from measure_crowd(LONG)
 
 
 def measure_hour() -> Iterator[Figure]:
-    """Measure two programs' daemon for an hour."""
+    """Measure a daemon under two programs for an hour."""
     yield from measure_crowd(SOAK)

@@ -1,7 +1,7 @@
-"""A daemon in a process of its own that plays on the C amplifier, and what the amplifier put out.
+"""A daemon in its own process that plays on the C amplifier, and the amplifier's output.
 
-Whatever is done to the processes, the amplifier's own record says by its own clock when volts were
-last put out and until when high voltage was on.
+Whatever is done to the processes, the amplifier's own record tells by its own clock when a voltage
+was last put out and until when high voltage was on.
 """
 
 import json
@@ -25,23 +25,26 @@ from tactile.bench.figures import Figure, at_most
 from tactile.display.display import load_display
 
 NAME = "tactile-bench"
-"""Of the display: an e-stop that names it stops no other daemon's display."""
+"""Name of the display. An e-stop that names it stops no other daemon's display."""
 PATIENCE = 60.0
-"""s in which whatever is waited for must happen."""
+"""Time within which whatever is waited for must happen [s]."""
 POLL = 0.02
-"""s between looks."""
+"""Interval between checks of a condition [s]."""
 CHUNK = 1 << 22
-"""Bytes of records that are read at a time."""
+"""Number of bytes of records that are read at a time."""
 
 
 class AmplifierOutput(NamedTuple):
-    """What the amplifier put out.
+    """Output of the amplifier.
 
     Attributes
     ----------
-    times (K,) : of each instant, on the monotonic clock [s]
-    is_loud (K,) : whether any channel was not at 0 V
-    high_voltage (K,) : whether it was on
+    times : (K,) array of float
+        Time of each instant on the monotonic clock [s].
+    is_loud : (K,) array of bool
+        Whether any channel was not at 0 V.
+    high_voltage : (K,) array of bool
+        Whether high voltage was on.
     """
 
     times: NDArray[np.float64]
@@ -49,28 +52,31 @@ class AmplifierOutput(NamedTuple):
     high_voltage: NDArray[np.bool_]
 
     def since(self, moment: float) -> "AmplifierOutput":
-        """Return what was put out after a moment [s]."""
+        """Return the output after a moment [s]."""
         first = int(np.searchsorted(self.times, moment, side="right"))
         return AmplifierOutput(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
 
 
 def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: float) -> float:
-    """Return how long after a moment something was last set [s]; 0 where it never was after it."""
+    """Return how long after a moment something was last set [s]; 0 if it was not set after it."""
     after = times[is_set & (times > moment)]
     return float(after.max() - moment) if len(after) else 0.0
 
 
 class OutputRecorder:
-    """Reads an amplifier's record as it grows, and keeps how far it went.
+    """Reader of an amplifier's record that keeps the largest values.
 
     Parameters
     ----------
-    amplifier : that puts out
+    amplifier : VirtualAmplifier
+        Amplifier whose output is read.
 
     Attributes
     ----------
-    largest : of all codes, without sign
-    largest_step : between two instants [codes]
+    largest : int
+        Largest absolute value of all codes.
+    largest_step : int
+        Largest step between two instants [codes].
     """
 
     def __init__(self, amplifier: VirtualAmplifier) -> None:
@@ -79,7 +85,7 @@ class OutputRecorder:
         self.largest = self.largest_step = 0
 
     def read(self) -> AmplifierOutput:
-        """Return what was put out since the last call."""
+        """Return the output since the last call."""
         parts = [AmplifierOutput(np.empty(0), np.empty(0, bool), np.empty(0, bool))]
         while len((records := self._amplifier.take(CHUNK)).codes):
             self._measure(records.codes.astype(np.int32))
@@ -100,7 +106,7 @@ class OutputRecorder:
         self._last = codes[-1:]
 
     def figures(self, name: str) -> Iterator[Figure]:
-        """Yield how far it went, as parts of its limits."""
+        """Yield the largest values, relative to their limits."""
         display = load_display("reference-24")
         slew = min(display.slew / 8000.0 / display.limits.voltage, 2.0) * FULL_SCALE_CODE
         yield at_most(f"{name}.largest_voltage", self.largest / FULL_SCALE_CODE, "of limit", 1)
@@ -108,17 +114,17 @@ class OutputRecorder:
 
 
 def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
-    """Return what was put out in several spans as one."""
+    """Return the outputs of several spans as one."""
     return AmplifierOutput(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE) -> None:
-    """Return when something happens.
+    """Wait until a condition is true.
 
     Raises
     ------
     TimeoutError
-        Where it does not.
+        If it does not become true in time.
     """
     deadline = time.monotonic() + within
     while not happens():
@@ -128,7 +134,7 @@ def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE)
 
 
 def send_signal(pid: int, number: signal.Signals) -> None:
-    """Send a signal to a process, where it is still there."""
+    """Send a signal to a process if it still exists."""
     with suppress(ProcessLookupError):
         os.kill(pid, number)
 
@@ -142,28 +148,34 @@ def is_alive(pid: int) -> bool:
 
 def children_of(pid: int) -> dict[str, int]:
     """Return the processes that a server started: "playback_process", "drawing" and others."""
-    found = {}
+    processes = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
                 words = (entry / "cmdline").read_text()
                 for kind in ("playback_process", "drawing", "estop_process"):
                     if kind in words and is_alive(int(entry.name)):
-                        found[kind] = int(entry.name)
-    return found
+                        processes[kind] = int(entry.name)
+    return processes
 
 
 class Daemon:
-    """`tactile serve` in a process of its own, on an amplifier.
+    """`tactile serve` in its own process, on an amplifier.
 
     Parameters
     ----------
-    folder : for its configuration and its log
-    device : path of the amplifier's pty
-    worn : whether the finger stays on the display
-    log : file of the log
-    osc : port, 0 for none
-    server : further lines of the table ``server``
+    folder : Path
+        Folder for its configuration and log.
+    device : str
+        Path of the amplifier's pty.
+    worn : bool
+        Whether the finger stays on the display.
+    log : str
+        File of the log.
+    osc : int
+        OSC port, 0 for none.
+    server : str
+        Further lines of the table ``server``.
     """
 
     def __init__(
@@ -185,7 +197,7 @@ class Daemon:
         self.start()
 
     def start(self) -> None:
-        """Start it, and wait until it listens."""
+        """Start the daemon, and wait until it listens."""
         words = ["-m", "tactile", "serve", "--config", str(self._config)]
         with self._stderr.open("a") as stderr:
             self._process = subprocess.Popen(
@@ -200,31 +212,31 @@ class Daemon:
 
     @property
     def pid(self) -> int:
-        """Of the server."""
+        """Process identifier of the server."""
         return self._process.pid
 
     @property
     def port(self) -> int:
-        """Of the WebSocket."""
+        """Port of the WebSocket."""
         return int(self.url.rpartition(":")[2].partition("/")[0])
 
     def playback(self) -> int:
-        """Return the process that plays; waits while it is started again."""
+        """Return the identifier of the playback process; wait while it is started again."""
         wait_for("playback runs", lambda: "playback_process" in children_of(self.pid))
         return children_of(self.pid)["playback_process"]
 
     def is_running(self) -> bool:
-        """Return whether its server has not ended."""
+        """Return whether the server has not ended."""
         return self._process.poll() is None
 
     def restart(self) -> None:
-        """Start it again where its server has ended."""
+        """Start the daemon again if its server has ended."""
         if not self.is_running():
             self.close()
             self.start()
 
     def close(self) -> None:
-        """End it, whatever state it is in, and wait until its processes are gone."""
+        """End the daemon in any state, and wait until its processes are gone."""
         left = children_of(self.pid)
         if self.is_running():
             self._process.kill()
@@ -238,7 +250,7 @@ class Daemon:
 
 @contextmanager
 def own_folders() -> Iterator[Path]:
-    """Give daemons that are started meanwhile folders of their own for state and sockets."""
+    """Give daemons that are started meanwhile their own folders for state and sockets."""
     names = {"STATE_DIRECTORY": "state", "RUNTIME_DIRECTORY": "run"}
     before = {name: os.environ.get(name) for name in names}
     with TemporaryDirectory(prefix="t-") as folder:
@@ -254,7 +266,7 @@ def own_folders() -> Iterator[Path]:
 
 @contextmanager
 def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
-    """Give the C amplifier on a pty, and a folder for a daemon that plays on it."""
+    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it."""
     with ExitStack() as stack:
         stack.enter_context(own_folders())
         folder = stack.enter_context(workshop())

@@ -1,9 +1,8 @@
-"""Whatever dies, hangs or runs out while something plays: how long until 0 V, and high voltage off.
+"""Time to 0 V and to high voltage off after something dies, hangs or runs out during playback.
 
 In each try a program plays a stroke, a waveform or a long effect through a daemon to the C
-amplifier on a pty, with the display worn and not worn; then something happens to the program, to
-the server, to playback, to the link, to the disk or to descriptors. Times are those of the
-amplifier's record.
+amplifier on a pty, with the display worn and not worn. Then something happens to the program, the
+server, playback, the link, the disk or the descriptors. Times are those of the amplifier's record.
 """
 
 import os
@@ -41,25 +40,26 @@ if sys.platform == "linux":
     import resource
 
 SHORT, LONG = 2, 200
-"""Tries of each fault."""
+"""Number of tries of each fault."""
 SILENT_WITHIN, OFF_WITHIN = 0.3, 1.0
-"""s from a fault to 0 V and to high voltage off."""
+"""Largest permitted times from a fault to 0 V and to high voltage off [s]."""
 WATCHED = 1.2
-"""s after a fault that are watched at most."""
+"""Longest time after a fault that is watched [s]."""
 CALM = 0.15
-"""s at 0 V without high voltage after which there is nothing more to watch."""
+"""Time at 0 V without high voltage after which there is nothing more to watch [s]."""
 HEARD = 0.1
-"""s for which something must have played before a fault."""
+"""Time for which something must have played before a fault [s]."""
 ATTEMPTS = 5
-"""To have something play."""
+"""Number of attempts to make something play."""
 SPARE, CONNECTIONS = 4, 64
-"""Descriptors left to a server, and connections that use them up."""
+"""Number of descriptors left to a server, and of connections that use them up."""
 SEED = 14
+"""Seed of the order of tries and of the waits."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What a fault meets: an app that plays through a daemon over a link (a descriptor)."""
+    """Target of a fault: an app that plays through a daemon over a link (a descriptor)."""
 
     daemon: Daemon
     app: BaseProcess
@@ -68,17 +68,18 @@ class Scene:
 
     @property
     def app_pid(self) -> int:
-        """Of the app's process."""
+        """Identifier of the app's process."""
         assert self.app.pid is not None
         return self.app.pid
 
 
 Fault = Callable[[Scene], AbstractContextManager[float]]
-"""What happens to a scene: it yields when it happened [s], and is over at its end."""
+"""Fault in a scene: a context manager that yields the time of the fault [s] and ends it."""
 
 
 @contextmanager
 def _signaled(pid: int, number: signal.Signals) -> Iterator[float]:
+    """Send a signal to a process, and continue it at the end."""
     moment = time.monotonic()
     send_signal(pid, number)
     try:
@@ -89,7 +90,7 @@ def _signaled(pid: int, number: signal.Signals) -> Iterator[float]:
 
 @contextmanager
 def _link_lost(scene: Scene) -> Iterator[float]:
-    """Let nothing that the host sends reach the amplifier."""
+    """Keep everything that the host sends from the amplifier."""
     moment = time.monotonic()
     termios.tcflow(scene.link, termios.TCOOFF)
     try:
@@ -100,7 +101,7 @@ def _link_lost(scene: Scene) -> Iterator[float]:
 
 @contextmanager
 def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
-    """Leave the server no descriptor, then kill the app."""
+    """Leave no descriptor to the server, then kill the app."""
     pid, folder = scene.daemon.pid, Path(f"/proc/{scene.daemon.pid}/fd")
     before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     limit = max(int(fd.name) for fd in folder.iterdir()) + 1 + SPARE
@@ -128,25 +129,26 @@ FAULTS: dict[str, Fault] = {
     "link_lost": _link_lost,
     "descriptors": _descriptors_exhausted,
 }
+"""Faults by name."""
 FULL_DISK: dict[str, Fault] = {"disk_full": FAULTS["app_killed"]}
-"""Of a daemon whose log's disk is full all the time."""
+"""Fault of a daemon whose log's disk is full all the time."""
 
 
 @dataclass
 class Outcomes:
-    """What became of the tries of one fault: times to 0 V and to high voltage off [s]."""
+    """Outcomes of the tries of one fault: times to 0 V and to high voltage off [s]."""
 
     silent: list[float] = field(default_factory=list)
     off: list[float] = field(default_factory=list)
 
     def add(self, output: AmplifierOutput, moment: float) -> bool:
-        """Take what was put out around a fault; return whether all was off in time."""
+        """Add the output around a fault; return whether all was off in time."""
         self.silent.append(last_after(output.times, output.is_loud, moment))
         self.off.append(last_after(output.times, output.high_voltage, moment))
         return self.silent[-1] <= SILENT_WITHIN and self.off[-1] <= OFF_WITHIN
 
     def failures(self) -> int:
-        """Return in how many tries something was on for too long."""
+        """Return the number of tries in which something was on for too long."""
         silent, off = np.array(self.silent), np.array(self.off)
         return int(np.sum((silent > SILENT_WITHIN) | (off > OFF_WITHIN)))
 
@@ -163,7 +165,7 @@ class Outcomes:
 
 
 def plays(output: AmplifierOutput) -> bool:
-    """Return whether, by what was put out last, something plays."""
+    """Return whether something plays, by the latest output."""
     if not len(output.times) or output.times[-1] - output.times[0] < HEARD:
         return False
     last = output.since(output.times[-1] - HEARD)
@@ -171,7 +173,7 @@ def plays(output: AmplifierOutput) -> bool:
 
 
 def is_over(output: AmplifierOutput, moment: float) -> bool:
-    """Return whether all is off since a while, and for as long after a fault as it must be."""
+    """Return whether all has been off for a while, and long enough after a fault."""
     if not len(output.times) or output.times[-1] < moment + SILENT_WITHIN + CALM:
         return False
     last = output.since(output.times[-1] - CALM)
@@ -179,20 +181,23 @@ def is_over(output: AmplifierOutput, moment: float) -> bool:
 
 
 class Tries:
-    """Tries of faults with one daemon, which is started again where it died.
+    """Tries of faults with one daemon, which is started again if it died.
 
     Parameters
     ----------
-    daemon : that plays
-    recorder : of its amplifier
-    link : descriptor of the amplifier's pty, at the host's end
+    daemon : Daemon
+        Daemon that plays.
+    recorder : OutputRecorder
+        Recorder of its amplifier.
+    link : int
+        Descriptor of the amplifier's pty, at the host's end.
     """
 
     def __init__(self, daemon: Daemon, recorder: OutputRecorder, link: int) -> None:
         self._daemon, self._recorder, self._link = daemon, recorder, link
 
     def carry_out(self, sound: str, fault: Fault, outcomes: Outcomes, wait: float) -> None:
-        """Play a sound, wait [s], let a fault happen, and add what came of it."""
+        """Play a sound, wait [s], cause a fault, and add its outcome."""
         self._daemon.restart()
         app = self._playing(sound)
         try:
@@ -205,7 +210,7 @@ class Tries:
             app.kill()
             app.join()
         if not outcomes.add(output, moment):
-            self._daemon.close()  # what is left of it would spoil the next try
+            self._daemon.close()  # Its remains would spoil the next try.
 
     def _playing(self, sound: str) -> BaseProcess:
         """Return an app that plays."""
@@ -214,7 +219,8 @@ class Tries:
             self._recorder.read()
             if self._is_heard(app):
                 return app
-            if app.is_alive():  # else it met playback as it was started again
+            # An app that ended met playback while that was started again.
+            if app.is_alive():
                 self._daemon.close()
                 self._daemon.start()
             app.kill()
@@ -222,6 +228,7 @@ class Tries:
         raise TimeoutError(f"a {sound} did not play in {ATTEMPTS} attempts of {PATIENCE:g} s")
 
     def _is_heard(self, app: BaseProcess) -> bool:
+        """Return whether an app is heard before it ends or patience does."""
         deadline = time.monotonic() + PATIENCE
         output = self._recorder.read()
         while not plays(output):
@@ -233,7 +240,7 @@ class Tries:
         return True
 
     def _watched(self, moment: float) -> AmplifierOutput:
-        """Return what is put out until all is off, or for as long as is watched."""
+        """Return the output until all is off, or for as long as is watched."""
         parts = [self._recorder.read()]
         while not is_over(output := joined(parts), moment):
             if len(output.times) and output.times[-1] > moment + WATCHED:
@@ -250,9 +257,12 @@ def schedule(faults: list[str], tries: range, rng: random.Random) -> list[tuple[
 
     Parameters
     ----------
-    faults : names
-    tries : numbers of the tries of each
-    rng : draws the order
+    faults : list of str
+        Names of the faults.
+    tries : range
+        Numbers of the tries of each fault.
+    rng : random.Random
+        Source of the order.
     """
     sounds = list(SOUNDS)
     pairs = [
@@ -276,10 +286,10 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
     rng, done = random.Random(SEED), count(1)
     for (log, faults), worn in product((("log", FAULTS), ("/dev/full", FULL_DISK)), (True, False)):
         share = range(tries)[: tries // 2] if worn else range(tries)[tries // 2 :]
-        with _tries(worn=worn, log=log) as (one, recorder):
+        with _tries(worn=worn, log=log) as (runner, recorder):
             for sound, fault in schedule(list(faults), share, rng):
-                one.carry_out(sound, faults[fault], outcomes[fault], rng.uniform(0, 2 * HEARD))
-                _tell(name, next(done), tries * len(outcomes))
+                runner.carry_out(sound, faults[fault], outcomes[fault], rng.uniform(0, 2 * HEARD))
+                _print_progress(name, next(done), tries * len(outcomes))
         yield from recorder.figures(f"{name}.{'worn' if worn else 'not_worn'}.{Path(log).name}")
     for fault, outcome in outcomes.items():
         yield from outcome.figures(f"{name}.{fault}")
@@ -287,7 +297,7 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
 
 @contextmanager
 def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, OutputRecorder]]:
-    """Give tries with a daemon of their own."""
+    """Yield tries with their own daemon."""
     with amplifier_and_folder() as (amplifier, folder):
         link = os.open(amplifier.path, os.O_RDWR | os.O_NOCTTY)
         try:
@@ -298,12 +308,12 @@ def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, OutputRecorder]]:
             os.close(link)
 
 
-def _tell(name: str, done: int, of: int) -> None:
-    """Say on a terminal how far it is."""
+def _print_progress(name: str, done: int, of: int) -> None:
+    """Print the progress on a terminal."""
     if sys.stderr.isatty():
         print(f"\r{name}: {done} of {of}", end="" if done < of else "\n", file=sys.stderr)
 
 
 def measure_deaths_long() -> Iterator[Figure]:
-    """Measure it in hundreds of tries of each fault."""
+    """Measure hundreds of tries of each fault."""
     yield from measure_deaths(LONG)

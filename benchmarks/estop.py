@@ -1,9 +1,9 @@
-"""Time from an e-stop to its answer and to 0 V, whatever else goes on, by the amplifier's clock.
+"""Time from an e-stop to its answer and to 0 V under different loads, by the amplifier's clock.
 
-An effect plays through a daemon, a process of its own, to the C amplifier on a pty. An e-stop is
-sent over a WebSocket of the SDK that was there before, or as `tactile estop` does. After each one
-arming must be refused until it is cleared by its number. The same is measured of `tactile play`,
-which drives the amplifier without a daemon.
+An effect plays through a daemon, in its own process, to the C amplifier on a pty. An e-stop is sent
+over a WebSocket of the SDK that was already connected, or as `tactile estop` does. After each
+e-stop arming must be refused until the e-stop is cleared by its number. The same is measured for
+`tactile play`, which drives the amplifier without a daemon.
 """
 
 import random
@@ -71,16 +71,23 @@ CONNECTIONS, PACKETS = 5000, 20_000
 NO_LIMIT = "messages_per_second = 100000"
 """Line of the server's configuration by which a flood reaches it."""
 SEED = 14
+"""Seed of the waits before e-stops."""
 
 
 @dataclass
 class Times:
-    """Times to the answer and to 0 V, of one way under one load [s]; and what went wrong.
+    """Times to the answer and to 0 V, of one way under one load [s], and the failures.
 
     Attributes
     ----------
-    unanswered : e-stops that were refused or not answered
-    forgotten : e-stops after which the display could be armed
+    answered : list of float
+        Times to the answer [s].
+    silent : list of float
+        Times to 0 V [s].
+    unanswered : int
+        Number of e-stops that were refused or not answered.
+    forgotten : int
+        Number of e-stops after which the display could be armed.
     """
 
     answered: list[float] = field(default_factory=list)
@@ -116,7 +123,8 @@ def _stop_by_command(name: str) -> bool:
 
     Parameters
     ----------
-    name : of the display, or URL of the device
+    name : str
+        Name of the display, or URL of the device.
     """
     return any(answer.estops for answer in request_estop(name))
 
@@ -134,6 +142,7 @@ def _as_command(rig: EstopRig) -> bool:
 
 
 WAYS: dict[str, Callable[[EstopRig], bool]] = {"websocket": _over_socket, "command": _as_command}
+"""Ways to send an e-stop, by name."""
 
 
 @contextmanager
@@ -147,31 +156,30 @@ def _server_stopped(rig: EstopRig) -> Iterator[None]:
 
 @contextmanager
 def _playback_restarting(rig: EstopRig) -> Iterator[None]:
-    """Kill playback, and go on when the amplifier has noticed."""
+    """Kill playback, and continue when the amplifier has noticed."""
     send_signal(rig.daemon.playback(), signal.SIGKILL)
     wait_for("0 V", lambda: is_silent(rig.recorder.read()))
     yield
 
 
 def is_silent(output: AmplifierOutput) -> bool:
-    """Return whether nothing was put out in the last instants.
-
-    Parameters
-    ----------
-    output : record of the amplifier
-    """
+    """Return whether the last instants of the amplifier's record are at 0 V."""
     return len(output.times) > 0 and not output.is_loud[-20:].any()
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What goes on while an e-stop is sent.
+    """A condition under which an e-stop is sent.
 
     Attributes
     ----------
-    ways : keys of `WAYS` that there are then
-    load : let from a while before each e-stop on; gets the rig and for how long there is one [s]
-    at_once : in each try from just before the e-stop until all is recorded
+    ways : tuple of str
+        Keys of `WAYS` that are available.
+    load : callable
+        Load that begins some time before each e-stop; it takes the rig and its longest duration
+        [s].
+    at_once : callable
+        Fault that lasts in each try from just before the e-stop until all is recorded.
     """
 
     ways: tuple[str, ...] = tuple(WAYS)
@@ -196,16 +204,24 @@ CONDITIONS: dict[str, Condition] = {
     "playback_restarting": Condition(at_once=_playback_restarting),
     "server_stopped": Condition(ways=("command",), at_once=_server_stopped),
 }
+"""Conditions by name."""
 
 
 def carry_out(rig: EstopRig, way: str, condition: Condition, times: Times, wait: float) -> None:
-    """Send an e-stop while an effect plays, add how long it took, and clear it by its number.
+    """Send an e-stop while an effect plays, add its times, and clear it by its number.
 
     Parameters
     ----------
-    rig, way, condition : what plays, a key of `WAYS`, what goes on besides
-    times : to which is added
-    wait : how long that goes on before the e-stop [s]
+    rig : EstopRig
+        Rig that plays.
+    way : str
+        Key of `WAYS`.
+    condition : Condition
+        Condition during the e-stop.
+    times : Times
+        Times to add to.
+    wait : float
+        Time for which the load lasts before the e-stop [s].
     """
     _play(rig)
     with rig.load.on() if rig.load else nullcontext():
@@ -217,7 +233,7 @@ def carry_out(rig: EstopRig, way: str, condition: Condition, times: Times, wait:
 
 
 def _stop(times: Times, recorder: OutputRecorder, request: Callable[[], bool]) -> None:
-    """Send an e-stop, which returns whether it was answered, and add how long all took."""
+    """Send an e-stop by a function that returns whether it was answered, and add its times."""
     sent = time.monotonic()
     if request():
         times.answered.append(time.monotonic() - sent)
@@ -228,7 +244,7 @@ def _stop(times: Times, recorder: OutputRecorder, request: Callable[[], bool]) -
 
 
 def _play(rig: EstopRig) -> None:
-    """Arm, and have an effect play."""
+    """Arm, and make an effect play."""
     deadline = time.monotonic() + PATIENCE
     output = rig.recorder.read()
     while not plays(output):
@@ -245,7 +261,7 @@ def _play(rig: EstopRig) -> None:
 
 
 def _watched(recorder: OutputRecorder, sent: float) -> AmplifierOutput:
-    """Return what is put out from an e-stop on."""
+    """Return the output from an e-stop on."""
     parts = [recorder.read()]
 
     def all_recorded() -> bool:
@@ -257,17 +273,12 @@ def _watched(recorder: OutputRecorder, sent: float) -> AmplifierOutput:
 
 
 def is_refused(display: RemoteDisplay) -> bool:
-    """Return whether an e-stop refuses to arm; playback may have to be started for the answer.
-
-    Parameters
-    ----------
-    display : that was e-stopped
-    """
+    """Return whether an e-stop refuses to arm; playback may have to be started for the answer."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         try:
             display.arm(timeout=PATIENCE)
-        except ClientError as error:  # one that is not connected connects again
+        except ClientError as error:  # A client that has lost its connection connects again.
             if isinstance(error, RequestError) and error.code == "estopped":
                 return True
         else:
@@ -277,7 +288,7 @@ def is_refused(display: RemoteDisplay) -> bool:
 
 
 def _clear(display: RemoteDisplay) -> None:
-    """End the e-stop that holds."""
+    """Clear the active e-stop."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:
@@ -292,12 +303,7 @@ def _clear(display: RemoteDisplay) -> None:
 
 
 def measure_estop(tries: int = SHORT) -> Iterator[Figure]:
-    """Measure e-stops while different things go on.
-
-    Parameters
-    ----------
-    tries : of each way in each condition
-    """
+    """Measure a number of e-stops of each way in each condition."""
     if sys.platform == "linux" and can_be_built():
         name = "estop-long" if tries == LONG else "estop"
         yield from beside_machine(name, _measured(name, tries))
@@ -319,7 +325,7 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
 
 
 def measure_estop_play() -> Iterator[Figure]:
-    """Measure e-stops of `tactile play`, which must then be refused to play again."""
+    """Measure e-stops of `tactile play`, which must then refuse to play again."""
     if sys.platform == "linux" and can_be_built():
         yield from beside_machine("estop-play", _measured_play("estop-play", PLAYS))
 
@@ -345,7 +351,7 @@ def _measured_play(name: str, tries: int) -> Iterator[Figure]:
 
 
 def _latest(recorder: OutputRecorder) -> AmplifierOutput:
-    """Return what the amplifier puts out from now on, for as long as `plays` looks at."""
+    """Return the amplifier's output from now on, for as long as `plays` needs."""
     recorder.read()
     time.sleep(2 * HEARD)
     return recorder.read()
@@ -353,7 +359,7 @@ def _latest(recorder: OutputRecorder) -> AmplifierOutput:
 
 @contextmanager
 def _rig() -> Iterator[EstopRig]:
-    """Give a daemon, and a program that is connected to it."""
+    """Yield a daemon, and a program that is connected to it."""
     with ExitStack() as stack:
         amplifier, folder = stack.enter_context(amplifier_and_folder())
         port = free_udp_port()
@@ -365,7 +371,7 @@ def _rig() -> Iterator[EstopRig]:
 
 
 def free_udp_port() -> int:
-    """Return a port that nobody listens at."""
+    """Return a UDP port that is not in use."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
         return int(link.getsockname()[1])

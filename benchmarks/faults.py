@@ -1,6 +1,6 @@
-"""Links that err: packets lost for each error, and packets accepted that were never sent.
+"""Faulty links: packets lost for each error, and accepted packets that were never sent.
 
-Every packet that is sent is one of its kind; what comes out is looked up among them.
+Every packet that is sent is unique; received packets are looked up among them.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,30 +19,30 @@ Spoil = Callable[[Rng, bytearray, int, int], None]
 Harm = Callable[[Rng, list[Frame], int], None]
 
 ERRORS = 10_000
-"""Of each kind."""
+"""Number of errors of each kind."""
 APART = 3
-"""Packets per error, so that errors stay apart."""
+"""Number of packets per error, so that errors stay separate."""
 BURST = 8
-"""Bytes of a burst at most."""
+"""Largest number of bytes of a burst."""
 FRAME_US = 130
-"""Between CAN frames: one of 8 bytes at 1 Mbit/s."""
+"""Interval between CAN frames: one of 8 bytes at 1 Mbit/s [µs]."""
 
 
 def packets(count: int, rng: Rng) -> list[Packet]:
-    """Return PCM packets of 30 to 300 bytes: half of them noise, half with many zeros."""
-    found = []
+    """Return PCM packets of 30 to 300 bytes: one half noise, the other with many zeros."""
+    result = []
     for k in range(count):
         data = rng.bytes(int(rng.integers(12, 283)))
         if k % 2:
             data = bytes(np.frombuffer(data, np.uint8) >> 5)
         message = Pcm(position=k, session=4711, data=data)
-        found.append(Packet.of(message, node=1 + k % 3, seq=k))
-    return found
+        result.append(Packet.of(message, node=1 + k % 3, seq=k))
+    return result
 
 
 @dataclass
 class Account:
-    """What became of the packets that were sent."""
+    """Counts of packets that were lost, wrong or received twice."""
 
     errors: int = 0
     lost: int = 0
@@ -50,7 +50,7 @@ class Account:
     twice: int = 0
 
     def add(self, sent: list[Packet], came: list[Packet], errors: int) -> None:
-        """Compare by content."""
+        """Compare received packets with those that were sent, by content."""
         known, there = set(map(encode_packet, sent)), set(map(encode_packet, came))
         self.errors += errors
         self.lost += len(known - there)
@@ -58,7 +58,7 @@ class Account:
         self.twice += len(came) - len(there)
 
     def figures(self, name: str) -> Iterator[Figure]:
-        """Yield them, by error."""
+        """Yield the counts per error."""
         yield at_most(f"{name}.lost_per_error", self.lost / self.errors, "packets", 1.2)
         yield at_most(f"{name}.wrong", self.wrong, "packets", 0)
 
@@ -87,10 +87,11 @@ def _delete(rng: Rng, stream: bytearray, at: int, length: int) -> None:
 SPOILERS: dict[str, Spoil] = {
     "flip": _flip, "replace": _replace, "insert": _insert, "delete": _delete,
 }  # fmt: skip
+"""Errors of a serial stream, by name."""
 
 
 def spoilt_stream(spoil: Spoil, errors: int, *, longest: int, seed: int) -> Account:
-    """Return what becomes of a stream with errors of 1 … ``longest`` bytes."""
+    """Return the counts for a stream with errors of 1 … ``longest`` bytes."""
     rng, account, decoder = np.random.default_rng(seed), Account(), SerialDecoder()
     for start in range(0, errors, 100):
         count = min(100, errors - start)
@@ -119,12 +120,12 @@ def _repeat(rng: Rng, frames: list[Frame], at: int) -> None:
 
 
 def _reorder(rng: Rng, frames: list[Frame], at: int) -> None:
-    """Let a frame come one to three places late."""
+    """Delay a frame by one to three places."""
     frames.insert(at + int(rng.integers(1, 4)), frames.pop(at))
 
 
 def _corrupt(rng: Rng, frames: list[Frame], at: int) -> None:
-    """Replace a byte; a controller's own CRC hardly ever lets that pass."""
+    """Replace a byte, which a controller's own CRC hardly ever lets pass."""
     identifier, data = frames[at]
     spoilt = bytearray(data)
     spoilt[int(rng.integers(len(data)))] ^= int(rng.integers(1, 256))
@@ -134,10 +135,11 @@ def _corrupt(rng: Rng, frames: list[Frame], at: int) -> None:
 HARMS: dict[str, Harm] = {
     "lost": _lose, "repeated": _repeat, "reordered": _reorder, "corrupted": _corrupt,
 }  # fmt: skip
+"""Errors of CAN frames, by name."""
 
 
 def harmed_frames(harm: Harm, errors: int, *, fd: bool, seed: int) -> Account:
-    """Return what becomes of packets one frame in every three of which is harmed."""
+    """Return the counts for packets of which one frame in every three packets is harmed."""
     rng, account, now = np.random.default_rng(seed), Account(), 0
     encoder = CanEncoder(from_amplifier=False, fd=fd)
     decoder = CanDecoder(from_amplifier=False)
@@ -155,7 +157,7 @@ def harmed_frames(harm: Harm, errors: int, *, fd: bool, seed: int) -> Account:
 
 
 def measure_faults(errors: int = ERRORS) -> Iterator[Figure]:
-    """Spoil bytes of a serial stream and frames on CAN; single errors and bursts apart."""
+    """Measure single errors and bursts in a serial stream, and errors of CAN frames."""
     for seed, (kind, spoil) in enumerate(SPOILERS.items()):
         for name, longest in (("single", 1), ("burst", BURST)):
             account = spoilt_stream(spoil, errors, longest=longest, seed=seed)

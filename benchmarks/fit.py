@@ -1,8 +1,9 @@
-"""Fitting: what a texture keeps of recordings, on recordings that it has not seen.
+"""Fitting: agreement of fitted textures with recordings that the fit has not seen.
 
 The recordings (BioTac slides of Gao et al. 2020, denim and corduroy of Fradin et al. 2023) state no
-licence and are not shipped: their figures are measured where they lie in ``shared/data`` beside
-the project, or in the folder that TACTILE_DATA names. Speed is measured on a slide that is made up.
+license and are not shipped. Their figures are measured if the recordings are in ``shared/data``
+next to the project, or in the folder that TACTILE_DATA names. Speed is measured on a synthetic
+slide.
 """
 
 import os
@@ -23,29 +24,32 @@ from tactile.texture.recorded_slide import Recorded, load_recorded
 
 ABOUT = About(
     id="bench", category="test", description="", provenance="fitted", source="bench",
-    licence="CC0-1.0",
+    license="CC0-1.0",
 )  # fmt: skip
+"""Description of the fitted textures."""
 BIOTAC_SPEED = 0.019
+"""Speed of the slides [m/s]."""
 BIOTAC_STEADY = slice(1320, 7920)
-"""Samples 0.6–3.6 s, where the robot moves evenly."""
+"""Samples of 0.6–3.6 s, in which the robot moves evenly."""
 FULL_SCALE = 9.81 / 0.0938
-"""m/s² of the accelerometer of 93.8 mV/g at 1 V."""
+"""Full scale of the accelerometer, 93.8 mV/g at 1 V [m/s²]."""
 FABRICS = {"v1": 0.02, "v2": 0.03, "v3": 0.05, "v4": 0.06}
+"""Speeds of the recorded fabrics, by name [m/s]."""
 
 
 def recordings() -> Path | None:
-    """Return the folder of recordings, if it is there."""
+    """Return the folder of recordings, or None if there is none."""
     beside = Path(__file__).parents[2] / "shared" / "data"
     folder = Path(os.environ.get("TACTILE_DATA", beside))
     return folder if (folder / "biotac").is_dir() else None
 
 
 def biotac(folder: Path) -> dict[str, RecordingMeasures]:
-    """Return what was measured of each material's slides."""
+    """Return the measures of each material's slides."""
     with np.load(folder / "biotac" / "biotac.npz") as archive:
         signal, material = archive["signal"].astype(np.float64), archive["material"]
         rate = float(archive["sample_rate_hz"])
-    found = {}
+    measured = {}
     for name in np.unique(material):
         slides = [
             Recorded(
@@ -54,18 +58,18 @@ def biotac(folder: Path) -> dict[str, RecordingMeasures]:
             )
             for k in np.flatnonzero(material == name)
         ]  # fmt: skip
-        found[str(name)] = measure_slides(slides)
-    return found
+        measured[str(name)] = measure_slides(slides)
+    return measured
 
 
 def halvings(count: int) -> Iterator[tuple[list[int], list[int]]]:
-    """Yield every way to halve so many recordings, each once and its reverse."""
+    """Yield every way to split a number of recordings into halves, each once and in reverse."""
     for one in combinations(range(count), count // 2):
         yield list(one), [k for k in range(count) if k not in one]
 
 
 def fabric(folder: Path, name: str, speeds: tuple[str, ...], reference: float) -> RecordingMeasures:
-    """Return what was measured of denim or corduroy at some speeds."""
+    """Return the measures of denim or corduroy at some speeds."""
     slides = [
         load_recorded(
             folder / "textsense" / f"{name}_{key}.wav", full_scale=FULL_SCALE, speed=FABRICS[key]
@@ -76,7 +80,7 @@ def fabric(folder: Path, name: str, speeds: tuple[str, ...], reference: float) -
 
 
 def measure_fit() -> Iterator[Figure]:
-    """Measure speed, and on recordings where they are: distance, identification, prediction."""
+    """Measure speed, and if there are recordings distance, identification and prediction."""
     yield _speed()
     folder = recordings()
     if folder is None:
@@ -88,7 +92,7 @@ def measure_fit() -> Iterator[Figure]:
 
 
 def _speed() -> Figure:
-    """Fit one minute at 10 kHz: a random walk's slide, with ribs."""
+    """Time the fit of one minute at 10 kHz: the slide of a random walk, with ribs."""
     rng = np.random.default_rng(0)
     count = 600_000
     place = 0.04 * np.arange(count) / 10e3
@@ -104,6 +108,7 @@ def _speed() -> Figure:
 
 
 def _distances(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
+    """Yield the distances of fitted textures from the recordings of the other half."""
     verdicts = [
         predict(found.part(one), found.part(other), ABOUT)
         for found in materials.values()
@@ -121,9 +126,10 @@ def _distances(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
 
 
 def _identified(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
-    """Tell 12 materials by their bands: recordings of one half, and textures fitted to it.
+    """Yield how many of 12 materials are identified by their bands, by recordings and textures.
 
-    The nearest mean (least rms over bands) of the other half's recordings wins.
+    The textures are fitted to one half of the recordings. The nearest mean (least rms over bands)
+    of the other half's recordings is taken.
     """
     real, rendered = [], []
     for turn in (0, 1):
@@ -139,13 +145,15 @@ def _identified(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
 
 
 def _nearest(level: Floats, known: Floats) -> int:
+    """Return the index of the nearest mean."""
     return int(np.argmin(np.mean((known - level) ** 2, axis=1)))
 
 
 def _strokes(seen: RecordingMeasures) -> list[Floats]:
-    """Return levels of strokes as long as a recording over the texture, at the recordings' level.
+    """Return the levels of strokes of a recording's length, at the level of the recordings.
 
-    Uncalibrated textures are brought to an assumed level, which is taken off again.
+    The strokes are rendered over the fitted texture. Uncalibrated textures are shifted to an
+    assumed level, which is removed again.
     """
     stochastic = describe(seen, ABOUT).descriptor.stochastic
     assert stochastic is not None

@@ -1,7 +1,7 @@
-"""What a daemon may be burdened with: crowds and floods, each from processes of their own.
+"""Loads on a daemon: crowds and floods, each from their own processes.
 
-All stays on this machine's loopback interface, goes to one daemon, is bounded in rate and time, and
-ends by itself.
+All traffic stays on this machine's loopback interface, goes to one daemon, is bounded in rate and
+time, and ends by itself.
 """
 
 import asyncio
@@ -20,23 +20,26 @@ from benchmarks.daemon import NAME, PATIENCE, frame, wait_for
 from tactile.messages import JSON_PROTOCOL
 
 RATE = 90.0
-"""Hz at which each of a crowd touches."""
+"""Rate at which each program of a crowd touches [Hz]."""
 BATCH = 0.01
-"""s between parts of a flood."""
+"""Interval between batches of a flood [s]."""
 MOST_AT_ONCE = 0.05
-"""s of a flood that are sent at once, where its process was held up."""
+"""Largest duration of a flood that is sent at once if its process was held up [s]."""
 OPEN = 200
-"""Connections that one process keeps open at a time."""
+"""Number of connections that one process keeps open at a time."""
 HOST = "127.0.0.1"
+"""Address of the loopback interface."""
 
 
 class Burden:
-    """Processes that burden a daemon while they are let.
+    """Processes that put a load on a daemon while they are permitted to.
 
     Attributes
     ----------
-    sent : shared number, of what they sent
-    let : shared event, set while they are to send
+    sent : multiprocessing.Value
+        Shared number of what they sent.
+    let : multiprocessing.Event
+        Shared event, set while they are to send.
     """
 
     def __init__(self) -> None:
@@ -46,13 +49,13 @@ class Burden:
         self._seconds = 0.0
 
     def count(self, number: int) -> None:
-        """Count what was sent."""
+        """Add to the number of what was sent."""
         with self.sent.get_lock():
             self.sent.value += number
 
     @contextmanager
     def on(self) -> Iterator[None]:
-        """Let them send meanwhile; begin when they have."""
+        """Permit the processes to send meanwhile; begin when they have."""
         begun, before = time.monotonic(), self.sent.value
         self.let.set()
         try:
@@ -63,19 +66,22 @@ class Burden:
             self._seconds += time.monotonic() - begun
 
     def rate(self) -> float:
-        """Return how much was sent a second, while it was let [1/s]."""
+        """Return the mean rate of what was sent while it was permitted [1/s]."""
         return float(self.sent.value) / self._seconds if self._seconds else 0.0
 
 
 @contextmanager
 def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -> Iterator[Burden]:
-    """Have a flood ready in processes of its own meanwhile.
+    """Run a flood in processes of its own meanwhile.
 
     Parameters
     ----------
-    flood : gets the `Burden`, then the options
-    options : of the flood
-    processes : that send it, each all of it
+    flood : callable
+        Function that takes the `Burden`, then the options.
+    options : object
+        Options of the flood.
+    processes : int
+        Number of processes, each of which sends the whole flood.
     """
     load = Burden()
     context = multiprocessing.get_context("forkserver")
@@ -93,13 +99,16 @@ def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -
 
 
 def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
-    """Yield how many to send, again and again, while a load is let; count them.
+    """Yield how many to send, repeatedly, while a load is permitted, and count them.
 
     Parameters
     ----------
-    load : that lets them be sent
-    rate : how many a second
-    seconds : after which it ends in any case
+    load : Burden
+        Load that permits them to be sent.
+    rate : float
+        Rate [1/s].
+    seconds : float
+        Duration after which it ends in any case [s].
     """
     end = last = time.monotonic()
     end += seconds
@@ -116,7 +125,7 @@ def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
 
 
 def touch_together(load: Burden, url: str, clients: int, seconds: float) -> None:
-    """Be so many programs, each of which touches at `RATE`."""
+    """Run a number of programs, each of which touches at `RATE`."""
     asyncio.run(_touch_together(load, url, clients, seconds))
 
 
@@ -136,7 +145,7 @@ async def _touch_together(load: Burden, url: str, clients: int, seconds: float) 
 
 
 def send_messages(load: Burden, port: int, rate: float, seconds: float) -> None:
-    """Send contacts over a WebSocket, and open another one where the server closes it."""
+    """Send contacts over a WebSocket, and open another one if the server closes it."""
     contact = {"type": "contact", "display": NAME, "position_mm": [1, 0], "normal_force_n": 0.5}
     one = frame(contact)
     link = None
@@ -152,7 +161,7 @@ def send_messages(load: Burden, port: int, rate: float, seconds: float) -> None:
 
 
 def open_websocket(port: int) -> socket.socket:
-    """Return a socket that said `Hello`."""
+    """Return a socket that has sent `Hello`."""
     link = socket.create_connection((HOST, port), timeout=2.0)
     request = (
         f"GET /v1 HTTP/1.1\r\nHost: {HOST}:{port}\r\nUpgrade: websocket\r\n"
@@ -166,12 +175,12 @@ def open_websocket(port: int) -> socket.socket:
 
 
 def drain(link: socket.socket) -> None:
-    """Read what waits.
+    """Read all received data.
 
     Raises
     ------
     ConnectionError
-        Where the other side has closed.
+        If the other side has closed.
     """
     while select.select([link], [], [], 0)[0]:
         if not link.recv(1 << 16):
@@ -179,9 +188,9 @@ def drain(link: socket.socket) -> None:
 
 
 def open_connections(load: Burden, port: int, rate: float, seconds: float) -> None:
-    """Open connections that say nothing; only the last few of them stay open."""
+    """Open connections that send nothing; only the last few of them stay open."""
     links: deque[socket.socket] = deque()
-    at_once = struct.pack("ii", 1, 0)  # closed by a reset: no port is kept waiting
+    at_once = struct.pack("ii", 1, 0)  # Closing by a reset keeps no port in TIME_WAIT.
     for count in paced(load, rate, seconds):
         for _ in range(count):
             link = socket.socket()

@@ -1,7 +1,7 @@
-"""Spectrum frames to the C amplifier over classic CAN, against the reference synthesizer.
+"""Spectrum frames to the C amplifier over classic CAN, compared with the reference synthesizer.
 
-The synthesizer is fed the very frames that went over the wire; what the amplifier puts out must be
-the same, but for samples that it faded.
+The synthesizer receives the very frames that went over the wire. The amplifier's output must be the
+same, except for samples that it faded.
 """
 
 import time
@@ -35,28 +35,32 @@ from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 
 CHUNK = 1 << 22
-"""Bytes of records that are compared at a time."""
+"""Number of bytes of records that are compared at a time."""
 
 
 class Listening(CanWire):
-    """A wire that remembers the spectrum frames that went over it, by wire position."""
+    """Wire that records the spectrum frames that went over it, by wire position."""
 
     frames: deque[tuple[int, m.Spectrum]]
 
     def send(self, packet: Packet) -> float:
-        """Send a packet."""
+        """Send a packet, and record it if it is a spectrum frame."""
         if packet.type == m.Spectrum.TYPE and (frame := m.Spectrum.unpack(packet.payload)):
             self.frames.append((frame.position, frame))
         return super().send(packet)
 
 
 class FrameLedger:
-    """What the reference synthesizer makes of the frames that were sent, against what was put out.
+    """Comparison of the amplifier's output with the reference synthesizer's.
 
     Attributes
     ----------
-    compared, differing : samples
-    largest : difference [codes]
+    compared : int
+        Number of compared samples.
+    differing : int
+        Number of samples that differ.
+    largest : int
+        Largest difference [codes].
     """
 
     def __init__(self, bus: LinkBus, increment: spectrum.Increments, channels: int) -> None:
@@ -70,12 +74,12 @@ class FrameLedger:
         self.compared = self.differing = self.largest = 0
 
     def take(self, records: Records) -> None:
-        """Keep what was put out since START."""
+        """Add the amplifier's output since START."""
         playing = (records.state == State.RUNNING) & (records.tick >= self._peer.begun)
         self._heard = np.concatenate([self._heard, records.codes[playing].astype(np.int32)])
 
     def play(self, frames: deque[tuple[int, m.Spectrum]]) -> None:
-        """Synthesize up to each whole frame, and compare."""
+        """Synthesize up to each complete frame, and compare."""
         while frames:
             at = frames[0][0]
             whole = [frame for position, frame in frames if position == at]
@@ -95,10 +99,10 @@ class FrameLedger:
             steps = [
                 spectrum.ramp_step(a, b, count) for a, b in zip(self._last, after, strict=True)
             ]
-            wanted = spectrum.synthesize(
+            expected = spectrum.synthesize(
                 *self._last, steps[0], steps[1], self._increment, self._at, count
             )
-            off = np.abs(self._heard[:count] - wanted).max(axis=1)
+            off = np.abs(self._heard[:count] - expected).max(axis=1)
             self.compared += count
             self.differing += int((off > 1).sum())
             self.largest = max(self.largest, int(off.max()))
@@ -112,7 +116,7 @@ def _played(
     sent: deque[tuple[int, m.Spectrum]],
     seconds: float,
 ) -> FrameLedger:
-    """Play a finger's way, and compare as it is played."""
+    """Play a finger's path, and compare the output as it is played."""
     assert bus.frames is not None
     renderer = SpectrumRenderer(
         display, load_texture("wood-oak"),

@@ -1,4 +1,4 @@
-"""Friction: how truly slow stretch is played through the time-domain plant, and what it costs."""
+"""Friction: accuracy of slow stretch through the time-domain plant, and its cost."""
 
 import time
 from collections.abc import Iterator
@@ -22,21 +22,23 @@ from tactile.texture.descriptor import Friction, textures
 from tactile.texture.surface import Texture, load_texture, without_friction
 
 BLOCK = 16
+"""Number of samples of a block."""
 SLOW = 20.0
-"""Hz up to which stretch is taken as quasi-static."""
+"""Frequency up to which stretch is taken as quasi-static [Hz]."""
 STICKY = Friction(
     static_coefficient=0.8, kinetic_coefficient=0.5, force_exponent=0.0, stick_slip=1.0
 )
+"""Friction with stick-slip."""
 
 
 def friction_only(friction: Friction) -> Texture:
-    """Return a texture that is friction and nothing else; its reference force is 0.5 N."""
+    """Return a texture that only has friction; its reference force is 0.5 N."""
     flat = grating_texture(0.0)
     return replace(flat, descriptor=changed(flat.descriptor, friction=friction))
 
 
 def measure_friction() -> Iterator[Figure]:
-    """Stroke to and fro, with reversals and slips, and compare what the skin does."""
+    """Compare the skin's shear with the commanded one, back and forth with reversals and slips."""
     creep = Trajectory([0.0, 2.0], [[0.0, 0.0], [6e-3, 0.0]], 0.5)
     for name, finger in FINGERS.items():
         display = load_display("reference-24", load=finger())
@@ -55,7 +57,7 @@ def measure_friction() -> Iterator[Figure]:
 
 
 def _cost() -> Iterator[Figure]:
-    """Time blocks of 16 with and without, in turns: what the fastest percent of each take."""
+    """Time blocks of 16 with and without friction, in turns, by the fastest percent of each."""
     display = load_display("reference-24")
     blocks = list(swing().blocks(RATE, BLOCK))
     for name in textures():

@@ -1,7 +1,7 @@
 """Fuzzing of the protocol: the decoders and the amplifier in Python and in C, ten minutes each.
 
-Python by atheris, C by libFuzzer, as many at once as there are cores. Only in a checkout, and of
-what is installed; what is left out is said in a line.
+Python is fuzzed by atheris and C by libFuzzer, as many at once as there are cores. The benchmark
+only runs in a checkout, with the tools that are installed; what is left out is reported in a line.
 """
 
 import os
@@ -19,19 +19,27 @@ import firmware_protocol
 from tactile.bench.figures import Figure, at_most
 
 SECONDS = 600
+"""Duration of each fuzzer [s]."""
 C = Path(firmware_protocol.__file__).parent / "c"
+"""Folder of the C sources."""
 SCRIPT = C.parents[1] / "tests" / "fuzz" / "fuzz_python.py"
 PYTHON_TARGETS = ("packets", "serial", "can", "i2c", "formats", "amplifier")
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a fuzzer said.
+    """Result of a fuzzer.
 
     Attributes
     ----------
-    executions, coverage : inputs, and edges that they reached
-    failed : whether it found anything
+    name : str
+        Name of the fuzzer.
+    executions : int
+        Number of inputs.
+    coverage : int
+        Number of edges that the inputs reached.
+    failed : bool
+        Whether the fuzzer found anything.
     """
 
     name: str
@@ -41,6 +49,7 @@ class Run:
 
 
 def _python_fuzzers() -> dict[str, list[str]]:
+    """Return the commands of the fuzzers in Python, none without atheris or a checkout."""
     has_atheris = subprocess.run([sys.executable, "-c", "import atheris"], capture_output=True)
     if has_atheris.returncode or not SCRIPT.exists():
         print("fuzz: no atheris, or no checkout: Python is left out", file=sys.stderr)
@@ -49,6 +58,7 @@ def _python_fuzzers() -> dict[str, list[str]]:
 
 
 def _c_fuzzers(build: Path) -> dict[str, list[str]]:
+    """Build the fuzzers in C and return their commands, none without the tools or a checkout."""
     if not shutil.which("clang") or not shutil.which("make") or not (C / "fuzz").exists():
         print("fuzz: no clang or make, or no checkout: C is left out", file=sys.stderr)
         return {}
@@ -62,24 +72,24 @@ def _c_fuzzers(build: Path) -> dict[str, list[str]]:
 
 
 def run_fuzzer(name: str, command: list[str], seconds: int, folder: Path) -> Run:
-    """Run a fuzzer from an empty corpus; what fails is left in the present folder."""
+    """Run a fuzzer from an empty corpus; failing inputs are left in the working directory."""
     corpus = folder / name
     corpus.mkdir()
     options = [f"-max_total_time={seconds}", "-max_len=2000", "-print_final_stats=1"]
     options.append(f"-artifact_prefix=fuzz-{name}-")
-    found = subprocess.run(
+    result = subprocess.run(
         ["nice", *command, *options, str(corpus)], capture_output=True, text=True, errors="replace"
     )
-    runs = re.search(r"number_of_executed_units: (\d+)", found.stderr)
-    edges = re.findall(r"cov: (\d+)", found.stderr)
-    if found.returncode:
-        print(f"fuzz: {name}:\n{found.stderr[-3000:]}", file=sys.stderr)
+    runs = re.search(r"number_of_executed_units: (\d+)", result.stderr)
+    edges = re.findall(r"cov: (\d+)", result.stderr)
+    if result.returncode:
+        print(f"fuzz: {name}:\n{result.stderr[-3000:]}", file=sys.stderr)
     return Run(name, int(runs[1]) if runs else 0, int(edges[-1]) if edges else 0,
-               found.returncode != 0)  # fmt: skip
+               result.returncode != 0)  # fmt: skip
 
 
 def measure_fuzz(seconds: int = SECONDS) -> Iterator[Figure]:
-    """Count what fuzzers find, and how much they tried."""
+    """Count what the fuzzers find, and how much they tried."""
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(os.cpu_count()) as pool:
         folder = Path(place)
         commands = _python_fuzzers() | _c_fuzzers(folder)

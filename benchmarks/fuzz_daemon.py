@@ -1,7 +1,8 @@
-"""Random messages, legal and not, from several clients of a daemon that hang up at any moment.
+"""Random messages, legal and illegal, from several clients of a daemon that hang up at any moment.
 
-The amplifier's record is the oracle for voltages. Playback must be the same process at the end; a
-program that strokes beside it must keep its blocks; and of those who hung up nothing may be left.
+The amplifier's record is the oracle for voltages. Playback must be the same process at the end, a
+program that strokes at the same time must keep its blocks, and clients that hung up must leave
+nothing behind.
 """
 
 import random
@@ -35,19 +36,21 @@ from tactile.client import RemoteDisplay
 from tactile.errors import ClientError
 
 SECONDS = 600.0
+"""Duration of the random messages [s]."""
 CLIENTS = 4
+"""Number of clients that send random messages."""
 PLACES = 64
-"""Clients that a daemon takes by default."""
+"""Number of clients that a daemon accepts by default."""
 HANG_UPS = 2000
-"""At least, in all."""
+"""Smallest permitted number of hang-ups, in all."""
 SETTLED = 0.2
-"""Of the time after which memory has grown to what it needs."""
+"""Share of the time after which memory has grown to what it needs."""
 SEED = 14
 ODD: list[Any] = [
     None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 500,
     "estop", -0.0,
 ]  # fmt: skip
-"""What a field may hold instead."""
+"""Odd values that a field may hold instead."""
 LEGAL: dict[str, Callable[[random.Random], dict[str, Any]]] = {
     "arm": lambda rng: {},
     "disarm": lambda rng: {},
@@ -76,35 +79,35 @@ LEGAL: dict[str, Callable[[random.Random], dict[str, Any]]] = {
         "transients": [[rng.uniform(0, 60_000), 1, 160] for _ in range(rng.choice([0, 500]))],
     },
 }
-"""What a request holds besides its type, its display and its number."""
+"""Contents of a request besides its type, display and number, by type."""
 
 
 RARE = {"estop": 0.02, "disarm": 0.02}
-"""How often what silences the display is sent, where all else is sent once."""
+"""Relative frequency of the requests that silence the display; all others have 1."""
 
 
 def random_message(rng: random.Random) -> bytes:
-    """Return a frame with a message: legal, with an odd field, or with broken bytes."""
+    """Return a frame with a message: legal, with an odd field, or with a wrong byte."""
     (kind,) = rng.choices(list(LEGAL), [RARE.get(kind, 1.0) for kind in LEGAL])
     message: dict[str, Any] = {"type": kind, "display": NAME, **LEGAL[kind](rng)}
     if kind != "contact":
         message["id"] = rng.randrange(1000)
     if rng.random() < 0.3:
         message[rng.choice(list(message))] = rng.choice(ODD)
-    made = bytearray(frame(message))
+    data = bytearray(frame(message))
     if rng.random() < 0.05:
-        made[rng.randrange(len(made))] = rng.randrange(256)
-    return bytes(made)
+        data[rng.randrange(len(data))] = rng.randrange(256)
+    return bytes(data)
 
 
 def hang_up(link: socket.socket) -> None:
-    """Close a connection without a word, as a process that dies does."""
+    """Close a connection without a closing handshake, as a process that dies does."""
     link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     link.close()
 
 
 def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
-    """Be a client that sends random messages and hangs up, again and again; count that."""
+    """Act as a client that sends random messages and hangs up, repeatedly; count the hang-ups."""
     rng, end = random.Random(f"{seed} {time.monotonic_ns()}"), time.monotonic() + seconds
     while time.monotonic() < end:
         try:
@@ -118,36 +121,36 @@ def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
                 drain(link)
                 time.sleep(rng.choice([0, 0, 0.002, 0.01]))
         except OSError:
-            pass  # the server closed it
+            pass  # The server has closed the connection.
         hang_up(link)
         load.count(1)
 
 
 def clients_of(daemon: Daemon) -> float:
-    """Return how many clients a daemon counts."""
+    """Return the number of clients that a daemon counts."""
     with urllib.request.urlopen(
         f"http://127.0.0.1:{daemon.port}/metrics", timeout=PATIENCE
     ) as page:
         text = page.read().decode()
-    found = re.search(r'^tactile_clients\{transport="websocket"\} (\S+)', text, re.MULTILINE)
-    return float(found[1]) if found else 0.0
+    match = re.search(r'^tactile_clients\{transport="websocket"\} (\S+)', text, re.MULTILINE)
+    return float(match[1]) if match else 0.0
 
 
 def free_places(daemon: Daemon, most: int = PLACES) -> int:
-    """Return how many clients are let in at once."""
+    """Return the number of clients that are accepted at once."""
     with ExitStack() as stack:
         links = [stack.enter_context(open_websocket(daemon.port)) for _ in range(most)]
         return sum(b'"welcome"' in link.recv(1 << 16) for link in links)
 
 
 def counters_of(daemon: Daemon) -> dict[str, int]:
-    """Return what playback counted."""
+    """Return the counters of playback."""
     with tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as display:
         return display.stats(timeout=PATIENCE).counters
 
 
 def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
-    """Measure what is left of a daemon after a while of random messages."""
+    """Measure the state of a daemon after a while of random messages."""
     if sys.platform == "linux" and can_be_built():
         yield from beside_machine("fuzz-daemon", _measured(seconds))
 
@@ -171,13 +174,13 @@ def _measured(seconds: float) -> Iterator[Figure]:
             yield at_most("fuzz-daemon.playback_died", daemon.playback() != playback, "", 0)
             yield from recorder.figures("fuzz-daemon")
             yield from victim_figures(before, after)
-            yield from _what_is_left(daemon, memory)
+            yield from _leftovers(daemon, memory)
 
 
 def _observed(
     daemon: Daemon, recorder: OutputRecorder, keeper: RemoteDisplay, seconds: float
 ) -> Iterator[float]:
-    """Yield the server's memory [MiB] each second; read the record, and keep it armed meanwhile."""
+    """Yield the server's memory each second [MiB]; meanwhile read the record and keep it armed."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         for _ in range(10):
@@ -189,7 +192,7 @@ def _observed(
 
 
 def clear_and_arm(display: RemoteDisplay) -> None:
-    """Have a display play on, where random messages stopped it."""
+    """Clear and arm a display that random messages stopped."""
     stats = display.stats(timeout=PATIENCE)
     if stats.estop:
         display.clear(estop=stats.estop, timeout=PATIENCE)
@@ -198,7 +201,7 @@ def clear_and_arm(display: RemoteDisplay) -> None:
 
 
 def victim_figures(before: dict[str, int], after: dict[str, int]) -> Iterator[Figure]:
-    """Yield what playback lost meanwhile, by its counters before and after."""
+    """Yield the losses of playback, by its counters before and after."""
     names = ("blocks", "late_blocks", "skipped_samples", "underruns")
     change = {name: after.get(name, 0) - before.get(name, 0) for name in names}
     bad = change["late_blocks"] + change["skipped_samples"] / 16
@@ -208,7 +211,8 @@ def victim_figures(before: dict[str, int], after: dict[str, int]) -> Iterator[Fi
     yield Figure("fuzz-daemon.underruns", float(change["underruns"]), "")
 
 
-def _what_is_left(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
+def _leftovers(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
+    """Yield the clients, free places and memory that are left over."""
     deadline = time.monotonic() + 5.0
     while (ghosts := clients_of(daemon)) and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -1,10 +1,10 @@
-"""From a contact message to the first sample that depends on it, by the amplifier's own clock.
+"""Latency from a contact message to the first sample that depends on it, by the amplifier's clock.
 
-A client in a process of its own sends a place a thousand times a second, over the WebSocket, to the
-daemon; its playback plays oak on 24 contactors to the C amplifier on a pty. Which contacts each
-block was rendered from is in the trace that playback leaves; when the amplifier put that block
-out, in the amplifier's record. The first sample that can differ for a contact is the first of the
-next block, as many samples later as the limiter looks ahead.
+A client in its own process sends a position a thousand times a second over a WebSocket to the
+daemon, whose playback plays oak on 24 contactors to the C amplifier on a pty. The contacts that
+each block was rendered from are in the trace that playback leaves; the time at which the amplifier
+put that block out is in the amplifier's record. The first sample that can depend on a contact is
+the first of the next block, delayed by the look-ahead of the limiter.
 """
 
 import asyncio
@@ -30,19 +30,22 @@ from tactile.server.playing import Playing
 from tactile.server.server import running
 
 RATE = 1000.0
-"""Messages a second."""
+"""Rate of messages [1/s]."""
 SHORT, LONG = 10.0, 300.0
-"""s of messages."""
+"""Durations of the messages [s]."""
 SPEED, STROKE = 0.08, 0.04
-"""m/s and m of the finger that goes to and fro."""
+"""Speed [m/s] and amplitude [m] of the finger that moves back and forth."""
 CLIENT = "from benchmarks.latency import send; send({!r}, {!r}, {!r})"
+"""Code of the client's process."""
 NAME = "bench"
+"""Name of the display."""
 FORCE, MARK = 0.5, 1e-9
-"""N; each message tells its number by a force that nobody feels."""
+"""Normal force, and the imperceptible step of force by which each message carries its number
+[N]."""
 
 
 def send(url: str, seconds: float, file: str) -> None:
-    """Send places at `RATE` for a while, and leave the times at which each was sent."""
+    """Send positions at `RATE` for a while, and store the time at which each was sent."""
     import tactile.client
 
     count = int(seconds * RATE)
@@ -63,13 +66,13 @@ def send(url: str, seconds: float, file: str) -> None:
 
 
 class Traced:
-    """Collects what playback was rendered from, as it plays."""
+    """Collector of the traces of playback, as it plays."""
 
     def __init__(self, playing: Playing) -> None:
         self._playing, self._next, self._touch = playing, 0, playing.touch
         self.traces: list[BlockTrace] = []
         self.numbers: list[int] = []
-        """Of the messages whose contacts came, in that order; the client drops what is old."""
+        """Numbers of the messages whose contacts came, in order; the client drops outdated ones."""
         setattr(playing, "touch", self._noted)  # noqa: B010
 
     def _noted(self, client: int, touch: Touch) -> None:
@@ -77,15 +80,15 @@ class Traced:
         self.numbers.append(round((touch.normal_force - FORCE) / MARK))
 
     async def follow(self) -> None:
-        """Collect until cancelled."""
+        """Collect traces until cancelled."""
         while True:
             self.take()
             await asyncio.sleep(1.0)
 
     def take(self) -> None:
-        """Collect what is new."""
-        self._next, found = self._playing.memory.traces(self._next)
-        self.traces += found
+        """Collect new traces."""
+        self._next, traces = self._playing.memory.traces(self._next)
+        self.traces += traces
 
 
 async def _session(
@@ -99,8 +102,8 @@ async def _session(
     async with running(config, host=host) as server:
         traced = Traced(host.playing[NAME])
         task = asyncio.create_task(traced.follow())
-        words = CLIENT.format(server.url, seconds, str(folder / "sent.npy"))
-        client = await asyncio.create_subprocess_exec(sys.executable, "-c", words)
+        code = CLIENT.format(server.url, seconds, str(folder / "sent.npy"))
+        client = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
         if await client.wait():
             raise subprocess.CalledProcessError(client.returncode or 1, "client")
         task.cancel()
@@ -117,7 +120,7 @@ async def _session(
 def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
     """Return the time from each message to the first sample that depends on it (K,) [s].
 
-    Messages that came before the first block, or after the last, are left out.
+    Messages before the first block or after the last are left out.
     """
     records = amplifier.take()
     playing = records.state == State.RUNNING
@@ -126,12 +129,12 @@ def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifie
     block = np.array([t.position for t in traces])
     seen = np.array([t.contacts for t in traces])
     due = np.array([t.due for t in traces])
-    wanted = block + LOOK_AHEAD
+    first_affected = block + LOOK_AHEAD
     nearest = np.clip(np.searchsorted(times, due), 1, len(times) - 1)
     nearest -= due - times[nearest - 1] < times[nearest] - due
-    apart = np.rint(np.median(positions[nearest] - wanted)).astype(np.int64)
+    apart = np.rint(np.median(positions[nearest] - first_affected)).astype(np.int64)
     when = dict(zip((positions - apart).tolist(), times.tolist(), strict=True))
-    played = np.array([when.get(int(p), np.nan) for p in wanted])
+    played = np.array([when.get(int(p), np.nan) for p in first_affected])
     first = np.searchsorted(seen, np.arange(len(sent)), side="right")
     inside = (first > 0) & (first < len(traces))
     late = played[first[inside]] - sent[inside]
@@ -139,7 +142,7 @@ def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifie
 
 
 def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
-    """Measure it over a pty, with samples and with spectrum frames."""
+    """Measure the latency over a pty, with samples and with spectrum frames."""
     if not can_be_built():
         return
     yield from beside_machine("latency", _measured("latency", "", seconds, goals=True))
@@ -163,5 +166,5 @@ def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterat
 
 
 def measure_latency_long() -> Iterator[Figure]:
-    """Measure it for five minutes each."""
+    """Measure each latency for five minutes."""
     yield from measure_latency(LONG)

@@ -1,13 +1,13 @@
-"""The library of textures: what is rendered is what each descriptor says, and what is played.
+"""Library of textures: rendered textures compared with their descriptors, and fidelity of playing.
 
 **Rendered**: long straight cuts by the `RealizedLayer` that plays, at the reference speed and
-without laws, measured with what a fit measures recordings with. The bands' part alone is cut, under
-its envelope, as the numbers of ``[stochastic]`` are about it; lines of a grating are the same at
-all contactors but for their phase. An isotropic surface is cut in 16 directions, each of another
-seed, a grained one along its direction. **Played**: every texture on ``sim:``, shear commanded
-against shear played, of the same seed.
+without laws, are measured by the same methods by which a fit measures recordings. Only the part of
+the bands is cut, under its envelope, because the numbers of ``[stochastic]`` refer to it; lines of
+a grating are the same at all contactors except for their phase. An isotropic surface is cut in 16
+directions, each with another seed, a grained one along its direction. **Played**: the commanded
+shear of every texture is compared with the shear played on ``sim:``, with the same seed.
 
-Figures name the worst texture; one beyond a goal has a figure of its own.
+Figures name the worst texture; a texture beyond a goal has a figure of its own.
 """
 
 from collections.abc import Iterator
@@ -32,23 +32,23 @@ from tactile.texture.descriptor import Laws, Stochastic, textures
 from tactile.texture.surface import Partials, Texture, load_texture
 
 STEP = 50e-6
-"""m between samples of a cut."""
+"""Distance between samples of a cut [m]."""
 SEEDS, SPOTS = 16, 4
-"""Cuts: so many surfaces, and places on each too far apart to have anything in common."""
+"""Number of surfaces, and of places on each that are too far apart to be correlated."""
 LENGTH = 1.2
-"""m of a cut; all are 77 m, 19 000 periods of the lowest band."""
+"""Length of a cut [m]; all cuts together are 77 m, 19 000 periods of the lowest band."""
 SEGMENT = 80e-3
-"""m of a spectrum's segment, 20 periods of the lowest band."""
+"""Length of a spectrum's segment, 20 periods of the lowest band [m]."""
 ALONG, ACROSS = 2.5e-3, 3.5e-3
-"""m between contactors along and across the motion: the pitch of reference-24."""
+"""Distance between contactors along and across the motion: the pitch of reference-24 [m]."""
 SPEEDS = (0.04, 0.08)
-"""m/s of what is played."""
+"""Speeds of the played strokes [m/s]."""
 SKIPPED = 800
-"""Samples until a played stroke has faded in and filters have settled."""
+"""Number of samples until a played stroke has faded in and filters have settled."""
 KURTOSIS, DEPTH, LEVEL, COHERENCE = 0.5, 0.06, 1.0, 0.1
-"""What may lie between descriptor and rendered cuts; level in dB."""
+"""Largest permitted differences of descriptor and rendered cuts; the level is in dB."""
 FIDELITY, SIMILARITY = 40.0, 0.99
-"""What played shear must reach: signal-to-error ratio [dB] and ST-SIM."""
+"""Smallest permitted signal-to-error ratio [dB] and ST-SIM of played shear."""
 
 
 def bands_alone(texture: Texture) -> Texture:
@@ -68,20 +68,25 @@ def directions(texture: Texture) -> Floats:
 def cut(
     texture: Texture, angle: float, seed: int, offsets: Floats, *, length: float = LENGTH
 ) -> Floats:
-    """Return what a layer asks of contactors on a straight stroke.
+    """Return the shear that a layer commands on a straight stroke.
 
     Parameters
     ----------
-    texture : what
-    angle : of the motion [rad]
-    seed : of the surface
-    offsets : (N, 2) of the contactors along and across the motion [m]
-    length : of the stroke [m]
+    texture : Texture
+        Texture to cut.
+    angle : float
+        Direction of the motion [rad].
+    seed : int
+        Seed of the surface.
+    offsets : (N, 2) array of float
+        Positions of the contactors along and across the motion [m].
+    length : float
+        Length of the stroke [m].
 
     Returns
     -------
-    (N, S) ndarray
-        Shear [m], a sample every `STEP`.
+    (N, S) array of float
+        Shear, with a sample every `STEP` [m].
     """
     along = np.array([np.cos(angle), np.sin(angle)])
     turn = np.array([along, [-along[1], along[0]]])
@@ -98,16 +103,16 @@ def cut(
 
 
 def spots(seed: int) -> Floats:
-    """Return places (`SPOTS`, 2) on a surface, meters apart [m]."""
+    """Return places (`SPOTS`, 2) on a surface that are meters apart [m]."""
     return np.random.default_rng(seed).uniform(-100, 100, (SPOTS, 2))
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What long cuts have, against the descriptor; differences are measured − stated.
+    """Statistics of long cuts, compared with the descriptor; differences are measured − stated.
 
-    ``kurtosis_error`` and ``depth_error`` are half of what lies between two halves of the cuts:
-    over many textures their rms is the standard error of the estimate.
+    ``kurtosis_error`` and ``depth_error`` are half the difference between two halves of the cuts;
+    their rms over many textures is the standard error of the estimate.
     """
 
     kurtosis: float
@@ -154,7 +159,10 @@ def bands_of_bins(count: int) -> Floats:
 
 
 def rendered_coherence(one: Complex, other: Complex) -> Floats:
-    """Return |⟨X* Y⟩|²/⟨|X|²⟩⟨|Y|²⟩ per band (16,) of `spectra`, mean over a band and all rows."""
+    """Return the coherence per band (16,) of two `spectra`.
+
+    It is |⟨X* Y⟩|²/⟨|X|²⟩⟨|Y|²⟩, averaged over a band and all rows.
+    """
     bands = bands_of_bins(one.shape[-1])
 
     def mean(x: Complex, y: Complex) -> Complex:
@@ -167,15 +175,18 @@ def rendered_coherence(one: Complex, other: Complex) -> Floats:
 def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
     """Return the magnitude-squared coherence of a surface itself, per band (16,).
 
-    |Σ P exp jk·Δ|²/(Σ P)² over the waves in a band, Δ from one contactor to the other, P = a²
-    times what of a line at k·u/2π the Hann window of an estimate leaves in the band; sums over
-    strokes in several directions u.
+    It is |Σ P exp jk·Δ|²/(Σ P)² over the waves in a band, with Δ from one contactor to the other. P
+    is a² times the share of a line at k·u/2π that the Hann window of an estimate leaves in the
+    band. The sums run over strokes in several directions u.
 
     Parameters
     ----------
-    waves : of the surface
-    turns : directions of the strokes [rad]
-    offset : (2,) from one contactor to the other along and across the motion [m]
+    waves : Partials
+        Waves of the surface.
+    turns : array of float
+        Directions of the strokes [rad].
+    offset : (2,) array of float
+        Distance from one contactor to the other along and across the motion [m].
     """
     bins = np.arange(round(SEGMENT / STEP) // 2 + 1)
     bands = bands_of_bins(len(bins))
@@ -192,13 +203,13 @@ def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
 
 
 def hann_power(bins: Floats) -> Floats:
-    """Return |W|² of a Hann window, one at zero, at distances in bins (Harris 1978)."""
+    """Return |W|² of a Hann window, 1 at zero, at distances in bins (Harris 1978)."""
     shape = np.sinc(bins) + 0.5 * np.sinc(bins - 1) + 0.5 * np.sinc(bins + 1)
     return np.asarray(shape**2)
 
 
 def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Floats]:
-    """Return rendered − own coherence per band, of contactors along and across the motion."""
+    """Return rendered − own coherence per band, for contactors along and across the motion."""
     waves, turns = bands_alone(texture), directions(texture)[:: SEEDS // seeds]
     gaps = np.array([[0, 0], [ALONG, 0], [0, ACROSS]])
     rows = [
@@ -215,10 +226,10 @@ def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Float
 
 @dataclass(frozen=True)
 class PlayedStroke:
-    """How a stroke was played: signal-to-error ratio [dB] in 20–1000 Hz, ST-SIM, and what is lost.
+    """Quality of a played stroke: signal-to-error ratio [dB] in 20–1000 Hz, ST-SIM, and the loss.
 
-    ``similarity`` is NaN without the package ``vibromaf``. ``limited`` is the share of samples
-    that the limiter turned down, ``loss`` what the stroke lost by it [dB].
+    ``similarity`` is NaN without the package ``vibromaf``. ``limited`` is the share of samples that
+    the limiter attenuated, ``loss`` the level that the stroke lost by it [dB].
     """
 
     fidelity: float
@@ -234,9 +245,14 @@ def played(
 
     Parameters
     ----------
-    texture, display : what on what
-    speed : along the direction of its bands [m/s]
-    duration : [s]
+    texture : Texture
+        Texture to play.
+    display : Display
+        Display to play on.
+    speed : float
+        Speed along the direction of the texture's bands [m/s].
+    duration : float
+        Duration of the stroke [s].
     """
     stochastic = texture.descriptor.stochastic
     path = Trajectory.line(
@@ -250,20 +266,20 @@ def played(
             commanded, felt = recorded["shear_target_m"], recorded["shear_played_m"]
     judge = Fidelity(RATE)
     judge.add(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED])
-    heard = [np.sqrt(np.mean(shear[SKIPPED:-SKIPPED] ** 2)) for shear in (felt, commanded)]
+    levels = [np.sqrt(np.mean(shear[SKIPPED:-SKIPPED] ** 2)) for shear in (felt, commanded)]
     return PlayedStroke(
         judge.signal_to_error_db,
         similarity(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED]),
         summary.limited_samples / summary.samples,
-        float(20 * np.log10(heard[0] / heard[1])),
+        float(20 * np.log10(levels[0] / levels[1])),
     )
 
 
 def similarity(commanded: Floats, felt: Floats) -> float:
     """Return the lowest ST-SIM of any contactor (S, N); NaN without ``vibromaf``.
 
-    It takes 8 kHz and signals within ± 1, so that both are scaled alike. Where signals oppose each
-    other it is a complex number, here zero.
+    ST-SIM takes 8 kHz and signals within ± 1, so both are scaled alike. For signals that oppose
+    each other it is a complex number, which counts as zero here.
     """
     try:
         from vibromaf.metrics.stsim import st_sim
@@ -278,9 +294,9 @@ def similarity(commanded: Floats, felt: Floats) -> float:
 def told(
     what: str, unit: str, limit: float, values: dict[str, float], *, least: bool = False
 ) -> Iterator[Figure]:
-    """Yield the worst value with its goal, whose it is, and each one beyond the goal.
+    """Yield the worst value with its goal and its name, and each value beyond the goal.
 
-    With ``least`` the limit is to be reached, else not to be exceeded.
+    With ``least`` the limit is the smallest permitted value, otherwise the largest.
     """
     if not values:
         return
@@ -312,17 +328,18 @@ def measure_library() -> Iterator[Figure]:
 
 
 def _statistics_figures(library: dict[str, Texture]) -> Iterator[Figure]:
-    found: dict[str, Statistics] = {}
+    """Yield the largest differences of the rendered statistics from the descriptors."""
+    results: dict[str, Statistics] = {}
     for name, texture in library.items():
         if texture.descriptor.stochastic is not None:
-            found[name] = statistics(texture, texture.descriptor.stochastic)
-    kurtosis = {name: abs(s.kurtosis) for name, s in found.items()}
-    depth = {name: abs(s.depth) for name, s in found.items()}
-    level = {name: float(np.abs(s.level).max()) for name, s in found.items()}
+            results[name] = statistics(texture, texture.descriptor.stochastic)
+    kurtosis = {name: abs(s.kurtosis) for name, s in results.items()}
+    depth = {name: abs(s.depth) for name, s in results.items()}
+    level = {name: float(np.abs(s.level).max()) for name, s in results.items()}
     yield from told("kurtosis", "", KURTOSIS, kurtosis)
     yield from told("am_depth", "", DEPTH, depth)
     yield from told("level", "dB", LEVEL, level)
-    errors = np.array([[s.kurtosis_error, s.depth_error] for s in found.values()])
+    errors = np.array([[s.kurtosis_error, s.depth_error] for s in results.values()])
     for what, error in zip(
         ("kurtosis", "am_depth"), np.sqrt(np.mean(errors**2, axis=0)), strict=True
     ):
@@ -332,7 +349,7 @@ def _statistics_figures(library: dict[str, Texture]) -> Iterator[Figure]:
 def _played_figures(
     library: dict[str, Texture], display: Display, speed: float
 ) -> Iterator[Figure]:
-    """Yield how all are played at a speed; those that the drive's limit turns down, apart."""
+    """Yield the quality of all textures at a speed; those that the limiter attenuates, apart."""
     strokes = {name: played(texture, display, speed) for name, texture in library.items()}
     at = f"{speed * 1e3:g}_mm_s"
     whole = {name: stroke for name, stroke in strokes.items() if not stroke.limited}

@@ -1,11 +1,11 @@
-"""Links: what gets through to the C amplifier in real time, and what that costs.
+"""Links: what reaches the C amplifier in real time, and the cost of it.
 
 The drive is rendered as it is played and sent in blocks of 16, as far ahead as an amplifier has
-room for: where the finger goes is known beforehand. Then what the amplifier has put out is compared
-with it position by position: with what the frames say, which must be the same to the last bit, and
-with the renderer's drive. Where the amplifier bridged or faded, because the machine stood still for
-longer, samples differ; they are counted, and no step may exceed the slew limit. Bare loops run
-beside it and tell for how long the machine stood still (`tactile.bench.metronome`).
+room for, since the path of the finger is known beforehand. The amplifier's output is then compared
+position by position with what the frames say, which must be the same to the last bit, and with the
+renderer's drive. Where the amplifier bridged or faded, because the machine paused for longer,
+samples differ; these are counted, and no step may exceed the slew limit. Bare loops run at the same
+time and tell for how long the machine paused (`tactile.bench.metronome`).
 """
 
 import time
@@ -45,14 +45,18 @@ from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture
 
 BLOCK = 16
+"""Number of samples of a block."""
 RENDERED = 4 * BLOCK
-"""Samples that are rendered at a time: less than half the work, where it is known what comes."""
+"""Number of samples that are rendered at a time.
+
+As the path is known beforehand, this takes less than half the work of single blocks.
+"""
 SHORT, LONG = 5.0, 600.0
-"""s of a stream."""
+"""Durations of a stream [s]."""
 CHUNK = 1 << 22
-"""Bytes of records that are compared at a time."""
+"""Number of bytes of records that are compared at a time."""
 ALIKE = 0.9
-"""Of them that agree, where frames are cut as is thought."""
+"""Share of samples that agree if the assumed cut into frames is right."""
 
 Codes = NDArray[np.int16]
 Indices = NDArray[np.int64] | NDArray[np.int32]
@@ -61,13 +65,20 @@ Marks = NDArray[np.bool_]
 
 @dataclass
 class Ledger:
-    """What was put out, compared with what was sent.
+    """Comparison of the amplifier's output with what was sent.
 
     Attributes
     ----------
-    compared, differing : samples, and those that are not what the frames say
-    largest_step : [codes]
-    error, power : sums of squares [codes²], against the renderer's drive
+    compared : int
+        Number of compared samples.
+    differing : int
+        Number of samples that are not what the frames say.
+    largest_step : int
+        Largest step [codes].
+    error : float
+        Sum of squared differences from the renderer's drive [codes²].
+    power : float
+        Sum of squares of the renderer's drive [codes²].
     """
 
     compared: int = 0
@@ -78,7 +89,7 @@ class Ledger:
     _cut: int = 0
 
     def compare(self, bus: LinkBus, amplifier: VirtualAmplifier, sent: Codes) -> None:
-        """Read all that the amplifier put out; ``sent`` are codes (S, C) from position 0 on."""
+        """Compare the amplifier's output so far with codes (S, C), sent from position 0 on."""
         (peer,) = bus.peers
         last = None
         while len((records := amplifier.take(CHUNK)).codes):
@@ -102,35 +113,36 @@ class Ledger:
         self.power += float(np.sum(drive[position - start][right] ** 2))
 
     def _right(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> Marks:
-        """Tell which instants (N,) are what the frames say, cut where most of them are.
+        """Return which instants (N,) are what the frames say, for the cut that fits best.
 
-        BFP8 rounds the samples of a packet together, and after a link that was lost packets begin
-        wherever the stroke was then.
+        BFP8 rounds the samples of a packet together, and after a lost link packets begin wherever
+        the stroke was then.
         """
-        found = np.zeros(len(position), bool)
+        agreeing = np.zeros(len(position), bool)
         for cut in [self._cut, *range(plan.packet_samples)]:
             right = (codes == _framed(plan, position, sent, cut)).all(axis=1)
-            if right.sum() > found.sum():
-                found, self._cut = right, cut
-            if found.mean() > ALIKE:
+            if right.sum() > agreeing.sum():
+                agreeing, self._cut = right, cut
+            if agreeing.mean() > ALIKE:
                 break
-        return found
+        return agreeing
 
 
 def _framed(plan: Plan, position: Indices, sent: Codes, cut: int) -> Codes:
-    """Return what frames tell of samples at positions, each frame from cut + k S to the next."""
+    """Return the samples that frames give at positions, each frame from cut + k S to the next."""
     kind, size = plan.sample_format, plan.packet_samples
     assert kind is not None
     low = int(position[0]) - (int(position[0]) - cut) % size
     edges = range(low, int(position[-1]) + 1, size)
     parts = [np.asarray(sent[max(k, 0) : k + size]) for k in edges]
-    told = [samples.decode(kind, samples.encode(kind, part), *part.shape) for part in parts]
-    return np.concatenate(told)[position - max(low, 0)]
+    decoded = [samples.decode(kind, samples.encode(kind, part), *part.shape) for part in parts]
+    return np.concatenate(decoded)[position - max(low, 0)]
 
 
 def _figures(
     name: str, bus: LinkBus, ledger: Ledger, duration: float, slew_step: float
 ) -> Iterator[Figure]:
+    """Yield the figures of a stream."""
     c, status = bus.counters, bus.peers[0].host.status
     blocks = max(c.blocks, 1)
     yield Figure(f"{name}.seconds", duration, "s")
@@ -150,6 +162,7 @@ def _figures(
 
 
 def _slew_step(display: Display, rate: float) -> float:
+    """Return the largest step that the slew limit permits [codes]."""
     full = display.limits.voltage
     return min(display.slew / rate / full, 2.0) * FULL_SCALE_CODE
 
@@ -157,7 +170,7 @@ def _slew_step(display: Display, rate: float) -> float:
 def _play(
     bus: LinkBus, renderer: Renderer, display: Display, file: IO[bytes], way: Trajectory
 ) -> None:
-    """Play, and keep what was sent."""
+    """Play a path, and store what was sent."""
     renderer.fade_in()
     sent = 0
     for position, force in way.blocks(bus.wiring.sample_rate, RENDERED):
@@ -224,10 +237,11 @@ STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
     "links.canfd_1_5": _can_fd,
     "links.can_1.spectrum": stream_frames,
 }
+"""Streams over each link, by name."""
 
 
 def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
-    """Stream oak to the C amplifier over each link at its bit time, a metronome beside it."""
+    """Stream oak to the C amplifier over each link at its bit time, while a metronome runs."""
     if not can_be_built():
         return
     for name, stream in STREAMS.items():
@@ -235,12 +249,12 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
 
 
 def measure_streams_long() -> Iterator[Figure]:
-    """Stream for ten minutes each."""
+    """Stream over each link for ten minutes."""
     yield from measure_streams(LONG)
 
 
 def measure_cost() -> Iterator[Figure]:
-    """Measure what streaming takes of a core: 64 channels at 8 kHz over a pty, blocks of 16."""
+    """Measure the load of a core by streaming 64 channels at 8 kHz over a pty, in blocks of 16."""
     if not can_be_built():
         return
     display = load_display("reference-64")
@@ -261,7 +275,7 @@ def measure_cost() -> Iterator[Figure]:
 
 
 def _pyserial_alone() -> float:
-    """Return the share that pyserial takes for as many bytes in as many writes, nothing else."""
+    """Return the load of a core by pyserial alone, for as many bytes in as many writes."""
     import serial
 
     data = bytes(64 * BLOCK + 64 + 40)
@@ -279,6 +293,6 @@ def _pyserial_alone() -> float:
 
 
 def measure_links() -> Iterator[Figure]:
-    """Measure all of it, briefly."""
+    """Measure cost and streams, briefly."""
     yield from measure_cost()
     yield from measure_streams()

@@ -1,4 +1,4 @@
-"""Optimization: the front that is found beside a grid of all designs, and how long it takes."""
+"""Optimization: the front that is found compared with a grid of all designs, and its time."""
 
 import time
 from collections.abc import Iterator
@@ -12,15 +12,19 @@ from tactile.study.optimizing import Task, find_designs, scores
 from tactile.study.scenarios import draw_scenarios
 
 WISHES = ("attainable", "footprint")
+"""Objectives."""
 LENGTHS, WIDTHS, HEIGHTS = (8.0, 40.0), (1.0, 6.0), (0.1, 0.5)
+"""Bounds of length, width and height of a piezo layer [mm]."""
 CONDITIONS = Conditions(band=(10.0, 1000.0))
+"""Band of the objectives."""
 STEPS = 80
-"""Of the grid along each side."""
+"""Number of grid points along each side."""
 SCENARIOS = 64
+"""Number of scenarios."""
 
 
 def measure_optimize() -> Iterator[Figure]:
-    """Compare a front over length and width with a grid; time a robust one over three numbers."""
+    """Compare a front over two dimensions with a grid, and time a robust front over three."""
     task = Task(
         bounds={"length_mm": LENGTHS, "width_mm": WIDTHS},
         objectives=WISHES,
@@ -30,9 +34,11 @@ def measure_optimize() -> Iterator[Figure]:
     sides = [np.linspace(low, high, STEPS) for low, high in (LENGTHS, WIDTHS)]
     grid, _ = scores(task, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
     front = find_designs(task)
-    found = np.stack([-front["attainable_um"].values, front["footprint_mm2"].values], axis=-1)
+    objectives = np.stack([-front["attainable_um"].values, front["footprint_mm2"].values], axis=-1)
     best, worst = grid.min(axis=0), grid.max(axis=0)
-    share = dominated((found - best) / (worst - best)) / dominated((grid - best) / (worst - best))
+    share = dominated((objectives - best) / (worst - best)) / dominated(
+        (grid - best) / (worst - best)
+    )
     yield at_least("optimize.hypervolume", 100 * share, "% of the grid's", 99)
     yield at_most("optimize.sampling_error", 100 * front.attrs["sampling_error"], "%", 1)
     begun = time.process_time()
@@ -52,7 +58,7 @@ def measure_optimize() -> Iterator[Figure]:
 
 
 def dominated(lowered: Floats) -> float:
-    """Return the area up to (1.1, 1.1) that points (N, 2) dominate, less being better."""
+    """Return the area up to (1.1, 1.1) that points (N, 2) dominate, where less is better."""
     points = lowered[np.lexsort(lowered.T[::-1])]
     floor = np.minimum.accumulate(np.append(1.1, points[:, 1]))
     return float(((1.1 - points[:, 0]) * (floor[:-1] - floor[1:])).sum())

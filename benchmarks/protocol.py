@@ -1,4 +1,4 @@
-"""The wire protocol: how fast the host codes, what links carry, what sample formats lose."""
+"""Wire protocol: speed of the host's codec, efficiency of links, and loss of sample formats."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -37,25 +37,32 @@ from tactile.texture.surface import load_texture, without_friction
 Codes = NDArray[np.int16]
 
 REPEATS, ROUNDS = 200, 100
-"""Of what is timed: short rounds in turn, so that no busy moment of the machine meets one alone."""
+"""Repetitions of a timed call, and rounds of such repetitions.
+
+The rounds are short and alternate, so that a busy moment of the machine does not affect one call
+alone.
+"""
 BLOCK_SAMPLES, BLOCK_CHANNELS = 16, 8
-"""256 B of PCM16."""
+"""Samples and channels of a block: 256 bytes of PCM16."""
 PACKETS = 200
+"""Number of packets by which an efficiency is measured."""
 NOMINAL, FAST = 1e6, 5e6
-"""bit/s of CAN FD's two phases."""
+"""Bit rates of the two phases of CAN FD [bit/s]."""
 QUIETER = 10 ** (-30 / 20)
+"""Factor of a drive that is 30 dB down."""
 LARGEST = 2047 * 16
-"""Code that all formats have, but for BFP8's last half step."""
+"""Code that all formats can represent, except for the last half step of BFP8."""
 
 
 def oak_drive() -> Floats:
-    """Return the drive (S, C) [V] of a stroke over oak on the display of 24 contactors."""
+    """Return the drive (S, C) of a stroke over oak on the display of 24 contactors [V]."""
     stroke = Trajectory.line(speed=0.08, duration=1.0)
     oak = without_friction(load_texture("wood-oak"))
     return render(load_display("reference-24"), oak, stroke).drive
 
 
 def _of_peak(drive: Floats) -> Codes:
+    """Return the codes of a drive that is scaled to full scale."""
     scale = LARGEST / float(np.abs(drive).max())
     return np.rint(drive * scale).astype(np.int16)
 
@@ -64,7 +71,10 @@ def _of_peak(drive: Floats) -> Codes:
 
 
 def measure_codec() -> Iterator[Figure]:
-    """Time 64 channels × 32 samples of PCM12 to a serial frame and back, others at parts of it."""
+    """Time the way of 64 channels × 32 samples of PCM12 to a serial frame and back.
+
+    Other libraries are timed with parts of this work.
+    """
     codes = np.resize(_of_peak(oak_drive()), (32, 64))
     decoder = SerialDecoder()
     (message,) = pcm(0, codes, session=1, sample_format=SampleFormat.PCM12, packet_limit=4096)
@@ -77,9 +87,9 @@ def measure_codec() -> Iterator[Figure]:
 
     def decode() -> Codes:
         (one,) = decoder.feed(frame)
-        found = Pcm.unpack(one.payload)
-        assert found is not None
-        return samples.decode(found.format, found.data, found.samples, found.channels)
+        message = Pcm.unpack(one.payload)
+        assert message is not None
+        return samples.decode(message.format, message.data, message.samples, message.channels)
 
     assert encode() == frame
     assert np.abs(decode() - codes.astype(int)).max() <= 8
@@ -92,7 +102,7 @@ def measure_codec() -> Iterator[Figure]:
 
 
 def _own_parts(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
-    """Return what takes the time."""
+    """Return the parts of the encoder that take the time."""
     return {
         "pcm12": lambda: samples.encode(SampleFormat.PCM12, codes),
         "crc32": lambda: crc32(packet),
@@ -102,26 +112,26 @@ def _own_parts(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
 
 
 def _others(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
-    """Return the same parts by other libraries, of those that are installed."""
-    found: dict[str, Callable[[], object]] = {"cobs.in_python": lambda: _cobs_py.encode(packet)}
+    """Return the same parts by those other libraries that are installed."""
+    calls: dict[str, Callable[[], object]] = {"cobs.in_python": lambda: _cobs_py.encode(packet)}
     with suppress(ImportError):
         from construct import Array, BitsInteger, Bitwise
 
         bits = Bitwise(Array(codes.size, BitsInteger(12, signed=True)))
         values = [int(v) for v in codes.ravel() // 16]
-        found["pcm12.construct"] = lambda: bits.build(values)
+        calls["pcm12.construct"] = lambda: bits.build(values)
     with suppress(ImportError):
         from crccheck.crc import Crc32
 
-        found["crc32.crccheck"] = lambda: Crc32.calc(packet)
+        calls["crc32.crccheck"] = lambda: Crc32.calc(packet)
     with suppress(ImportError):
         from crcmod.predefined import mkPredefinedCrcFun
 
         calculate = mkPredefinedCrcFun("crc-32")
-        found["crc32.crcmod"] = lambda: calculate(packet)
+        calls["crc32.crcmod"] = lambda: calculate(packet)
     with suppress(ImportError):
-        found["can_fragments.can-isotp"] = _isotp(packet)
-    return found
+        calls["can_fragments.can-isotp"] = _isotp(packet)
+    return calls
 
 
 def _isotp(packet: bytes) -> Callable[[], object]:
@@ -156,10 +166,10 @@ def _isotp(packet: bytes) -> Callable[[], object]:
 
 
 def measure_links() -> Iterator[Figure]:
-    """Compare 256 B of samples with all that is sent for them, in frames as our encoders make them.
+    """Compare 256 bytes of samples with all bits that are sent for them, in frames of our encoders.
 
-    Typical: the drive of oak, PCM16, stuffed as its own bits are. Worst: no zeros for COBS, and the
-    most stuff bits that there can be.
+    The typical case is the drive of oak in PCM16, stuffed as its own bits require. The worst case
+    has no zeros for COBS, and the largest number of stuff bits.
     """
     codes = codes_of(oak_drive()[800:], 100.0)
     packets = []
@@ -174,6 +184,7 @@ def measure_links() -> Iterator[Figure]:
 
 
 def _efficiency(bits: float, packets: int = PACKETS) -> float:
+    """Return the share of the samples' bits in all bits [%]."""
     return 100 * 8 * 256 * packets / bits
 
 
@@ -198,7 +209,7 @@ def _can(packets: list[Packet]) -> Iterator[Figure]:
 
 
 def _can_fd(packets: list[Packet]) -> Iterator[Figure]:
-    """Of 5 Mbit/s."""
+    """Yield the efficiency of CAN FD at 5 Mbit/s."""
     encoder = CanEncoder(from_amplifier=False, fd=True)
     frames = [frame for p in packets for frame in encoder.frames(p)]
 
@@ -227,7 +238,7 @@ def _i2c(packets: list[Packet]) -> Iterator[Figure]:
 
 
 def signal_to_error_db(signal: Floats, kind: SampleFormat) -> float:
-    """Return the signal-to-error ratio [dB] of a signal (S, C) in codes, sent in blocks of 32."""
+    """Return the signal-to-error ratio of a signal (S, C) in codes, sent in blocks of 32 [dB]."""
     error = power = 0.0
     for k in range(0, len(signal) - 31, 32):
         part = signal[k : k + 32]
@@ -239,21 +250,21 @@ def signal_to_error_db(signal: Floats, kind: SampleFormat) -> float:
 
 
 def measure_formats() -> Iterator[Figure]:
-    """Send the drive of a handful of textures, its peak at full scale and 30 dB down: the worst."""
+    """Measure the worst signal-to-error ratio of several textures, at full scale and 30 dB down."""
     goals = {
         SampleFormat.PCM16: (80, 50),
         SampleFormat.PCM12: (60, 30),
         SampleFormat.BFP8: (43, 30),
     }
-    found: dict[SampleFormat, list[tuple[float, float]]] = {kind: [] for kind in goals}
+    results: dict[SampleFormat, list[tuple[float, float]]] = {kind: [] for kind in goals}
     for name in HANDFUL:
         stroke = Trajectory.line(speed=0.08, duration=1.0)
         drive = render(load_display("reference-24"), load_texture(name), stroke).drive
         full = drive[int(0.1 * RATE) :] * (LARGEST / np.abs(drive).max())
-        for kind, ratios in found.items():
+        for kind, ratios in results.items():
             pair = signal_to_error_db(full, kind), signal_to_error_db(full * QUIETER, kind)
             ratios.append(pair)
-    for kind, ratios in found.items():
+    for kind, ratios in results.items():
         for label, which in (("full_drive", 0), ("30_dB_down", 1)):
             name = f"protocol.{kind.name.lower()}.{label}"
             values = [pair[which] for pair in ratios]
@@ -262,7 +273,7 @@ def measure_formats() -> Iterator[Figure]:
 
 
 def measure_protocol() -> Iterator[Figure]:
-    """Measure all of it."""
+    """Measure codec, links and sample formats."""
     yield from measure_codec()
     yield from measure_links()
     yield from measure_formats()

@@ -1,4 +1,4 @@
-"""Rendering: what the skin does against what is commanded, through the time-domain plant."""
+"""Rendering: the skin's shear compared with the commanded one, through the time-domain plant."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,12 +18,13 @@ from tactile.texture.descriptor import Descriptor, Laws, Periodic, textures
 from tactile.texture.surface import Texture, band_levels, load_texture, without_friction
 
 FINGERS = {"low": FingerLoad.low, "high": FingerLoad.high}
+"""The paper's two finger loads, by name."""
 GRATING = 1e-3
-"""m, the wavelength that is moved faster and faster."""
+"""Wavelength of the grating that is moved at increasing speed [m]."""
 
 
 def felt(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
-    """Return the skin's shear (S, N) [m] for a drive, through the plant, its delay taken off."""
+    """Return the skin's shear (S, N) for a drive, through the plant, with its delay removed [m]."""
     finger = display.load_at(1.0) if load is None else load
     plant = Plant(display.bimorph, finger, RATE, contactors=drive.shape[1])
     rest = np.zeros((plant.delay, drive.shape[1]))
@@ -57,7 +58,7 @@ def one_contactor(load: FingerLoad) -> Display:
 
 
 def transfer(display: Display, frequency: float, finger: FingerLoad, *, equalize: bool) -> complex:
-    """Return played over commanded shear of the grating moved to give a frequency [Hz]."""
+    """Return the ratio of played to commanded shear of the grating at a frequency [Hz]."""
     stroke = Trajectory.line(speed=frequency * GRATING, duration=0.3 + 4 / frequency)
     r = render(display, grating_texture(5.0), stroke)
     drive = r.drive if equalize else r.shear / _static(display)
@@ -69,12 +70,12 @@ def transfer(display: Display, frequency: float, finger: FingerLoad, *, equalize
 
 
 def _static(display: Display) -> float:
-    """Return the shear per volt at rest [m/V]: what a display without equalizer goes by."""
+    """Return the static shear per volt, which a display without equalizer uses [m/V]."""
     return float(np.abs(display.responses(np.zeros(1), RATE)[0, 0, 0]))
 
 
 def measure_grating() -> Iterator[Figure]:
-    """Move a grating so that it gives 10 … 1000 Hz, through the time-domain plant."""
+    """Measure the transfer of a grating at 10 … 1000 Hz, through the time-domain plant."""
     tones = np.geomspace(10, 1000, 25)
     for name, other in (("low", "high"), ("high", "low")):
         display, finger = one_contactor(FINGERS[name]()), FINGERS[name]()
@@ -97,24 +98,24 @@ def measure_grating() -> Iterator[Figure]:
 
 
 def swing(acceleration: float = 1.0, duration: float = 4.0) -> Trajectory:
-    """Return a path that starts, stops and turns: 1 Hz back and forth, peak 1 m/s²."""
+    """Return a path that starts, stops and turns: 1 Hz back and forth, 1 m/s² at the peak."""
     t = np.arange(0, duration, 1e-3)
     x = acceleration / (2 * np.pi) ** 2 * np.sin(2 * np.pi * t)
     return Trajectory(t, np.column_stack([x, 0 * x]), 0.5)
 
 
 def ratio_db(commanded: Floats, played: Floats, skip: int = 800) -> float:
-    """Return the signal-to-error ratio in 20–1000 Hz [dB], the first 0.1 s left out."""
+    """Return the signal-to-error ratio in 20–1000 Hz, without the first 0.1 s [dB]."""
     judge = Fidelity(RATE)
     judge.add(commanded[skip:], played[skip:])
     return judge.signal_to_error_db
 
 
 def quasi_static(display: Display, texture: Texture, r: Rendering) -> Floats:
-    """Return the drive of the other way to equalize: G(f_m) on each partial, as it sounds now.
+    """Return the drive of an alternative equalizer, which multiplies each partial by its gain.
 
-    Exact for a steady stroke; laws, envelope and acceleration do not commute with it. Kept to
-    measure the FIR inverse against; waves only.
+    This is exact for a steady stroke, but does not commute with laws, envelope and acceleration. It
+    serves as a comparison for the FIR inverse, and only for waves.
     """
     surface = texture.realize()
     p = surface.partials
@@ -138,6 +139,7 @@ def quasi_static(display: Display, texture: Texture, r: Rendering) -> Floats:
 
 
 def _law_of(texture: Texture, velocity: Floats) -> Floats:
+    """Return the gain of a texture's laws along a path of given velocity."""
     from tactile.rendering.shear import Law
 
     squares = (velocity**2).sum(axis=1)
@@ -145,7 +147,7 @@ def _law_of(texture: Texture, velocity: Floats) -> Floats:
 
 
 def measure_wood() -> Iterator[Figure]:
-    """Play a wood under acceleration, stop and reversal, through the time-domain plant."""
+    """Measure wood under acceleration, stop and reversal, through the time-domain plant."""
     texture, path = load_texture("wood-oak"), swing()
     for name, other in (("low", "high"), ("high", "low")):
         finger = FINGERS[name]()
@@ -167,14 +169,14 @@ def measure_wood() -> Iterator[Figure]:
 
 
 def without_events(descriptor: Descriptor) -> Descriptor:
-    """Return a descriptor whose textures are waves only."""
+    """Return a descriptor whose textures only have waves."""
     from msgspec.structs import replace as changed
 
     return changed(descriptor, events=())
 
 
 def measure_bands() -> Iterator[Figure]:
-    """Compare line spectra of the realized surfaces with their descriptors."""
+    """Compare the line spectra of realized surfaces with their descriptors."""
     for name in textures():
         t = load_texture(name)
         s = t.descriptor.stochastic
@@ -190,7 +192,7 @@ def measure_bands() -> Iterator[Figure]:
 
 
 def _streamed(texture: Texture, place: Floats, sizes: int = 64) -> tuple[Floats, Floats]:
-    """Return drive and shear of one path of places along x, the delay taken off."""
+    """Return drive and shear for a path of positions along x, with the delay removed."""
     renderer = Renderer(load_display("reference-24"), texture)
     path = np.column_stack([place, 0 * place])
     path = np.concatenate([path, np.repeat(path[-1:], renderer.delay, axis=0)])
@@ -203,7 +205,7 @@ def _streamed(texture: Texture, place: Floats, sizes: int = 64) -> tuple[Floats,
 
 
 def measure_place() -> Iterator[Figure]:
-    """See that the same place gives the same shear, and that block size changes nothing."""
+    """Measure that the same place gives the same shear, and that block size has no influence."""
     texture = without_friction(load_texture("wood-oak"))
     n = np.arange(8001)
     _, shear = _streamed(texture, 0.08 / RATE * np.minimum(n, 8000 - n))

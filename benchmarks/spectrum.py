@@ -1,15 +1,16 @@
-"""Spectrum frames against samples: the drive of both, through the codes of the wire.
+"""Spectrum frames compared with samples: the drive of both, through the codes of the wire.
 
-Judged are the third octaves of the drive from 10 Hz to 1 kHz that are within 20 dB of a stroke's
-loudest: the others have less than a hundredth of its power, and together no more than a few
+Only the third octaves of the drive from 10 Hz to 1 kHz that are within 20 dB of a stroke's loudest
+are judged: the others have less than a hundredth of its power, and together no more than a few
 hundredths. The shipped textures have about equal power in all third octaves, so that 12 to 21 of
-the 21 are judged; of a grating the tones and most of what is between.
+the 21 are judged; of a grating, the tones and most of what is between them.
 
-A band's level is its power, mean over contactors. The coherence of two contactors in a band is
-|Σ X_i X_j*| / √(Σ|X_i|² Σ|X_j|²) over its lines of one Hann window of the whole stroke, which is
-then averaged over the 276 pairs of 24 contactors. With 6 s that is 9 independent averages at
-10 Hz, where coherence of nothing would be 0.3, 90 at 100 Hz and 900 at 1 kHz; both sides play the
-same partials and are read alike, so that chance is the same on both and no part of a difference.
+The level of a band is its power, averaged over contactors. The coherence of two contactors in a
+band is |Σ X_i X_j*| / √(Σ|X_i|² Σ|X_j|²) over its lines of one Hann window of the whole stroke,
+averaged over the 276 pairs of 24 contactors. With 6 s there are 9 independent averages at 10 Hz,
+where the coherence of uncorrelated signals would be 0.3, 90 at 100 Hz and 900 at 1 kHz. As both
+sides play the same partials and are evaluated alike, chance is the same on both and does not
+contribute to a difference.
 """
 
 from collections.abc import Iterator
@@ -29,13 +30,17 @@ from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import Texture, load_texture, without_friction
 
 SECONDS = 6.0
+"""Duration of a stroke [s]."""
 FORCE = 0.5
-"""N, of every stroke."""
+"""Normal force of all strokes [N]."""
 SPEEDS = (0.04, 0.08, 0.16)
+"""Speeds of the strokes [m/s]."""
 OTHER_SPEEDS = (0.113,)
-"""m/s, at which no frequency of a grating is one of those before."""
+"""Speeds at which no frequency of a grating is one at `SPEEDS` [m/s]."""
 CENTERS = 10 ** (np.arange(10, 31) / 10)
+"""Center frequencies of the third octaves [Hz]."""
 MEANINGFUL_DB = 20.0
+"""Level below the loudest band down to which bands are judged [dB]."""
 PLAYED = (
     "leather-calf",
     "leather-suede",
@@ -44,17 +49,23 @@ PLAYED = (
     "wood-oak",
     "wood-pine-sanded",
 )
-"""What the goals were set for. Of the rest of the library the worst third octave is 1.1 dB off at
-16 carriers and 100 Hz."""
+"""Textures for which the goals were set.
+
+In the rest of the library the worst third octave is 1.1 dB off at 16 carriers and 100 Hz.
+"""
 GOALS = {(16, 50.0): (0.8, 2.0, 0.06, 0.15), (16, 100.0): (0.3, 1.0, 0.03, 0.08)}
-"""Levels rms and worst [dB], coherence rms and worst, by carriers and frame rate."""
+"""Largest permitted errors by carriers and frame rate [Hz].
+
+They are levels rms and worst [dB], and coherence rms and worst.
+"""
 CASES = (*GOALS, (8, 100.0))
+"""Numbers of carriers and frame rates [Hz] that are measured."""
 
 
 def framed(
     display: Display, texture: Texture, speed: float, carriers: int, frame_rate: float
 ) -> Floats:
-    """Return the drive (S, N) [V] of a stroke along x, as an amplifier plays its frames."""
+    """Return the drive (S, N) of a stroke along x, as an amplifier plays its frames [V]."""
     renderer = SpectrumRenderer(
         display, texture, carriers=carriers, frame_rate=frame_rate, sample_rate=RATE
     )
@@ -76,7 +87,7 @@ def framed(
 
 
 def sampled(display: Display, texture: Texture, speed: float) -> Floats:
-    """Return the drive (S, N) [V] of the same stroke, sample by sample."""
+    """Return the drive (S, N) of the same stroke, sample by sample [V]."""
     stroke = Trajectory.line(speed=speed, duration=SECONDS, normal_force=FORCE)
     return render(display, texture, stroke, sample_rate=RATE).drive
 
@@ -114,8 +125,8 @@ def compared(
     speeds: tuple[float, ...],
     cases: tuple[tuple[int, float], ...],
 ) -> dict[tuple[int, float], tuple[Floats, Floats, list[float]]]:
-    """Return all differences of level and coherence by case, and relative errors of waveform."""
-    found: dict[tuple[int, float], tuple[list[Floats], list[Floats], list[float]]] = {
+    """Return the differences of level and coherence by case, and relative errors of waveforms."""
+    results: dict[tuple[int, float], tuple[list[Floats], list[Floats], list[float]]] = {
         case: ([], [], []) for case in cases
     }
     for texture in kinds:
@@ -124,17 +135,17 @@ def compared(
             for case in cases:
                 frames = framed(display, texture, speed, *case)
                 level, coherence = differences(samples, frames)
-                found[case][0].append(level)
-                found[case][1].append(coherence)
-                found[case][2].append(rms((frames - samples)[80:]) / rms(samples))
+                results[case][0].append(level)
+                results[case][1].append(coherence)
+                results[case][2].append(rms((frames - samples)[80:]) / rms(samples))
     return {
         case: (np.concatenate(levels), np.concatenate(coherences), errors)
-        for case, (levels, coherences, errors) in found.items()
+        for case, (levels, coherences, errors) in results.items()
     }
 
 
 def measure_spectrum() -> Iterator[Figure]:
-    """Compare spectrum frames with samples, for six textures: their waves alone."""
+    """Compare spectrum frames with samples for six textures, with their waves alone."""
     display = load_display("reference-24")
     whole = [without_friction(load_texture(name)) for name in PLAYED]
     waves = [replace(t, descriptor=without_events(t.descriptor)) for t in whole]
@@ -154,6 +165,7 @@ def _judged(
     found: tuple[Floats, Floats, list[float]],
     goal: tuple[float, float, float, float] | None,
 ) -> Iterator[Figure]:
+    """Yield the errors of a case, with goals if there are any."""
     level, coherence, errors = found
     mean = coherence.mean(axis=1)
     values = rms(level), np.abs(level).max(), rms(mean), np.abs(mean).max()
@@ -169,7 +181,7 @@ def _judged(
 
 
 def _events(display: Display, textures_with: list[Texture]) -> Iterator[Figure]:
-    """Tell what textures with sparse events lose of their drive."""
+    """Measure how much of their drive textures with sparse events lose."""
     for texture in textures_with:
         bare = replace(texture, descriptor=without_events(texture.descriptor))
         for speed in SPEEDS:

@@ -1,7 +1,7 @@
-"""Design studies: how fast and how right designs are solved.
+"""Design studies: speed and accuracy of the solver.
 
-The yardstick is the finite-element model of the project's tests, which shares no code with the
-package: its figures are measured where the package runs from a checkout and left out elsewhere.
+The reference is the finite-element model of the project's tests, which shares no code with the
+package. Its figures are measured if the package runs from a checkout, and left out otherwise.
 """
 
 import runpy
@@ -24,17 +24,21 @@ from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import PIECE_POINTS, Study, solve_block, solve_study
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference_beam.py"
+"""Path of the finite-element model."""
 BAND = (10.0, 1000.0)
+"""Band of the studies [Hz]."""
 FREQUENCIES = np.linspace(*BAND, 100)
+"""Frequencies of the studies [Hz]."""
 FINGERS = {
     "air": (None, FingerLoad.none()),
     "low": ((1000.0, 0.11, ((1300.0, 0.33),)), FingerLoad.low()),
     "high": ((4300.0, 0.55, ((5000.0, 2.0),)), FingerLoad.high()),
 }
-"""The same loads for the finite elements and for us."""
+"""The same loads for the finite elements and for the package."""
 SCENARIOS = 32
+"""Number of scenarios."""
 LENGTHS = {"low": (17.7, 27.7), "high": (9.4, 20.1)}
-"""mm, by the 85 % criterion: as our design page has them, whose last digit is 0.1 mm."""
+"""Good lengths by the 85 % criterion, as our design page gives them to 0.1 mm [mm]."""
 
 
 def random_geometries(count: int) -> dict[str, Any]:
@@ -51,13 +55,13 @@ def random_geometries(count: int) -> dict[str, Any]:
 
 
 def random_fingers(count: int) -> FingerLoad:
-    """Return a load of its own for each of so many designs, about the paper's two."""
+    """Return a different load for each of a number of designs, around the paper's two."""
     k0, d0, k1, d1 = np.random.default_rng(1).uniform(0.5, 2.0, (4, count))
     return FingerLoad(k0=2000 * k0, d0=0.25 * d0, branches=((2500 * k1, 0.8 * d1),))
 
 
 def measure_study() -> Iterator[Figure]:
-    """Measure what a design study stands on."""
+    """Measure speed and accuracy of the basis of design studies."""
     yield from _speed()
     yield from _criteria()
     yield from _lengths()
@@ -78,7 +82,7 @@ def _speed() -> Iterator[Figure]:
 
 
 def _criteria() -> Iterator[Figure]:
-    """Time a sweep from its question to its criteria, tolerances and fingers included."""
+    """Time a sweep from its definition to its criteria, with tolerances and fingers."""
     count = 8192
     taken = seconds(lambda: sweep_robustly(count))
     yield at_least(
@@ -87,7 +91,7 @@ def _criteria() -> Iterator[Figure]:
 
 
 def sweep_robustly(count: int) -> None:
-    """Judge lengths × widths × heights × scenarios, so many together (a multiple of 512)."""
+    """Judge a number (a multiple of 512) of lengths × widths × heights × scenarios."""
     lengths = count // (SCENARIOS * 16)
     study = Study(
         axes={
@@ -106,10 +110,10 @@ def sweep_robustly(count: int) -> None:
 def _lengths() -> Iterator[Figure]:
     """Find the good lengths of the default design under the paper's two fingers."""
     study = over_length(*LENGTHS)
-    found = solve_study(replace(study, responses=()))
+    data = solve_study(replace(study, responses=()))
     for finger, ends in LENGTHS.items():
-        values = found.smallest_displacement_um_per_v.sel(load=finger).values
-        good = within(found.length_mm.values, values, share=SHARE)
+        values = data.smallest_displacement_um_per_v.sel(load=finger).values
+        good = within(data.length_mm.values, values, share=SHARE)
         for name, value, expected in zip(("from", "to"), (good.low, good.high), ends, strict=True):
             met = abs(value - expected) <= 0.1
             goal = f"{expected:g} ± 0.1"
@@ -117,16 +121,16 @@ def _lengths() -> Iterator[Figure]:
 
 
 def _load_fit() -> Iterator[Figure]:
-    """Fit fingers to responses with 1 % noise, and the paper's two to clean ones."""
-    found = load_fit_figures(60)
-    yield at_most("study.load_fit.worst_prediction", found["worst_db"], "dB", 0.3)
-    yield at_most("study.load_fit.papers_constants", found["clean_percent"], "%", 1.0)
-    yield Figure("study.load_fit.intervals_that_hold_the_truth", found["covered_percent"], "%")
-    yield Figure("study.load_fit.right_number_of_branches", found["one_branch_percent"], "%")
+    """Fit fingers to responses with 1 % noise, and the paper's two to noiseless ones."""
+    figures = load_fit_figures(60)
+    yield at_most("study.load_fit.worst_prediction", figures["worst_db"], "dB", 0.3)
+    yield at_most("study.load_fit.papers_constants", figures["clean_percent"], "%", 1.0)
+    yield Figure("study.load_fit.intervals_that_hold_the_truth", figures["covered_percent"], "%")
+    yield Figure("study.load_fit.right_number_of_branches", figures["one_branch_percent"], "%")
 
 
 def _ratio(reference: dict[str, Any]) -> Iterator[Figure]:
-    """Time a point of ours and one of the finite elements, in turns."""
+    """Time a point of the package and one of the finite elements, in turns."""
     count = PIECE_POINTS // len(FREQUENCIES)
     designs, fingers = random_geometries(count), random_fingers(count)
     beam, load = reference["Beam"](), FINGERS["low"][0]
@@ -146,21 +150,21 @@ def _ratio(reference: dict[str, Any]) -> Iterator[Figure]:
 
 
 def _agreement(reference: dict[str, Any]) -> Iterator[Figure]:
-    """Compare all that a response holds, 1 Hz to 5 kHz, for random designs, pulled and pressed."""
+    """Compare whole responses, 1 Hz to 5 kHz, for random designs under tension and compression."""
     frequencies, designs = np.geomspace(1, 5000, 12), random_geometries(12)
     for name, (constants, load) in FINGERS.items():
         worst = 0.0
         for force in (0.0, 5.0, -5.0):
-            found = tip_response(Bimorph(**designs), load, frequencies, axial_force=force)
+            response = tip_response(Bimorph(**designs), load, frequencies, axial_force=force)
             for i in range(12):
                 beam = reference["Beam"](**{key: float(v[i]) for key, v in designs.items()})
                 exact = reference["response"](beam, frequencies, load=constants, axial_force=force)
-                worst = max(worst, _distance(found, i, exact))
+                worst = max(worst, _distance(response, i, exact))
         yield at_most(f"study.error_against_finite_elements.{name}", worst, "relative", 1e-6)
 
 
 def _distance(found: TipResponse, design: int, exact: Any) -> float:
-    """Return the largest relative difference of a design's figures, where they are not zero."""
+    """Return the largest relative difference of a design's responses that are not zero."""
     ratios = [
         np.abs(getattr(found, name)[design] - getattr(exact, name)) / np.abs(getattr(exact, name))
         for name in ("displacement", "rotation", "force", "admittance")

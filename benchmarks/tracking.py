@@ -1,16 +1,16 @@
-"""Contact tracking: a finger's samples over a bad link, and where the tracker says the finger is.
+"""Contact tracking: a finger's samples over a bad link, and the accuracy of the tracked position.
 
-Clients stamp their samples with a clock of their own. Delays are at least nothing, and in order, as
-over a WebSocket: "jitter" is a normal deviate of 5 ms rms without its sign, "heavy" a normal of
-mean 10 ms and deviation 5 ms, cut at nothing, and "even" uniform to 5 ms. Samples carry white noise
-of 0.05 mm rms per axis. What is asked for lies 12 ms ahead, in blocks of 16 at 8 kHz. Errors are
-distances in the plane, from the moment that a path begins to its end.
+Clients stamp their samples with a clock of their own. Delays are not negative, and keep the order,
+as over a WebSocket: "jitter" is the absolute value of a normal deviate of 5 ms rms, "heavy" a
+normal deviate of mean 10 ms and standard deviation 5 ms, cut at zero, and "even" is uniform up to
+5 ms. Samples have white noise of 0.05 mm rms per axis. Positions are requested 12 ms ahead, in
+blocks of 16 at 8 kHz. Errors are distances in the plane, from the beginning of a path to its end.
 
-Two bounds. A genie knows place, velocity and acceleration exactly at the newest sample that has
-arrived, and goes on by them: what it misses no sample has told. The blind part of the slide is what
-anybody misses who lets a resting finger rest and a steady one go on until a sample has arrived that
-is off that by two σ of its noise (which noise alone does to one sample in seven); from this sample
-on they are taken to be right to the hair.
+There are two bounds. A genie knows position, velocity and acceleration exactly at the newest sample
+that has arrived, and extrapolates by them: what it misses could not be known from any sample. The
+blind part of the slide is what anybody misses who lets a resting finger rest and a steady one
+continue until a sample has arrived that is off by two σ of its noise (which noise alone causes for
+one sample in seven); from this sample on they are taken to be exactly right.
 """
 
 import time
@@ -33,39 +33,51 @@ from tactile.tracking.finger_motion import MotionFilter, Numbers, Pair, Stillnes
 from tactile.tracking.tracker import ContactTracker
 
 BLOCK = 16
+"""Number of samples of a block."""
 LATENCY = 0.012
+"""Time ahead for which positions are requested [s]."""
 GOAL = 0.3
-"""mm."""
+"""Largest permitted rms error [mm]."""
 GRATING = 1e-3
+"""Wavelength of the grating [m]."""
 BRAKES = 2.24 / 2.496
 """Part of the slide after which it is no longer steady."""
 LEAD = 1.5
-"""s of samples before a path begins, in which clock map and noise settle."""
+"""Duration of samples before a path begins, in which clock map and noise estimate settle [s]."""
 FORCE = 0.5
+"""Normal force [N]."""
 SLIDE = Path(__file__).parents[2] / "shared" / "data" / "paths" / "slide.csv"
+"""Path of the recorded slide."""
 DELAYS: dict[str, Callable[[np.random.Generator, int], Floats]] = {
     "jitter": lambda rng, n: np.abs(rng.normal(0, 0.005, n)),
     "heavy": lambda rng, n: np.maximum(rng.normal(0.010, 0.005, n), 0),
     "even": lambda rng, n: rng.uniform(0, 0.005, n),
     "none": lambda rng, n: np.zeros(n),
 }
+"""Functions that return delays of a number of samples [s], by name."""
 
 Place = Callable[[Floats], Floats]
-"""Places (S, 2) [m] at times (S,) [s]."""
+"""Function from times (S,) [s] to positions (S, 2) [m]."""
 
 
 @dataclass(frozen=True)
 class SamplingClient:
-    """How samples are taken and sent.
+    """Properties of a client that takes and sends samples.
 
     Attributes
     ----------
-    rate : [Hz]
-    noise : per axis [m]
-    delay : of `DELAYS`
-    stamped : whether samples carry the client's time
-    velocity : whether they carry velocity, with noise of 5 mm/s
-    loss : part that never arrives
+    rate : float
+        Sample rate [Hz].
+    noise : float
+        Noise per axis [m].
+    delay : str
+        Name of `DELAYS`.
+    stamped : bool
+        Whether samples carry the client's time.
+    velocity : bool
+        Whether samples carry velocity, with noise of 5 mm/s.
+    loss : float
+        Share of samples that never arrive.
     """
 
     rate: float = 90.0
@@ -78,14 +90,14 @@ class SamplingClient:
 
 @dataclass(frozen=True)
 class FingerPath:
-    """A way over the surface, from time 0 on; before, it is as at its beginning."""
+    """A path over the surface from time 0 on; before, the finger moves as at its beginning."""
 
     place: Place
     duration: float
 
 
 def recorded(speed: float = 1.0) -> FingerPath:
-    """Return the recorded slide, faster; 40 mm/s over 91 mm at its own speed."""
+    """Return the recorded slide at a multiple of its own speed, which is 40 mm/s over 91 mm."""
     slide = Trajectory.from_csv(SLIDE)
     return FingerPath(
         lambda t: slide.at(np.clip(t * speed, 0, slide.duration))[0], slide.duration / speed
@@ -93,7 +105,7 @@ def recorded(speed: float = 1.0) -> FingerPath:
 
 
 def sine(duration: float = 4.0) -> FingerPath:
-    """Return 1 Hz back and forth, peak 200 mm/s, turning as it begins."""
+    """Return 1 Hz back and forth, with a peak of 200 mm/s, which turns at the beginning."""
     return FingerPath(lambda t: _along_x(0.2 / (2 * np.pi) * np.cos(2 * np.pi * t)), duration)
 
 
@@ -108,7 +120,7 @@ def _along_x(x: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class SampleStream:
-    """Samples as they arrive: the client's times, places, velocities and arrivals."""
+    """Samples as they arrive: the client's times, positions, velocities and arrivals."""
 
     time: Floats
     place: Floats
@@ -136,7 +148,7 @@ def tracked(
     tracker: ContactTracker | None = None,
     block: int = BLOCK,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return times (S,), places (S, 2) and forces (S,) that come out, from time 0 on."""
+    """Return times (S,), positions (S, 2) and forces (S,) from the tracker, from time 0 on."""
     samples, tracker, clock = sampled(stroke, client, seed), tracker or ContactTracker(), ClockMap()
     now = float(samples.arrival[0])
     ahead = LATENCY + np.arange(block) / RATE
@@ -162,17 +174,17 @@ def misses(
     seeds: int,
     make: Callable[[], ContactTracker] = ContactTracker,
 ) -> Floats:
-    """Return how far off the tracked place is (S,) [mm], of several streams."""
-    found = []
+    """Return the error of the tracked position (S,) for several streams [mm]."""
+    errors = []
     for seed in range(seeds):
         times, place, _ = tracked(stroke, client, seed, tracker=make())
-        found.append(np.hypot(*(place - stroke.place(times)).T) * 1e3)
-    return np.concatenate(found)
+        errors.append(np.hypot(*(place - stroke.place(times)).T) * 1e3)
+    return np.concatenate(errors)
 
 
 def genie(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
-    """Return the error (S,) [mm] of who knows the newest sample's motion exactly."""
-    found, h = [], 2e-3
+    """Return the error (S,) of a genie that knows the newest sample's motion exactly [mm]."""
+    errors, h = [], 2e-3
     for seed in range(seeds):
         samples = sampled(stroke, client, seed)
         now = np.arange(-LATENCY, stroke.duration - LATENCY, BLOCK / RATE)
@@ -181,13 +193,13 @@ def genie(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
         ahead = (now + LATENCY - time)[:, None]
         bend = (after - 2 * here + before) / h**2 * ahead**2 / 2
         guess = here + (after - before) / (2 * h) * ahead + bend
-        found.append(np.hypot(*(guess - stroke.place(now + LATENCY)).T) * 1e3)
-    return np.concatenate(found)
+        errors.append(np.hypot(*(guess - stroke.place(now + LATENCY)).T) * 1e3)
+    return np.concatenate(errors)
 
 
 def blind(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
-    """Return the error (S,) [mm] that nobody can help on the slide's onset and end."""
-    found = []
+    """Return the unavoidable error (S,) at the slide's onset and end [mm]."""
+    errors = []
     brakes, step = BRAKES * stroke.duration, 0.04 * stroke.duration
     first, there, before = (stroke.place(np.array([t])) for t in (0.0, brakes, brakes - step))
 
@@ -204,20 +216,20 @@ def blind(stroke: FingerPath, client: SamplingClient, seeds: int) -> Floats:
         knows = (seen >= 0) & (off(seen) > 2 * client.noise)
         knows |= (seen > 0.25 * stroke.duration) & (seen < brakes)
         knows |= (then > 0.25 * stroke.duration) & (then < brakes)
-        found.append(np.where(knows, 0.0, off(then)) * 1e3)
-    return np.concatenate(found)
+        errors.append(np.where(knows, 0.0, off(then)) * 1e3)
+    return np.concatenate(errors)
 
 
 def rms(values: Floats) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def grating_power(place: Floats, true: Floats) -> float:
-    """Return the part of a 1 mm grating's power that is within 10 % of its frequency.
+    """Return the share of a 1 mm grating's power that is within 10 % of its frequency.
 
-    ``place`` and ``true`` are places along one axis (S,) [m], the true ones ascending. The spectrum
-    is taken over the true place, which for a steady stroke is time.
+    ``place`` and ``true`` are positions along one axis (S,) [m], the true ones ascending. The
+    spectrum is taken over the true position, which for a steady stroke is proportional to time.
     """
     even = np.arange(true[0], true[-1], 1e-5)
     waves = np.sin(2 * np.pi / GRATING * np.interp(even, true, place))
@@ -227,19 +239,20 @@ def grating_power(place: Floats, true: Floats) -> float:
 
 
 class Held(ContactTracker):
-    """The same without prediction: the filtered place of the newest sample."""
+    """Tracker without prediction: the filtered position of the newest sample."""
 
     def _course(self) -> Numbers:
         return [*super()._course()[:2], 0.0, 0.0, 0.0, 0.0]
 
 
 class Smoothed(MotionFilter):
-    """LaViola's double exponential smoothing (2003), 0.6 being the best compromise."""
+    """LaViola's double exponential smoothing (2003); a factor of 0.6 is the best compromise."""
 
     FACTOR = 0.6
+    """Smoothing factor."""
 
     def begin(self, time: float, x: float, y: float, velocity: Pair | None = None) -> None:
-        """Stand at a place."""
+        """Begin at rest at a position."""
         super().begin(time, x, y, velocity)
         self._once = self._twice = np.array([x, y])
         self._step = 0.011
@@ -247,7 +260,7 @@ class Smoothed(MotionFilter):
     def add(
         self, time: float, x: float, y: float, velocity: Pair | None = None, samples: int = 1
     ) -> None:
-        """Take a place."""
+        """Add a sample."""
         self.noise.add(time, x, y, samples)
         a = self.FACTOR
         self._step += (time - self.time - self._step) / 20
@@ -259,29 +272,29 @@ class Smoothed(MotionFilter):
 
 
 class Fitted(MotionFilter):
-    """A line or parabola through the last few samples."""
+    """Line or parabola through the last few samples."""
 
     def __init__(self, size: int, degree: int) -> None:
         super().__init__()
         self._size, self._degree, self._points = size, degree, list[tuple[float, float, float]]()
 
     def begin(self, time: float, x: float, y: float, velocity: Pair | None = None) -> None:
-        """Stand at a place."""
+        """Begin at rest at a position."""
         super().begin(time, x, y, velocity)
         self._points = [(time, x, y)]
 
     def add(
         self, time: float, x: float, y: float, velocity: Pair | None = None, samples: int = 1
     ) -> None:
-        """Take a place."""
+        """Add a sample."""
         self.noise.add(time, x, y, samples)
         self._points = [*self._points, (time, x, y)][-self._size :]
         points = np.array(self._points)
         powers = np.vander(points[:, 0] - time, self._degree + 1, increasing=True)
-        found = np.zeros((3, 2))
+        state = np.zeros((3, 2))
         fit = np.linalg.lstsq(powers, points[:, 1:], rcond=None)[0]
-        found[: self._degree + 1] = fit * np.array([1.0, 1.0, 2.0])[: self._degree + 1, None]
-        self.state, self.time = found.ravel().tolist(), time
+        state[: self._degree + 1] = fit * np.array([1.0, 1.0, 2.0])[: self._degree + 1, None]
+        self.state, self.time = state.ravel().tolist(), time
 
 
 RIVALS: dict[str, Callable[[], MotionFilter]] = {
@@ -293,14 +306,15 @@ RIVALS: dict[str, Callable[[], MotionFilter]] = {
     "line_through_6": lambda: Fitted(6, 1),
     "parabola_through_6": lambda: Fitted(6, 2),
 }
+"""Filters that are compared, by name."""
 
 
 def strokes() -> dict[str, tuple[FingerPath, int]]:
-    """Return the paths that are judged, and of how many streams; recorded ones where there are."""
-    found = {"sine": (sine(), 4)}
+    """Return the paths that are judged, with the number of streams; recorded ones if available."""
+    paths = {"sine": (sine(), 4)}
     if SLIDE.exists():
-        found |= {"slide_1x": (recorded(), 4), "slide_5x": (recorded(5.0), 20)}
-    return found
+        paths |= {"slide_1x": (recorded(), 4), "slide_5x": (recorded(5.0), 20)}
+    return paths
 
 
 def _spread(name: str, found: Floats) -> Iterator[Figure]:
@@ -309,7 +323,7 @@ def _spread(name: str, found: Floats) -> Iterator[Figure]:
 
 
 def measure_errors() -> Iterator[Figure]:
-    """Measure the place's error with and without prediction, and by other clients."""
+    """Measure the position's error with and without prediction, and for other clients."""
     plain = SamplingClient()
     others = {
         "heavy_jitter": replace(plain, delay="heavy"),
@@ -321,9 +335,9 @@ def measure_errors() -> Iterator[Figure]:
         "1000_hz": replace(plain, rate=1000.0),
     }
     for name, (stroke, seeds) in strokes().items():
-        found = misses(stroke, plain, seeds)
-        yield at_most(f"tracking.{name}.rms", rms(found), "mm", GOAL)
-        yield from _spread(f"tracking.{name}", found)
+        errors = misses(stroke, plain, seeds)
+        yield at_most(f"tracking.{name}.rms", rms(errors), "mm", GOAL)
+        yield from _spread(f"tracking.{name}", errors)
         known = genie(stroke, plain, seeds)
         yield Figure(f"tracking.{name}.genie.rms", rms(known), "mm")
         yield from _spread(f"tracking.{name}.genie", known)
@@ -332,9 +346,9 @@ def measure_errors() -> Iterator[Figure]:
             yield Figure(f"tracking.{name}.blind.rms", rms(missed), "mm")
             yield from _spread(f"tracking.{name}.blind", missed)
         for other, client in others.items():
-            found = misses(stroke, client, seeds)
-            yield Figure(f"tracking.{name}.{other}.rms", rms(found), "mm")
-            yield from _spread(f"tracking.{name}.{other}", found)
+            errors = misses(stroke, client, seeds)
+            yield Figure(f"tracking.{name}.{other}.rms", rms(errors), "mm")
+            yield from _spread(f"tracking.{name}.{other}", errors)
         held = misses(stroke, plain, seeds, Held)
         yield Figure(f"tracking.{name}.not_predicted.rms", rms(held), "mm")
         yield from _spread(f"tracking.{name}.not_predicted", held)
@@ -349,12 +363,12 @@ def measure_rivals() -> Iterator[Figure]:
     paths = strokes() | {"line": (line(0.08), 2)}
     for rival, make in RIVALS.items():
         for name, (stroke, seeds) in paths.items():
-            found = misses(stroke, SamplingClient(), seeds, partial(_with, make))
-            yield Figure(f"tracking.rivals.{name}.{rival}.rms", rms(found), "mm")
+            errors = misses(stroke, SamplingClient(), seeds, partial(_with, make))
+            yield Figure(f"tracking.rivals.{name}.{rival}.rms", rms(errors), "mm")
 
 
 def measure_gratings() -> Iterator[Figure]:
-    """Slide over a 1 mm grating, at 80 mm/s and as recorded."""
+    """Measure a slide over a 1 mm grating, at 80 mm/s and as recorded."""
     steady = line(0.08)
     for name, client in (
         ("", SamplingClient()),
@@ -362,15 +376,15 @@ def measure_gratings() -> Iterator[Figure]:
         (".stamped_on_arrival", SamplingClient(stamped=False)),
     ):
         for end, make in (("", ContactTracker), (".not_predicted", Held)):
-            found = []
+            shares = []
             for seed in range(4):
                 times, place, _ = tracked(steady, client, seed, tracker=make())
-                found.append(grating_power(place[:, 0], steady.place(times)[:, 0]))
+                shares.append(grating_power(place[:, 0], steady.place(times)[:, 0]))
             label = f"tracking.grating_80{name}{end}"
             if name or end:
-                yield Figure(label, 100 * min(found), "%")
+                yield Figure(label, 100 * min(shares), "%")
             else:
-                yield at_least(label, 100 * min(found), "%", 90)
+                yield at_least(label, 100 * min(shares), "%", 90)
     if SLIDE.exists():
         slide = recorded()
         for end, make in (("", ContactTracker), (".not_predicted", Held)):
@@ -386,7 +400,7 @@ def measure_gratings() -> Iterator[Figure]:
 def played(
     stroke: FingerPath, client: SamplingClient, *, seed: int = 0, still: bool = True
 ) -> float:
-    """Return the rms [m] of what wood is commanded to do above 5 Hz, the first 1 s left out."""
+    """Return the rms of the commanded shear of wood above 5 Hz, without the first 1 s [m]."""
     renderer = Renderer(load_display("reference-24"), load_texture("wood-oak"), sample_rate=RATE)
     _, place, force = tracked(
         stroke, client, seed, tracker=ContactTracker() if still else restless()
@@ -400,10 +414,10 @@ def played(
 
 
 class Restless(Stillness):
-    """Never takes a finger as resting: shows what noise does to one that stands."""
+    """Detector that never takes a finger as resting, to show what noise does without it."""
 
     def add(self, time: float, x: float, y: float, variance: float) -> None:
-        """Take nothing of it."""
+        """Ignore a sample."""
 
 
 def restless() -> ContactTracker:
@@ -414,7 +428,7 @@ def restless() -> ContactTracker:
 
 
 def measure_rest() -> Iterator[Figure]:
-    """Compare what the skin does under a resting finger and under one that slides."""
+    """Compare the commanded shear under a resting finger with that under a sliding one."""
     slides, client = played(line(0.08, 6.0), SamplingClient()), SamplingClient()
     for name, still in (("rest", True), ("rest.without_dead_band", False)):
         rests = played(line(0.0, 6.0), client, still=still)
@@ -432,7 +446,7 @@ def measure_rest() -> Iterator[Figure]:
 def measure_cost() -> Iterator[Figure]:
     """Time `at` and `add` while a finger slides.
 
-    What one in ten of the calls stays below, since machines are shared; the mean of `at` is over
+    The 10th percentile of the calls is taken, since machines are shared. The mean of `at` is over
     blocks with and without a new sample.
     """
     ahead, stopwatch = LATENCY + np.arange(BLOCK) / RATE, time.perf_counter
@@ -463,7 +477,7 @@ def measure_cost() -> Iterator[Figure]:
 
 
 def measure_tracking() -> Iterator[Figure]:
-    """Measure all of the above."""
+    """Measure errors, rival filters, gratings, rest and cost."""
     yield from measure_errors()
     yield from measure_rivals()
     yield from measure_gratings()

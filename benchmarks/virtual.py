@@ -1,4 +1,4 @@
-"""The C amplifier beside the host: built, run, and read while it plays."""
+"""The C amplifier on the host: built, run, and read while it plays."""
 
 import gc
 import os
@@ -23,27 +23,31 @@ from tactile.bus.wire import WireError
 from tactile.rendering.contact import Trajectory
 
 CAN_FRAME = struct.Struct("<IBBxx64s")
-"""struct canfd_frame."""
+"""Layout of struct canfd_frame."""
 FD = 0x04
+"""Flag of a CAN FD frame."""
 PRIORITY = 5
-"""Real-time, of who measures: any of a normal process is held up by others for milliseconds."""
+"""Real-time priority of the measuring process.
+
+A process of normal priority is held up by others for milliseconds.
+"""
 
 
 STROKE = 0.05
-"""m to either side, of a finger that goes to and fro."""
+"""Amplitude of a finger that moves back and forth [m]."""
 PERIOD = 1.7
-"""s of that."""
+"""Period of a finger that moves back and forth [s]."""
 
 
 def to_and_fro(duration: float) -> Trajectory:
-    """Return a finger's way: to and fro, ever again through rest."""
+    """Return the path of a finger that moves back and forth, and rests at each turn."""
     t = np.arange(0, duration + 0.1, 0.02)
     x = STROKE * np.sin(2 * np.pi * t / PERIOD)
     return Trajectory(t, np.stack([x, 0.3 * x], axis=1), 0.5)
 
 
 class Records(NamedTuple):
-    """What was put out, instant by instant."""
+    """Output of the amplifier, instant by instant."""
 
     tick: NDArray[np.uint64]
     position: NDArray[np.uint32]
@@ -53,18 +57,23 @@ class Records(NamedTuple):
 
 
 class VirtualAmplifier:
-    """The C amplifier, running.
+    """The running C amplifier.
 
     Parameters
     ----------
-    folder : for what it puts out
-    options : of its command line
-    channels : C
+    folder : Path
+        Folder for its output.
+    options : str
+        Options of its command line.
+    channels : int
+        Number of channels C.
 
     Attributes
     ----------
-    path : of its pty
-    powered_up : when its clock was 0, on the monotonic one [s]; with a pty
+    path : str
+        Path of its pty.
+    powered_up : float
+        Time on the monotonic clock at which its clock was 0; with a pty only [s].
     """
 
     def __init__(self, folder: Path, *options: str, channels: int = 24) -> None:
@@ -88,7 +97,7 @@ class VirtualAmplifier:
         self._rest = b""
 
     def take(self, most: int = -1) -> Records:
-        """Return what was put out since the last call, or ``most`` bytes of it."""
+        """Return the output since the last call, or at most ``most`` bytes of it."""
         data = self._rest + self._file.read(most)
         whole = len(data) // self._kind.itemsize * self._kind.itemsize
         self._rest = data[whole:]
@@ -97,11 +106,11 @@ class VirtualAmplifier:
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """Identifier of its process."""
         return self._process.pid
 
     def close(self) -> None:
-        """End it."""
+        """End the amplifier."""
         self._process.terminate()
         self._process.wait()
         if self._process.stdout is not None:
@@ -110,9 +119,10 @@ class VirtualAmplifier:
 
 
 def urgent(process: int | None = None, *, ended: bool = False) -> bool:
-    """Give all threads of a process real-time priority, if that is allowed; tell whether it is.
+    """Give all threads of a process real-time priority if permitted; return whether it is.
 
-    ``ended`` takes it away again. A thread without it that holds Python's lock would be waited for.
+    ``ended`` takes the priority away again. All threads need it, because a thread without it that
+    holds Python's lock would have to be waited for.
     """
     policy, priority = (os.SCHED_OTHER, 0) if ended else (os.SCHED_RR, PRIORITY)
     with suppress(OSError, AttributeError):
@@ -124,9 +134,9 @@ def urgent(process: int | None = None, *, ended: bool = False) -> bool:
 
 @contextmanager
 def real_time() -> Iterator[bool]:
-    """Be urgent for a while, and as the playback process collect no memory meanwhile.
+    """Run with real-time priority and, like the playback process, without garbage collection.
 
-    A pass over what a benchmark keeps to compare takes longer than a lead.
+    A collection over all that a benchmark keeps for comparison takes longer than a lead.
     """
     gc.collect()
     gc.disable()
@@ -140,7 +150,7 @@ def real_time() -> Iterator[bool]:
 
 
 def build(folder: Path) -> Path:
-    """Return the amplifier's program, made where it is not yet."""
+    """Return the path of the amplifier's program, which is built if it is missing."""
     program = folder / "build" / "virtual-amplifier"
     if not program.exists():
         source = Path(firmware_protocol.__file__).parent / "c"
@@ -150,19 +160,19 @@ def build(folder: Path) -> Path:
 
 
 def can_be_built() -> bool:
-    """Tell whether there is what it takes."""
+    """Tell whether the tools for the build are there."""
     return os.name == "posix" and all(shutil.which(name) for name in ("make", "cc"))
 
 
 @contextmanager
 def workshop() -> Iterator[Path]:
-    """Give a folder to build and record in."""
+    """Yield a folder to build and record in."""
     with tempfile.TemporaryDirectory() as folder:
         yield Path(folder)
 
 
 class VirtualSocketCan(CanChannel):
-    """CAN frames to an amplifier's datagram socket."""
+    """CAN channel to an amplifier's datagram socket."""
 
     def __init__(self, folder: Path, *, fd: bool) -> None:
         self._fd = fd
@@ -176,7 +186,7 @@ class VirtualSocketCan(CanChannel):
         self._woken = socket.socketpair()
 
     def send(self, frame: Frame) -> bool:
-        """Take a frame."""
+        """Send a frame; return whether it was accepted."""
         identifier, data = frame
         flags = FD if self._fd else 0
         packed = CAN_FRAME.pack(identifier, len(data), flags, data.ljust(64, b"\0"))
@@ -188,31 +198,31 @@ class VirtualSocketCan(CanChannel):
             raise WireError(str(error)) from error
 
     def urge(self, frame: Frame) -> None:
-        """Send a frame."""
+        """Send an urgent frame."""
         self.send(frame)
 
     def receive(self, until: float) -> list[Frame]:
-        """Return what came."""
+        """Return the frames received until a deadline on the monotonic clock [s]."""
         import select
 
         left = max(until - time.monotonic(), 0.0)
         ready, _, _ = select.select([self._socket, self._woken[0]], [], [], left)
         if self._woken[0] in ready:
             self._woken[0].recv(4096)
-        found: list[Frame] = []
+        frames: list[Frame] = []
         with suppress(BlockingIOError):
             while True:
                 identifier, size, _, data = CAN_FRAME.unpack(
                     self._socket.recv(CAN_FRAME.size, socket.MSG_DONTWAIT)
                 )
-                found.append((identifier, data[:size]))
-        return found
+                frames.append((identifier, data[:size]))
+        return frames
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return."""
         self._woken[1].send(b"\0")
 
     def close(self) -> None:
         """Close the socket."""
-        for one in (self._socket, *self._woken):
-            one.close()
+        for each in (self._socket, *self._woken):
+            each.close()

@@ -1,6 +1,6 @@
-"""Waves: what a block of all clients' waveforms and effects costs, and what a unit of work is.
+"""Waves: the cost of a block of all clients' waveforms and effects, and of a unit of work.
 
-Processor time is measured, so that other programs on the machine count as little as can be.
+Processor time is measured, so that other programs on the machine have little influence.
 """
 
 import time
@@ -18,13 +18,15 @@ from tactile.playback.shared_memory import Shared
 from tactile.playback.waves import BLOCK_WORK, Curve, Voice
 
 CLIENTS = 60
+"""Number of clients of a crowd."""
 BLOCKS = 1000
+"""Number of blocks that are timed."""
 SECONDS = 3.0
-"""Of an effect."""
+"""Duration of an effect [s]."""
 
 
 def costliest(seconds: float = SECONDS) -> Curve:
-    """Return an effect of all the points and transients that one may have, which overlap."""
+    """Return an effect with the largest numbers of points and of transients, which overlap."""
     time = np.linspace(0.0, seconds, m.MOST_POINTS)
     full = np.full(m.MOST_POINTS, 1.0)
     return Curve(
@@ -48,7 +50,7 @@ def plain(seconds: float = SECONDS) -> Curve:
 
 
 def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
-    """Keep a client's queue full, of so many segments in a message."""
+    """Keep a client's queue full, with a number of segments in each message."""
     samples = np.full(m.MOST_SAMPLES // cuts, 1e-6, np.float32)
     while voice.queue.waiting < 0.05:
         for k in range(cuts):
@@ -81,7 +83,7 @@ def _microseconds(clients: int, curve: Curve | None, *, cuts: int = 0) -> tuple[
 
 
 def measure_waves() -> Iterator[Figure]:
-    """Time a block of one client's waves by their kind, then of a crowd that plays all it may."""
+    """Time a block of one client's waves by kind, then of a crowd that plays all it may."""
     kinds = {
         "effect": (plain(), 0),
         "effect_with_transients": (costliest(), 0),

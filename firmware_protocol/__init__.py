@@ -1,12 +1,13 @@
-"""The protocol between a host and a tactile amplifier; SPEC.md is normative.
+"""Protocol between a host and a tactile amplifier; SPEC.md is normative.
 
-Bytes in, messages out, no I/O: whoever holds the link feeds what it received and sends what it is
-given. It knows no physics and no bus.
+The package turns bytes into messages and messages into bytes without any I/O: the owner of a link
+passes in what it received and sends what it is given. The package depends neither on the physics
+nor on a bus.
 
-- `messages` : what is said (written by `generate` from schema.toml)
+- `messages` : messages, codes and states (written by `generate` from schema.toml)
 - `packet` : header and CRC-32
-- `serial_link`, `can_link`, `i2c_link` : how packets are delimited
-- `samples`, `spectrum` : how drive is packed
-- `host`, `clock` : the host's side
-- `amplifier`, `player` : an amplifier in Python; `c/` holds one in C99
+- `serial_link`, `can_link`, `i2c_link` : delimiting of packets on each link
+- `samples`, `spectrum` : coding of the drive
+- `host`, `clock` : host side
+- `amplifier`, `player` : amplifier in Python; `c/` holds one in C99
 """

@@ -1,7 +1,8 @@
-"""An amplifier in Python: sessions, checks and answers (sections 4 and 5 of SPEC.md).
+"""Reference amplifier in Python: sessions, checks and answers (sections 4 and 5 of SPEC.md).
 
-It takes packets and ticks and gives packets and the codes it puts out, instant by instant; no I/O
-and no clock of its own. It behaves as the one in `c/`, so that no compiler is needed to play.
+It takes packets and ticks and returns packets and the sample codes that it puts out at each sample
+instant. It has neither I/O nor a clock of its own. It behaves as the amplifier in `c/` does, so
+that tests and simulations need no compiler.
 """
 
 from collections.abc import Callable
@@ -35,13 +36,25 @@ from firmware_protocol.player import distance
 from firmware_protocol.sources import PcmSource, Source, SpectrumSource
 
 SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
+"""Messages that are valid without a session."""
 STREAMED = (m.Pcm, m.Spectrum)
+"""Messages that carry streamed drive."""
 SETTLED = (State.IDLE, State.SAFE)
-"""In which the node may change."""
+"""States in which the node address may be changed."""
 
 
 class Refusal(NamedTuple):
-    """Why a request is refused, and what counts it."""
+    """Refusal of a request.
+
+    Attributes
+    ----------
+    code : NakCode
+        Reason, as in NAK.
+    detail : int
+        Detail, as in NAK.
+    counter : str
+        Name of the counter that counts the refusal.
+    """
 
     code: NakCode
     detail: int
@@ -49,39 +62,51 @@ class Refusal(NamedTuple):
 
 
 Reply = Message | Refusal | None
+"""Reply to a request: a message, a refusal, or None where only an ACK may follow."""
 
 
 class ReferenceAmplifier(Machine):
-    """A whole amplifier but for its link; parameters and attributes as of `Machine`."""
+    """A complete amplifier except for its link.
+
+    Parameters and attributes are those of `Machine`.
+    """
 
     _addressed = True
-    """Whether the packet at hand came to this node alone."""
+    """Whether the present packet was addressed to this node alone."""
 
     def receive(self, packet: Packet, now: int) -> None:
-        """Act on a packet that came at a tick."""
+        """Act on a received packet.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet from the host.
+        now : int
+            Time of reception [ticks].
+        """
         self.run(now)
         if packet.node not in (self.node, 0):
             return
-        node, before = self.node, self.state
+        node, state_before = self.node, self.state
         self._addressed = packet.node != 0
         reply = self._checked(packet)
-        asked = bool(packet.flags & Flag.ACK_REQUEST)
+        wants_answer = bool(packet.flags & Flag.ACK_REQUEST)
         if isinstance(reply, Refusal):
             counted = getattr(self.counters, reply.counter)
             setattr(self.counters, reply.counter, counted + 1)
-            if asked and packet.node:
+            if wants_answer and packet.node:
                 refusal = m.Nak(packet.type, packet.seq, reply.code, self.state, reply.detail)
                 self._send(refusal, node)
         elif reply is not None:
             if packet.node or isinstance(reply, m.Caps):
                 self._send(reply, node)
-        elif asked and packet.node:
+        elif wants_answer and packet.node:
             self._send(m.Ack(packet.type, packet.seq), node)
-        if self.state != before:
+        if self.state != state_before:
             self._send_pulse()
 
     def _checked(self, packet: Packet) -> Reply:
-        """Check in the order of section 5, then act."""
+        """Check a packet in the order of section 5, then act on it."""
         if packet.type != m.Estop.TYPE:
             if packet.flags >> 6 != MAJOR:
                 return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
@@ -98,42 +123,48 @@ class ReferenceAmplifier(Machine):
         event, handler = HANDLERS[kind]
         if isinstance(message, STREAMED) and self.state != State.RUNNING:
             return Refusal(NakCode.STATE, 0, "ignored")
-        if event and (refused := self._forbidden(event, message)):
-            return refused
+        if event and (refusal := self._forbidden(event, message)):
+            return refusal
         return handler(self, message)
 
     def _owned(self, message: Message) -> bool:
+        """Return whether a message has the token of the present session."""
         return self.session != 0 and getattr(message, "session", 0) == self.session
 
     def _forbidden(self, event: str, message: Message) -> Refusal | None:
+        """Return the refusal of an event that the state does not allow, or None."""
         cell = TABLE[event][self.state]
         if isinstance(message, m.Hello):
             if message.session in (0, self.session):
                 return None
-            if self._held:
+            if self._is_held:
                 return Refusal(NakCode.BUSY, 0)
         if not cell & REFUSED or (isinstance(message, m.Start) and self._repeated(message)):
             return None
         return Refusal(NakCode(cell & ~REFUSED), 0)
 
     @property
-    def _held(self) -> bool:
-        """Whether another host may not take over yet, whatever the state (6.1)."""
+    def _is_held(self) -> bool:
+        """Whether another host must not take over yet, whatever the state (6.1)."""
         if not self._player.silent:
             return True
-        return self._alive is not None and self._now < self._later(self._alive, m.WATCHDOG_MS)
+        return self._last_alive is not None and self._now < self._later(
+            self._last_alive, m.WATCHDOG_MS
+        )
 
     def _repeated(self, start: m.Start) -> bool:
-        return self.state == State.RUNNING and start.position == self._begun
+        """Return whether a START repeats the one that is in effect."""
+        return self.state == State.RUNNING and start.position == self._start_position
 
     def _hello(self, hello: m.Hello) -> Reply:
+        """Handle HELLO: take a new session, and answer with CAPS."""
         if hello.major != MAJOR:
             return Refusal(NakCode.VERSION, MAJOR, "wrong_version")
         if hello.session not in (0, self.session):
             self.session = hello.session
             self._limit(LimitsInForce.of(self.config))
             self._increments, self._sync = NO_CARRIERS, (0, 0)
-            self._pulsed = self._alive = None
+            self._pulsed = self._last_alive = None
         c = self.config
         return m.Caps(
             self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats,
@@ -143,13 +174,16 @@ class ReferenceAmplifier(Machine):
         )  # fmt: skip
 
     def _time(self, time: m.Time) -> Reply:
+        """Handle TIME."""
         return m.TimeReply(time.host_time, self._now, self._now)
 
     def _take_sync(self, sync: m.Sync) -> Reply:
+        """Handle SYNC."""
         self._sync = (sync.index, self._now)
         return None
 
     def _arm(self, arm: m.Arm) -> Reply:
+        """Handle ARM."""
         if arm.mode > Mode.SPECTRUM:
             return Refusal(NakCode.RANGE, 1)
         rate = arm.sample_rate_hz
@@ -160,12 +194,13 @@ class ReferenceAmplifier(Machine):
         if rate != self.rate:
             self._base, self._instant, self.rate = self._now, 0, rate
         self._mode, self._heartbeat = Mode(arm.mode), self._now
-        self._alive = self._now
+        self._last_alive = self._now
         self._limit(self._limits)
         self._to(TABLE["arm"][self.state])
         return None
 
     def _start(self, start: m.Start) -> Reply:
+        """Handle START."""
         if self._repeated(start):
             return None
         if self._mode == Mode.SPECTRUM and not len(self._increments):
@@ -174,27 +209,31 @@ class ReferenceAmplifier(Machine):
         if start.time and not 0 <= tick - self._now <= self._ms(m.START_AHEAD_MS):
             return Refusal(NakCode.TIME, 0)
         self._to(TABLE["start"][self.state])
-        self._start_tick, self._begun = tick, start.position
+        self._start_tick, self._start_position = tick, start.position
         self._player.start(self._source(), start.position)
         return None
 
     def _stop(self, stop: m.Stop) -> Reply:
+        """Handle STOP."""
         self._to(TABLE["stop"][self.state])
         if self.state == State.RAMPDOWN and stop.quick:
             self._player.ramp(quick=True)
         return None
 
     def _disarm(self, disarm: m.Disarm) -> Reply:
+        """Handle DISARM."""
         self._to(TABLE["disarm"][self.state])
         return None
 
     def _estop(self, estop: m.Estop) -> Reply:
+        """Handle ESTOP."""
         self.counters.trips += 1
         self._estop_reason = 0 if estop.reason == EstopReason.INPUT else estop.reason
         self._to(TABLE["estop"][self.state])
         return None
 
     def _clear_fault(self, clear: m.ClearFault) -> Reply:
+        """Handle CLEAR_FAULT, which must know of the latest trip."""
         if self.state in (State.FAULT, State.ESTOP):
             if clear.trips != self.counters.trips % TURN:
                 return Refusal(NakCode.STATE, self.counters.trips % TURN)
@@ -209,10 +248,12 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _take_heartbeat(self, heartbeat: m.Heartbeat) -> Reply:
-        self._heartbeat = self._alive = self._now
+        """Handle HEARTBEAT."""
+        self._heartbeat = self._last_alive = self._now
         return None
 
-    def _lower(self, limits: m.Limits) -> Reply:
+    def _lower_limits(self, limits: m.Limits) -> Reply:
+        """Handle LIMITS."""
         if not self._player.silent:
             return Refusal(NakCode.STATE, 0)
         lowered = self._limits.lowered(limits)
@@ -224,6 +265,7 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _get(self, get: m.Get) -> Reply:
+        """Handle GET."""
         if get.parameter == Parameter.UPTIME_S:
             return m.Value(get.parameter, self._now // self.config.tick_hz % TURN)
         if get.parameter not in self._settings:
@@ -231,6 +273,7 @@ class ReferenceAmplifier(Machine):
         return m.Value(get.parameter, self._settings[Parameter(get.parameter)])
 
     def _set(self, setting: m.Set) -> Reply:
+        """Handle SET."""
         key = setting.parameter
         if key == Parameter.UPTIME_S:
             return Refusal(NakCode.READ_ONLY, key)
@@ -246,9 +289,11 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _identify(self, identify: m.Identify) -> Reply:
+        """Handle IDENTIFY; there is no board to find."""
         return None
 
     def _poll(self, poll: m.Poll) -> Reply:
+        """Handle POLL."""
         counters = {f.name: getattr(self.counters, f.name) % TURN for f in fields(self.counters)}
         return m.Status(
             state=self.state, phase=self.phase, fault=self._fault,
@@ -263,17 +308,19 @@ class ReferenceAmplifier(Machine):
     # Streams
 
     def _channels_wrong(self, first: int, count: int) -> Refusal | None:
+        """Return the refusal of a range of channels that does not exist, or None."""
         if not count or first + count > self.config.channels:
             return Refusal(NakCode.CHANNEL, first + count, "wrong_channel")
         return None
 
     def _pcm(self, pcm: m.Pcm) -> Reply:
+        """Handle PCM."""
         known = pcm.format <= SampleFormat.BFP8 and self.config.formats >> pcm.format & 1
         source = self._player.source
         if not isinstance(source, PcmSource) or not known:
             return Refusal(NakCode.FORMAT, pcm.format, "wrong_format")
-        if refused := self._channels_wrong(pcm.first_channel, pcm.channels):
-            return refused
+        if refusal := self._channels_wrong(pcm.first_channel, pcm.channels):
+            return refusal
         size = samples.size(pcm.format, pcm.samples, pcm.channels)
         if not pcm.samples or len(pcm.data) != size:
             return Refusal(NakCode.LENGTH, m.Pcm.HEAD.size + len(pcm.data), "malformed")
@@ -285,11 +332,13 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _count_dropped(self, source: Source) -> None:
+        """Move the numbers of dropped positions from a source to the counters."""
         self.counters.late_samples += source.late
         self.counters.future_samples += source.future
         source.late = source.future = 0
 
     def _carriers(self, carriers: m.Carriers) -> Reply:
+        """Handle CARRIERS."""
         if not 1 <= carriers.count <= self.config.carriers:
             return Refusal(NakCode.RANGE, 1)
         if len(carriers.increments) != 4 * carriers.count:
@@ -299,12 +348,13 @@ class ReferenceAmplifier(Machine):
         return None
 
     def _spectrum(self, frame: m.Spectrum) -> Reply:
+        """Handle SPECTRUM."""
         source, count = self._player.source, len(self._increments)
         known = frame.format == SampleFormat.SPECTRUM8 and self.config.formats >> frame.format & 1
         if not isinstance(source, SpectrumSource) or not known or frame.carriers != count:
             return Refusal(NakCode.FORMAT, frame.format, "wrong_format")
-        if refused := self._channels_wrong(frame.first_channel, frame.channels):
-            return refused
+        if refusal := self._channels_wrong(frame.first_channel, frame.channels):
+            return refusal
         if len(frame.envelopes) != 2 * frame.channels * count:
             size = m.Spectrum.HEAD.size + len(frame.envelopes)
             return Refusal(NakCode.LENGTH, size, "malformed")
@@ -322,7 +372,9 @@ SETTING_RANGES = {
     Parameter.PULSE_MS: (1, 100),
     Parameter.LOG_LEVEL: (0, 4),
 }
+"""Smallest and largest value of each parameter that can be set."""
 Handler = Callable[[ReferenceAmplifier, Any], Reply]
+"""Function that handles a message and returns the reply."""
 HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Hello: ("hello_other", ReferenceAmplifier._hello),
     m.Time: ("", ReferenceAmplifier._time),
@@ -334,7 +386,7 @@ HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Estop: ("estop", ReferenceAmplifier._estop),
     m.ClearFault: ("clear_fault", ReferenceAmplifier._clear_fault),
     m.Heartbeat: ("", ReferenceAmplifier._take_heartbeat),
-    m.Limits: ("limits", ReferenceAmplifier._lower),
+    m.Limits: ("limits", ReferenceAmplifier._lower_limits),
     m.Get: ("", ReferenceAmplifier._get),
     m.Set: ("", ReferenceAmplifier._set),
     m.Identify: ("", ReferenceAmplifier._identify),
@@ -343,4 +395,4 @@ HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Carriers: ("carriers", ReferenceAmplifier._carriers),
     m.Spectrum: ("", ReferenceAmplifier._spectrum),
 }
-"""Event of the state table, and what handles it, by message."""
+"""Event in the state table and handler of each message; "" for a message that is no event."""

@@ -17,27 +17,35 @@ from firmware_protocol.messages import (
 from firmware_protocol.packet import LinkCounters, Packet, encode_packet
 
 CLASSIC, FD = 8, 64
+"""Largest payload of a CAN frame and of a CAN FD frame [bytes]."""
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""That a frame can have (ISO 11898-1)."""
+"""Payload sizes that a frame can have (ISO 11898-1) [bytes]."""
 BASE = 0x7FF
+"""Mask of the 11-bit identifier."""
 PROMPT = (Sync.TYPE, Start.TYPE, Heartbeat.TYPE)
+"""Messages that may travel in prompt frames of class PROMPT."""
 PROMPT_START = 7
-"""Bytes of START in a prompt frame: all but its time."""
+"""Length of START in a prompt frame, which is all of it but its time [bytes]."""
 HOST_FRAGMENTS = (CanClass.STREAM, CanClass.REQUEST)
+"""Classes in which the host sends fragments."""
 AMPLIFIER_FRAGMENTS = (CanClass.RESPONSE, CanClass.BULK)
+"""Classes in which the amplifier sends fragments."""
 
 Frame = tuple[int, bytes]
-"""Identifier and data."""
+"""Identifier and data of a CAN frame."""
 
 
 class CanEncoder:
-    """Makes CAN frames of packets.
+    """Encoder of packets into CAN frames.
 
     Parameters
     ----------
-    from_amplifier : direction
-    fd : frames of up to 64 bytes
-    extended : 29-bit identifiers
+    from_amplifier : bool
+        Direction of the frames.
+    fd : bool
+        Whether frames have up to 64 bytes (CAN FD).
+    extended : bool
+        Whether identifiers have 29 bits.
     """
 
     def __init__(self, *, from_amplifier: bool, fd: bool, extended: bool = False) -> None:
@@ -46,7 +54,18 @@ class CanEncoder:
         self._cutter = Cutter(FD if fd else CLASSIC)
 
     def frames(self, packet: Packet) -> list[Frame]:
-        """Return a packet's frames."""
+        """Encode a packet.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        list of Frame
+            One prompt frame or all fragments, in the order of transmission.
+        """
         kind = MESSAGES[packet.type].CAN
         asks = packet.flags & Flag.ACK_REQUEST
         if packet.type == Start.TYPE and not asks and not any(packet.payload[PROMPT_START:]):
@@ -61,24 +80,45 @@ class CanEncoder:
 
 
 def padded(data: bytes) -> bytes:
-    """Return data filled up with zeros to a length that CAN FD has."""
+    """Pad data with zeros to the next length that CAN FD has.
+
+    Parameters
+    ----------
+    data : bytes
+        Up to 64 bytes.
+
+    Returns
+    -------
+    bytes
+        Padded data.
+    """
     return data.ljust(next(size for size in FD_SIZES if size >= len(data)), b"\0")
 
 
 class CanDecoder:
-    """Finds the packets in CAN frames.
+    """Decoder of CAN frames into packets.
 
     Parameters
     ----------
-    from_amplifier : direction that is listened to
-    extended : 29-bit identifiers; those of the other length are the caller's to leave out
-    limit : largest packet [bytes]
-    counters : to count in
-    tick_hz : of the time of reception
+    from_amplifier : bool
+        Direction of the frames that are decoded.
+    extended : bool
+        Whether identifiers have 29 bits. The caller must leave out those of the other length.
+    limit : int
+        Largest packet [bytes].
+    counters : LinkCounters, optional
+        Counters to count in; own ones by default.
+    node : int or None
+        Node whose frames, besides those to all nodes, are decoded; None for every node.
+    tick_hz : int
+        Frequency of the clock that gives the time of reception [Hz].
 
     Attributes
     ----------
-    node : whose frames, and those to all, are looked at; None for everyone's
+    node : int or None
+        The parameter of the same name, which may be changed.
+    counters : LinkCounters
+        Counters of received packets and of errors.
     """
 
     def __init__(
@@ -100,7 +140,22 @@ class CanDecoder:
         self._reassembler = Reassembler(limit, self.counters, timeout)
 
     def feed(self, identifier: int, data: bytes, now: int) -> list[Packet]:
-        """Return the packet, if any, that a frame received at a tick completes."""
+        """Decode a received frame.
+
+        Parameters
+        ----------
+        identifier : int
+            Identifier of the frame.
+        data : bytes
+            Payload of the frame.
+        now : int
+            Time of reception [ticks].
+
+        Returns
+        -------
+        list of Packet
+            The packet that the frame completes, if any.
+        """
         if identifier & ~BASE != self._prefix:
             return []
         kind, node = (identifier & BASE) >> 8, identifier >> 1 & 0x7F
@@ -108,12 +163,13 @@ class CanDecoder:
             return []
         if kind in self._fragments:
             padded = len(data) > CLASSIC
-            found = self._reassembler.feed(identifier, data, now, padded=padded)
+            packet = self._reassembler.feed(identifier, data, now, padded=padded)
         else:
-            found = self._prompt(kind, node, data)
-        return [] if found is None else [found]
+            packet = self._prompt(kind, node, data)
+        return [] if packet is None else [packet]
 
     def _prompt(self, kind: int, node: int, data: bytes) -> Packet | None:
+        """Return the packet of a prompt frame, or None if it is ignored or counted as an error."""
         if self._direction:
             return self._counted(Pulse.TYPE, node, data) if kind == CanClass.PULSE else None
         if kind == CanClass.ESTOP:
@@ -129,5 +185,6 @@ class CanDecoder:
         return None
 
     def _counted(self, kind: int, node: int, payload: bytes) -> Packet:
+        """Count and return the packet of a prompt frame."""
         self.counters.packets += 1
         return Packet(kind, bytes(payload[:8]), node=node)

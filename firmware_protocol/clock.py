@@ -1,21 +1,23 @@
-"""The host's estimate of an amplifier's clock, from exchanges of four timestamps (SPEC.md, 7.2).
+"""Estimate of an amplifier's clock by the host, from exchanges of four timestamps (SPEC.md, 7.2).
 
-The amplifier received a probe after the host had sent it and before the host had its answer, so
-that each exchange bounds host time, as a function of the amplifier's, from below (t1 at t2) and
-from above (t4 at t3). The middle between the tightest bound from either side, of the last 8
-exchanges along the line as it was, feeds an exponential regression: of the amplifier's time and
-the host's lead over it.
+The amplifier received a probe after the host had sent it and before the host had the answer. Each
+exchange therefore bounds host time, as a function of the amplifier's time, from below (t1 at t2)
+and from above (t4 at t3). The middle between the tightest lower and the tightest upper bound of the
+last 8 exchanges, measured against the present estimate, feeds an exponentially weighted regression
+of the host's lead over the amplifier's time.
 
-Klipper's clocksync, the model, feeds a regression with the shortest round trip. The two tightest
-bounds need not belong to one exchange: of n exponential delays the shortest lies 1/n of the mean
-above the floor, while those of the shortest of n round trips lie √n times as far. With as long a
-memory the error is a third to a half less (`python -m benchmarks clock` measures both). The line
-in the middle of the widest band between all of 64 bounds, after Moon, Skelly & Towsley (INFOCOM
-1999), was no better on exponential delays and twice as bad where short ones are rare, as on CAN.
+Klipper's clocksync, which served as the model, feeds its regression with the shortest round trip.
+The two tightest bounds need not belong to one exchange. Of n exponential delays the shortest lies
+1/n of the mean above the floor, while the delays of the shortest of n round trips lie √n times as
+far above it. With an equally long memory the error is a third to a half less (`python -m benchmarks
+clock` measures both). The line in the middle of the widest band between all of 64 bounds, after
+Moon, Skelly & Towsley (INFOCOM 1999), was no better with exponential delays and twice as bad where
+short delays are rare, as on CAN.
 
-What no exchange can show is a floor that is longer one way: half the difference is error. Make both
-packets of one length, or pass `t1` later and `t4` earlier by what each needs on the wire, and set
-FTDI's latency timer to 1 ms.
+No exchange can reveal a minimum delay that is longer in one direction: half the difference is an
+error of the estimate. To avoid it, make both packets equally long, or pass a later `t1` and an
+earlier `t4` by the time that each packet takes on the wire, and set the latency timer of FTDI
+adapters to 1 ms.
 """
 
 import math
@@ -23,36 +25,51 @@ from collections import deque
 from dataclasses import dataclass
 
 FIRST_PROBES = 8
+"""Number of exchanges at the beginning, sent at the shorter interval, until the estimate counts
+as locked."""
 WINDOW = 8
-"""Exchanges of which the tightest bounds are taken."""
+"""Number of exchanges of which the tightest bounds are taken."""
 GAIN = 1 / 48
-"""Of the regression, after as many exchanges: it remembers 12 s (1/12 of every fourth, which the
-shortest round trip of 8 is). A clock that wanders by 0.05 ppm/s, more than a crystal that warms up
-(assumed), is followed 6 µs late."""
+"""Gain of the regression once it has had as many exchanges. It remembers 12 s, which equals a
+gain of 1/12 for every fourth exchange, as the shortest round trip of 8 is. A clock that wanders
+by 0.05 ppm/s, more than a crystal that warms up (assumed), is followed with a lag of 6 µs."""
 PRIOR_TIME = 1.0
-"""s, the spread of time before the first exchange, with no drift: the error of the first samples,
-some 30 µs, over the drift of a crystal, some 30 ppm (both assumed)."""
+"""Spread of the amplifier's time that the regression assumes, without drift, before the first
+exchange [s]. It is the error of the first samples, some 30 µs, divided by the drift of a
+crystal, some 30 ppm (both assumed)."""
 FIRST_INTERVAL, INTERVAL = 9.889e-3, 249.577e-3
-"""s between probes, so that they fall on what polls each 0.125, 1 or 16 ms (USB microframe and
-frame, FTDI's latency timer) in ever other phases: 249.577 ms is 1996.62, 249.577 and 15.60 times
-as long. Probes each 250 ms would keep step with it."""
+"""Intervals between the first probes and between later ones [s]. They make probes fall on
+devices that poll every 0.125, 1 or 16 ms (USB microframe and frame, FTDI's latency timer) at
+ever other phases: 249.577 ms is 1996.62, 249.577 and 15.60 times as long. Probes every 250 ms
+would stay in step with such polling."""
 DRIFT_LIMIT = 0.02
-"""Beyond it a clock has jumped: twice the 1 % of a microcontroller's RC oscillator (assumed)."""
+"""Relative drift beyond which a clock has jumped: twice the 1 % of a microcontroller's RC
+oscillator (assumed)."""
 TURNAROUND = 2.5e-3
-"""s in which an amplifier answers, or its stamp of receipt is not trusted (SPEC.md, 7.2)."""
+"""Longest time from reception to answer for which an amplifier's timestamp of reception is
+trusted (SPEC.md, 7.2) [s]."""
 LEAPS = 3
-"""Exchanges in a row that tell of a clock that leapt ahead: an amplifier that was reset begins at
-0, so that it hardly ever does, and a stamp may be wrong, of a counter read while it carries."""
+"""Number of consecutive exchanges that prove that a clock leapt ahead. A clock hardly ever does,
+because an amplifier that was reset begins at 0. A single timestamp may be wrong, for example of
+a counter that was read while it carried."""
 SILENCE = 12.0
-"""s without an exchange, as long as the memory, after which the estimate begins anew: a restart
-in a long silence could not be told from drift."""
+"""Longest time without an exchange, as long as the memory, after which the estimate begins anew
+[s]. After a longer silence a restart of the amplifier could not be told from drift."""
 FARTHEST = 1e10
-"""s, more than 300 years: a host time beyond it is none."""
+"""Largest valid host time, more than 300 years [s]."""
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """Four timestamps: sent and received by the host [s], in between by the amplifier [ticks]."""
+    """An exchange of four timestamps.
+
+    Attributes
+    ----------
+    t1, t4 : float
+        Times at which the host sent the probe and received the answer [s].
+    t2, t3 : int
+        Times at which the amplifier received the probe and sent the answer [ticks].
+    """
 
     t1: float
     t2: int
@@ -60,20 +77,51 @@ class Exchange:
     t4: float
 
     def taken(self, tick_hz: float) -> int:
-        """Return the first tick that is surely after `t1`: `t2`, or `t3` where that is long after.
+        """Return the first tick that is certain to be after `t1`: `t2`, or a much later `t3`.
 
-        An amplifier that was held up may say that it received what it only found later.
+        An amplifier that was held up may report as reception the time at which it found the packet.
+
+        Parameters
+        ----------
+        tick_hz : float
+            Nominal tick frequency [Hz].
+
+        Returns
+        -------
+        int
+            Time of reception or, after a long turnaround, of the answer [ticks].
         """
         return self.t3 if self.t3 - self.t2 > TURNAROUND * tick_hz else self.t2
 
     def round_trip(self, tick_hz: float) -> float:
-        """Return the time that both ways took [s], the amplifier's own taken off if short."""
+        """Compute the time on the way, without a short turnaround of the amplifier.
+
+        Parameters
+        ----------
+        tick_hz : float
+            Nominal tick frequency [Hz].
+
+        Returns
+        -------
+        float
+            Sum of the delays in both directions [s].
+        """
         return self.t4 - self.t1 - (self.t3 - self.taken(tick_hz)) / tick_hz
 
     def is_possible(self, tick_hz: float) -> bool:
-        """Tell whether time ran forward, and for less than the memory.
+        """Test whether the timestamps are in order and span no more than the memory.
 
-        Ticks may be one off, and run at another rate.
+        Ticks may be off by one, and may run at another rate within `DRIFT_LIMIT`.
+
+        Parameters
+        ----------
+        tick_hz : float
+            Nominal tick frequency [Hz].
+
+        Returns
+        -------
+        bool
+            Whether the exchange can have happened.
         """
         in_order = -FARTHEST < self.t1 <= self.t4 < FARTHEST and 0 <= self.t2 <= self.t3 < 2**64
         if not in_order or self.t4 - self.t1 > SILENCE:
@@ -82,7 +130,20 @@ class Exchange:
         return self.round_trip(tick_hz) >= -slack
 
     def continues(self, last: "Exchange", tick_hz: float) -> bool:
-        """Tell whether it can be of the same run of the amplifier as the exchange before it."""
+        """Test whether this exchange can belong to the same run of the amplifier as an earlier one.
+
+        Parameters
+        ----------
+        last : Exchange
+            The earlier exchange.
+        tick_hz : float
+            Nominal tick frequency [Hz].
+
+        Returns
+        -------
+        bool
+            Whether the elapsed ticks agree with the elapsed host time.
+        """
         if not last.t1 < self.t1 <= last.t4 + SILENCE:
             return False
         least, most = self.t1 - last.t4, self.t4 - last.t1
@@ -92,31 +153,50 @@ class Exchange:
         return not_behind and to_answer <= most + DRIFT_LIMIT * most
 
     def is_anew(self, last: "Exchange") -> bool:
-        """Tell whether it alone tells of another run: ticks went back, or there was silence."""
+        """Test whether this exchange alone proves another run of the amplifier or a long silence.
+
+        Parameters
+        ----------
+        last : Exchange
+            The earlier exchange.
+
+        Returns
+        -------
+        bool
+            Whether the ticks went back, or the host times are too far apart.
+        """
         return self.t2 < last.t2 or not last.t1 - SILENCE <= self.t1 <= last.t4 + SILENCE
 
 
 class ClockEstimator:
-    """What an amplifier's clock shows, and when it will show it.
+    """Estimator of the mapping between an amplifier's clock and the host's.
 
-    It has no clock and sends nothing. Between two exchanges both directions are strictly monotonic;
-    an exchange moves the estimate by some microseconds, either way. Before the first exchange
-    tick 0 is at host time 0.
+    It has no clock of its own and sends nothing. Between two exchanges the mapping is strictly
+    monotonic in both directions; an exchange moves it by some microseconds, either way. Before the
+    first exchange tick 0 is at host time 0.
 
     Parameters
     ----------
-    tick_hz : ticks per second by name, from CAPS
+    tick_hz : float
+        Nominal tick frequency, from CAPS [Hz].
 
     Attributes
     ----------
-    accepted, rejected : exchanges taken, and those that cannot be (also repeated or overtaken ones,
-        and leaps that the next do not bear out)
-    restarts : times that the estimate began anew: the amplifier's clock did, or there was silence
+    tick_hz : float
+        The parameter of the same name.
+    accepted : int
+        Number of exchanges that were used.
+    rejected : int
+        Number of exchanges that are impossible, repeated or overtaken, or that leap where the next
+        ones do not confirm it.
+    restarts : int
+        Number of times that the estimate began anew, because the amplifier's clock did or after a
+        silence.
 
     Raises
     ------
     ValueError
-        `tick_hz` is not positive and finite.
+        If `tick_hz` is not positive and finite.
     """
 
     def __init__(self, tick_hz: float) -> None:
@@ -130,7 +210,7 @@ class ClockEstimator:
         self._begin(Exchange(0.0, 0, 0, 0.0))
 
     def _begin(self, first: Exchange) -> None:
-        """Forget everything; count time from an exchange."""
+        """Forget everything and count time from an exchange."""
         self._window.clear()
         self._origin, self._origin_ticks = first.t1, first.t2
         self._mean_x = self._mean_y = self._slope = 0.0
@@ -138,7 +218,18 @@ class ClockEstimator:
         self._fed = self._probes = 0
 
     def probe_due(self, now: float) -> bool:
-        """Tell whether to send a probe at host time `now` [s]; each True counts as one sent."""
+        """Test whether a probe is due; each True counts as a probe that was sent.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        bool
+            Whether to send a probe now.
+        """
         if now < self._next_probe:
             return False
         self._probes += 1
@@ -146,19 +237,31 @@ class ClockEstimator:
         return True
 
     def add(self, t1: float, t2: int, t3: int, t4: float) -> bool:
-        """Take an exchange; return False, and count it, where it cannot be.
+        """Add an exchange.
 
-        One that leaps ahead or lags where no oscillator does may have a wrong stamp: it is dropped,
-        and the next ones, soon, tell whether the clock leapt.
+        An exchange that leaps ahead or lags by more than an oscillator can drift may have a wrong
+        timestamp. It is dropped, and the next exchanges, which follow soon, decide whether the
+        clock leapt.
 
         Parameters
         ----------
-        t1, t4 : sent and received by the host [s]
-        t2, t3 : received and sent by the amplifier [ticks]
+        t1 : float
+            Host time at which the probe was sent [s].
+        t2 : int
+            Amplifier time at which it was received [ticks].
+        t3 : int
+            Amplifier time at which the answer was sent [ticks].
+        t4 : float
+            Host time at which it was received [s].
+
+        Returns
+        -------
+        bool
+            Whether the exchange was used; otherwise it is counted as rejected.
         """
         new, last = Exchange(t1, t2, t3, t4), self._window[-1] if self._window else None
-        late = last is not None and last.t1 - SILENCE <= t1 <= last.t1 and t2 <= last.t2
-        if late or not new.is_possible(self.tick_hz):
+        is_overtaken = last is not None and last.t1 - SILENCE <= t1 <= last.t1 and t2 <= last.t2
+        if is_overtaken or not new.is_possible(self.tick_hz):
             self.rejected += 1
             return False
         if last is None or not new.continues(last, self.tick_hz):
@@ -175,15 +278,15 @@ class ClockEstimator:
         return True
 
     def _has_leapt(self, new: Exchange, last: Exchange) -> bool:
-        """Tell whether a clock that does not go on began anew, and not a few stamps are wrong."""
-        borne_out = bool(self._leaps) and new.continues(self._leaps[-1], self.tick_hz)
-        self._leaps = [*self._leaps, new] if borne_out else [new]
+        """Return whether the clock has begun anew, rather than a few timestamps being wrong."""
+        is_confirmed = bool(self._leaps) and new.continues(self._leaps[-1], self.tick_hz)
+        self._leaps = [*self._leaps, new] if is_confirmed else [new]
         return len(self._leaps) == LEAPS or new.is_anew(last)
 
     def _feed(self) -> None:
-        """Take the middle between the tightest bounds of the window into the regression."""
-        asked = [(e.t1, e.taken(self.tick_hz)) for e in self._window]
-        below = [(self._seconds(taken), t1 - self._origin) for t1, taken in asked]
+        """Feed the middle between the tightest bounds of the window into the regression."""
+        sent = [(e.t1, e.taken(self.tick_hz)) for e in self._window]
+        below = [(self._seconds(taken), t1 - self._origin) for t1, taken in sent]
         above = [(self._seconds(e.t3), e.t4 - self._origin) for e in self._window]
         lead = (
             max(host - x - self._lead(x) for x, host in below)
@@ -202,20 +305,42 @@ class ClockEstimator:
         self._slope = min(max(slope, -DRIFT_LIMIT), DRIFT_LIMIT)
 
     def _lead(self, seconds: float) -> float:
-        """Return the host's time less the amplifier's [s], both since the first exchange."""
+        """Return host time minus nominal amplifier time [s], both since the first exchange."""
         return self._mean_y + self._slope * (seconds - self._mean_x)
 
     def _seconds(self, ticks: int) -> float:
-        """Return the amplifier's time since the first exchange [s], by name."""
+        """Return the nominal amplifier time since the first exchange [s]."""
         return (ticks - self._origin_ticks) / self.tick_hz
 
     def ticks_at(self, host_time: float) -> int:
-        """Return what the amplifier's clock shows at a host time [s]."""
+        """Convert a host time to the amplifier's time.
+
+        Parameters
+        ----------
+        host_time : float
+            Host time [s].
+
+        Returns
+        -------
+        int
+            Amplifier time [ticks].
+        """
         lead = self._lead(host_time - self._origin) / (1 + self._slope)
         return self._origin_ticks + round((host_time - self._origin - lead) * self.tick_hz)
 
     def host_time_at(self, ticks: int) -> float:
-        """Return the host time [s] at which the amplifier's clock shows `ticks`."""
+        """Convert an amplifier's time to host time.
+
+        Parameters
+        ----------
+        ticks : int
+            Amplifier time [ticks].
+
+        Returns
+        -------
+        float
+            Host time [s].
+        """
         seconds = self._seconds(ticks)
         return self._origin + seconds + self._lead(seconds)
 
@@ -226,16 +351,16 @@ class ClockEstimator:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster than by name the amplifier's clock runs, in host seconds [ppm]."""
+        """Relative deviation of the amplifier's clock from nominal; positive if fast [ppm]."""
         return -1e6 * self._slope / (1 + self._slope)
 
     @property
     def round_trip(self) -> float:
-        """The shortest of the window [s]; infinite before the first."""
+        """Shortest round trip of the window; infinite before the first exchange [s]."""
         trips = (e.round_trip(self.tick_hz) for e in self._window)
         return max(min(trips, default=math.inf), 0.0)
 
     @property
     def locked(self) -> bool:
-        """Whether there have been enough exchanges to start by."""
+        """Whether there have been enough exchanges to start a stream."""
         return self._fed >= FIRST_PROBES

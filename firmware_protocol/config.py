@@ -1,4 +1,4 @@
-"""What an amplifier is, and the limits of what it puts out (sections 4 and 11.1 of SPEC.md)."""
+"""Properties of an amplifier, and the limits of its output (sections 4 and 11.1 of SPEC.md)."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -6,14 +6,45 @@ from typing import Self
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, Limits, SampleFormat
 
 LARGEST_STEP = 2 * FULL_SCALE_CODE
+"""Largest change between two sample codes."""
 FORMATS = sum(1 << f for f in SampleFormat)
+"""Bit mask of all sample formats, as in CAPS."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AmplifierConfig:
-    """What an amplifier is; names and units as in CAPS, ``fifo`` being fifo_samples.
+    """Properties of an amplifier, with names and units as in CAPS.
 
-    ``estop_input`` is whether it has an e-stop input, which is mandatory above 60 V (6.3).
+    Attributes
+    ----------
+    channels, carriers : int
+        Number of channels, and largest number of carriers.
+    formats : int
+        Bit mask of the sample formats.
+    packet_limit : int
+        Largest packet [bytes].
+    fifo : int
+        Depth of the sample buffer, fifo_samples of CAPS [samples].
+    tick_hz : int
+        Frequency of the amplifier's clock [Hz].
+    rate_min_hz, rate_max_hz : int
+        Range of the sample rate [Hz].
+    full_scale_uv : int
+        Voltage of the largest sample code [µV].
+    voltage_limit_uv : int
+        Hardware limit of the voltage [µV].
+    slew_limit_v_per_s : int
+        Hardware limit of the slew rate [V/s].
+    fade_limit_us : int
+        Longest fade [µs].
+    firmware : int
+        Version of the firmware.
+    name : str
+        Name of the amplifier.
+    node : int
+        Node address at power-up.
+    estop_input : bool
+        Whether there is an e-stop input, which is mandatory above 60 V (6.3).
     """
 
     channels: int = 24
@@ -36,11 +67,18 @@ class AmplifierConfig:
 
 @dataclass(frozen=True)
 class LimitsInForce:
-    """Voltage, slew and fade that bound the output.
+    """Voltage, slew rate and fade that bound the output at present.
 
     Parameters
     ----------
-    full_scale_uv : what the largest sample code stands for
+    full_scale_uv : int
+        Voltage of the largest sample code [µV].
+    voltage_uv : int
+        Largest voltage [µV].
+    slew_v_per_s : int
+        Largest slew rate [V/s].
+    fade_us : int
+        Length of a full fade [µs].
     """
 
     full_scale_uv: int
@@ -50,12 +88,34 @@ class LimitsInForce:
 
     @classmethod
     def of(cls, config: AmplifierConfig) -> Self:
-        """Return the hardware's own."""
+        """Return the limits of an amplifier's hardware.
+
+        Parameters
+        ----------
+        config : AmplifierConfig
+            Properties of the amplifier.
+
+        Returns
+        -------
+        LimitsInForce
+            Its largest limits.
+        """
         c = config
         return cls(c.full_scale_uv, c.voltage_limit_uv, c.slew_limit_v_per_s, c.fade_limit_us)
 
     def lowered(self, limits: Limits) -> "LimitsInForce | int":
-        """Return what LIMITS leaves of them, or the index of the field that is out of range."""
+        """Apply a LIMITS message.
+
+        Parameters
+        ----------
+        limits : Limits
+            Message; a value of 0 leaves a limit unchanged.
+
+        Returns
+        -------
+        LimitsInForce or int
+            New limits, or the index of the field that would raise a limit.
+        """
         new = LimitsInForce(
             self.full_scale_uv,
             limits.voltage_uv or self.voltage_uv,
@@ -68,7 +128,18 @@ class LimitsInForce:
         return new
 
     def in_time(self, rate: int) -> bool:
-        """Return whether they reach 0 V in 20 ms."""
+        """Test whether the output reaches 0 V in 20 ms from any voltage within the limits.
+
+        Parameters
+        ----------
+        rate : int
+            Sample rate [Hz].
+
+        Returns
+        -------
+        bool
+            Whether the limits keep the promise of section 11.1.
+        """
         return self.code <= self.step(rate) * (rate * FADE_MS // 1000)
 
     @property
@@ -77,10 +148,32 @@ class LimitsInForce:
         return min(self.voltage_uv * FULL_SCALE_CODE // self.full_scale_uv, FULL_SCALE_CODE)
 
     def step(self, rate: int) -> int:
-        """Return the largest change of the sample code in an instant."""
+        """Compute the largest change of the sample code from one sample instant to the next.
+
+        Parameters
+        ----------
+        rate : int
+            Sample rate [Hz].
+
+        Returns
+        -------
+        int
+            Largest change [sample codes].
+        """
         most = self.slew_v_per_s * FULL_SCALE_CODE * 10**6
         return min(most // (self.full_scale_uv * rate), LARGEST_STEP)
 
     def fade(self, rate: int) -> int:
-        """Return the instants of a full fade."""
+        """Compute the length of a full fade.
+
+        Parameters
+        ----------
+        rate : int
+            Sample rate [Hz].
+
+        Returns
+        -------
+        int
+            Length of the fade, at least 1 [samples].
+        """
         return max(1, (self.fade_us * rate + 500_000) // 1_000_000)

@@ -1,7 +1,8 @@
 """Fragments of packets for links with short frames, CAN and SMBus (section 3.2 of SPEC.md).
 
-The first byte of each says start, end, toggle and transfer id; the first fragment goes on with the
-packet's length. Whatever is lost, repeated, reordered or late costs its packet and is counted.
+The first byte of each fragment holds start, end, toggle and transfer id; in the first fragment the
+length of the packet follows. A fragment that is lost, repeated, reordered or late costs its packet
+and is counted.
 """
 
 from collections import Counter
@@ -13,17 +14,21 @@ from firmware_protocol.messages import PACKET_MAX
 from firmware_protocol.packet import SMALLEST, LinkCounters, Packet, decode_packet
 
 START, END, TOGGLE, TRANSFER = 0x80, 0x40, 0x20, 0x1F
+"""Bits of the first byte: start of transfer, end of transfer, toggle, and mask of the transfer
+id."""
 LENGTH = Struct("<H")
+"""Layout of the packet's length in the first fragment."""
 TRANSFERS = 4
-"""That are reassembled at a time."""
+"""Largest number of transfers that are reassembled at a time."""
 
 
 class Cutter:
-    """Cuts packets into fragments, with a transfer id that counts per identifier.
+    """Divider of packets into fragments, with a transfer id that counts per identifier.
 
     Parameters
     ----------
-    size : of a frame [bytes]
+    size : int
+        Size of a frame [bytes].
     """
 
     def __init__(self, size: int) -> None:
@@ -31,7 +36,20 @@ class Cutter:
         self._transfers: Counter[int] = Counter()
 
     def fragments(self, identifier: int, packet: bytes) -> Iterator[bytes]:
-        """Yield the fragments of a packet's bytes."""
+        """Divide a packet into fragments.
+
+        Parameters
+        ----------
+        identifier : int
+            Identifier of the frames, which selects the counter of the transfer id.
+        packet : bytes
+            Encoded packet.
+
+        Yields
+        ------
+        bytes
+            One fragment after the other.
+        """
         transfer = self._transfers[identifier] & TRANSFER
         self._transfers[identifier] += 1
         body = LENGTH.pack(len(packet)) + packet
@@ -44,6 +62,8 @@ class Cutter:
 
 @dataclass
 class _Transfer:
+    """Transfer that is being reassembled."""
+
     begun: int
     length: int
     toggle: int = 0
@@ -51,13 +71,16 @@ class _Transfer:
 
 
 class Reassembler:
-    """Puts fragments together again.
+    """Reassembler of fragments into packets.
 
     Parameters
     ----------
-    limit : largest packet [bytes]
-    counters : to count in
-    timeout : of a transfer, in the unit that ``now`` has
+    limit : int
+        Largest packet [bytes].
+    counters : LinkCounters
+        Counters to count in.
+    timeout : int
+        Longest duration of a transfer, in the unit of ``now``.
     """
 
     def __init__(self, limit: int, counters: LinkCounters, timeout: int) -> None:
@@ -68,8 +91,25 @@ class Reassembler:
     def feed(
         self, identifier: int, fragment: bytes, now: int, *, padded: bool = False
     ) -> Packet | None:
-        """Return the packet that a fragment completes, if any; one ``padded`` may hold more."""
-        self._forget_old(now)
+        """Add a received fragment.
+
+        Parameters
+        ----------
+        identifier : int
+            Identifier of the frame.
+        fragment : bytes
+            Content of the frame.
+        now : int
+            Time of reception.
+        padded : bool
+            Whether the last fragment may have padding after the packet.
+
+        Returns
+        -------
+        Packet or None
+            The packet that the fragment completes, if any.
+        """
+        self._drop_expired(now)
         if not fragment:
             self._counters.fragments_dropped += 1
             return None
@@ -99,7 +139,7 @@ class Reassembler:
         return None
 
     def _begin(self, key: tuple[int, int], head: int, data: bytes, now: int) -> bool:
-        """Begin a transfer, if that is what a start fragment does."""
+        """Begin a transfer if a start fragment is valid, and return whether it is."""
         if head & TOGGLE or len(data) < LENGTH.size:
             self._counters.fragments_dropped += 1
             return False
@@ -114,10 +154,12 @@ class Reassembler:
         self._transfers[key] = _Transfer(now, length)
         return True
 
-    def _forget_old(self, now: int) -> None:
+    def _drop_expired(self, now: int) -> None:
+        """Drop the transfers that have timed out."""
         for key in [k for k, t in self._transfers.items() if now - t.begun >= self._timeout]:
             self._drop(key)
 
     def _drop(self, key: tuple[int, int]) -> None:
+        """Drop a transfer and count it."""
         del self._transfers[key]
         self._counters.fragments_dropped += 1

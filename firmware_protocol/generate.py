@@ -1,7 +1,7 @@
-"""Writes messages.py and c/tactile_messages.h from schema.toml.
+"""Generator of messages.py and c/tactile_messages.h from schema.toml.
 
-``python -m firmware_protocol.generate``; with ``--check`` nothing is written: files that differ
-from what would be are named, exit code 1.
+``python -m firmware_protocol.generate`` writes the files. With ``--check`` it writes nothing: it
+names the files that differ from what it would write, and exits with code 1 if there are any.
 """
 
 import sys
@@ -11,26 +11,56 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
+"""Folder of the schema and of the generated Python module."""
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "i16": 2, "char16": 16}
+"""Size of each type on the wire [bytes]."""
 STRUCT = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "char16": "16s"}
+"""Code of each type in the format of Python's struct module."""
 C_TYPES = {
     "u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i16": "int16_t",
 }  # fmt: skip
+"""C type of each type that is an integer."""
 STATES = ("IDLE", "ARMED", "RUNNING", "RAMPDOWN", "SAFE", "FAULT", "ESTOP")
+"""States in the order of the columns of the state table."""
 REFUSED, STAYS = 0x80, 0x40
-"""Of a table entry: with the NAK code in the low bits; without. Else state | what follows << 3."""
+"""Entries of the state table: `REFUSED` with the NAK code in the low bits, `STAYS` alone, or
+else state | next << 3, where next is the state that follows RAMPDOWN."""
 
 Schema = dict[str, Any]
+"""Content of schema.toml."""
 Message = dict[str, Any]
+"""Definition of a message in the schema."""
 
 
 def load(path: Path = HERE / "schema.toml") -> Schema:
-    """Return the schema as plain data."""
+    """Load the schema.
+
+    Parameters
+    ----------
+    path : Path
+        Schema file.
+
+    Returns
+    -------
+    dict
+        Schema as plain data.
+    """
     return tomllib.loads(path.read_text("utf-8"))
 
 
 def schema_crc(schema: Schema) -> int:
-    """Return the CRC-32 of the message definitions, as section 13 of SPEC.md says."""
+    """Compute the CRC-32 of the message definitions (section 13 of SPEC.md).
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    int
+        CRC-32.
+    """
     lines = []
     for message in sorted(schema["message"], key=lambda m: m["id"]):
         parts = [message["name"], str(message["id"])]
@@ -42,7 +72,20 @@ def schema_crc(schema: Schema) -> int:
 
 
 def entry(text: str, schema: Schema) -> int:
-    """Return a cell of the state table as one byte."""
+    """Encode a cell of the state table as one byte.
+
+    Parameters
+    ----------
+    text : str
+        Cell as in the schema.
+    schema : dict
+        Schema, for the numbers of states and NAK codes.
+
+    Returns
+    -------
+    int
+        Entry of the generated table.
+    """
     states, naks = schema["enum"]["state"], schema["enum"]["nak"]
     if text == "=":
         return STAYS
@@ -53,7 +96,18 @@ def entry(text: str, schema: Schema) -> int:
 
 
 def table(schema: Schema) -> dict[str, list[int]]:
-    """Return the state table, an entry per state, by event."""
+    """Encode the state table.
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    dict of str to list of int
+        For each event, an entry per state.
+    """
     return {
         event: [entry(row[state], schema) for state in STATES]
         for event, row in schema["table"].items()
@@ -61,27 +115,91 @@ def table(schema: Schema) -> dict[str, list[int]]:
 
 
 def _title(name: str) -> str:
+    """Return the name of an enumeration's class."""
     if name == "nak":
         return "NakCode"
     return "".join(word.capitalize() for word in name.split("_"))
 
 
 def _upper(name: str) -> str:
-    """Return CLEAR_FAULT for ClearFault."""
+    """Return a name in capitals, such as CLEAR_FAULT for ClearFault."""
     return "".join(f"_{c}" if c.isupper() and i else c for i, c in enumerate(name)).upper()
 
 
 # Python
 
+LIMIT_TEXTS = {
+    "WATCHDOG_MS": "Time without a heartbeat after which the watchdog expires [ms].",
+    "HEARTBEAT_MS": "Interval between heartbeats [ms].",
+    "FADE_MS": "Length of the longest ordinary ramp [ms].",
+    "VALID_MS": "Longest validity of a spectrum frame [ms].",
+    "FRAGMENT_TIMEOUT_MS": "Longest time for the reassembly of a packet [ms].",
+    "INPUT_CLOSED_MS": "Time after which a closed e-stop input counts as closed [ms].",
+    "UNGUARDED_MOST_UV": "Largest full scale of an amplifier without an e-stop input [µV].",
+    "START_AHEAD_MS": "Longest time by which START may be ahead [ms].",
+    "PACKET_MAX": "Largest packet, header and CRC included [bytes].",
+    "FULL_SCALE_CODE": "Sample code at full scale.",
+    "CARRIERS_MAX": "Largest number of carriers of a stream.",
+    "CAN_PREFIX": "Number that is added to an 11-bit identifier to make the 29-bit one.",
+}
+"""Docstrings of the limits."""
+ENUM_TEXTS = {
+    "flag": "Flags of a packet",
+    "state": "States of an amplifier",
+    "phase": "Phases of the state RUNNING",
+    "nak": "Reasons for which a request is refused",
+    "mode": "Modes of ARM",
+    "sample_format": "Sample formats",
+    "fault": "Faults of the hardware",
+    "parameter": "Parameters of GET and SET",
+    "log_level": "Levels of LOG",
+    "feature": "Bits of the features in CAPS",
+    "estop_reason": "Reasons of an e-stop that the protocol defines",
+    "input": "Bits of the inputs in STATUS",
+    "can_class": "Classes of messages on CAN",
+}
+"""Docstrings of the enumerations."""
+MESSAGE_TEXTS = {
+    "Hello": "takes the amplifier; answered by CAPS",
+    "Time": "exchanges timestamps; answered by TIME_REPLY",
+    "Sync": "notes the tick of reception",
+    "Start": "starts to play a position at a given time",
+    "Stop": "ramps to 0 V",
+    "Arm": "switches the high voltage on",
+    "Disarm": "ramps to 0 V and switches the high voltage off",
+    "Estop": "goes to 0 V at the slew limit, latched",
+    "ClearFault": "ends ESTOP or FAULT",
+    "Heartbeat": "shows that the streaming loop is alive",
+    "Limits": "lowers the limits",
+    "Get": "reads a parameter; answered by VALUE",
+    "Set": "writes a parameter",
+    "Identify": "lets a person find the board",
+    "Poll": "requests STATUS",
+    "Pcm": "samples of some channels",
+    "Carriers": "frequencies of the spectrum frames",
+    "Spectrum": "a spectrum frame",
+    "Ack": "a request was done",
+    "Nak": "a request was refused",
+    "Caps": "capabilities and limits of the hardware",
+    "TimeReply": "timestamps of reception and answer",
+    "Value": "value of a parameter",
+    "Pulse": "credit and state of the stream",
+    "Status": "state, limits in force and counters",
+    "Sense": "measured voltages and currents",
+    "Log": "text for a person",
+}
+"""Docstrings of the messages: what each does or contains."""
 
-def python_text(schema: Schema) -> str:
-    """Return messages.py."""
-    lines = [
+
+def _python_head(schema: Schema) -> list[str]:
+    """Return the lines of messages.py before its enumerations."""
+    return [
         '"""Messages, codes and states of the protocol; written by generate.py from schema.toml.',
         "",
-        "SPEC.md says what they mean. ``pack`` gives a payload, ``unpack`` takes one: a missing",
-        "tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than",
-        'the head of a message with a body."""',
+        "SPEC.md defines their meaning. ``pack`` returns the payload of a message and ``unpack``",
+        "decodes one: a missing tail reads as 0 and an unknown tail is ignored. A payload that is",
+        "shorter than the head of a message with a body is decoded as None.",
+        '"""',
         "",
         "from collections.abc import Callable",
         "from dataclasses import dataclass",
@@ -92,8 +210,28 @@ def python_text(schema: Schema) -> str:
         f"MAJOR, MINOR = {schema['protocol']['major']}, {schema['protocol']['minor']}",
         f"SCHEMA_CRC = 0x{schema_crc(schema):08X}",
         f"STAYS, REFUSED = 0x{STAYS:02X}, 0x{REFUSED:02X}",
-        *(f"{name} = {_number(value)}" for name, value in schema["limits"].items()),
+        *(
+            line
+            for name, value in schema["limits"].items()
+            for line in (f"{name} = {_number(value)}", f'"""{LIMIT_TEXTS[name]}"""')
+        ),
     ]
+
+
+def python_text(schema: Schema) -> str:
+    """Generate messages.py.
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    str
+        Text of the module.
+    """
+    lines = _python_head(schema)
     for name, members in schema["enum"].items():
         lines += _python_enum(name, members)
     lines += ["", "", "TABLE: dict[str, tuple[int, ...]] = {"]
@@ -103,28 +241,35 @@ def python_text(schema: Schema) -> str:
     ]
     lines += [
         "}",
-        '"""Of section 6, per state: `STAYS`, `REFUSED` | NAK code, or state | next << 3."""',
+        '"""State table of section 6: for each event an entry per state, in the order of `State`.',
+        "",
+        "An entry is `STAYS`, `REFUSED` | NAK code, or state | next << 3, where next is the state",
+        "that follows RAMPDOWN.",
+        '"""',
     ]
     lines += ["", "", *PYTHON_BASE.splitlines()]
     for message in schema["message"]:
         lines += ["", "", *_python_message(message)]
     lines += ["", "", "MESSAGES: dict[int, type[Message]] = {"]
     lines += [f"    0x{m['id']:02X}: {m['name']}," for m in schema["message"]]
-    lines += ["}", ""]
+    lines += ["}", '"""Classes of the messages by their type."""', ""]
     return "\n".join(lines)
 
 
 def _python_enum(name: str, members: dict[str, int]) -> list[str]:
+    """Return the lines of an enumeration's class."""
     lines = ["", "", f"class {_title(name)}(IntEnum):"]
-    lines += [f'    """Of section {_section(name)}."""', ""]
+    lines += [f'    """{ENUM_TEXTS[name]} (section {_section(name)})."""', ""]
     return lines + [f"    {member} = {_number(value)}" for member, value in members.items()]
 
 
 def _number(value: int) -> str:
+    """Return a number as source text, in hexadecimal above 4096 with two exceptions."""
     return f"0x{value:02X}" if value > 4096 and value != 10000 and value != 32767 else str(value)
 
 
 def _section(name: str) -> str:
+    """Return the section of SPEC.md that defines an enumeration."""
     return {
         "flag": "2", "state": "6", "phase": "8.2", "nak": "5", "mode": "4", "sample_format": "9",
         "fault": "6", "parameter": "4", "log_level": "4", "feature": "4", "can_class": "3.2",
@@ -134,11 +279,18 @@ def _section(name: str) -> str:
 
 PYTHON_BASE = '''\
 class Message:
-    """Any message; its fields are those of its layout, then its body.
+    """Base class of the messages; the fields are those of the layout, then the body.
 
     Attributes
     ----------
-    TYPE, CAN, HEAD, BODY : id, class on CAN, layout of the fixed part, whether a body follows
+    TYPE : int
+        Type of the message, its id on the wire.
+    CAN : CanClass
+        Class of the message on CAN.
+    HEAD : Struct
+        Layout of the fixed part.
+    BODY : bool
+        Whether a body of variable length follows.
     """
 
     __slots__ = ()
@@ -149,28 +301,50 @@ class Message:
     BODY: ClassVar[bool] = False
 
     def pack(self) -> bytes:
-        """Return the payload."""
+        """Encode the message.
+
+        Returns
+        -------
+        bytes
+            Payload of a packet.
+        """
         values = [getattr(self, name) for name in self.__match_args__]
         body: bytes = values.pop() if self.BODY else b""
         return self.HEAD.pack(*values) + body
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
-        """Return the message of a payload."""
+        """Decode a message.
+
+        Parameters
+        ----------
+        payload : bytes
+            Payload of a packet.
+
+        Returns
+        -------
+        Message or None
+            The message; None if the payload is shorter than the head of a message with a body.
+        """
         size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
         if not cls.BODY:
             return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\\0")))
         if len(payload) < size:
             return None
         return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))'''
+"""Base class of the messages in messages.py."""
 
 
 def _python_message(message: Message) -> list[str]:
+    """Return the lines of a message's class."""
     fields, body = message["fields"], message.get("body")
     code = "<" + "".join(STRUCT[kind] for _, kind in fields)
     types = {"char16": "bytes"}
     lines = ["@dataclass(frozen=True, slots=True)", f"class {message['name']}(Message):"]
-    lines += [f'    """{_upper(message["name"])}, from the {message["from"]}."""', ""]
+    title = (
+        f"{_upper(message['name'])} from the {message['from']}: {MESSAGE_TEXTS[message['name']]}"
+    )
+    lines += [f'    """{title} (section 4)."""', ""]
     lines += [
         f"    TYPE = 0x{message['id']:02X}",
         f"    CAN = CanClass.{message['can']}",
@@ -191,14 +365,25 @@ def _python_message(message: Message) -> list[str]:
 
 
 def c_text(schema: Schema) -> str:
-    """Return c/tactile_messages.h."""
+    """Generate c/tactile_messages.h.
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    str
+        Text of the header.
+    """
     lines = [
         "/* Messages, codes and states of the protocol; written by generate.py from schema.toml.",
         " *",
-        " * SPEC.md says what they mean. tp_X_encode writes a payload and returns its size, 0",
-        " * where it does not fit. tp_X_decode takes one: a missing tail reads as 0, an unknown",
-        " * tail is ignored; it returns false for one that is shorter than the head of a",
-        " * message with a body. Bodies are pointers into the payload.",
+        " * SPEC.md defines their meaning. tp_X_encode writes a payload and returns its size, or 0",
+        " * if it does not fit. tp_X_decode decodes a payload: a missing tail reads as 0 and an",
+        " * unknown tail is ignored. It returns false for a payload that is shorter than the head",
+        " * of a message with a body. Bodies are pointers into the payload.",
         " */",
         "#ifndef TACTILE_MESSAGES_H",
         "#define TACTILE_MESSAGES_H",
@@ -220,7 +405,7 @@ def c_text(schema: Schema) -> str:
         lines += [f"    TP_{name.upper()}_{m} = {_number(v)}," for m, v in members.items()]
         lines[-1] = lines[-1].rstrip(",")
         lines.append("};")
-    lines += ["", "/* Section 6: an entry per state. */"]
+    lines += ["", "/* State table of section 6: an entry per state. */"]
     for event, cells in table(schema).items():
         joined = ", ".join(f"0x{cell:02X}u" for cell in cells)
         lines.append(f"#define TP_TABLE_{event.upper()} {{{joined}}}")
@@ -248,9 +433,11 @@ static inline uint64_t tp_get_le(const uint8_t *in, size_t length, size_t at, si
     }
     return value;
 }"""
+"""Functions of the header that the coding functions use."""
 
 
 def _c_message(message: Message) -> list[str]:
+    """Return the lines of a message's structure and coding functions."""
     fields, body = message["fields"], message.get("body")
     upper, name = _upper(message["name"]), _upper(message["name"]).lower()
     size = sum(SIZES[kind] for _, kind in fields)
@@ -273,6 +460,7 @@ def _c_message(message: Message) -> list[str]:
 def _c_encode(
     name: str, upper: str, fields: list[list[str]], body: str | None, size: int
 ) -> list[str]:
+    """Return the lines of a message's encoding function."""
     lines = [
         f"static inline size_t tp_{name}_encode(const tp_{name} *m, uint8_t *out, size_t room)",
         "{",
@@ -308,6 +496,7 @@ def _c_encode(
 def _c_decode(
     name: str, upper: str, fields: list[list[str]], body: str | None, size: int
 ) -> list[str]:
+    """Return the lines of a message's decoding function."""
     lines = [
         f"static inline bool tp_{name}_decode(tp_{name} *m, const uint8_t *in, size_t length)",
         "{",
@@ -337,7 +526,13 @@ def _c_decode(
 
 
 def outputs() -> dict[Path, str]:
-    """Return what each generated file must hold."""
+    """Generate the text of each file.
+
+    Returns
+    -------
+    dict of Path to str
+        Texts by path.
+    """
     schema = load()
     return {
         HERE / "messages.py": python_text(schema),
@@ -346,7 +541,18 @@ def outputs() -> dict[Path, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the files, or name those that differ; return the exit code."""
+    """Write the files, or name those that differ.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Command line arguments.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
     differing = [
         p for p, text in outputs().items() if not p.exists() or p.read_text("utf-8") != text
     ]

@@ -1,7 +1,7 @@
-"""The host's side of a session: packets out, answers in (sections 4 to 8 of SPEC.md).
+"""Host side of a session: packets out, answers in (sections 4 to 8 of SPEC.md).
 
-No I/O and no clock: whoever holds the link sends what `ask` and `tell` return and hands over what
-came to `receive`.
+It has neither I/O nor a clock: the owner of the link sends the packets that `ask` and `tell`
+return, and passes received packets to `receive`.
 """
 
 from collections.abc import Iterator
@@ -15,23 +15,34 @@ from firmware_protocol.messages import FULL_SCALE_CODE, Message, NakCode, Sample
 from firmware_protocol.packet import SMALLEST, TURN, Packet
 
 MOST_SAMPLES = 255
-"""Of a packet, per channel."""
+"""Largest number of samples per channel in a packet."""
 ANSWERS = 64
-"""Answers that are kept until they are asked for."""
+"""Largest number of answers that are stored until they are requested."""
 
 
 class AmplifierHost:
-    """A host that holds one amplifier.
+    """Host of one amplifier.
 
     Parameters
     ----------
-    session : token, 1 … 65535
-    node : address of the amplifier
+    session : int
+        Session token, 1 … 65535.
+    node : int
+        Address of the amplifier.
 
     Attributes
     ----------
-    caps, status, pulse : the latest of each; None before the first
-    unexpected : packets that no amplifier sends, of another one or of another version
+    session, node : int
+        The parameters of the same names.
+    caps : Caps or None
+        Latest CAPS; None before the first.
+    status : Status or None
+        Latest STATUS; None before the first.
+    pulse : Pulse or None
+        Latest PULSE; None before the first.
+    unexpected : int
+        Number of received packets that an amplifier does not send, or that are from another node or
+        of another version.
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -44,21 +55,55 @@ class AmplifierHost:
         self._answers: dict[tuple[int, int], Message] = {}
 
     def tell(self, message: Message) -> Packet:
-        """Return the packet of a message that wants no answer."""
+        """Encode a message that requests no answer.
+
+        Parameters
+        ----------
+        message : Message
+            Message to the amplifier.
+
+        Returns
+        -------
+        Packet
+            Packet to send.
+        """
         return self._packet(message, ask=False)
 
     def ask(self, message: Message) -> Packet:
-        """Return the packet of a request; its answer comes with `answer`."""
+        """Encode a request; `answer` returns its answer.
+
+        Parameters
+        ----------
+        message : Message
+            Message to the amplifier.
+
+        Returns
+        -------
+        Packet
+            Packet to send.
+        """
         return self._packet(message, ask=True)
 
     def _packet(self, message: Message, *, ask: bool) -> Packet:
+        """Encode a message with the next sequence number, and forget an old answer to it."""
         packet = Packet.of(message, node=self.node, seq=self._seq, ask=ask)
         self._answers.pop((packet.type, packet.seq), None)
         self._seq = (self._seq + 1) & 0xFF
         return packet
 
     def receive(self, packet: Packet) -> Message | None:
-        """Take a packet of the amplifier; return its message, None where it is none of its."""
+        """Process a packet from the amplifier.
+
+        Parameters
+        ----------
+        packet : Packet
+            Received packet.
+
+        Returns
+        -------
+        Message or None
+            Its message; None if the packet is not one of the amplifier's or cannot be decoded.
+        """
         kind = m.MESSAGES.get(packet.type)
         foreign = packet.node != self.node or packet.flags >> 6 != m.MAJOR
         if foreign or kind is None or packet.type < m.Ack.TYPE:
@@ -78,12 +123,34 @@ class AmplifierHost:
         return message
 
     def answer(self, request: Packet) -> Message | None:
-        """Return the ACK or NAK of a request, None while there is none."""
+        """Return the answer to a request, and forget it.
+
+        Parameters
+        ----------
+        request : Packet
+            Packet that `ask` returned.
+
+        Returns
+        -------
+        Message or None
+            The ACK or NAK; None if there is none yet.
+        """
         return self._answers.pop((request.type, request.seq), None)
 
 
 def refusal(nak: m.Nak) -> str:
-    """Return what a NAK says, as one line."""
+    """Describe a NAK in one line.
+
+    Parameters
+    ----------
+    nak : Nak
+        Refusal of a request.
+
+    Returns
+    -------
+    str
+        Refused message, code, detail and state.
+    """
     kind = m.MESSAGES.get(nak.type)
     what = kind.__name__ if kind else f"message {nak.type}"
     code = NakCode(nak.code).name if nak.code in set(NakCode) else f"code {nak.code}"
@@ -92,28 +159,53 @@ def refusal(nak: m.Nak) -> str:
 
 
 def codes_of(volts: NDArray[np.float64], full_scale: float) -> NDArray[np.int16]:
-    """Return finite volts within ±``full_scale`` [V] as sample codes."""
+    """Convert a voltage to sample codes.
+
+    Parameters
+    ----------
+    volts : array of float
+        Finite voltages within ±``full_scale`` [V].
+    full_scale : float
+        Voltage of the largest sample code [V].
+
+    Returns
+    -------
+    array of int
+        Sample codes.
+    """
     return np.rint(volts * (FULL_SCALE_CODE / full_scale)).astype(np.int16)
 
 
 def _even(total: int, most: int) -> int:
-    """Return the size of as few and as even groups as ``most`` each allows."""
+    """Return the size of groups that are as few and as even as ``most`` per group allows."""
     return -(total // -max(-(total // -most), 1))
 
 
 def pcm(
     position: int, codes: NDArray[np.int16], *, session: int, sample_format: int, packet_limit: int
 ) -> Iterator[m.Pcm]:
-    """Yield the messages of a block: as few as the packet limit allows.
+    """Divide a block of samples into as few messages as the packet limit allows.
 
-    Those of BFP8 are cut by channels first, since each cut in time costs every channel an exponent.
+    Blocks in BFP8 are divided by channels first, since each division in time costs every channel an
+    exponent.
 
     Parameters
     ----------
-    position : of its first sample
-    codes : (S, C)
-    session, sample_format : as on the wire
-    packet_limit : of CAPS [bytes]
+    position : int
+        Position of the first sample.
+    codes : (S, C) array of int
+        Sample codes.
+    session : int
+        Session token.
+    sample_format : int
+        Sample format.
+    packet_limit : int
+        Largest packet, from CAPS [bytes].
+
+    Yields
+    ------
+    Pcm
+        Messages that together carry the block.
     """
     room = packet_limit - SMALLEST - m.Pcm.HEAD.size
     total, channels = codes.shape
@@ -126,7 +218,7 @@ def pcm(
         count = min(count - 1, count * room // samples.size(sample_format, count, group))
     for start in range(0, total, count):
         for first in range(0, channels, group):
-            part = codes[start : start + count, first : first + group]
-            data = samples.encode(sample_format, part)
+            piece = codes[start : start + count, first : first + group]
+            data = samples.encode(sample_format, piece)
             at = (position + start) % TURN
-            yield m.Pcm(at, session, first, part.shape[1], sample_format, len(part), data)
+            yield m.Pcm(at, session, first, piece.shape[1], sample_format, len(piece), data)

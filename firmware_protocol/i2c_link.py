@@ -1,6 +1,6 @@
-"""Packets on I²C: raw transfers, and SMBus fragments (section 3.3 of SPEC.md).
+"""Packets on I²C: raw transfers and SMBus fragments (section 3.3 of SPEC.md).
 
-The amplifier is the target. What it has to say waits in a queue until the host reads it.
+The amplifier is the target. Its packets wait in a queue until the host reads them.
 """
 
 from collections import deque
@@ -10,20 +10,26 @@ from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet
 
 DEFAULT_LIMIT = 255
+"""Default of the largest packet [bytes]."""
 WRITE_COMMAND, READ_COMMAND = 0x54, 0x55
+"""SMBus commands of block writes and block reads."""
 SMBUS_BLOCK = 32
+"""Largest SMBus block [bytes]."""
 NOTHING = b"\0"
+"""SMBus block that is read when nothing waits."""
 WAITING = 16
-"""Packets that wait for a reader at most; further ones are refused."""
+"""Largest number of packets that wait for a reader; further ones are refused."""
 
 
 class I2cTarget:
-    """The amplifier's end of raw transfers.
+    """Amplifier's end of raw transfers.
 
     Parameters
     ----------
-    limit : largest packet [bytes]
-    counters : to count in
+    limit : int
+        Largest packet [bytes].
+    counters : LinkCounters, optional
+        Counters to count in; own ones by default.
     """
 
     def __init__(self, limit: int = DEFAULT_LIMIT, counters: LinkCounters | None = None) -> None:
@@ -32,19 +38,52 @@ class I2cTarget:
         self._waiting: deque[bytes] = deque()
 
     def write(self, data: bytes) -> list[Packet]:
-        """Return the packet, if any, of a write transfer."""
-        found = decode_packet(data, self.counters, self._limit)
-        return [] if found is None else [found]
+        """Decode a write transfer.
+
+        Parameters
+        ----------
+        data : bytes
+            Data of the transfer.
+
+        Returns
+        -------
+        list of Packet
+            The packet of the transfer, if it is valid.
+        """
+        packet = decode_packet(data, self.counters, self._limit)
+        return [] if packet is None else [packet]
 
     def put(self, packet: bytes) -> bool:
-        """Let a packet's bytes wait for the host; False where too many wait."""
+        """Queue a packet for the host.
+
+        Parameters
+        ----------
+        packet : bytes
+            Encoded packet.
+
+        Returns
+        -------
+        bool
+            False if the queue is full.
+        """
         if len(self._waiting) == WAITING:
             return False
         self._waiting.append(packet)
         return True
 
     def read(self, size: int) -> bytes:
-        """Return the bytes of a read transfer; a packet not read to its end stays."""
+        """Answer a read transfer; a packet that is not read to its end stays in the queue.
+
+        Parameters
+        ----------
+        size : int
+            Number of bytes that the host reads.
+
+        Returns
+        -------
+        bytes
+            Length and bytes of the first packet, padded with zeros.
+        """
         if not self._waiting:
             return bytes(size)
         data = LENGTH.pack(len(self._waiting[0])) + self._waiting[0]
@@ -54,7 +93,20 @@ class I2cTarget:
 
 
 def decode_read(data: bytes, counters: LinkCounters | None = None) -> Packet | None:
-    """Return, on the host, the packet of a read transfer; None also where nothing waits."""
+    """Decode a read transfer on the host.
+
+    Parameters
+    ----------
+    data : bytes
+        Data of the transfer.
+    counters : LinkCounters, optional
+        Counters to count in.
+
+    Returns
+    -------
+    Packet or None
+        The packet; None if it is not valid or if nothing waited.
+    """
     length = LENGTH.unpack_from(data)[0] if len(data) >= LENGTH.size else 0
     if not length:
         return None
@@ -62,12 +114,16 @@ def decode_read(data: bytes, counters: LinkCounters | None = None) -> Packet | N
 
 
 class SmbusTarget:
-    """The amplifier's end of block writes and block reads.
+    """Amplifier's end of SMBus block writes and block reads.
 
     Parameters
     ----------
-    limit, counters : as of `I2cTarget`
-    tick_hz : of the time of reception
+    limit : int
+        Largest packet [bytes].
+    counters : LinkCounters, optional
+        Counters to count in; own ones by default.
+    tick_hz : int
+        Frequency of the clock that gives the time of reception [Hz].
     """
 
     def __init__(
@@ -83,19 +139,49 @@ class SmbusTarget:
         self._waiting: deque[list[bytes]] = deque()
 
     def write(self, block: bytes, now: int) -> list[Packet]:
-        """Return the packet, if any, that a block write completes."""
-        found = self._reassembler.feed(WRITE_COMMAND, block, now)
-        return [] if found is None else [found]
+        """Decode a block write.
+
+        Parameters
+        ----------
+        block : bytes
+            Data of the block.
+        now : int
+            Time of reception [ticks].
+
+        Returns
+        -------
+        list of Packet
+            The packet that the block completes, if any.
+        """
+        packet = self._reassembler.feed(WRITE_COMMAND, block, now)
+        return [] if packet is None else [packet]
 
     def put(self, packet: bytes) -> bool:
-        """Let a packet's bytes wait for the host; False where too many wait."""
+        """Queue a packet for the host.
+
+        Parameters
+        ----------
+        packet : bytes
+            Encoded packet.
+
+        Returns
+        -------
+        bool
+            False if the queue is full.
+        """
         if len(self._waiting) == WAITING:
             return False
         self._waiting.append(list(self._cutter.fragments(READ_COMMAND, packet)))
         return True
 
     def read(self) -> bytes:
-        """Return the block of a block read."""
+        """Answer a block read.
+
+        Returns
+        -------
+        bytes
+            Next fragment, or `NOTHING` if nothing waits.
+        """
         if not self._waiting:
             return NOTHING
         block = self._waiting[0].pop(0)

@@ -1,7 +1,7 @@
-"""An amplifier's states, sample clock, and what it does by itself (sections 6 to 8 of SPEC.md).
+"""States, sample clock and spontaneous actions of an amplifier (sections 6 to 8 of SPEC.md).
 
-Ticks go in, codes and packets come out. What the host says is the `Amplifier`'s business, which
-turns it into the moves that the state table allows.
+Ticks go in, sample codes and packets come out. `ReferenceAmplifier` processes the messages of the
+host and turns them into the transitions that the state table allows.
 """
 
 from collections import deque
@@ -34,15 +34,18 @@ from firmware_protocol.player import SamplePlayer
 from firmware_protocol.sources import Ints, PcmSource, Source, SpectrumSource
 
 DEFAULT_RATE = 8000
+"""Sample rate at power-up [Hz]."""
 OUTBOX = 256
-"""Packets that wait to be taken; further ones are dropped and counted."""
+"""Largest number of packets that wait to be taken; further ones are dropped and counted."""
 POWERED = (State.ARMED, State.RUNNING, State.RAMPDOWN)
+"""States with high voltage, in which the watchdog runs."""
 NO_CARRIERS = np.zeros(0, np.uint32)
+"""Increments of the carriers before CARRIERS."""
 
 
 @dataclass
 class AmplifierCounters(LinkCounters):
-    """What STATUS tells, in its order but for those of the link (section 12)."""
+    """Counters of STATUS (section 12), after those of the link."""
 
     wrong_version: int = 0
     unsupported: int = 0
@@ -62,14 +65,20 @@ class AmplifierCounters(LinkCounters):
 
 
 class PlayedRun(NamedTuple):
-    """A run of instants.
+    """A run of sample instants that were put out.
 
     Attributes
     ----------
-    position : of the first, modulo 2³²
-    ticks : (S,) of the instants
-    codes : (S, C) put out
-    state, high_voltage : after the last instant
+    position : int
+        Position of the first instant, modulo 2³².
+    ticks : (S,) array of int
+        Times of the instants [ticks].
+    codes : (S, C) array of int
+        Sample codes that were put out.
+    state : State
+        State after the last instant.
+    high_voltage : bool
+        Whether the high voltage is on after the last instant.
     """
 
     position: int
@@ -80,22 +89,35 @@ class PlayedRun(NamedTuple):
 
 
 class Machine:
-    """An amplifier that nobody talks to.
+    """An amplifier without communication.
 
     Parameters
     ----------
-    config : what it is
+    config : AmplifierConfig
+        Properties of the amplifier.
+
+    Attributes
+    ----------
+    config : AmplifierConfig
+        The parameter of the same name.
+    state : State
+        Present state, as in STATUS.
+    session : int
+        Session token, 0 for none.
+    node : int
+        Node address.
+    counters : AmplifierCounters
+        Counters, as in STATUS.
+    rate : int
+        Sample rate [Hz].
+    high_voltage : bool
+        Whether the high voltage is on.
 
     Raises
     ------
     ValueError
-        Where the limits of its hardware break the promise to be at 0 V in 20 ms, or where it can
-        put out more than 60 V and has no e-stop input.
-
-    Attributes
-    ----------
-    state, session, node, counters : as in STATUS
-    high_voltage : whether it is on
+        If the limits of the hardware do not reach 0 V in 20 ms, or if the amplifier can put out
+        more than 60 V and has no e-stop input.
     """
 
     def __init__(self, config: AmplifierConfig) -> None:
@@ -105,9 +127,9 @@ class Machine:
         self.rate = min(max(DEFAULT_RATE, config.rate_min_hz), config.rate_max_hz)
         self._base = self._instant = 0
         self._start_tick: int | None = None
-        self._begun = 0
+        self._start_position = 0
         self._heartbeat: int | None = None
-        self._alive: int | None = None
+        self._last_alive: int | None = None
         self._pulsed: int | None = None
         self._mode = Mode.PCM
         self._increments = NO_CARRIERS
@@ -136,49 +158,79 @@ class Machine:
             )
         self._limit(own)
 
-    # What comes out
+    # Output
 
     def take_sent(self) -> list[Packet]:
-        """Return the packets sent since the last call."""
+        """Return the packets that were sent since the last call.
+
+        Returns
+        -------
+        list of Packet
+            Packets to the host.
+        """
         sent = list(self._sent)
         self._sent.clear()
         return sent
 
     def take_played(self) -> list[PlayedRun]:
-        """Return the runs of instants put out since the last call; they wait until it is made."""
+        """Return the runs of sample instants since the last call; they accumulate until then.
+
+        Returns
+        -------
+        list of PlayedRun
+            Runs in order of time.
+        """
         played, self._played = self._played, []
         return played
 
     @property
     def phase(self) -> Phase:
-        """The phase of RUNNING."""
+        """Phase of RUNNING; STILL in other states."""
         return self._player.phase
 
     @property
     def position(self) -> int:
-        """Position put out next, modulo 2³²."""
+        """Position that is put out next, modulo 2³²."""
         return self._player.position % TURN
 
     def due(self, count: int = 1) -> int:
-        """Return the tick of the count-th next instant."""
+        """Compute the time of a future sample instant.
+
+        Parameters
+        ----------
+        count : int
+            Number of the instant, 1 for the next one.
+
+        Returns
+        -------
+        int
+            Time of the instant [ticks].
+        """
         if self._start_tick is not None:
             first = self._index(self._start_tick) - self._instant
             if count >= first:
                 return self._start_tick + (count - first) * self.config.tick_hz // self.rate
         return self._tick(self._instant + count)
 
-    # Time
+    # Sample clock
 
     def _tick(self, k: int) -> int:
+        """Return the tick of instant k of the present sample clock."""
         return self._base + k * self.config.tick_hz // self.rate
 
     def _index(self, tick: int) -> int:
-        """Return the first instant, from the next on, at or after a tick."""
+        """Return the first instant, from the next one on, at or after a tick."""
         k = -((tick - self._base) * self.rate // -self.config.tick_hz)
         return max(k, self._instant + 1)
 
     def run(self, now: int) -> None:
-        """Put out all instants up to a tick."""
+        """Put out all sample instants up to a time.
+
+        Parameters
+        ----------
+        now : int
+            Present time [ticks].
+        """
         while True:
             tick = self._tick(self._instant + 1)
             if self._start_tick is not None and tick >= self._start_tick:
@@ -193,7 +245,7 @@ class Machine:
         self._now = max(self._now, now)
 
     def _at_instant(self, tick: int) -> None:
-        """Do what comes before the sample."""
+        """Do what precedes the sample at an instant: watchdog and PULSE."""
         watchdog = self._watchdog_due
         if watchdog is not None and tick >= watchdog:
             self._watchdog()
@@ -202,17 +254,18 @@ class Machine:
             self._pulsed = tick
 
     def _watchdog(self) -> None:
-        before = self.state, self._after_ramp
+        """Let the watchdog expire."""
+        state_before = self.state, self._after_ramp
         self._heartbeat = None
         self._to(TABLE["watchdog"][self.state])
-        if self.state != before[0]:
+        if self.state != state_before[0]:
             self._send_pulse()
-        if (self.state, self._after_ramp) != before:
+        if (self.state, self._after_ramp) != state_before:
             self.counters.watchdogs += 1
             self._log(LogLevel.WARNING, "watchdog: no heartbeat")
 
     def _uneventful(self, now: int) -> int:
-        """Return how many instants, this one included, pass before anything else may come."""
+        """Return the number of instants, this one included, until anything else may happen."""
         end = self._index(now + 1)
         first = self._instant + 1
         pulse = self._pulse_due if self.session else None
@@ -223,18 +276,19 @@ class Machine:
 
     @property
     def _watchdog_due(self) -> int | None:
-        """Tick from which the watchdog is an event, once for a heartbeat; None for never."""
+        """Tick from which the watchdog expires, once per heartbeat; None for never."""
         if self._heartbeat is None or self.state not in POWERED:
             return None
         return self._later(self._heartbeat, m.WATCHDOG_MS)
 
     @property
     def _pulse_due(self) -> int:
-        """Tick from which a PULSE is due: at once after a session was taken."""
+        """Tick from which a PULSE is due; 0, that is at once, after a session was taken."""
         since = self._pulsed
         return 0 if since is None else self._later(since, self._settings[Parameter.PULSE_MS])
 
     def _put_out(self, count: int) -> None:
+        """Put out up to ``count`` instants."""
         position, pending = self.position, self._start_tick is not None
         player = self._player
         codes = player.advance(count, pending=pending)
@@ -254,21 +308,22 @@ class Machine:
         )
 
     def _count_played(self) -> None:
-        """Bring the counters up to what the player has counted."""
+        """Update the counters from those of the player."""
         for name in ("lost_samples", "underruns", "limited_samples"):
             setattr(self.counters, name, getattr(self._player, name))
 
     def _ms(self, milliseconds: int) -> int:
+        """Return a duration in ticks."""
         return milliseconds * self.config.tick_hz // 1000
 
     def _later(self, tick: int, milliseconds: int) -> int:
-        """Return the first tick by which so much has passed since another."""
+        """Return the first tick at which a duration has passed since another tick."""
         return tick - milliseconds * self.config.tick_hz // -1000
 
     # States
 
     def _to(self, cell: int) -> bool:
-        """Do what a cell of the table says; return whether the state changed."""
+        """Carry out a cell of the state table, and return whether the state changed."""
         if cell == STAYS or cell & REFUSED:
             return False
         before = self.state
@@ -281,6 +336,7 @@ class Machine:
         return self.state != before
 
     def _enter(self, state: State) -> None:
+        """Enter a state other than RAMPDOWN."""
         self.state = state
         if state != State.RUNNING:
             self._start_tick = None
@@ -291,7 +347,15 @@ class Machine:
             self.high_voltage = False
 
     def fault(self, code: int, now: int) -> None:
-        """Take a fault of the hardware; 0 when it is gone."""
+        """Report a fault of the hardware.
+
+        Parameters
+        ----------
+        code : int
+            Code of the fault; 0 when it is gone.
+        now : int
+            Present time [ticks].
+        """
         self.run(now)
         self._fault_now = code
         if code:
@@ -302,10 +366,17 @@ class Machine:
                 self._log(LogLevel.ERROR, f"fault {code}")
 
     def estop_input(self, is_open: bool, now: int) -> None:
-        """Read the contact of the e-stop input at a tick (section 6.3).
+        """Report the contact of the e-stop input (section 6.3).
 
-        At tick 0, before anything else, this is the reading at power-up. Without an input nothing
-        happens.
+        At tick 0, before anything else, this is the reading at power-up. An amplifier without an
+        input ignores it.
+
+        Parameters
+        ----------
+        is_open : bool
+            Whether the contact is open.
+        now : int
+            Present time [ticks].
         """
         self.run(now)
         if is_open == self._contact_open or not self.config.estop_input:
@@ -325,23 +396,25 @@ class Machine:
         settling = since is not None and self._now < self._later(since, INPUT_CLOSED_MS)
         return self._contact_open or settling
 
-    # What is played
+    # Playback
 
     def _limit(self, limits: LimitsInForce) -> None:
-        """Put limits in force, at the present rate."""
+        """Put limits in force at the present sample rate."""
         self._limits, player = limits, self._player
         player.limit, player.step = limits.code, limits.step(self.rate)
         player.fade = limits.fade(self.rate)
 
     def _source(self) -> Source:
+        """Return a new source for the present mode."""
         c = self.config
         if self._mode == Mode.SPECTRUM:
             return SpectrumSource(c.channels, c.fifo, self.rate, self._increments)
         return PcmSource(c.channels, c.fifo, self.rate)
 
-    # What is sent
+    # Messages to the host
 
     def _send(self, message: Message, node: int | None = None) -> None:
+        """Queue a message to the host; ``node`` is its sender if not the present node."""
         seq, self._seq = self._seq, (self._seq + 1) & 0xFF
         if len(self._sent) >= OUTBOX:
             self.counters.dropped_replies += 1
@@ -350,6 +423,7 @@ class Machine:
         self._sent.append(Packet.of(message, node=sender, seq=seq))
 
     def _send_pulse(self) -> None:
+        """Send a PULSE if there is a session."""
         if not self.session:
             return
         player = self._player
@@ -364,5 +438,6 @@ class Machine:
         )
 
     def _log(self, level: int, text: str) -> None:
+        """Send a LOG if there is a session and the level is high enough."""
         if self.session and level >= self._settings[Parameter.LOG_LEVEL]:
             self._send(m.Log(level, text.encode()))

@@ -1,8 +1,9 @@
 """Messages, codes and states of the protocol; written by generate.py from schema.toml.
 
-SPEC.md says what they mean. ``pack`` gives a payload, ``unpack`` takes one: a missing
-tail reads as 0, an unknown tail is ignored, and None comes of one that is shorter than
-the head of a message with a body."""
+SPEC.md defines their meaning. ``pack`` returns the payload of a message and ``unpack``
+decodes one: a missing tail reads as 0 and an unknown tail is ignored. A payload that is
+shorter than the head of a message with a body is decoded as None.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,21 +15,33 @@ MAJOR, MINOR = 1, 1
 SCHEMA_CRC = 0x1DCE5A8D
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
+"""Time without a heartbeat after which the watchdog expires [ms]."""
 HEARTBEAT_MS = 50
+"""Interval between heartbeats [ms]."""
 FADE_MS = 20
+"""Length of the longest ordinary ramp [ms]."""
 VALID_MS = 50
+"""Longest validity of a spectrum frame [ms]."""
 FRAGMENT_TIMEOUT_MS = 20
+"""Longest time for the reassembly of a packet [ms]."""
 INPUT_CLOSED_MS = 50
+"""Time after which a closed e-stop input counts as closed [ms]."""
 UNGUARDED_MOST_UV = 0x3938700
+"""Largest full scale of an amplifier without an e-stop input [µV]."""
 START_AHEAD_MS = 10000
+"""Longest time by which START may be ahead [ms]."""
 PACKET_MAX = 4096
+"""Largest packet, header and CRC included [bytes]."""
 FULL_SCALE_CODE = 32767
+"""Sample code at full scale."""
 CARRIERS_MAX = 64
+"""Largest number of carriers of a stream."""
 CAN_PREFIX = 0x1D0B0000
+"""Number that is added to an 11-bit identifier to make the 29-bit one."""
 
 
 class Flag(IntEnum):
-    """Of section 2."""
+    """Flags of a packet (section 2)."""
 
     ACK_REQUEST = 32
     INCOMPATIBLE = 24
@@ -36,7 +49,7 @@ class Flag(IntEnum):
 
 
 class State(IntEnum):
-    """Of section 6."""
+    """States of an amplifier (section 6)."""
 
     IDLE = 0
     ARMED = 1
@@ -48,7 +61,7 @@ class State(IntEnum):
 
 
 class Phase(IntEnum):
-    """Of section 8.2."""
+    """Phases of the state RUNNING (section 8.2)."""
 
     STILL = 0
     WAITING = 1
@@ -57,7 +70,7 @@ class Phase(IntEnum):
 
 
 class NakCode(IntEnum):
-    """Of section 5."""
+    """Reasons for which a request is refused (section 5)."""
 
     UNKNOWN_TYPE = 1
     VERSION = 2
@@ -80,14 +93,14 @@ class NakCode(IntEnum):
 
 
 class Mode(IntEnum):
-    """Of section 4."""
+    """Modes of ARM (section 4)."""
 
     PCM = 0
     SPECTRUM = 1
 
 
 class SampleFormat(IntEnum):
-    """Of section 9."""
+    """Sample formats (section 9)."""
 
     PCM16 = 0
     PCM12 = 1
@@ -96,7 +109,7 @@ class SampleFormat(IntEnum):
 
 
 class Fault(IntEnum):
-    """Of section 6."""
+    """Faults of the hardware (section 6)."""
 
     NONE = 0
     OVERCURRENT = 1
@@ -106,7 +119,7 @@ class Fault(IntEnum):
 
 
 class Parameter(IntEnum):
-    """Of section 4."""
+    """Parameters of GET and SET (section 4)."""
 
     NODE = 1
     PULSE_MS = 2
@@ -118,7 +131,7 @@ class Parameter(IntEnum):
 
 
 class LogLevel(IntEnum):
-    """Of section 4."""
+    """Levels of LOG (section 4)."""
 
     DEBUG = 0
     INFO = 1
@@ -128,7 +141,7 @@ class LogLevel(IntEnum):
 
 
 class Feature(IntEnum):
-    """Of section 4."""
+    """Bits of the features in CAPS (section 4)."""
 
     SENSES = 1
     ZERO_ORDER_HOLD = 2
@@ -136,19 +149,19 @@ class Feature(IntEnum):
 
 
 class EstopReason(IntEnum):
-    """Of section 6.3."""
+    """Reasons of an e-stop that the protocol defines (section 6.3)."""
 
     INPUT = 255
 
 
 class Input(IntEnum):
-    """Of section 6.3."""
+    """Bits of the inputs in STATUS (section 6.3)."""
 
     ESTOP_OPEN = 1
 
 
 class CanClass(IntEnum):
-    """Of section 3.2."""
+    """Classes of messages on CAN (section 3.2)."""
 
     ESTOP = 0
     PROMPT = 1
@@ -173,15 +186,26 @@ TABLE: dict[str, tuple[int, ...]] = {
     "fault": (0x05, 0x05, 0x05, 0x05, 0x05, 0x40, 0x40),
     "estop_input": (0x06, 0x06, 0x06, 0x06, 0x06, 0x06, 0x40),
 }
-"""Of section 6, per state: `STAYS`, `REFUSED` | NAK code, or state | next << 3."""
+"""State table of section 6: for each event an entry per state, in the order of `State`.
+
+An entry is `STAYS`, `REFUSED` | NAK code, or state | next << 3, where next is the state
+that follows RAMPDOWN.
+"""
 
 
 class Message:
-    """Any message; its fields are those of its layout, then its body.
+    """Base class of the messages; the fields are those of the layout, then the body.
 
     Attributes
     ----------
-    TYPE, CAN, HEAD, BODY : id, class on CAN, layout of the fixed part, whether a body follows
+    TYPE : int
+        Type of the message, its id on the wire.
+    CAN : CanClass
+        Class of the message on CAN.
+    HEAD : Struct
+        Layout of the fixed part.
+    BODY : bool
+        Whether a body of variable length follows.
     """
 
     __slots__ = ()
@@ -192,14 +216,31 @@ class Message:
     BODY: ClassVar[bool] = False
 
     def pack(self) -> bytes:
-        """Return the payload."""
+        """Encode the message.
+
+        Returns
+        -------
+        bytes
+            Payload of a packet.
+        """
         values = [getattr(self, name) for name in self.__match_args__]
         body: bytes = values.pop() if self.BODY else b""
         return self.HEAD.pack(*values) + body
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
-        """Return the message of a payload."""
+        """Decode a message.
+
+        Parameters
+        ----------
+        payload : bytes
+            Payload of a packet.
+
+        Returns
+        -------
+        Message or None
+            The message; None if the payload is shorter than the head of a message with a body.
+        """
         size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
         if not cls.BODY:
             return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\0")))
@@ -210,7 +251,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
-    """HELLO, from the host."""
+    """HELLO from the host: takes the amplifier; answered by CAPS (section 4)."""
 
     TYPE = 0x01
     CAN = CanClass.REQUEST
@@ -224,7 +265,7 @@ class Hello(Message):
 
 @dataclass(frozen=True, slots=True)
 class Time(Message):
-    """TIME, from the host."""
+    """TIME from the host: exchanges timestamps; answered by TIME_REPLY (section 4)."""
 
     TYPE = 0x02
     CAN = CanClass.REQUEST
@@ -235,7 +276,7 @@ class Time(Message):
 
 @dataclass(frozen=True, slots=True)
 class Sync(Message):
-    """SYNC, from the host."""
+    """SYNC from the host: notes the tick of reception (section 4)."""
 
     TYPE = 0x03
     CAN = CanClass.PROMPT
@@ -246,7 +287,7 @@ class Sync(Message):
 
 @dataclass(frozen=True, slots=True)
 class Start(Message):
-    """START, from the host."""
+    """START from the host: starts to play a position at a given time (section 4)."""
 
     TYPE = 0x04
     CAN = CanClass.REQUEST
@@ -260,7 +301,7 @@ class Start(Message):
 
 @dataclass(frozen=True, slots=True)
 class Stop(Message):
-    """STOP, from the host."""
+    """STOP from the host: ramps to 0 V (section 4)."""
 
     TYPE = 0x05
     CAN = CanClass.REQUEST
@@ -272,7 +313,7 @@ class Stop(Message):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Message):
-    """ARM, from the host."""
+    """ARM from the host: switches the high voltage on (section 4)."""
 
     TYPE = 0x06
     CAN = CanClass.REQUEST
@@ -285,7 +326,7 @@ class Arm(Message):
 
 @dataclass(frozen=True, slots=True)
 class Disarm(Message):
-    """DISARM, from the host."""
+    """DISARM from the host: ramps to 0 V and switches the high voltage off (section 4)."""
 
     TYPE = 0x07
     CAN = CanClass.REQUEST
@@ -296,7 +337,7 @@ class Disarm(Message):
 
 @dataclass(frozen=True, slots=True)
 class Estop(Message):
-    """ESTOP, from the host."""
+    """ESTOP from the host: goes to 0 V at the slew limit, latched (section 4)."""
 
     TYPE = 0x08
     CAN = CanClass.ESTOP
@@ -307,7 +348,7 @@ class Estop(Message):
 
 @dataclass(frozen=True, slots=True)
 class ClearFault(Message):
-    """CLEAR_FAULT, from the host."""
+    """CLEAR_FAULT from the host: ends ESTOP or FAULT (section 4)."""
 
     TYPE = 0x09
     CAN = CanClass.REQUEST
@@ -319,7 +360,7 @@ class ClearFault(Message):
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat(Message):
-    """HEARTBEAT, from the host."""
+    """HEARTBEAT from the host: shows that the streaming loop is alive (section 4)."""
 
     TYPE = 0x0A
     CAN = CanClass.PROMPT
@@ -330,7 +371,7 @@ class Heartbeat(Message):
 
 @dataclass(frozen=True, slots=True)
 class Limits(Message):
-    """LIMITS, from the host."""
+    """LIMITS from the host: lowers the limits (section 4)."""
 
     TYPE = 0x0B
     CAN = CanClass.REQUEST
@@ -344,7 +385,7 @@ class Limits(Message):
 
 @dataclass(frozen=True, slots=True)
 class Get(Message):
-    """GET, from the host."""
+    """GET from the host: reads a parameter; answered by VALUE (section 4)."""
 
     TYPE = 0x0C
     CAN = CanClass.REQUEST
@@ -355,7 +396,7 @@ class Get(Message):
 
 @dataclass(frozen=True, slots=True)
 class Set(Message):
-    """SET, from the host."""
+    """SET from the host: writes a parameter (section 4)."""
 
     TYPE = 0x0D
     CAN = CanClass.REQUEST
@@ -368,7 +409,7 @@ class Set(Message):
 
 @dataclass(frozen=True, slots=True)
 class Identify(Message):
-    """IDENTIFY, from the host."""
+    """IDENTIFY from the host: lets a person find the board (section 4)."""
 
     TYPE = 0x0E
     CAN = CanClass.REQUEST
@@ -379,7 +420,7 @@ class Identify(Message):
 
 @dataclass(frozen=True, slots=True)
 class Poll(Message):
-    """POLL, from the host."""
+    """POLL from the host: requests STATUS (section 4)."""
 
     TYPE = 0x0F
     CAN = CanClass.REQUEST
@@ -388,7 +429,7 @@ class Poll(Message):
 
 @dataclass(frozen=True, slots=True)
 class Pcm(Message):
-    """PCM, from the host."""
+    """PCM from the host: samples of some channels (section 4)."""
 
     TYPE = 0x10
     CAN = CanClass.STREAM
@@ -406,7 +447,7 @@ class Pcm(Message):
 
 @dataclass(frozen=True, slots=True)
 class Carriers(Message):
-    """CARRIERS, from the host."""
+    """CARRIERS from the host: frequencies of the spectrum frames (section 4)."""
 
     TYPE = 0x11
     CAN = CanClass.REQUEST
@@ -420,7 +461,7 @@ class Carriers(Message):
 
 @dataclass(frozen=True, slots=True)
 class Spectrum(Message):
-    """SPECTRUM, from the host."""
+    """SPECTRUM from the host: a spectrum frame (section 4)."""
 
     TYPE = 0x12
     CAN = CanClass.STREAM
@@ -439,7 +480,7 @@ class Spectrum(Message):
 
 @dataclass(frozen=True, slots=True)
 class Ack(Message):
-    """ACK, from the amplifier."""
+    """ACK from the amplifier: a request was done (section 4)."""
 
     TYPE = 0x40
     CAN = CanClass.RESPONSE
@@ -451,7 +492,7 @@ class Ack(Message):
 
 @dataclass(frozen=True, slots=True)
 class Nak(Message):
-    """NAK, from the amplifier."""
+    """NAK from the amplifier: a request was refused (section 4)."""
 
     TYPE = 0x41
     CAN = CanClass.RESPONSE
@@ -466,7 +507,7 @@ class Nak(Message):
 
 @dataclass(frozen=True, slots=True)
 class Caps(Message):
-    """CAPS, from the amplifier."""
+    """CAPS from the amplifier: capabilities and limits of the hardware (section 4)."""
 
     TYPE = 0x42
     CAN = CanClass.RESPONSE
@@ -495,7 +536,7 @@ class Caps(Message):
 
 @dataclass(frozen=True, slots=True)
 class TimeReply(Message):
-    """TIME_REPLY, from the amplifier."""
+    """TIME_REPLY from the amplifier: timestamps of reception and answer (section 4)."""
 
     TYPE = 0x43
     CAN = CanClass.RESPONSE
@@ -508,7 +549,7 @@ class TimeReply(Message):
 
 @dataclass(frozen=True, slots=True)
 class Value(Message):
-    """VALUE, from the amplifier."""
+    """VALUE from the amplifier: value of a parameter (section 4)."""
 
     TYPE = 0x44
     CAN = CanClass.RESPONSE
@@ -520,7 +561,7 @@ class Value(Message):
 
 @dataclass(frozen=True, slots=True)
 class Pulse(Message):
-    """PULSE, from the amplifier."""
+    """PULSE from the amplifier: credit and state of the stream (section 4)."""
 
     TYPE = 0x45
     CAN = CanClass.PULSE
@@ -535,7 +576,7 @@ class Pulse(Message):
 
 @dataclass(frozen=True, slots=True)
 class Status(Message):
-    """STATUS, from the amplifier."""
+    """STATUS from the amplifier: state, limits in force and counters (section 4)."""
 
     TYPE = 0x46
     CAN = CanClass.RESPONSE
@@ -579,7 +620,7 @@ class Status(Message):
 
 @dataclass(frozen=True, slots=True)
 class Sense(Message):
-    """SENSE, from the amplifier."""
+    """SENSE from the amplifier: measured voltages and currents (section 4)."""
 
     TYPE = 0x47
     CAN = CanClass.BULK
@@ -594,7 +635,7 @@ class Sense(Message):
 
 @dataclass(frozen=True, slots=True)
 class Log(Message):
-    """LOG, from the amplifier."""
+    """LOG from the amplifier: text for a person (section 4)."""
 
     TYPE = 0x48
     CAN = CanClass.BULK
@@ -634,3 +675,4 @@ MESSAGES: dict[int, type[Message]] = {
     0x47: Sense,
     0x48: Log,
 }
+"""Classes of the messages by their type."""

@@ -1,6 +1,6 @@
 """Packets: type, flags, node, seq, payload and CRC-32 (section 2 of SPEC.md).
 
-Nothing here raises on wire data: what is no packet is counted and dropped.
+Nothing here raises an exception on data from the wire: what is not a packet is counted and dropped.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,15 @@ from zlib import crc32
 from firmware_protocol.messages import MAJOR, PACKET_MAX, Flag, Message
 
 HEADER = Struct("<4B")
+"""Layout of the header."""
 CRC = Struct("<I")
+"""Layout of the CRC-32."""
 SMALLEST = HEADER.size + CRC.size
+"""Length of a packet without payload [bytes]."""
 VERSION_FLAGS = MAJOR << 6
+"""Flags with the major version."""
 TURN = 1 << 32
-"""At which a u32 wraps: positions and counters."""
+"""Value at which a u32 wraps, such as a position or a counter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +27,16 @@ class Packet:
 
     Attributes
     ----------
-    type : of the message
+    type : int
+        Type of the message.
     payload : bytes
-    flags : major version and bits of `Flag`
-    node : the amplifier's address, 0 for all
-    seq : the sender's count, modulo 256
+        Payload.
+    flags : int
+        Major version and bits of `Flag`.
+    node : int
+        Address of the amplifier, 0 for all.
+    seq : int
+        Sequence number of the sender, modulo 256.
     """
 
     type: int
@@ -38,14 +47,31 @@ class Packet:
 
     @classmethod
     def of(cls, message: Message, *, node: int = 0, seq: int = 0, ask: bool = False) -> "Packet":
-        """Return the packet of a message; ``ask`` for an answer to it."""
+        """Create the packet of a message.
+
+        Parameters
+        ----------
+        message : Message
+            Message to pack.
+        node : int
+            Address of the amplifier, 0 for all.
+        seq : int
+            Sequence number, of which the low byte is used.
+        ask : bool
+            Whether to request an answer.
+
+        Returns
+        -------
+        Packet
+            The packet.
+        """
         flags = VERSION_FLAGS | (Flag.ACK_REQUEST if ask else 0)
         return cls(message.TYPE, message.pack(), flags, node, seq & 0xFF)
 
 
 @dataclass
 class LinkCounters:
-    """What a receiver counts before it looks at a packet's meaning (section 12)."""
+    """Counters of a receiver before it examines the meaning of a packet (section 12)."""
 
     packets: int = 0
     crc_errors: int = 0
@@ -56,7 +82,18 @@ class LinkCounters:
 
 
 def encode_packet(packet: Packet) -> bytes:
-    """Return a packet's bytes, CRC-32 included."""
+    """Encode a packet with its CRC-32.
+
+    Parameters
+    ----------
+    packet : Packet
+        Packet to encode.
+
+    Returns
+    -------
+    bytes
+        Encoded packet.
+    """
     head = HEADER.pack(packet.type, packet.flags, packet.node, packet.seq) + packet.payload
     return head + CRC.pack(crc32(head))
 
@@ -64,7 +101,22 @@ def encode_packet(packet: Packet) -> bytes:
 def decode_packet(
     data: bytes, counters: LinkCounters | None = None, limit: int = PACKET_MAX
 ) -> Packet | None:
-    """Return the packet that bytes are, or None where they are none, counted."""
+    """Decode a packet and check its CRC-32.
+
+    Parameters
+    ----------
+    data : bytes
+        Encoded packet.
+    counters : LinkCounters, optional
+        Counters to count in.
+    limit : int
+        Largest packet [bytes].
+
+    Returns
+    -------
+    Packet or None
+        The packet; None if it is not valid, which is counted.
+    """
     counters = LinkCounters() if counters is None else counters
     if len(data) < SMALLEST:
         counters.malformed += 1

@@ -1,8 +1,8 @@
-"""What an amplifier plays: phases, gain and the last stage (sections 8 and 11 of SPEC.md).
+"""Playback of an amplifier: phases, gain and last stage (sections 8 and 11 of SPEC.md).
 
-The player knows instants and positions, no time and no messages. `advance` puts out a run of
-instants in arrays; what changes within a run (data ends, a bridge is over, the gain has fallen)
-ends it and the next begins.
+The player knows sample instants and positions, but neither time nor messages. `advance` puts out a
+run of instants as arrays. A change within a run (the data ends, a bridge is over, the gain has
+reached 0) ends the run and begins the next one.
 """
 
 import numpy as np
@@ -12,27 +12,53 @@ from firmware_protocol.packet import TURN
 from firmware_protocol.sources import Ints, Source, truncated
 
 NOT_OVER = np.zeros((1, 1), np.bool_)
+"""Mask of samples beyond the limit when there are none."""
 
 
 def distance(position: int, other: int) -> int:
-    """Return position − other of two that wrap."""
+    """Compute the signed distance between two positions that wrap.
+
+    Parameters
+    ----------
+    position, other : int
+        Positions, modulo 2³².
+
+    Returns
+    -------
+    int
+        position − other, −2³¹ … 2³¹ − 1.
+    """
     return ((position - other + TURN // 2) % TURN) - TURN // 2
 
 
 class SamplePlayer:
-    """Puts out one instant after the other.
+    """Player that puts out one sample instant after the other.
 
     Parameters
     ----------
-    source : of what is played
-    limit, step : largest code, and largest change of it in an instant
-    fade : instants of a full fade
+    source : Source
+        Source of what is played.
 
     Attributes
     ----------
-    output : (C,) last codes put out
-    phase : `Phase`, STILL unless RUNNING
-    ramping : in RAMPDOWN
+    source : Source
+        The parameter of the same name.
+    position : int
+        Position that is put out next.
+    output : (C,) array of int
+        Sample codes that were put out last.
+    limit : int
+        Largest sample code.
+    step : int
+        Largest change of a sample code from one instant to the next.
+    fade : int
+        Length of a full fade [instants].
+    phase : Phase
+        Phase of RUNNING, else STILL.
+    ramping : bool
+        Whether RAMPDOWN is under way.
+    lost_samples, underruns, limited_samples : int
+        Counters, as in STATUS.
     """
 
     def __init__(self, source: Source) -> None:
@@ -42,22 +68,36 @@ class SamplePlayer:
         self.limit, self.step, self.fade = 0, 0, 1
         self.phase = Phase.STILL
         self.ramping = False
-        self._quick = self._held = False
+        self._quick = self._holds = False
         self._gain = 0
-        self._over = NOT_OVER
+        self._exceeded = NOT_OVER
         self.lost_samples = self.underruns = self.limited_samples = 0
 
     def start(self, source: Source, position: int) -> None:
-        """Play from a position on."""
+        """Start playing from a position.
+
+        Parameters
+        ----------
+        source : Source
+            Source of what is played.
+        position : int
+            Position of the first sample.
+        """
         self.source, self.position, self._first = source, position, position
         source.newest = position
         self.phase, self._gain = Phase.WAITING, 0
 
     def ramp(self, *, quick: bool) -> None:
-        """Begin RAMPDOWN, or go on quickly with it."""
+        """Begin RAMPDOWN, or continue it quickly.
+
+        Parameters
+        ----------
+        quick : bool
+            Whether to ramp at the slew limit instead of fading.
+        """
         if not self.ramping:
             self.ramping, self._quick = True, quick
-            self._held = self.phase != Phase.PLAYING
+            self._holds = self.phase != Phase.PLAYING
             self.phase = Phase.STILL
         self._quick |= quick
 
@@ -72,21 +112,32 @@ class SamplePlayer:
 
     @property
     def fill(self) -> int:
-        """Positions to the newest that is kept."""
+        """Number of positions up to the newest one in the buffer."""
         if self.phase == Phase.STILL and not self.ramping:
             return 0
         return max(0, self.source.newest - self.position)
 
     def advance(self, count: int, *, pending: bool = False) -> Ints:
-        """Return the codes (S, C) of up to ``count`` instants; it stops where RAMPDOWN ends.
+        """Put out a run of sample instants; the run stops where RAMPDOWN ends.
 
-        ``pending`` while the tick of START has not come: 0 V, and the position stays.
+        Parameters
+        ----------
+        count : int
+            Largest number of instants.
+        pending : bool
+            Whether the tick of START has not come yet; the output is then 0 V and the position
+            stays.
+
+        Returns
+        -------
+        (S, C) array of int
+            Sample codes that were put out.
         """
         if pending:
             return self._last_stage(np.zeros((count, self.source.channels), np.int64))
         parts, done = [], 0
         while done < count:
-            part = self._last_stage(self._wanted(count - done))
+            part = self._last_stage(self._requested(count - done))
             parts.append(part)
             done += len(part)
             if self.ramping and not self._gain and self.silent:
@@ -94,8 +145,8 @@ class SamplePlayer:
                 break
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _wanted(self, count: int) -> Ints:
-        """Return what source and gain want of a run of instants."""
+    def _requested(self, count: int) -> Ints:
+        """Return the codes that source and gain request for a run of instants."""
         n = self.position
         if self.phase == Phase.WAITING:
             out = self._waiting(n, count)
@@ -113,6 +164,7 @@ class SamplePlayer:
         return out
 
     def _waiting(self, n: int, count: int) -> Ints:
+        """Return silence, or begin to play once all active channels are ready."""
         silence = self.source.ready(n, count)
         if silence:
             return np.zeros((silence, self.source.channels), np.int64)
@@ -122,6 +174,7 @@ class SamplePlayer:
         return self._playing(n, count)
 
     def _playing(self, n: int, count: int) -> Ints:
+        """Play a run, or begin to fade out at an underrun."""
         if not self.source.begin(n):
             self.phase = Phase.STARVED
             self.underruns += 1
@@ -134,6 +187,7 @@ class SamplePlayer:
         return self._scaled(out, gains)
 
     def _starved(self, n: int, count: int) -> Ints:
+        """Fade out, then return silence until all active channels are ready."""
         if self._gain:
             return self._falling(n, count)
         silence = self.source.ready(n, count)
@@ -145,18 +199,19 @@ class SamplePlayer:
         return self._playing(n, count)
 
     def _falling(self, n: int, count: int) -> Ints:
-        """Hold while the gain falls to nothing."""
+        """Hold the values of the source while the gain falls to 0."""
         count = max(1, min(count, self._gain))
         if self.phase == Phase.STARVED:
             self.lost_samples += count
         return self._scaled(self.source.hold(n, count), self._gain - 1 - np.arange(count))
 
     def _ramping(self, n: int, count: int) -> Ints:
+        """Fade out in RAMPDOWN, which plays on or holds."""
         if self._quick:
             self._gain = 0
         if not self._gain:
             return np.zeros((1, self.source.channels), np.int64)
-        if self._held:
+        if self._holds:
             return self._falling(n, count)
         if not self.source.begin(n):
             self.source.patch(n)
@@ -164,24 +219,27 @@ class SamplePlayer:
         return self._scaled(out, self._gain - 1 - np.arange(len(out)))
 
     def _scaled(self, codes: Ints, gains: Ints) -> Ints:
-        """Return codes times the gain, the limit before it, so that a fade falls all the way."""
+        """Return codes times the gain.
+
+        The codes are limited first, so that a fade reduces the output over its whole length.
+        """
         self._gain = max(int(gains[-1]), 0)
         within = np.clip(codes, -self.limit, self.limit)
-        self._over = (within != codes) & (gains > 0)[:, None]
+        self._exceeded = (within != codes) & (gains > 0)[:, None]
         if gains[0] == gains[-1] == self.fade:
             return within
         return truncated(within * np.maximum(gains, 0)[:, None], self.fade)
 
     def _last_stage(self, wanted: Ints) -> Ints:
-        """Return what is put out: within the limit, and no step larger than allowed."""
+        """Return the codes to put out, within the limit and with no step larger than allowed."""
         out = np.clip(wanted, -self.limit, self.limit)
         steps = np.diff(out, axis=0, prepend=self.output[None])
         if max(steps.max(initial=0), -steps.min(initial=0)) > self.step:
             last = self.output
-            for k, want in enumerate(out):
-                last = out[k] = last + np.clip(want - last, -self.step, self.step)
+            for k, target in enumerate(out):
+                last = out[k] = last + np.clip(target - last, -self.step, self.step)
         if self.phase != Phase.STILL or self.ramping:
-            self.limited_samples += int(np.count_nonzero((out != wanted) | self._over))
-        self._over = NOT_OVER
+            self.limited_samples += int(np.count_nonzero((out != wanted) | self._exceeded))
+        self._exceeded = NOT_OVER
         self.output = out[-1].copy()
         return out

@@ -1,6 +1,6 @@
-"""An amplifier behind a link: bytes or frames in, bytes or frames out.
+"""Amplifiers behind a link: bytes or frames in, bytes or frames out.
 
-What `c/host/virtual_amplifier.c` does with real devices, for tests and simulation.
+They do what `c/host/virtual_amplifier.c` does with real devices, for tests and simulation.
 """
 
 from firmware_protocol.amplifier import ReferenceAmplifier
@@ -11,31 +11,65 @@ from firmware_protocol.serial_link import SerialDecoder, encode_frame
 
 
 class SerialPort:
-    """An amplifier at the end of a serial line."""
+    """An amplifier at the end of a serial line.
+
+    Parameters
+    ----------
+    amplifier : ReferenceAmplifier
+        Amplifier that receives and answers.
+    """
 
     def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
         self._decoder = SerialDecoder(amplifier.config.packet_limit, amplifier.counters)
 
     def feed(self, data: bytes, now: int) -> None:
-        """Let bytes arrive at a tick."""
+        """Receive bytes.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes from the line.
+        now : int
+            Time of reception [ticks].
+        """
         self.amplifier.run(now)
         for packet in self._decoder.feed(data):
             self.amplifier.receive(packet, now)
 
     def take(self) -> bytes:
-        """Return the bytes sent since the last call."""
+        """Return the bytes that were sent since the last call.
+
+        Returns
+        -------
+        bytes
+            Bytes to the line.
+        """
         return b"".join(encode_frame(encode_packet(p)) for p in self.amplifier.take_sent())
 
 
 class PacketPort:
-    """An amplifier that is handed packets one by one."""
+    """An amplifier that receives packets one by one.
+
+    Parameters
+    ----------
+    amplifier : ReferenceAmplifier
+        Amplifier that receives and answers.
+    """
 
     def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
 
     def feed(self, data: bytes, now: int) -> None:
-        """Let a packet's bytes arrive at a tick."""
+        """Receive a packet.
+
+        Parameters
+        ----------
+        data : bytes
+            Encoded packet.
+        now : int
+            Time of reception [ticks].
+        """
         self.amplifier.run(now)
         amplifier = self.amplifier
         packet = decode_packet(data, amplifier.counters, amplifier.config.packet_limit)
@@ -43,7 +77,13 @@ class PacketPort:
             amplifier.receive(packet, now)
 
     def take(self) -> list[bytes]:
-        """Return the packets sent since the last call."""
+        """Return the packets that were sent since the last call.
+
+        Returns
+        -------
+        list of bytes
+            Encoded packets.
+        """
         return [encode_packet(p) for p in self.amplifier.take_sent()]
 
 
@@ -52,8 +92,12 @@ class CanPort:
 
     Parameters
     ----------
-    amplifier : with its node address
-    fd, extended : frames of up to 64 bytes; 29-bit identifiers
+    amplifier : ReferenceAmplifier
+        Amplifier that receives and answers, with its node address.
+    fd : bool
+        Whether frames have up to 64 bytes (CAN FD).
+    extended : bool
+        Whether identifiers have 29 bits.
     """
 
     def __init__(self, amplifier: ReferenceAmplifier, *, fd: bool, extended: bool = False) -> None:
@@ -68,18 +112,40 @@ class CanPort:
         )
 
     def feed(self, identifier: int, data: bytes, now: int) -> None:
-        """Let a frame arrive at a tick; the amplifier runs up to it when it ends a packet."""
+        """Receive a frame; the amplifier runs up to this time if the frame ends a packet.
+
+        Parameters
+        ----------
+        identifier : int
+            Identifier of the frame.
+        data : bytes
+            Payload of the frame.
+        now : int
+            Time of reception [ticks].
+        """
         self._decoder.node = self.amplifier.node
         for packet in self._decoder.feed(identifier, data, now):
             self.amplifier.receive(packet, now)
 
     def take(self) -> list[Frame]:
-        """Return the frames sent since the last call."""
+        """Return the frames that were sent since the last call.
+
+        Returns
+        -------
+        list of Frame
+            Frames to the bus.
+        """
         return [f for p in self.amplifier.take_sent() for f in self._encoder.frames(p)]
 
 
 class I2cPort:
-    """An amplifier as an I²C target, raw or by SMBus blocks."""
+    """An amplifier as an I²C target, for raw transfers and SMBus blocks.
+
+    Parameters
+    ----------
+    amplifier : ReferenceAmplifier
+        Amplifier that receives and answers.
+    """
 
     def __init__(self, amplifier: ReferenceAmplifier) -> None:
         self.amplifier = amplifier
@@ -88,28 +154,69 @@ class I2cPort:
         self._smbus = SmbusTarget(limit, counters, amplifier.config.tick_hz)
 
     def write(self, data: bytes, now: int) -> None:
-        """Let a write transfer arrive at a tick."""
+        """Receive a write transfer.
+
+        Parameters
+        ----------
+        data : bytes
+            Data of the transfer.
+        now : int
+            Time of reception [ticks].
+        """
         self.amplifier.run(now)
         for packet in self._raw.write(data):
             self.amplifier.receive(packet, now)
 
     def read(self, size: int, now: int) -> bytes:
-        """Return what a read transfer gets at a tick."""
+        """Answer a read transfer.
+
+        Parameters
+        ----------
+        size : int
+            Number of bytes that the host reads.
+        now : int
+            Present time [ticks].
+
+        Returns
+        -------
+        bytes
+            Data of the transfer.
+        """
         self._fill(self._raw, now)
         return self._raw.read(size)
 
     def write_block(self, block: bytes, now: int) -> None:
-        """Let an SMBus block arrive at a tick."""
+        """Receive an SMBus block write.
+
+        Parameters
+        ----------
+        block : bytes
+            Data of the block.
+        now : int
+            Time of reception [ticks].
+        """
         self.amplifier.run(now)
         for packet in self._smbus.write(block, now):
             self.amplifier.receive(packet, now)
 
     def read_block(self, now: int) -> bytes:
-        """Return what an SMBus block read gets at a tick."""
+        """Answer an SMBus block read.
+
+        Parameters
+        ----------
+        now : int
+            Present time [ticks].
+
+        Returns
+        -------
+        bytes
+            Data of the block.
+        """
         self._fill(self._smbus, now)
         return self._smbus.read()
 
     def _fill(self, target: I2cTarget | SmbusTarget, now: int) -> None:
+        """Move the packets that were sent to the queue of a target."""
         self.amplifier.run(now)
         for packet in self.amplifier.take_sent():
             if not target.put(encode_packet(packet)):

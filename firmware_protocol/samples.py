@@ -1,6 +1,6 @@
-"""Samples on the wire: PCM16, PCM12 and BFP8 (section 9 of SPEC.md).
+"""Coding of samples on the wire: PCM16, PCM12 and BFP8 (section 9 of SPEC.md).
 
-Codes are int16 arrays (S, C), a row per position; ±32767 is full scale.
+Sample codes are int16 arrays (S, C) with one row per position; ±32767 is full scale.
 """
 
 import numpy as np
@@ -9,19 +9,38 @@ from numpy.typing import NDArray
 from firmware_protocol.messages import FULL_SCALE_CODE, SampleFormat
 
 Codes = NDArray[np.int16]
+"""Array of sample codes."""
 
 BLOCK = 32
-"""Samples that share an exponent."""
+"""Number of samples that share an exponent."""
 LARGEST_EXPONENT = 8
+"""Largest exponent of a BFP8 block."""
 REACH = 255 << np.arange(LARGEST_EXPONENT + 1)
-"""Twice the magnitude that an exponent reaches without leaving ±127 by rounding."""
+"""Twice the largest magnitude whose mantissa stays within ±127 after rounding, by exponent."""
 HALF = np.array([(1 << exponent) >> 1 for exponent in range(LARGEST_EXPONENT + 1)], np.int16)
+"""Half of the rounding step, by exponent."""
 UNROUNDED = np.int16(FULL_SCALE_CODE - HALF[-1])
-"""Largest code that does not leave 16 bits by rounding; those beyond it are 127 as it is."""
+"""Largest code to which the rounding offset can be added within 16 bits; the mantissa of any
+larger code is 127 in any case."""
 
 
 def size(sample_format: int, samples: int, channels: int) -> int:
-    """Return the bytes that samples take, -1 for a format that is none."""
+    """Compute the length of coded samples.
+
+    Parameters
+    ----------
+    sample_format : int
+        Sample format.
+    samples : int
+        Number of samples per channel.
+    channels : int
+        Number of channels.
+
+    Returns
+    -------
+    int
+        Length [bytes]; −1 for an unknown format.
+    """
     count = samples * channels
     if sample_format == SampleFormat.PCM16:
         return 2 * count
@@ -33,14 +52,44 @@ def size(sample_format: int, samples: int, channels: int) -> int:
 
 
 def encode(sample_format: int, codes: Codes) -> bytes:
-    """Return codes (S, C) as bytes."""
+    """Encode sample codes.
+
+    Parameters
+    ----------
+    sample_format : int
+        Sample format: PCM12, BFP8, or else PCM16.
+    codes : (S, C) array of int
+        Sample codes.
+
+    Returns
+    -------
+    bytes
+        Coded samples.
+    """
     if sample_format == SampleFormat.PCM12:
         return encode_pcm12(codes)
     return encode_bfp8(codes) if sample_format == SampleFormat.BFP8 else encode_pcm16(codes)
 
 
 def decode(sample_format: int, data: bytes, samples: int, channels: int) -> Codes:
-    """Return the codes (S, C) of bytes of the right `size`."""
+    """Decode samples.
+
+    Parameters
+    ----------
+    sample_format : int
+        Sample format: PCM12, BFP8, or else PCM16.
+    data : bytes
+        Coded samples, of the length that `size` gives.
+    samples : int
+        Number of samples per channel.
+    channels : int
+        Number of channels.
+
+    Returns
+    -------
+    (S, C) array of int
+        Sample codes.
+    """
     if sample_format == SampleFormat.PCM12:
         return decode_pcm12(data, samples, channels)
     if sample_format == SampleFormat.BFP8:
@@ -50,12 +99,34 @@ def decode(sample_format: int, data: bytes, samples: int, channels: int) -> Code
 
 
 def encode_pcm16(codes: Codes) -> bytes:
-    """Return codes as they are."""
+    """Encode sample codes as 16-bit integers.
+
+    Parameters
+    ----------
+    codes : (S, C) array of int
+        Sample codes.
+
+    Returns
+    -------
+    bytes
+        Coded samples.
+    """
     return np.ascontiguousarray(codes, "<i2").tobytes()
 
 
 def encode_pcm12(codes: Codes) -> bytes:
-    """Return codes / 16, rounded, two in three bytes."""
+    """Encode sample codes divided by 16 and rounded, two in three bytes.
+
+    Parameters
+    ----------
+    codes : (S, C) array of int
+        Sample codes.
+
+    Returns
+    -------
+    bytes
+        Coded samples.
+    """
     short = ((codes.ravel() >> 3) + np.int16(1)) >> 1
     np.maximum(short, -2047, out=short)
     np.minimum(short, 2047, out=short)
@@ -70,7 +141,22 @@ def encode_pcm12(codes: Codes) -> bytes:
 
 
 def decode_pcm12(data: bytes, samples: int, channels: int) -> Codes:
-    """Return 16 times what `encode_pcm12` packed."""
+    """Decode samples that `encode_pcm12` encoded.
+
+    Parameters
+    ----------
+    data : bytes
+        Coded samples.
+    samples : int
+        Number of samples per channel.
+    channels : int
+        Number of channels.
+
+    Returns
+    -------
+    (S, C) array of int
+        Sample codes, multiples of 16.
+    """
     count = samples * channels
     padded = data.ljust((count + 1) // 2 * 3, b"\0")
     raw = np.frombuffer(padded, np.uint8).reshape(-1, 3).astype(np.int16)
@@ -81,7 +167,18 @@ def decode_pcm12(data: bytes, samples: int, channels: int) -> Codes:
 
 
 def encode_bfp8(codes: Codes) -> bytes:
-    """Return codes as mantissas of 8 bits, an exponent for each 32 of a channel."""
+    """Encode sample codes as 8-bit mantissas with an exponent for each 32 samples of a channel.
+
+    Parameters
+    ----------
+    codes : (S, C) array of int
+        Sample codes.
+
+    Returns
+    -------
+    bytes
+        Coded samples.
+    """
     samples, channels = codes.shape
     blocks, width = -(samples // -BLOCK), min(max(samples, 1), BLOCK)
     rows = np.zeros((blocks * width, channels), np.int16)
@@ -100,7 +197,22 @@ def encode_bfp8(codes: Codes) -> bytes:
 
 
 def decode_bfp8(data: bytes, samples: int, channels: int) -> Codes:
-    """Return mantissas shifted by their exponents."""
+    """Decode samples that `encode_bfp8` encoded.
+
+    Parameters
+    ----------
+    data : bytes
+        Coded samples.
+    samples : int
+        Number of samples per channel.
+    channels : int
+        Number of channels.
+
+    Returns
+    -------
+    (S, C) array of int
+        Sample codes.
+    """
     blocks = -(samples // -BLOCK)
     padded = np.zeros((channels, blocks * (BLOCK + 1)), np.int8)
     padded[:, : samples + blocks] = np.frombuffer(data, np.int8).reshape(channels, -1)

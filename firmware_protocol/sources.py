@@ -1,9 +1,9 @@
-"""What the channels of an amplifier are told to play (sections 8 and 10 of SPEC.md).
+"""Sources of what the channels of an amplifier play (sections 8 and 10 of SPEC.md).
 
-A source gives runs of instants as arrays: samples from a ring, with lines over what is missing, or
-carriers under ramped envelopes. Positions are kept without wrapping, and those of the wire taken as
-distances from the position that is put out next. The `Player` asks, in this order, `ready` while
-nothing plays, `begin` at each run, then `run` or `hold`, and `forget`.
+A source returns runs of sample instants as arrays: samples from a ring buffer, with straight lines
+across missing ones, or carriers with ramped envelopes. Positions are kept without wrapping; those
+on the wire are taken as distances from the position that is put out next. `SamplePlayer` calls, in
+this order, `ready` while nothing plays, `begin` at each run, then `run` or `hold`, and `forget`.
 """
 
 from abc import ABC, abstractmethod
@@ -17,28 +17,53 @@ from firmware_protocol.messages import FADE_MS, VALID_MS
 from firmware_protocol.packet import TURN
 
 Ints = NDArray[np.int64]
+"""Array of 64-bit integers."""
 Mask = NDArray[np.bool_]
+"""Array of bools."""
 
 
 def truncated(numerator: Ints, denominator: Ints | int) -> Ints:
-    """Return a division that truncates toward zero."""
+    """Divide integers, truncating toward zero.
+
+    Parameters
+    ----------
+    numerator : array of int
+        Numerator.
+    denominator : int or array of int
+        Denominator, above zero.
+
+    Returns
+    -------
+    array of int
+        Quotient.
+    """
     return np.asarray(np.sign(numerator) * (np.abs(numerator) // denominator))
 
 
 class Source(ABC):
-    """What the channels are told to play, before gain and limits.
+    """Source of what the channels play, before gain and limits.
 
     Parameters
     ----------
-    channels : C
-    fifo : positions that are kept
-    rate : [Hz]
+    channels : int
+        Number of channels C.
+    fifo : int
+        Number of positions that are kept.
+    rate : int
+        Sample rate [Hz].
 
     Attributes
     ----------
-    active : (C,) of which anything was kept since START
-    late, future : positions (frames) that were dropped
-    newest : position after the newest that was kept
+    channels, fifo : int
+        The parameters of the same names.
+    window : int
+        Number of positions within which a missing sample can be bridged (20 ms).
+    active : (C,) array of bool
+        Channels for which anything was kept since START.
+    late, future : int
+        Number of positions (or frames) that were dropped as too late or too far ahead.
+    newest : int
+        Position after the newest one that was kept.
     """
 
     def __init__(self, channels: int, fifo: int, rate: int) -> None:
@@ -49,39 +74,120 @@ class Source(ABC):
 
     @abstractmethod
     def ready(self, n: int, longest: int) -> int:
-        """Return the instants, at most ``longest``, until all active channels are ready."""
+        """Return the number of instants until all active channels are ready.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        longest : int
+            Largest number to return.
+
+        Returns
+        -------
+        int
+            Number of instants; 0 if all are ready now.
+        """
 
     @abstractmethod
     def begin(self, n: int) -> bool:
-        """Let channels go on at position n; return whether all active ones can."""
+        """Begin a run at a position.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+
+        Returns
+        -------
+        bool
+            Whether all active channels can continue.
+        """
 
     @abstractmethod
     def patch(self, n: int) -> None:
-        """After `begin` said no: let those go on that can, the others hold."""
+        """Let those channels continue that can after `begin` returned False; the others hold.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        """
 
     @abstractmethod
     def run(self, n: int, longest: int) -> tuple[Ints, bool]:
-        """Return what is played from n on (S, C), 1 ≤ S ≤ longest, and whether it is bridged."""
+        """Return the codes of a run.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        longest : int
+            Largest number of instants.
+
+        Returns
+        -------
+        codes : (S, C) array of int
+            Sample codes of at least one instant.
+        bridged : bool
+            Whether missing samples are bridged.
+        """
 
     @abstractmethod
     def hold(self, n: int, count: int) -> Ints:
-        """Return what is played from n on (count, C) when all is held."""
+        """Return the codes while all channels hold their values.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        count : int
+            Number of instants.
+
+        Returns
+        -------
+        (count, C) array of int
+            Sample codes.
+        """
 
     @abstractmethod
     def give_up(self, n: int) -> None:
-        """Stop bridges and ramps where they are at position n."""
+        """Stop bridges and ramps where they are.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        """
 
     @abstractmethod
     def forget(self, n: int, count: int) -> None:
-        """Let go of what belongs to positions that have been put out."""
+        """Drop the content of positions that have been put out.
+
+        Parameters
+        ----------
+        n : int
+            First of the positions.
+        count : int
+            Number of positions.
+        """
 
     @abstractmethod
     def resume(self, n: int) -> None:
-        """Make ready to go on from silence."""
+        """Prepare to continue from silence.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        """
 
 
 class PcmSource(Source):
-    """Samples of the next positions in a ring, and lines that bridge those that are missing."""
+    """Source of PCM samples: a ring buffer, with straight lines that bridge missing samples.
+
+    Parameters and attributes are those of `Source`.
+    """
 
     def __init__(self, channels: int, fifo: int, rate: int) -> None:
         super().__init__(channels, fifo, rate)
@@ -94,34 +200,47 @@ class PcmSource(Source):
         self._bridgeable = np.zeros(0, np.intp)
 
     def write(self, n: int, ahead: int, first: int, codes: NDArray[np.int16]) -> None:
-        """Keep samples (S, K) of channels from ``first`` on, ``ahead`` of position n."""
+        """Write samples into the ring buffer.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        ahead : int
+            Distance of the first sample from that position.
+        first : int
+            First channel.
+        codes : (S, K) array of int
+            Sample codes of K channels.
+        """
         count = len(codes)
         early = min(max(-ahead, 0), count)
         beyond = min(max(ahead + count - self.fifo, 0), count - early)
         turned = max(ahead + count - TURN // 2, 0)
         self.late += early + turned
         self.future += beyond - turned
-        kept = codes[early : count - beyond]
+        accepted = codes[early : count - beyond]
         channels = slice(first, first + codes.shape[1])
-        if not len(kept):
+        if not len(accepted):
             return
         self.active[channels] = True
         at = n + ahead + early
-        self.newest = max(self.newest, at + len(kept))
+        self.newest = max(self.newest, at + len(accepted))
         start = at % self.fifo
-        split = min(len(kept), self.fifo - start)
-        for place, part in ((start, kept[:split]), (0, kept[split:])):
+        split = min(len(accepted), self.fifo - start)
+        for place, part in ((start, accepted[:split]), (0, accepted[split:])):
             self._ring[place : place + len(part), channels] = part
             self._written[place : place + len(part), channels] = True
 
     def _slots(self, n: int, count: int) -> Ints | slice:
+        """Return the index of positions in the ring buffer."""
         start = n % self.fifo
         if start + count <= self.fifo:
             return slice(start, start + count)
         return (n + np.arange(count)) % self.fifo
 
     def _there(self, n: int, count: int) -> Mask:
-        """Return (count,) where all active channels have a sample."""
+        """Return for which of ``count`` positions all active channels have a sample."""
         return np.asarray((self._written[self._slots(n, count)] | ~self.active).all(axis=1))
 
     def ready(self, n: int, longest: int) -> int:
@@ -138,14 +257,15 @@ class PcmSource(Source):
             return True
         ahead = self._written[self._slots(n + 1, min(self.window, self.fifo - 1))][:, missing]
         reached = ahead.any(axis=0) if len(ahead) else np.zeros(missing.sum(), np.bool_)
-        found = np.flatnonzero(missing)[reached]
-        if len(found) < np.count_nonzero(missing):
-            self._bridgeable = found
+        bridgeable = np.flatnonzero(missing)[reached]
+        if len(bridgeable) < np.count_nonzero(missing):
+            self._bridgeable = bridgeable
             return False
-        self._bridge(n, found)
+        self._bridge(n, bridgeable)
         return True
 
     def _bridge(self, n: int, channels: Ints) -> None:
+        """Begin straight lines of channels from their last value to their next sample."""
         if not len(channels):
             return
         ahead = self._written[self._slots(n + 1, min(self.window, self.fifo - 1))][:, channels]
@@ -196,17 +316,28 @@ class PcmSource(Source):
 
 @dataclass(frozen=True)
 class _Frame:
+    """Spectrum frame of one channel."""
+
     position: int
     valid: int
     envelope: Ints
 
 
 class SpectrumSource(Source):
-    """Carriers under envelopes that ramp from frame to frame.
+    """Source of spectrum frames: carriers with envelopes that ramp from frame to frame.
+
+    Attributes are those of `Source`.
 
     Parameters
     ----------
-    increments : (P,) of the carriers
+    channels : int
+        Number of channels C.
+    fifo : int
+        Number of positions that frames may be ahead.
+    rate : int
+        Sample rate [Hz].
+    increments : (P,) array of int
+        Phase increments of the carriers [turns per sample × 2³²].
     """
 
     def __init__(self, channels: int, fifo: int, rate: int, increments: NDArray[np.uint32]) -> None:
@@ -221,12 +352,27 @@ class SpectrumSource(Source):
         self._queues: list[list[_Frame]] = [[] for _ in range(channels)]
 
     def write(self, n: int, ahead: int, valid: int, first: int, envelopes: Ints) -> None:
-        """Queue a frame, ``ahead`` of position n, with (K, 2, P) I and Q of channels."""
+        """Queue a frame of some channels.
+
+        Parameters
+        ----------
+        n : int
+            Position that is put out next.
+        ahead : int
+            Distance of the frame from that position.
+        valid : int
+            Number of positions for which the frame is in force.
+        first : int
+            First channel.
+        envelopes : (K, 2, P) array of int
+            In-phase and quadrature envelopes of K channels [1/256 sample code].
+        """
         valid = min(valid, self._longest_valid)
         for c, envelope in enumerate(envelopes, first):
             self._queue(c, n, _Frame(n + ahead, valid, envelope))
 
     def _queue(self, c: int, n: int, frame: _Frame) -> None:
+        """Queue a frame of one channel, or drop and count it (section 10.3)."""
         queue = self._queues[c]
         if frame.position <= (self._end[c] if self._ramping[c] else n):
             self.late += 1
@@ -247,6 +393,7 @@ class SpectrumSource(Source):
         return 0 if waiting and all(waiting) else longest
 
     def _pass_over(self, n: int) -> None:
+        """Drop queued frames whose position has come."""
         for queue in self._queues:
             while queue and queue[0].position <= n:
                 del queue[0]
@@ -261,6 +408,7 @@ class SpectrumSource(Source):
         return bool((self._ramping | (n < self._until) | ~self.active).all())
 
     def _ramp(self, c: int, n: int, frame: _Frame) -> None:
+        """Begin a ramp of a channel from its envelope at position n to a frame."""
         self._start[c], self._end[c], self._valid[c] = n, frame.position, frame.valid
         self._target[c], self._ramping[c] = frame.envelope, True
         self._step[c] = truncated(frame.envelope - self._envelope[c], frame.position - n)
@@ -279,6 +427,7 @@ class SpectrumSource(Source):
         return self._played(n, count)
 
     def _played(self, n: int, count: int) -> Ints:
+        """Return the codes of a piece in which no ramp begins or ends."""
         step = np.where(self._ramping[:, None, None], self._step, 0)
         now = self._now(n)
         return spectrum.synthesize(

@@ -1,49 +1,67 @@
-"""Spectrum frames in exact integers: sine, envelopes, ramps and output (SPEC.md, section 10).
+"""Synthesis of spectrum frames in exact integers (section 10 of SPEC.md).
 
-A channel's drive is a sum of P carriers of fixed frequency, each with a complex envelope that the
-host sends a few times a second and that runs straight from frame to frame. Whoever computes it so
-gets the same codes to the last bit:
+The drive of a channel is a sum of P carriers of fixed frequency. Each carrier has a complex
+envelope that the host sends a few times per second and that is interpolated linearly from frame to
+frame. Every implementation of these rules yields the same codes to the last bit:
 
-- A carrier's angle at sample position n is increment × n mod 2³², 2³² to the turn: it drifts
-  nowhere, and after a lost frame, or on another board, it is the same.
-- `SINE`, 1024 steps to the turn, is read between its entries in 16-bit fractions.
-- An envelope is two bytes: amplitude in steps of 0.25 dB below full scale, 0 for none, and phase in
-  256ths of a turn. It becomes I and Q in units of 1/256 sample code.
-- A ramp over several samples has one integer step, rounded toward zero; it ends exactly at its
-  frame, so that rounding never adds up.
+- The angle of a carrier at sample position n is increment × n mod 2³², with 2³² per turn. It does
+  not drift, and it is the same after a lost frame and on another board.
+- `SINE`, with 1024 steps per turn, is interpolated linearly with 16-bit fractions.
+- An envelope is two bytes: the amplitude in steps of 0.25 dB below full scale, 0 for none, and the
+  phase in 256ths of a turn. They are converted to I and Q in units of 1/256 sample code.
+- A ramp over several samples has one integer step, rounded toward zero. It ends exactly at its
+  frame, so that rounding errors do not accumulate.
 - The output is Σ I cos θ − Q sin θ, rounded to sample codes, where ±32767 is full scale.
 
-The envelope that a ramp has reached is a whole number as well: a ramp may be taken up at any
-sample from what it has reached there. All sums stay below 2⁴⁸ for 64 carriers.
+The envelope that a ramp has reached is an integer as well, so that a ramp can be continued at any
+sample. All sums stay below 2⁴⁸ for 64 carriers.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Codes = NDArray[np.uint8]
+"""Array of coded envelopes."""
 Complex = NDArray[np.complex128]
 Increments = NDArray[np.uint32]
+"""Array of phase increments [turns per sample × 2³²]."""
 Integers = NDArray[np.int64]
+"""Array of 64-bit integers."""
 
 FULL_SCALE = 32767
+"""Sample code at full scale."""
 TURN = 1 << 32
+"""Angle of a full turn, and the value at which positions wrap."""
 QUARTER = TURN // 4
+"""Angle of a quarter turn."""
 QUEUE = 4
-"""Frames that wait for their turn, per channel (section 10.3)."""
+"""Largest number of frames that are queued per channel (section 10.3)."""
 SINE: Integers = np.rint(FULL_SCALE * np.sin(2 * np.pi * np.arange(1025) / 1024)).astype(np.int64)
-"""(1025,) sample codes, one turn and its end."""
+"""Table (1025,) of a full turn of the sine and its end, in sample codes."""
 STEPS_PER_DECADE = 80
-"""Of amplitude: 0.25 dB each."""
+"""Number of amplitude steps per decade, 0.25 dB each."""
 LOUDEST = 255
+"""Amplitude code of full scale."""
 AMPLITUDE: Integers = np.rint(
     FULL_SCALE * 256 * 10.0 ** ((np.arange(256) - LOUDEST) / STEPS_PER_DECADE)
 ).astype(np.int64)
-"""(256,) by code, in 1/256 sample code."""
+"""Table (256,) of the amplitude by code [1/256 sample code]."""
 AMPLITUDE[0] = 0
 
 
 def sine(angle: ArrayLike) -> Integers:
-    """Return the sine of angles (2³² to the turn, taken modulo that), full scale 32767."""
+    """Compute the sine.
+
+    Parameters
+    ----------
+    angle : array_like of int
+        Angles, 2³² per turn, taken modulo a turn.
+
+    Returns
+    -------
+    array of int
+        Sine, with a full scale of 32767.
+    """
     theta = np.asarray(angle).astype(np.int64) % TURN
     index, fraction = theta >> 22, (theta >> 6) & 0xFFFF
     low = SINE[index]
@@ -51,29 +69,55 @@ def sine(angle: ArrayLike) -> Integers:
 
 
 def cosine(angle: ArrayLike) -> Integers:
-    """Return the cosine: the sine a quarter of a turn on."""
+    """Compute the cosine, as the sine a quarter turn later.
+
+    Parameters
+    ----------
+    angle : array_like of int
+        Angles, 2³² per turn, taken modulo a turn.
+
+    Returns
+    -------
+    array of int
+        Cosine, with a full scale of 32767.
+    """
     return sine(np.asarray(angle).astype(np.int64) % TURN + QUARTER)
 
 
 def increments(frequency_hz: ArrayLike, sample_rate_hz: float) -> Increments:
-    """Return the nearest turns per sample × 2³² of carriers (P,) [Hz]."""
+    """Compute the phase increments of carriers.
+
+    Parameters
+    ----------
+    frequency_hz : (P,) array_like of float
+        Frequencies of the carriers [Hz].
+    sample_rate_hz : float
+        Sample rate [Hz].
+
+    Returns
+    -------
+    (P,) array of int
+        Nearest phase increments [turns per sample × 2³²].
+    """
     turns = np.rint(np.asarray(frequency_hz, np.float64) / sample_rate_hz * TURN)
     return (turns.astype(np.int64) % TURN).astype(np.uint32)
 
 
 def encode(envelope: Complex) -> Codes:
-    """Return envelopes as bytes.
+    """Encode envelopes, each as the nearest amplitude in dB and the nearest phase.
+
+    An amplitude above full scale is encoded as full scale. An amplitude below the lowest code is
+    encoded as the lowest one if it is less than half a step lower, otherwise as none.
 
     Parameters
     ----------
-    envelope : (N, P) of full scale
+    envelope : (N, P) complex array
+        Envelopes relative to full scale.
 
     Returns
     -------
-    (N, P, 2) ndarray
-        Code of amplitude and of phase, as they are on the wire: the nearest in dB and in angle.
-        Above full scale the amplitude is full scale; less than half a step under the lowest code
-        counts for that code, anything below for nothing.
+    (N, P, 2) array of int
+        Codes of amplitude and phase, as on the wire.
     """
     size = np.abs(envelope)
     steps = np.rint(LOUDEST + STEPS_PER_DECADE * np.log10(np.maximum(size, 1e-9)))
@@ -82,7 +126,18 @@ def encode(envelope: Complex) -> Codes:
 
 
 def decode(codes: Codes) -> tuple[Integers, Integers]:
-    """Return I and Q, (N, P) each in 1/256 sample code, of codes (N, P, 2)."""
+    """Decode envelopes.
+
+    Parameters
+    ----------
+    codes : (N, P, 2) array of int
+        Codes of amplitude and phase.
+
+    Returns
+    -------
+    in_phase, quadrature : (N, P) array of int
+        I and Q [1/256 sample code].
+    """
     amplitude = AMPLITUDE[codes[..., 0]]
     angle = codes[..., 1].astype(np.int64) << 24
     half = 1 << 14
@@ -90,7 +145,20 @@ def decode(codes: Codes) -> tuple[Integers, Integers]:
 
 
 def ramp_step(start: Integers, end: Integers, samples: int) -> Integers:
-    """Return what an envelope changes by per sample, rounded toward zero."""
+    """Compute the change of an envelope per sample, rounded toward zero.
+
+    Parameters
+    ----------
+    start, end : array of int
+        Envelope at the first and at the last sample of the ramp [1/256 sample code].
+    samples : int
+        Length of the ramp [samples].
+
+    Returns
+    -------
+    array of int
+        Change per sample [1/256 sample code].
+    """
     change = end - start
     return np.asarray(np.sign(change) * (np.abs(change) // samples))
 
@@ -104,19 +172,24 @@ def synthesize(
     position: int,
     count: int,
 ) -> Integers:
-    """Return the output codes of a piece of one ramp.
+    """Synthesize a piece of a ramp.
 
     Parameters
     ----------
-    in_phase, quadrature : (N, P) envelopes at the first sample
-    step_i, step_q : (N, P) what they change by per sample; zero where they hold
-    increment : (P,) of the carriers
-    position : of the first sample
-    count : S; the ramp's end is none of them
+    in_phase, quadrature : (N, P) array of int
+        Envelopes at the first sample [1/256 sample code].
+    step_i, step_q : (N, P) array of int
+        Change of the envelopes per sample; zero where they hold [1/256 sample code].
+    increment : (P,) array of int
+        Phase increments of the carriers [turns per sample × 2³²].
+    position : int
+        Position of the first sample.
+    count : int
+        Number of samples S; the end of the ramp is not among them.
 
     Returns
     -------
-    (S, N) int64 ndarray
+    (S, N) array of int
         Sample codes, −32767 … 32767.
     """
     sample = np.arange(count)

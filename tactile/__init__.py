@@ -6,8 +6,8 @@
 >>> played.drive.shape
 (800, 24)
 
-Everything inside is SI. Names are loaded when they are first used, so that ``import tactile`` costs
-nothing and a program that needs no rendering never loads it.
+All quantities are in SI units. Names are loaded when they are first used, so that ``import
+tactile`` costs almost nothing, and a program that does not render never loads the renderer.
 """
 
 from importlib import import_module
@@ -120,7 +120,9 @@ _HOMES = {
     "texture.formats": ("load_effect",),
     "texture.surface": ("Texture", "load_texture"),
 }
+"""Names of the package's interface, by the module that defines them."""
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
+"""Module that defines each name."""
 
 __all__ = sorted(_HOME)
 

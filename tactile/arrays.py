@@ -1,9 +1,13 @@
-"""Types of numpy arrays, by the type of their elements."""
+"""Type aliases of numpy arrays by the type of their elements."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+"""Array of double-precision floats."""
 Singles = NDArray[np.float32]
+"""Array of single-precision floats."""
 Complex = NDArray[np.complex128]
+"""Array of double-precision complex numbers."""
 Ints = NDArray[np.int64]
+"""Array of 64-bit integers."""

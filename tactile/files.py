@@ -1,15 +1,16 @@
-"""Descriptor and display files: where the shipped ones lie, and how any of them is read.
+"""Reading of descriptor and display files, and the places of the shipped ones.
 
-A file is TOML, its shape a msgspec Struct whose field names carry their units. Whatever does not
-fit becomes one line: file, field, value, what is allowed, and for a misspelt key the nearest.
-Tables (paths, responses) are CSV with a header whose names carry units.
+A file is TOML and its shape is a msgspec Struct whose field names carry their units. Whatever does
+not fit the shape is reported in one line: file, field, value, what is allowed, and for a misspelled
+key the nearest valid one. Tables (paths, responses) are CSV files with a header whose names carry
+units.
 """
 
 import csv
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -23,41 +24,89 @@ from tactile.errors import InputError, NotFoundError
 Shape = TypeVar("Shape", bound=msgspec.Struct)
 
 LARGEST_TEXT = 1024 * 1024
-"""Characters of a file: twice what a display of 4096 contactors takes, each spelled out."""
+"""Maximum length of a TOML file: twice that of a display of 4096 contactors, each given in full
+[characters]."""
 LARGEST_TABLE = 256 * 1024 * 1024
-"""Bytes of a CSV file, which take some GB as Python's rows: an hour at 2 kHz."""
+"""Maximum size of a CSV file: an hour at 2 kHz, which takes some gigabytes as Python rows
+[bytes]."""
 LONGEST_LINE = 1000
-"""Characters of what is said of a file, which may hold what it says of a value."""
+"""Maximum length of a message about a file, since the file may contain any value [characters]."""
 DEEPEST = 32
-"""Parts of a dotted key."""
+"""Maximum number of parts of a dotted TOML key; the parser takes time quadratic in that number."""
 _NO_KEY = re.compile(
     r'''"""[\s\S]*?(?:"""|\Z)|\'{3}[\s\S]*?(?:\'{3}|\Z)'''
     r"""|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|\#[^\n]*"""
 )
-"""Strings and comments, also those that do not end."""
+"""Pattern of the strings and comments of a TOML file, unterminated ones included."""
 
 
 def shipped(kind: str) -> Path:
-    """Return the folder of shipped files ("textures", "displays"), in a wheel or a checkout."""
+    """Return the folder of shipped files, in an installed wheel or in a checkout.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the files: "textures" or "displays".
+
+    Returns
+    -------
+    Path
+        Folder of that kind.
+    """
     package = Path(__file__).parent
     inside = package / "_data" / kind
     return inside if inside.is_dir() else package.parent / kind
 
 
 def shipped_names(kind: str) -> dict[str, Path]:
-    """Return name and path of each shipped file, sorted by name."""
+    """List the shipped files of a kind.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the files: "textures" or "displays".
+
+    Returns
+    -------
+    dict of str to Path
+        Paths by name, sorted by name.
+    """
     paths = {path.stem: path for path in shipped(kind).rglob("*.toml")}
     return dict(sorted(paths.items()))
 
 
 def nearest(name: str, known: list[str]) -> str:
-    """Return " (did you mean …?)" or the list of what there is."""
+    """Compose a hint about an unknown name for an error message.
+
+    Parameters
+    ----------
+    name : str
+        Unknown name.
+    known : list of str
+        Valid names.
+
+    Returns
+    -------
+    str
+        "did you mean …?" if a valid name is similar, else the list of valid names.
+    """
     close = get_close_matches(name, known, 1, 0.5)
     return f"did you mean {close[0]!r}?" if close else f"there is: {', '.join(known) or 'nothing'}"
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a file is there, also for a name that no file can have."""
+    """Test whether a path is an existing file; a name that no file can have gives False.
+
+    Parameters
+    ----------
+    path : Path
+        Path to test.
+
+    Returns
+    -------
+    bool
+        Whether the file exists.
+    """
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -65,12 +114,24 @@ def is_file(path: Path) -> bool:
 
 
 def find(kind: str, name_or_path: str | Path) -> Path:
-    """Return the path of a shipped file by its name, or of a file by its path.
+    """Find a shipped file by its name, or any file by its path.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the shipped files: "textures" or "displays".
+    name_or_path : str or Path
+        Name of a shipped file, or path of a file.
+
+    Returns
+    -------
+    Path
+        Path of the file.
 
     Raises
     ------
     NotFoundError
-        Where neither exists, with the nearest shipped name.
+        If neither exists; the message suggests the nearest shipped name.
     """
     names = shipped_names(kind)
     if str(name_or_path) in names:
@@ -84,12 +145,22 @@ def find(kind: str, name_or_path: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file.
+    """Read the text of a file.
+
+    Parameters
+    ----------
+    path : Path
+        File in UTF-8.
+
+    Returns
+    -------
+    str
+        Content of the file.
 
     Raises
     ------
     InputError
-        Where it cannot be read, or is larger than `LARGEST_TEXT`.
+        If the file cannot be read or is longer than `LARGEST_TEXT`.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -104,27 +175,49 @@ def read_text(path: Path) -> str:
     return text
 
 
-def _shallow(path: Path, text: str) -> str:
-    """Return TOML, whose keys have few parts: the parser takes their square in time."""
+def _checked_depth(path: Path, text: str) -> str:
+    """Return TOML text after checking the length of its dotted keys.
+
+    The parser takes time that is quadratic in the number of parts of a key.
+    """
     bare = re.sub(r"[ \t]", "", _NO_KEY.sub("s", text))
     if any(word.count(".") >= DEEPEST for word in re.split(r"[^\w.-]+", bare)):
         raise InputError(f"{path}: has a key of more than {DEEPEST} parts, the most that may be")
     return text
 
 
-def read(path: Path, shape: type[Shape]) -> Shape:
+def read(
+    path: Path, shape: type[Shape], *, adapt: Callable[[dict[str, Any]], None] | None = None
+) -> Shape:
     """Read a TOML file into a Struct.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file.
+    shape : type of msgspec.Struct
+        Shape of the content.
+    adapt : callable, optional
+        Function that changes the content of an older file to that of a present one.
+
+    Returns
+    -------
+    msgspec.Struct
+        Content, an instance of ``shape``.
 
     Raises
     ------
     InputError
-        Where it cannot be read, is no TOML, or does not fit: file, field, value and limit.
+        If the file cannot be read, is not valid TOML, or does not fit the shape; the message gives
+        file, field, value and limit.
     """
-    text = _shallow(path, read_text(path))
+    text = _checked_depth(path, read_text(path))
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no valid TOML: {_one_line(str(error))}") from error
+    if adapt is not None:
+        adapt(data)
     for field, value in _leaves(data):
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{path}: {field} = {value}: must be a finite number")
@@ -137,11 +230,13 @@ def read(path: Path, shape: type[Shape]) -> Shape:
 
 
 def _one_line(text: str) -> str:
+    """Return text in one line, cut to `LONGEST_LINE` characters."""
     line = " ".join(text.split())
     return line if len(line) <= LONGEST_LINE else line[: LONGEST_LINE - 1] + "…"
 
 
 def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the path and the value of each leaf of nested tables and arrays."""
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{field}.{key}" if field else key)
@@ -153,7 +248,7 @@ def _leaves(data: Any, field: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tuple[str, str]]:
-    """Yield each key and option that the Struct does not know, with the nearest that it does."""
+    """Yield each key and option that the Struct does not have, with the nearest that it has."""
     if isinstance(kind, msgspec.inspect.UnionType):
         for member in kind.types:
             if not isinstance(member, msgspec.inspect.NoneType):
@@ -177,16 +272,16 @@ def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tupl
 
 def _explain(data: Any, message: str) -> str:
     """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …"."""
-    found = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", message)
-    assert found is not None
-    problem, field = found[1], found[2] or ""
+    match = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", message)
+    assert match is not None
+    problem, field = match[1], match[2] or ""
     value = data
     for key in re.findall(r"[^.\[\]]+", field):
         try:
             value = value[int(key)] if isinstance(value, list) else value[key]
         except (KeyError, IndexError, ValueError):
             value = None
-    if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # a Struct's own check of a field
+    if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # from the Struct's own check
         return f"{field}.{problem}"
     plain = isinstance(value, int | float | str | bool)
     where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
@@ -194,19 +289,41 @@ def _explain(data: Any, message: str) -> str:
 
 
 class Row(NamedTuple):
-    """A row of a table: its line in the file and its cells."""
+    """Row of a table.
+
+    Attributes
+    ----------
+    line : int
+        Number of its line in the file, from 1.
+    cells : list of str
+        Text of its cells, in the order of the requested columns.
+    """
 
     line: int
     cells: list[str]
 
 
 def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
-    """Read named columns of a CSV file with a header, a `Row` each.
+    """Read named columns of a CSV file with a header.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file in UTF-8.
+    names : tuple of str
+        Names of the columns.
+
+    Returns
+    -------
+    list of Row
+        One row for each line after the header.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where the file, a column or a cell is missing.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file cannot be read, is larger than `LARGEST_TABLE`, or lacks a column.
     """
     if not is_file(path):
         raise NotFoundError(f"{path}: no such file")
@@ -229,12 +346,26 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
 
 
 def numbers(path: Path, names: tuple[str, ...], rows: list[Row]) -> NDArray[np.float64]:
-    """Return the first cells of `read_columns`, one per name, as numbers (rows, columns).
+    """Convert the first cells of each row to numbers.
+
+    Parameters
+    ----------
+    path : Path
+        File that the rows come from, for the message.
+    names : tuple of str
+        Names of the columns to convert, which are the first ones.
+    rows : list of Row
+        Rows from `read_columns`.
+
+    Returns
+    -------
+    (rows, columns) array of float
+        Values.
 
     Raises
     ------
     InputError
-        Naming line, column and value of the first cell that is not a finite number.
+        If a cell is not a finite number; the message names line, column and value of the first one.
     """
     table = np.empty((len(rows), len(names)))
     for i, row in enumerate(rows):

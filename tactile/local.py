@@ -1,4 +1,4 @@
-"""A display in this program, without a daemon: the interface of `tactile.client`, no network.
+"""A display inside this program, without a daemon: the interface of `tactile.client`, no network.
 
 >>> import tactile
 >>> with tactile.open_display("reference-24", device="sim:") as display:
@@ -6,8 +6,8 @@
 ...     display.arm()
 ...     display.touch((0.0, 0.0), velocity=(0.08, 0.0), normal_force=0.5)
 
-The host that a daemon has runs in a thread; what plays and what draws textures are processes of
-their own here as well, so that nothing that the program does holds up a block.
+The host of a daemon runs in a thread. Playback and the preparation of textures run in processes of
+their own, as in a daemon, so that nothing that the program does delays a block.
 """
 
 import asyncio
@@ -37,32 +37,34 @@ from tactile.server.requests import Requests
 from tactile.server.tasks import watched
 
 OPENING = 45.0
-"""s for a device to open."""
+"""Time within which the device must open [s]."""
 NAME = "default"
+"""Name of the only display of the host."""
 
 
 class LocalTransport:
-    """Carries messages to a host in a thread of this process.
+    """Transport that carries messages to a host in a thread of this process.
 
     Parameters
     ----------
-    config : of the host
+    config : DaemonConfig
+        Configuration of the host.
     """
 
     def __init__(self, config: DaemonConfig) -> None:
         self._config = config
         self._started: Future[Host] = Future()
         self._closed: Future[None] = Future()
-        self._closed.set_running_or_notify_cancel()  # who waits for it may give up, it goes on
+        self._closed.set_running_or_notify_cancel()  # a waiting caller cannot cancel it
         self._thread = threading.Thread(target=self._run, name="tactile-local", daemon=True)
 
     def start(self) -> None:
-        """Open the displays.
+        """Start the thread and open the displays.
 
         Raises
         ------
         TactileError
-            Where one cannot be.
+            If a display cannot be opened.
         """
         self._thread.start()
         self._started.result(OPENING)
@@ -89,23 +91,35 @@ class LocalTransport:
             await host.close()
 
     def open(self, receiver: Receiver) -> None:
-        """Begin to talk."""
+        """Open the connection to the host.
+
+        Parameters
+        ----------
+        receiver : Receiver
+            Object that is told that the connection is open, and gets the answers.
+        """
         self._receiver = receiver
         self._loop.call_soon_threadsafe(self._begin)
 
     def _begin(self) -> None:
         traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
         self._requests = Requests(self._client, traffic, self._receiver.received)
-        self._news = watched(asyncio.create_task(self._tell(self._client)))
+        self._forwarding = watched(asyncio.create_task(self._forward_outbox(self._client)))
         self._receiver.opened()
 
-    async def _tell(self, client: Client) -> None:
+    async def _forward_outbox(self, client: Client) -> None:
         while True:
             self._receiver.received(await client.outbox.get())
 
     def send(self, command: Command) -> None:
-        """Hand over a message, from any thread."""
-        with suppress(RuntimeError):  # it has ended
+        """Send a message; may be called from any thread.
+
+        Parameters
+        ----------
+        command : Command
+            Message to the host.
+        """
+        with suppress(RuntimeError):  # the event loop has ended
             self._loop.call_soon_threadsafe(self._take, command, self._loop.time())
 
     def _take(self, command: Command, arrival: float) -> None:
@@ -125,7 +139,13 @@ class LocalTransport:
             self._receiver.received(msgspec.structs.replace(answer, id=number))
 
     def close(self) -> "Future[None]":
-        """Fade out, disarm, end."""
+        """Fade out, disarm, and end the thread.
+
+        Returns
+        -------
+        Future of None
+            Future that is done when the thread has ended.
+        """
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._ending.set)
         return self._closed
@@ -140,21 +160,32 @@ def open_display(
     accept_unsafe_hold: bool = False,
     timeout: float = TIMEOUT,
 ) -> RemoteDisplay:
-    """Open a display in this program; use it in a ``with``.
+    """Open a display in this program; use it in a ``with`` statement.
 
     Parameters
     ----------
-    display : "reference-24", "reference-64", or a TOML file
-    device : URL, as `tactile.open_bus` takes it
-    sample_rate : of the drive [Hz]; by default what the device chooses
-    worn : whether the finger stays on the display while it touches nothing
-    accept_unsafe_hold : as of `tactile.open_bus`
-    timeout : for answers where a call says nothing else [s]
+    display : str
+        "reference-24", "reference-64", or the path of a TOML file.
+    device : str
+        URL of the device, as in `tactile.open_bus`.
+    sample_rate : float, optional
+        Sample rate of the drive [Hz]; by default, the device chooses it.
+    worn : bool
+        Whether the finger stays on the display while it touches nothing.
+    accept_unsafe_hold : bool
+        As in `tactile.open_bus`.
+    timeout : float
+        Time to wait for an answer unless a call says otherwise [s].
+
+    Returns
+    -------
+    RemoteDisplay
+        The display. Closing it ends the host.
 
     Raises
     ------
     TactileError
-        For a display or device that cannot be used.
+        If the display or the device cannot be used.
     """
     options: dict[str, Any] = {} if sample_rate is None else {"sample_rate_hz": sample_rate}
     config = DisplayConfig(

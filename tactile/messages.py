@@ -1,43 +1,58 @@
-"""What a program and the playback daemon say to each other, version 1.
+"""Messages between a client and the playback daemon, API version 1.
 
-One WebSocket at ``/v1``; each message is one object whose ``type`` names it. The subprotocol
-``tactile.v1.json`` carries JSON in text frames, ``tactile.v1.msgpack`` MessagePack in binary ones.
+A client opens one WebSocket at ``/v1``. Each message is one object whose field ``type`` names it.
+The subprotocol ``tactile.v1.json`` carries JSON in text frames, ``tactile.v1.msgpack`` carries
+MessagePack in binary frames.
 
-A client says `ClientHello` first and is answered with `Welcome`. Requests may carry an ``id``, and
-are answered by `Done`, by a message of their own or by `Failure`, each with the same ``id``.
-`Contact` is a stream: only what is wrong with it is answered. Fields that a side does not know are
-ignored; a message whose ``type`` it does not know is answered by `Failure` ``unknown_type``. What a
-message may hold is checked as it is decoded, to the path of the offending field.
+The first message of a client is `ClientHello`, which the daemon answers with `Welcome`. Every
+request may carry an ``id``. It is answered by `Done`, by a reply of its own type or by `Failure`,
+each with the same ``id``. `Contact` messages are a stream: one is answered only if something is
+wrong with it. Either side ignores fields that it does not know; a message of an unknown ``type`` is
+answered by a `Failure` with the code ``unknown_type``. The contents of a message are validated
+while it is decoded, and a `Failure` names the path of the offending field.
 
-Places are in the surface's plane, in millimeters; times are the client's own, in microseconds of a
-clock that never steps, and `Ping` tells both sides what lies between their clocks.
+Positions are in the plane of the surface, in millimeters. Times that a client sends are in
+microseconds of its own monotonic clock; the daemon maps those of `Contact` to its clock by the
+times at which they arrive. `Ping` lets a client measure the offset between both clocks.
 
-**Mixing.** A display has one finger on it. It belongs to the client that touched first, until that
-lifts, falls silent for 100 ms, or is gone; who touches meanwhile is heard from then on. What plays
-are the textures that the finger's client selected, their shear added up, each with its gain, and
-the waveforms of all clients, added to that. Each client's `SetGain` scales all that is its own. The
-sum is limited as a whole: its tactile image keeps its shape. An e-stop comes before everything.
+**Mixing.** A display has one finger on it. The finger belongs to the client that touched first,
+until that client lifts it, sends no contact for 100 ms, or disconnects. Contacts of other clients
+are ignored until then. The display plays the textures that the owner of the finger selected, each
+with its gain, added up; the waveforms of all clients are added to that. `SetGain` scales everything
+that its client plays. The sum is limited as a whole, so that the tactile image keeps its shape. An
+e-stop takes precedence over everything else.
 
-Waveforms and effects of all clients have part of a block's time between them. Where it is too
-short, clients take turns of a tenth of a second; the time of what is silent goes on. Of an effect
-16 transients sound at once. What is left out, a client's block or a transient, is counted as
-``dropped_waves``.
+The waveforms and effects of all clients share a fixed part of the computing time of a block. If it
+does not suffice, clients take turns of a tenth of a second; what is silent meanwhile still advances
+in time. At most 16 transients of one effect sound at once. Blocks of a client's waveforms and
+transients that were left out are counted as ``dropped_waves``.
 
-The connection is closed with 4400 where the first message is no hello, 4401 for a wrong token, 4406
-for another version, 4408 where no hello comes, 4429 where there are too many clients, 4008 for a
-flood of failures or a client that does not read, 1009 for what is too large, 1001 at the end.
+**Closing.** The daemon closes a connection with one of these codes:
 
-High voltage is off until a client arms a display, or its configuration does. It belongs to the
-clients that armed it, and goes off when the last of them leaves, or shows no sign of life for half
-a second.
+- 1001: the daemon ends
+- 1002: the client offered no subprotocol of this API
+- 1009: a message was too large
+- 1011: an internal failure of the daemon
+- 4008: a flood of failures, or a client that does not read its messages
+- 4400: the first message was not a `ClientHello`
+- 4401: wrong token
+- 4406: the client asked for another version of the API
+- 4408: no `ClientHello` arrived in time
+- 4429: too many clients
 
-**E-stop.** Each e-stop of a display has a number. It is latched: the display stays at 0 V, over any
-restart of playback, daemon or machine, until a `ClearEstop` names that number. A newer e-stop has
-another number, which a `ClearEstop` of the older one does not end.
+**High voltage.** It is off until a client arms a display, or the daemon's configuration does. It
+belongs to the clients that armed the display, and is switched off when the last of them disconnects
+or has given no sign of life for half a second.
 
-**Roles.** What a client may do follows from the token it says, or from the user it runs as:
-"watch" reads what there is and how it stands, "play" touches, selects and plays, "arm" arms and
-clears, "stop" disarms. Every client that is let in may e-stop. `Welcome` tells which roles it has.
+**E-stop.** Each e-stop of a display has a number. It is latched: the display stays at 0 V, across
+restarts of playback, daemon and machine, until a `ClearEstop` names that number. A newer e-stop has
+another number, so that a `ClearEstop` of an older one does not end it.
+
+**Roles.** What a client may do follows from the token in its `ClientHello`, or from the user that
+it runs as. Every client that is admitted may trigger an e-stop and read displays, textures and
+states. "watch" allows no more than that on this connection; it is the role that reading the
+daemon's metrics over HTTP requires. "play" touches, selects and plays, "arm" arms, disarms and
+clears e-stops, "stop" disarms. `Welcome` lists the roles of the client.
 """
 
 from typing import Annotated, Any, Literal, get_args
@@ -46,69 +61,122 @@ import msgspec
 from msgspec import Meta, Struct
 
 API_VERSION = 1
+"""Version of the API that `ClientHello` and `Welcome` carry."""
 JSON_PROTOCOL, MSGPACK_PROTOCOL = "tactile.v1.json", "tactile.v1.msgpack"
+"""WebSocket subprotocols of the two encodings."""
 PATH = "/v1"
+"""Path of the WebSocket in the daemon's URL."""
 LARGEST_MESSAGE = 64 * 1024
-"""Bytes."""
+"""Largest size of a message [bytes]."""
 MOST_LAYERS = 4
-"""Textures that a client may have on one display at a time."""
+"""Maximum number of textures that one client may select on one display at a time."""
 MOST_SAMPLES = 4000
-"""Of a waveform in one message, as in XR_FB_haptic_pcm (XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB)."""
+"""Maximum number of samples of a waveform in one message, as in XR_FB_haptic_pcm
+(XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB)."""
 MOST_POINTS = 500
-"""Of a parametric effect in one message, as in XR_EXT_haptic_parametric."""
+"""Maximum number of points of each curve of a parametric effect in one message, as in
+XR_EXT_haptic_parametric."""
 SILENCE = 0.1
-"""s after which a client that said it touches is taken to have lifted."""
+"""Time without a contact after which a touching client is taken to have lifted its finger [s]."""
 
 Id = Annotated[int, Meta(ge=0, le=2**53)]
+"""Identifier of a request, chosen by the client."""
 Name = Annotated[str, Meta(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$(?!\n)")]
+"""Name of a display or texture."""
 Millimeters = Annotated[float, Meta(ge=-1e5, le=1e5)]
+"""Coordinate in the plane of the surface [mm]."""
 Speed = Annotated[float, Meta(ge=-1e4, le=1e4)]
+"""Component of the finger's velocity [mm/s]."""
 Force = Annotated[float, Meta(ge=0, le=50)]
+"""Normal force [N]."""
 Fraction = Annotated[float, Meta(ge=0, le=1)]
+"""Number from 0 to 1."""
 Signed = Annotated[float, Meta(ge=-1, le=1)]
+"""Number from −1 to 1."""
 Microseconds = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+"""Time on a monotonic clock [µs]."""
 Micrometers = Annotated[float, Meta(ge=0, le=500)]
+"""Amplitude of shear [µm]."""
 Milliseconds = Annotated[float, Meta(ge=0, le=60_000)]
+"""Time since the beginning of an effect [ms]."""
 Hertz = Annotated[float, Meta(ge=0, le=1000)]
+"""Frequency of an effect [Hz]."""
 
 Role = Literal["watch", "play", "arm", "stop"]
-"""What a client may do; see the module's docstring."""
+"""Permission of a client; the module docstring says what each role allows."""
 ALL_ROLES: frozenset[Role] = frozenset(get_args(Role))
+"""Set of all roles."""
 
 Code = Literal[
     "malformed", "too_large", "unknown_type", "invalid_field", "unknown_texture", "unknown_display",
     "wrong_version", "unauthorized", "hello_first", "too_many_clients", "too_fast", "not_armed",
     "estopped", "busy", "unavailable", "unsupported", "internal",
 ]  # fmt: skip
-"""Of a `Failure`."""
+"""Kind of a `Failure`."""
 
 
 class ApiMessage(Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="type"):
-    """Anything that goes over the connection."""
+    """Base class of every message on the connection."""
 
 
 def kind_of(message: ApiMessage) -> str:
-    """Return the ``type`` that names a message on the connection, such as "select"."""
+    """Return the ``type`` that names a message on the connection, such as "select".
+
+    Parameters
+    ----------
+    message : ApiMessage
+        Any message of this API.
+
+    Returns
+    -------
+    str
+        Value of the message's ``type`` field.
+    """
     return str(type(message).__struct_config__.tag)
 
 
 class Request(ApiMessage, frozen=True, kw_only=True):
-    """What a client asks; ``id`` comes back with the answer."""
+    """Base class of every message of a client that the daemon answers.
+
+    Attributes
+    ----------
+    id : int or None
+        Identifier chosen by the client, which the answer repeats.
+    """
 
     id: Id | None = None
 
 
 class Reply(ApiMessage, frozen=True, kw_only=True):
-    """What the daemon answers, with the ``id`` of the request."""
+    """Base class of every answer of the daemon.
+
+    Attributes
+    ----------
+    id : int or None
+        Identifier of the request that is answered.
+    """
 
     id: Id | None = None
 
 
-# What a client says
+# Messages of a client
 
 
 class ClientHello(Request, frozen=True, kw_only=True, tag="hello"):
-    """The first message: who it is, and which version of this API it speaks."""
+    """First message of a client: its name, the API version that it speaks, and its token.
+
+    It is answered by `Welcome`, or by a `Failure` after which the daemon closes the connection.
+
+    Attributes
+    ----------
+    client : str
+        Name of the program, for logs and for the reason of an e-stop.
+    version : int
+        Version of the API that the client speaks.
+    token : str
+        Token that the daemon's configuration knows; it determines the roles of the client. Empty if
+        the client has none.
+    """
 
     client: Annotated[str, Meta(min_length=1, max_length=64)]
     version: int = API_VERSION
@@ -116,11 +184,21 @@ class ClientHello(Request, frozen=True, kw_only=True, tag="hello"):
 
 
 class ListTextures(Request, frozen=True, kw_only=True, tag="list_textures"):
-    """Ask for all textures there are."""
+    """Ask for all textures that can be selected; answered by `Textures`."""
 
 
 class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One texture of several that lie on each other; ``seed`` draws its realization."""
+    """One of the textures that a client superimposes.
+
+    Attributes
+    ----------
+    texture : str
+        Name of a texture, as listed in `Textures`.
+    gain : float
+        Factor of the texture's amplitude, 0 to 1.
+    seed : int
+        Seed of the random realization of the texture; the same seed gives the same surface.
+    """
 
     texture: Name
     gain: Fraction = 1.0
@@ -128,17 +206,43 @@ class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Select(Request, frozen=True, kw_only=True, tag="select"):
-    """What the finger is to feel of this client; none takes it away. Old and new cross-fade."""
+    """Select the textures that the finger feels of this client; requires the role "play".
+
+    They replace the client's earlier selection in a cross-fade. `Done` follows once the textures
+    are ready; preparing one may take a second.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    layers : list of Layer
+        Textures to superimpose; an empty list deselects all.
+    """
 
     display: Name
     layers: Annotated[tuple[Layer, ...], Meta(max_length=MOST_LAYERS)]
 
 
 class Contact(ApiMessage, frozen=True, kw_only=True, tag="contact"):
-    """Where the finger is at a time of the client's clock, and how hard; 0 N is lifted.
+    """Report where the finger is and how hard it presses; requires the role "play".
 
-    Velocity is used where it is given; what it says of the next milliseconds is better than what
-    places alone tell.
+    It is not a request: it has no ``id``, and only a contact that cannot be used is answered, by a
+    `Failure`. Send one per frame.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    position_mm : pair of float
+        Position x, y of the finger on the surface [mm].
+    normal_force_n : float
+        Normal force [N]; 0 lifts the finger.
+    time_us : int or None
+        Time at which the finger was there, on the client's monotonic clock [µs]. Without it, the
+        time of arrival is used.
+    velocity_mm_s : pair of float or None
+        Velocity of the finger [mm/s]. If it is given, it is used to predict the next milliseconds,
+        which is more accurate than a prediction from positions alone.
     """
 
     display: Name
@@ -149,32 +253,70 @@ class Contact(ApiMessage, frozen=True, kw_only=True, tag="contact"):
 
 
 class Play(Request, frozen=True, kw_only=True, tag="play"):
-    """Let this client's textures sound; so it is from the start."""
+    """Resume this client's textures after `StopPlaying`; requires the role "play".
+
+    The textures of a new client sound without it.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
 
     display: Name
 
 
 class StopPlaying(Request, frozen=True, kw_only=True, tag="stop"):
-    """Fade out all of this client: its textures, until `Play`, and its waveforms, for good."""
+    """Fade out everything that this client plays; requires the role "play".
+
+    Its textures are silent until `Play`. Its waveforms and effects are discarded.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
 
     display: Name
 
 
 class SetGain(Request, frozen=True, kw_only=True, tag="gain"):
-    """Scale all that is this client's."""
+    """Scale everything that this client plays on a display; requires the role "play".
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    gain : float
+        Factor of textures, waveforms and effects, 0 to 1.
+    """
 
     display: Name
     gain: Fraction
 
 
 class Append(Request, frozen=True, kw_only=True, tag="append"):
-    """A waveform of tangential shear, to be played after what is there or in its place.
+    """Queue a waveform of tangential shear; requires the role "play" and an armed display.
 
-    As XR_FB_haptic_pcm: what does not fit the buffer is not taken; `AppendedReply` tells how many
-    samples were, and the rest is sent again. ``samples`` are −1 … 1 of ``amplitude_um``, a list, or
-    with MessagePack also little-endian float32 in a binary field; 4000 at most either way.
-    ``contactors`` name those that play it, all where none is named. Without ``append`` what waits
-    is dropped first, in any case.
+    It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
+    `AppendedReply` tells how many were taken; the client sends the rest again.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    sample_rate_hz : float
+        Rate of the samples [Hz]; the daemon resamples them to the rate of the display.
+    amplitude_um : float
+        Shear that a sample of 1 stands for [µm].
+    samples : list of float, or bytes
+        Samples from −1 to 1, at most 4000: a list of numbers, or little-endian float32 as a binary
+        field of MessagePack (a base64 string in JSON).
+    append : bool
+        Whether to play the samples after those that are queued. If false, the queued samples are
+        dropped first, even if none of the new samples is taken.
+    contactors : list of int
+        Indices of the contactors that play the waveform; all if the list is empty.
     """
 
     display: Name
@@ -191,21 +333,47 @@ class Append(Request, frozen=True, kw_only=True, tag="append"):
 
 
 class Point(Struct, frozen=True, array_like=True):
-    """A value at a time after the effect's beginning; straight between points."""
+    """Amplitude at a time, an array [time_ms, value]; linear between points.
+
+    Attributes
+    ----------
+    time_ms : float
+        Time since the beginning of the effect [ms].
+    value : float
+        Amplitude relative to the ``amplitude_um`` of the effect, 0 to 1.
+    """
 
     time_ms: Milliseconds
     value: Fraction
 
 
 class FrequencyPoint(Struct, frozen=True, array_like=True):
-    """A frequency at a time after the effect's beginning; straight between points."""
+    """Frequency at a time, an array [time_ms, frequency_hz]; linear between points.
+
+    Attributes
+    ----------
+    time_ms : float
+        Time since the beginning of the effect [ms].
+    frequency_hz : float
+        Frequency [Hz].
+    """
 
     time_ms: Milliseconds
     frequency_hz: Hertz
 
 
 class Transient(Struct, frozen=True, array_like=True):
-    """A tap: two periods of a sine, the amplitude falling, at a time."""
+    """Tap at a time, an array [time_ms, value, frequency_hz]: two periods of a decaying sine.
+
+    Attributes
+    ----------
+    time_ms : float
+        Time since the beginning of the effect [ms].
+    value : float
+        Amplitude relative to the ``amplitude_um`` of the effect, 0 to 1.
+    frequency_hz : float
+        Frequency of the sine [Hz].
+    """
 
     time_ms: Milliseconds
     value: Fraction
@@ -213,10 +381,28 @@ class Transient(Struct, frozen=True, array_like=True):
 
 
 class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
-    """Amplitude and frequency over time, as XR_EXT_haptic_parametric; played at once, added.
+    """Play an effect given by curves of amplitude and frequency over time.
 
-    It ends with its last point. With ``stream`` it goes on from the last frame of the stream, in
-    place of what was still to come, and is held for 50 ms after its last point, then fades.
+    It requires the role "play" and an armed display, and follows XR_EXT_haptic_parametric. The
+    effect starts at once on all contactors, is added to the client's textures and waveforms, and
+    replaces an earlier effect of the client. It ends with its last point of amplitude or its last
+    transient. Times must not descend within a curve.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    amplitude_um : float
+        Shear that a value of 1 stands for [µm].
+    amplitude : list of Point
+        Amplitude over time; without points, only the transients sound.
+    frequency : list of FrequencyPoint
+        Frequency over time; without points, it is 160 Hz.
+    transients : list of Transient
+        Taps that are added, in any order.
+    stream : bool
+        Whether this is a frame of a stream. It then takes over from the frame before it, in place
+        of what was still to come of that, and its last amplitude is held for 50 ms before it fades.
     """
 
     display: Name
@@ -228,28 +414,58 @@ class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
 
 
 class ArmDisplay(Request, frozen=True, kw_only=True, tag="arm"):
-    """Switch high voltage on, and begin to play. A person is to know of it."""
+    """Switch high voltage on and start playing; requires the role "arm".
+
+    Only do so if the person at the display knows of it. The client owns the high voltage from then
+    on.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
 
     display: Name
 
 
 class DisarmDisplay(Request, frozen=True, kw_only=True, tag="disarm"):
-    """Fade out, and switch high voltage off."""
+    """Fade out and switch high voltage off, whoever armed; requires the role "arm" or "stop".
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
 
     display: Name
 
 
 class EStop(Request, frozen=True, kw_only=True, tag="estop"):
-    """To 0 V at once, on all displays where none is named, and stay there until `ClearEstop`."""
+    """Drive displays to 0 V at once and latch the e-stop until `ClearEstop`; requires no role.
+
+    `Done` holds the number of the e-stop of each display.
+
+    Attributes
+    ----------
+    display : str or None
+        Name of the display; all displays if there is none.
+    """
 
     display: Name | None = None
 
 
 class ClearEstop(Request, frozen=True, kw_only=True, tag="clear"):
-    """End the e-stop with the number ``estop``, where a person has decided so.
+    """End an e-stop, after a person has decided that it is safe; requires the role "arm".
 
-    The display is disarmed then. The number stands in `Done`, `EventMessage`, `StatsReply` and
-    `DisplayDescription`.
+    The display is disarmed afterwards. If a newer e-stop holds, the answer is a `Failure` with the
+    code ``estopped``.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    estop : int
+        Number of the e-stop, as in `Done`, `EventMessage`, `StatsReply` and `DisplayDescription`.
     """
 
     display: Name
@@ -257,34 +473,72 @@ class ClearEstop(Request, frozen=True, kw_only=True, tag="clear"):
 
 
 class Subscribe(Request, frozen=True, kw_only=True, tag="subscribe"):
-    """Ask for `TelemetryMessage` of a display, so many times a second; 0 ends it."""
+    """Ask for a `TelemetryMessage` of a display at a regular rate.
+
+    It replaces the client's earlier subscription to that display.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    rate_hz : float
+        Messages per second [Hz]; 0 ends the subscription.
+    """
 
     display: Name
     rate_hz: Annotated[float, Meta(ge=0, le=100)]
 
 
 class GetStats(Request, frozen=True, kw_only=True, tag="get_stats"):
-    """Ask for a display's `StatsReply`."""
+    """Ask for the state of a display; answered by `StatsReply`.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
 
     display: Name
 
 
 class Ping(Request, frozen=True, kw_only=True, tag="ping"):
-    """Ask what time it is there; ``time_us`` comes back."""
+    """Ask for the daemon's time; answered by `Pong`.
+
+    Attributes
+    ----------
+    time_us : int
+        Time of the client, which `Pong` repeats [µs].
+    """
 
     time_us: Microseconds
 
 
-# What the daemon says
+# Messages of the daemon
 
 
 class DisplayDescription(Struct, frozen=True, kw_only=True):
-    """A display: its contactors (N, 2), limits, and what its link takes.
+    """Properties of a display, and the state of its e-stop when the description was made.
 
-    ``latency_ms`` is from a contact message to the skin, about; ``waveforms`` whether the link has
-    room for samples, without which `Append` and `PlayEffect` are unsupported; ``estop`` the number
-    of the e-stop that holds, 0 where none does, ``latest_estop`` that of the latest, also if
-    cleared.
+    Attributes
+    ----------
+    name : str
+        Name of the display, as used in all requests.
+    contactors_mm : list of pair of float
+        Positions x, y of the contactors under the finger [mm].
+    shear_direction_deg : list of float
+        Direction in which each contactor shears the skin, counterclockwise from x [°].
+    sample_rate_hz : float
+        Rate of the drive [Hz].
+    voltage_limit_v : float
+        Limit of the drive [V].
+    waveforms : bool
+        Whether the link carries samples. If false, `Append` and `PlayEffect` are unsupported.
+    latency_ms : float
+        Approximate latency from a contact message to the skin [ms].
+    estop : int
+        Number of the e-stop that holds, 0 if none does.
+    latest_estop : int
+        Number of the latest e-stop, cleared or not; 0 if there has been none.
     """
 
     name: str
@@ -299,7 +553,29 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
-    """The answer to `ClientHello`."""
+    """Answer to `ClientHello`: the client is admitted.
+
+    Attributes
+    ----------
+    server : str
+        Name and version of the daemon.
+    version : int
+        Version of the API.
+    session : str
+        Identifier of this connection in the daemon's log.
+    displays : list of DisplayDescription
+        Displays of the daemon.
+    may_arm : bool
+        Whether the client has the role "arm".
+    time_us : int
+        Time of the daemon's monotonic clock [µs].
+    roles : list of str
+        Roles of the client.
+    largest_message : int
+        Largest message that the daemon accepts [bytes].
+    messages_per_second : int
+        Maximum rate of messages of this client [1/s]; 0 if it is not limited.
+    """
 
     server: str
     version: int
@@ -313,7 +589,19 @@ class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
 
 
 class TextureInfo(Struct, frozen=True, kw_only=True):
-    """A texture that may be selected."""
+    """Description of a texture that can be selected.
+
+    Attributes
+    ----------
+    name : str
+        Name that `Select` takes.
+    category : str
+        Category, such as "wood".
+    description : str
+        Description for people.
+    provenance : str
+        Source of the texture's parameters.
+    """
 
     name: str
     category: str
@@ -322,37 +610,83 @@ class TextureInfo(Struct, frozen=True, kw_only=True):
 
 
 class Textures(Reply, frozen=True, kw_only=True, tag="textures"):
-    """The answer to `ListTextures`."""
+    """Answer to `ListTextures`.
+
+    Attributes
+    ----------
+    textures : list of TextureInfo
+        All textures of the daemon.
+    """
 
     textures: tuple[TextureInfo, ...]
 
 
 class Done(Reply, frozen=True, kw_only=True, tag="done"):
-    """It was done; of an `EStop`, ``estops`` holds the number that was latched by display."""
+    """Answer to a request that was carried out and has no reply of its own.
+
+    Attributes
+    ----------
+    estops : dict of str to int
+        After an `EStop`, the number of the e-stop that was latched, by name of the display.
+    """
 
     estops: dict[str, int] = {}
 
 
 class AppendedReply(Reply, frozen=True, kw_only=True, tag="appended"):
-    """How many samples of an `Append` were taken, and for how long what waits will play."""
+    """Answer to `Append`.
+
+    Attributes
+    ----------
+    samples_consumed : int
+        Number of samples that were taken, counted from the first.
+    buffered_ms : float
+        Playing time of what is queued for this client [ms].
+    """
 
     samples_consumed: int
     buffered_ms: float
 
 
 class Pong(Reply, frozen=True, kw_only=True, tag="pong"):
-    """The answer to `Ping`: its time, and the daemon's when it came."""
+    """Answer to `Ping`.
+
+    Attributes
+    ----------
+    time_us : int
+        Time in the `Ping` [µs].
+    server_time_us : int
+        Time of the daemon's monotonic clock when the `Ping` arrived [µs].
+    """
 
     time_us: Microseconds
     server_time_us: Microseconds
 
 
 class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
-    """How a display stands. ``counters`` hold what a bus and playback count.
+    """Answer to `GetStats`: the state of a display.
 
-    ``state`` is "disarmed", "armed", "estopped" or "lost" (its playback died and is restarted);
-    ``link`` "up" or "down"; ``owner`` whether the finger is this client's; ``estop`` the number of
-    the e-stop that holds, 0 where none does.
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    state : str
+        "disarmed", "armed", "estopped" or "lost". "lost" means that the playback process died and
+        is being restarted.
+    link : str
+        "up" or "down".
+    detail : str
+        Reason of a failure or of the e-stop in one line; otherwise the status of the device.
+    touching : bool
+        Whether a finger touches the display.
+    owner : bool
+        Whether the finger belongs to this client.
+    latency_ms : float
+        Present latency from a contact message to the skin [ms].
+    counters : dict of str to int
+        Counters of the device's bus and of playback since it started, by name.
+    estop : int
+        Number of the e-stop that holds, 0 if none does.
     """
 
     display: str
@@ -367,7 +701,26 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
 
 
 class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
-    """What was wrong, where (``field`` as a path), in one line."""
+    """Answer to a message that could not be carried out.
+
+    Codes: "malformed" (the message cannot be decoded), "too_large", "unknown_type",
+    "invalid_field", "unknown_texture", "unknown_display", "wrong_version", "unauthorized" (wrong
+    token, or a role is missing), "hello_first" (`ClientHello` is missing), "too_many_clients",
+    "too_fast" (messages were dropped because there were too many per second), "not_armed",
+    "estopped" (an e-stop holds), "busy" (too many requests or textures of this client are pending),
+    "unavailable" (the display, its device or a texture cannot be used now), "unsupported" and
+    "internal" (a fault of the daemon).
+
+    Attributes
+    ----------
+    code : str
+        Kind of the failure, one of those above.
+    message : str
+        Explanation in one line.
+    field : str
+        Path of the offending field in the message, such as "layers[0].texture"; empty if no field
+        is to blame.
+    """
 
     code: Code
     message: str
@@ -375,11 +728,23 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
 
 
 class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
-    """Something that a client should know: a change of state, a fault, an underrun.
+    """Event on a display, sent to all clients without a request.
 
-    Kinds are "armed", "disarmed", "estopped" (with its number ``estop``), "cleared", "fault",
-    "underrun", "link", "silent" (a client gave no sign of life, and its waveforms faded), "lost"
-    (playback died and is started again) and "textures" (they were read again); more may come.
+    Kinds are "armed", "disarmed", "estopped", "cleared" (an e-stop was cleared), "fault",
+    "underrun", "link" (the link went up or down), "silent" (this client gave no sign of life and
+    its waveforms were faded), "lost" (playback died and is being restarted) and "textures" (the
+    textures were read again). Other kinds may be added.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    kind : str
+        Kind of the event.
+    detail : str
+        Explanation in one line.
+    estop : int
+        Number of the e-stop that an "estopped" or "cleared" event is about, otherwise 0.
     """
 
     display: str
@@ -389,9 +754,28 @@ class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
 
 
 class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
-    """What a display does: shear [µm] and drive [V] of each contactor, where the finger is.
+    """State of a display at one instant, sent at the rate that `Subscribe` asked for.
 
-    The time is the daemon's.
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    time_us : int
+        Time of the daemon's monotonic clock [µs].
+    state : str
+        State as in `StatsReply`.
+    position_mm : pair of float
+        Position of the finger on the surface, as playback tracks it [mm].
+    velocity_mm_s : pair of float
+        Velocity of the finger [mm/s].
+    normal_force_n : float
+        Normal force of the finger [N].
+    shear_um : list of float
+        Commanded shear of each contactor [µm].
+    drive_v : list of float
+        Drive of each contactor [V].
+    counters : dict of str to int
+        Counters as in `StatsReply`.
     """
 
     display: str
@@ -409,14 +793,23 @@ Command = (
     ClientHello | ListTextures | Select | Contact | Play | StopPlaying | SetGain | Append
     | PlayEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop | Subscribe | GetStats | Ping
 )  # fmt: skip
+"""Any message of a client."""
 Answer = (
     Welcome | Textures | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
     | TelemetryMessage
 )  # fmt: skip
+"""Any message of the daemon."""
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON Schema of all that may be said, in ``$defs`` by the name of its class."""
+    """Return the JSON Schema of all messages.
+
+    Returns
+    -------
+    dict of str to Any
+        JSON Schema document. ``client`` and ``server`` are the schemas of the messages of each
+        side, ``$defs`` holds each message by the name of its class.
+    """
     (client, server), components = msgspec.json.schema_components(
         (Command, Answer), ref_template="#/$defs/{name}"
     )

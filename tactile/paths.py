@@ -1,4 +1,4 @@
-"""Where a daemon keeps its state and its sockets, and where programs look for them."""
+"""Folders in which a daemon keeps its state and its sockets, and in which programs find them."""
 
 import os
 import sys
@@ -9,48 +9,70 @@ from pathlib import Path
 import platformdirs
 
 APP = "tactile"
+"""Name of the application in paths."""
 API_SOCKET = "tactile.sock"
-"""File in the runtime folder over which the daemon speaks its API."""
+"""File name in the runtime folder of the socket on which the daemon serves its API."""
 SYSTEM_FOLDER = Path("/run") / APP
-"""Runtime folder of the daemon that the system starts, for all users of the machine."""
+"""Runtime folder of the daemon that the system starts for all users of the host."""
 
 
 def runtime_folder() -> Path:
     """Return the folder of this process's sockets; it need not exist yet.
 
-    It is ``$RUNTIME_DIRECTORY`` where systemd started the process, else the user's own.
+    It is ``$RUNTIME_DIRECTORY`` if systemd started the process, else the runtime folder of the
+    user.
+
+    Returns
+    -------
+    Path
+        Runtime folder.
 
     Raises
     ------
     PermissionError
-        Where the folder would belong to another user.
+        If the folder would belong to another user.
     """
-    if folder := _given("RUNTIME_DIRECTORY"):
+    if folder := _systemd_folder("RUNTIME_DIRECTORY"):
         return folder
-    with warnings.catch_warnings():  # a session without XDG_RUNTIME_DIR is nothing to warn of
+    with warnings.catch_warnings():  # a session without XDG_RUNTIME_DIR is normal
         warnings.simplefilter("ignore")
         return Path(platformdirs.user_runtime_dir(APP))
 
 
 def state_folder() -> Path:
-    """Return the folder of what outlives this process; it need not exist yet.
+    """Return the folder of data that outlives this process; it need not exist yet.
 
-    It is ``$STATE_DIRECTORY`` where systemd started the process, else the user's own.
+    It is ``$STATE_DIRECTORY`` if systemd started the process, else the state folder of the user.
+
+    Returns
+    -------
+    Path
+        State folder.
     """
-    return _given("STATE_DIRECTORY") or Path(platformdirs.user_state_dir(APP))
+    return _systemd_folder("STATE_DIRECTORY") or Path(platformdirs.user_state_dir(APP))
 
 
-def _given(variable: str) -> Path | None:
-    """Return the first folder that systemd names in a variable."""
+def _systemd_folder(variable: str) -> Path | None:
+    """Return the first folder that systemd names in an environment variable."""
     first = os.environ.get(variable, "").split(":")[0]
     return Path(first) if first else None
 
 
 def find_sockets(name: str = API_SOCKET) -> list[Path]:
-    """Return the sockets of that name that this user may connect to, the user's own first.
+    """List the sockets of a name to which this user may connect, the user's own first.
 
-    A socket in a folder that belongs to another user is left out, unless the system made it:
-    whoever gets to a shared folder first could otherwise pose as the daemon.
+    A socket in a folder that belongs to another user is left out, except in the system's folder:
+    otherwise whoever is first to create a shared folder could pose as the daemon.
+
+    Parameters
+    ----------
+    name : str
+        File name of the socket.
+
+    Returns
+    -------
+    list of Path
+        Sockets that exist and are writable; empty on systems other than Linux.
     """
     if sys.platform != "linux":
         return []
@@ -59,12 +81,13 @@ def find_sockets(name: str = API_SOCKET) -> list[Path]:
         own = runtime_folder()
         if own != SYSTEM_FOLDER and own.lstat().st_uid == os.geteuid():
             folders.insert(0, own)
-    except OSError:  # another user's, or not there
+    except OSError:  # the folder belongs to another user or does not exist
         pass
     return [folder / name for folder in folders if _is_open(folder / name)]
 
 
 def _is_open(path: Path) -> bool:
+    """Return whether a path is a socket to which this user may connect."""
     try:
         return path.is_socket() and os.access(path, os.W_OK)
     except OSError:
@@ -72,17 +95,23 @@ def _is_open(path: Path) -> bool:
 
 
 def estop_sockets() -> list[Path]:
-    """Return the e-stop sockets of all daemons of this machine that this user can see.
+    """List the e-stop sockets of all daemons of this host that this user can see.
 
-    A datagram that goes to somebody who poses as a daemon does no harm, so nobody's is left out.
+    A datagram to somebody who poses as a daemon does no harm, so that sockets of all owners are
+    included.
+
+    Returns
+    -------
+    list of Path
+        E-stop sockets.
     """
     folders = {SYSTEM_FOLDER}
     with suppress(OSError):
         folders.add(runtime_folder())
     if sys.platform != "win32" and os.geteuid() == 0:
         folders.update(Path("/run/user").glob(f"*/{APP}"))
-    found = []
+    sockets = []
     for folder in sorted(folders):
         with suppress(OSError):
-            found += sorted(folder.glob("estop-*.sock"))
-    return found
+            sockets += sorted(folder.glob("estop-*.sock"))
+    return sockets

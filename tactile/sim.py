@@ -1,8 +1,9 @@
-"""``sim:``, the simulated display: a mock amplifier with the plant behind it.
+"""Simulated display ``sim:``, a mock amplifier with a model of the actuators behind it.
 
-It knows what no amplifier does: how the skin is sheared. ``sim:`` puts the display's own bimorph,
-amplifier and finger behind the drive; ``sim:?plant=package.module:factory`` anyone's plant, where
-``factory(display, sample_rate)`` returns an object with ``delay`` and ``step`` as `Plant` has them.
+Unlike a real amplifier it knows how the skin is sheared. ``sim:`` simulates the display's own
+bimorph, amplifier and finger. ``sim:?plant=package.module:factory`` uses another plant:
+``factory(display, sample_rate)`` must return an object with ``delay`` and ``step`` like those of
+`Plant`.
 """
 
 import importlib
@@ -16,39 +17,86 @@ from firmware_protocol.messages import SampleFormat
 from tactile.actuator.plant import Plant
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
+from tactile.bus.options import FORMATS, Keep, Options, SampleFormatName
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.simulated.mock_bus import MockBus, kept_and_format
+from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import Display
 from tactile.errors import InputError
 
 HEARD = (20.0, 1000.0)
-"""Hz over which played shear is judged."""
+"""Lowest and highest frequency at which the fidelity of played shear is measured [Hz]."""
 
 
-class PlantLike(Protocol):
-    """What may stand behind the drive.
+class SimOptions(Options, frozen=True, kw_only=True):
+    """Options of a ``sim:`` URL.
 
     Attributes
     ----------
-    delay : samples by which the outputs of `step` lag the drive
+    keep : str
+        How much of what was put out is remembered: the last second, or all.
+    plant : str or None
+        Factory of a plant, as ``package.module:factory``; None for the display's own.
+    format : str
+        Format of the samples on the line to the amplifier.
+    """
+
+    keep: Keep = "second"
+    plant: str | None = None
+    format: SampleFormatName = "pcm16"
+
+
+class PlantLike(Protocol):
+    """Interface of a plant behind the drive.
+
+    Attributes
+    ----------
+    delay : int
+        Delay of the outputs of `step` against the drive [samples].
     """
 
     delay: int
 
     def step(self, drive: Floats) -> tuple[Floats, Floats]:
-        """Return shear displacement [m] and current [A] (S, N) for drive (S, N) [V]."""
+        """Compute the response to further drive samples.
+
+        Parameters
+        ----------
+        drive : (S, N) array of float
+            Drive of each contactor [V].
+
+        Returns
+        -------
+        displacement : (S, N) array of float
+            Shear displacement of the skin [m].
+        current : (S, N) array of float
+            Current into each contactor [A].
+        """
         ...
 
 
 class SimulatedDisplay(MockBus):
-    """A display in memory.
+    """A simulated display in memory.
 
     Parameters
     ----------
-    display, sample_rate : what is simulated
-    plant : N contactors on the skin; by default the display's own bimorph, amplifier and finger
-    keep : "second" or "all" of the output
-    sample_format : on the line to the amplifier
+    display : Display
+        Display to simulate.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    plant : PlantLike, optional
+        Model of the N contactors on the skin; by default the display's own bimorph, amplifier and
+        finger.
+    keep : {"second", "all"}
+        Whether to keep the last second or all of the output.
+    sample_format : SampleFormat
+        Sample format on the link to the amplifier.
+
+    Attributes
+    ----------
+    dropped_shear : int
+        Samples of shear that were not taken within a second; none are dropped if all are kept.
+    peak_current : float
+        Largest current into any contactor so far [A].
     """
 
     def __init__(
@@ -66,48 +114,70 @@ class SimulatedDisplay(MockBus):
         self._plant = default_plant(display, sample_rate) if plant is None else plant
         self._late = self._plant.delay
         self._shear: deque[Floats] = deque()
-        self._untaken = 0
+        self._shear_count = 0
         self.dropped_shear = 0
-        """Samples of shear that nobody took within a second; with keep=all none are dropped."""
+        """Number of samples of shear that were dropped because nobody took them within a second.
+
+        None are dropped with keep=all."""
         self.peak_current = 0.0
         """Largest current into any contactor so far [A]."""
 
     def _put(self, volts: Floats) -> None:
         super()._put(volts)
-        self._feel(volts[:, self._display.channel])
+        self._step_plant(volts[:, self._display.channel])
 
-    def _feel(self, volts: Floats) -> None:
+    def _step_plant(self, volts: Floats) -> None:
+        """Feed the plant with the drive of the contactors, and keep its shear."""
         shear, current = self._plant.step(volts)
         self.peak_current = max(self.peak_current, float(np.abs(current).max(initial=0.0)))
         skipped = min(self._late, len(shear))
         self._late -= skipped
         if len(shear) > skipped:
             self._shear.append(shear[skipped:] * self._display.polarity)
-            self._untaken += len(shear) - skipped
-        while not self._all and self._untaken - len(shear) > self.wiring.sample_rate:
+            self._shear_count += len(shear) - skipped
+        while not self._all and self._shear_count - len(shear) > self.wiring.sample_rate:
             dropped = len(self._shear.popleft())
-            self._untaken -= dropped
+            self._shear_count -= dropped
             self.dropped_shear += dropped
 
     def take_shear(self) -> Floats:
-        """Return the skin's shear (S, N) [m] since the last call.
+        """Return the shear of the skin since the last call.
 
-        Its first sample belongs to the first drive sample; the plant's delay is taken off, so that
-        the latest ``plant.delay`` samples of drive are still to come.
+        The first sample of the first call belongs to the first drive sample: the delay of the plant
+        is removed, so that the shear of the latest ``plant.delay`` samples of drive is still to
+        come.
+
+        Returns
+        -------
+        (S, N) array of float
+            Shear displacement of the skin at each contactor [m].
         """
         taken = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
         self._shear.clear()
-        self._untaken = 0
+        self._shear_count = 0
         return taken
 
     def settle(self) -> None:
-        """Let the plant run on at 0 V until all that was played has been felt."""
-        self._feel(np.zeros((self._plant.delay, len(self._display.contactors))))
+        """Run the plant on at 0 V until its output covers everything that was played."""
+        self._step_plant(np.zeros((self._plant.delay, len(self._display.contactors))))
         self._late = self._plant.delay
 
 
 def default_plant(display: Display, sample_rate: float) -> Plant:
-    """Return the plant of a display; with a table of fingers that at its middle force."""
+    """Create the plant of a display from its own bimorph, amplifier and finger.
+
+    Parameters
+    ----------
+    display : Display
+        Display to simulate; of a finger table the middle force is used.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Returns
+    -------
+    Plant
+        Model of all contactors.
+    """
     force = display.load_forces[len(display.load_forces) // 2]
     return Plant(
         display.bimorph,
@@ -119,11 +189,12 @@ def default_plant(display: Display, sample_rate: float) -> Plant:
 
 
 class Fidelity:
-    """Signal-to-error ratio of played against commanded shear, in 20–1000 Hz, as it streams.
+    """Running signal-to-error ratio of played shear against commanded shear, in 20–1000 Hz.
 
     Parameters
     ----------
-    sample_rate : [Hz]
+    sample_rate : float
+        Sample rate of the shear [Hz].
     """
 
     def __init__(self, sample_rate: float) -> None:
@@ -132,30 +203,39 @@ class Fidelity:
         self._energy = np.zeros(2)
 
     def add(self, commanded: Floats, played: Floats) -> None:
-        """Take further samples (S, N) [m] of both."""
+        """Add further samples.
+
+        Parameters
+        ----------
+        commanded : (S, N) array of float
+            Commanded shear displacement [m].
+        played : (S, N) array of float
+            Played shear displacement [m].
+        """
         if not len(commanded):
             return
         both = np.stack([commanded, played - commanded], axis=1)
         if self._state is None:
             rest = sosfilt_zi(self._filter)
             self._state = np.zeros((*rest.shape, *both.shape[1:]))
-        heard, self._state = sosfilt(self._filter, both, axis=0, zi=self._state)
-        self._energy += np.sum(heard**2, axis=(0, 2))
+        filtered, self._state = sosfilt(self._filter, both, axis=0, zi=self._state)
+        self._energy += np.sum(filtered**2, axis=(0, 2))
 
     @property
     def signal_to_error_db(self) -> float:
-        """The ratio so far [dB]; infinite without error, NaN before any signal."""
+        """Ratio so far; infinite without error, NaN before any signal [dB]."""
         signal, error = self._energy
         if not signal > 0:
             return float("nan")
         return float(10 * np.log10(signal / error)) if error > 0 else float("inf")
 
 
-def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
+def _load_plant(name: str, display: Display, sample_rate: float) -> PlantLike:
+    """Create a plant from the name of its factory, package.module:factory."""
     module, _, factory = name.partition(":")
     try:
-        found = getattr(importlib.import_module(module), factory)
-        plant = found(display, sample_rate)
+        factory_function = getattr(importlib.import_module(module), factory)
+        plant = factory_function(display, sample_rate)
     except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise InputError(f"sim: plant = {name!r}: {error}; give package.module:factory") from error
     delay = getattr(plant, "delay", None)
@@ -164,17 +244,17 @@ def _foreign(name: str, display: Display, sample_rate: float) -> PlantLike:
     return plant  # type: ignore[no-any-return]
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> Bus:
-    address.only("keep", "plant", "format")
+def _open(address: Address[SimOptions], display: DisplayLike, sample_rate: float | None) -> Bus:
+    """Open the device of a ``sim:`` URL."""
     if not isinstance(display, Display):
         raise InputError("sim: needs a Display, not only its wiring")
     sample_rate = sample_rate or RATE
-    name = address.options.get("plant")
-    plant = None if name is None else _foreign(name, display, sample_rate)
-    keep, sample_format = kept_and_format(address)
+    options = address.options
+    plant = None if options.plant is None else _load_plant(options.plant, display, sample_rate)
     return SimulatedDisplay(
-        display, sample_rate, plant=plant, keep=keep, sample_format=sample_format
-    )
+        display, sample_rate,
+        plant=plant, keep=options.keep, sample_format=FORMATS[options.format],
+    )  # fmt: skip
 
 
-register_bus("sim", _open)
+register_bus("sim", _open, SimOptions)

@@ -228,7 +228,7 @@ class RealBench(Bench):
 
     Parameters
     ----------
-    link : "pty", "rfc2217", "virtual" or "slcan"
+    link : "pty", "rfc2217", "udp", "virtual" or "slcan"
     program : virtual-amplifier
     directory : for what it writes
     """
@@ -264,11 +264,13 @@ class RealBench(Bench):
 
     def _reached(self, channels: int) -> tuple[Amplifier, str]:
         """Return an amplifier and the URL that it is reached by."""
-        if self.url in ("pty", "rfc2217"):
+        if self.url in ("pty", "rfc2217", "udp"):
             amplifier, path = self.pty(channels)
             if self.url == "pty":
                 return amplifier, f"serial://{path}?{LEAD}"
-            port = self._open.enter_context(bridge("rfc2217", path))
+            port = self._open.enter_context(bridge(self.url, path))
+            if self.url == "udp":
+                return amplifier, f"udp:127.0.0.1:{port}?{LEAD}"
             return amplifier, f"serial:rfc2217://127.0.0.1:{port}?baud=3000000&{LEAD}"
         path = str(self._directory / f"can{self._count}")
         fd = ["--fd"] if self.url == "virtual" else []
@@ -369,7 +371,7 @@ MODELED = (
     "mock:?link=canfd&boards=2",
     "mock:?link=i2c&bit_rate=1000000",
 )
-REAL = ("pty", "rfc2217", "virtual", "slcan")
+REAL = ("pty", "rfc2217", "udp", "virtual", "slcan")
 """Run with ``-m realtime``."""
 SELDOM = (
     "mock:?keep=all",

@@ -137,6 +137,39 @@ def rfc2217_server(path: str) -> Iterator[int]:
         port.close()
 
 
+# UDP
+
+
+@contextmanager
+def udp_port(path: str) -> Iterator[int]:
+    """Serve a terminal over UDP, whole frames in each datagram; yield the port."""
+    server = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    server.bind(("127.0.0.1", 0))
+    port = Port(path, timeout=0)
+    hosts: list[Any] = []
+    rest = b""
+
+    def inward() -> None:
+        if ready(server):
+            data, host = server.recvfrom(65536)
+            hosts[:] = [host]
+            port.write(data)
+
+    def outward() -> None:
+        nonlocal rest
+        *frames, rest = (rest + (port.read(4096) if ready(port) else b"")).split(b"\0")
+        for frame in frames:
+            for host in hosts:
+                server.sendto(frame + b"\0", host)
+
+    try:
+        with threads(inward, outward):
+            yield server.getsockname()[1]
+    finally:
+        server.close()
+        port.close()
+
+
 # CAN
 
 
@@ -220,7 +253,7 @@ def slcan_adapter(path: str) -> Iterator[str]:
 
 # Each in a process of its own
 
-KINDS = {"rfc2217": rfc2217_server, "slcan": slcan_adapter}
+KINDS = {"rfc2217": rfc2217_server, "slcan": slcan_adapter, "udp": udp_port}
 
 
 @contextmanager

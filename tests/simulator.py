@@ -40,7 +40,7 @@ from tactile.bus.base import DriveBlock
 from tactile.bus.link.stream import LinkStream
 from tactile.bus.registry import Address
 from tactile.bus.simulated.line_model import Model
-from tactile.bus.simulated.modeled_bus import ModeledBus
+from tactile.bus.simulated.modeled_bus import MockOptions, ModeledBus
 from tactile.client import aio
 from tactile.client.address import UNIX
 from tactile.errors import ClientError, RequestError
@@ -191,7 +191,9 @@ class Simulation:
         patch.setattr(LinkStream, "clear", clear)
         patch.setattr(LinkStream, "begin", begin)
 
-    def _listen(self, address: Address, model: Model, board: int, run: PlayedRun) -> None:
+    def _listen(
+        self, address: Address[MockOptions], model: Model, board: int, run: PlayedRun
+    ) -> None:
         route = next(one for one in self.routes if one.address == address)
         route.model = model
         self._note_playback(route)

@@ -27,7 +27,7 @@ category = "test"
 description = "for a test"
 provenance = "authored"
 source = "a test"
-licence = "CC0-1.0"
+license = "CC0-1.0"
 
 [reference]
 speed_mm_s = 80.0

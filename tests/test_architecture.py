@@ -85,8 +85,8 @@ PACKAGED = {
     "tomli_w": "tomli-w",
 }
 """Libraries whose package has another name."""
-BY_NAME = {"__init__", "sim"}
-"""Modules that may import by a name made at run time: lazily, and a user's plant."""
+BY_NAME = {"__init__", "cli.app", "sim"}
+"""Modules that may import by a name made at run time: lazily, a command, and a user's plant."""
 
 PROTOCOL_MAY_IMPORT = {"numpy", "cobs"}
 """Besides the standard library: the protocol knows no physics and no bus."""

@@ -77,9 +77,21 @@ def test_what_the_card_would_clip_is_refused(tmp_path: Path) -> None:
     assert "limits.voltage_v = 100 exceeds audio_full_scale_v = 99" in refused(small)
 
 
-@pytest.mark.parametrize("text", ["23", "0", "-1", "24.0", "all", ""])
-def test_channels_are_the_displays_at_least(audio_display: Display, text: str) -> None:
-    assert "must be a number from 24 up" in refused(audio_display, f"audio:?channels={text}")
+@pytest.mark.parametrize(
+    ("text", "mistake"),
+    [
+        ("23", "must be a number from 24 up"),
+        ("0", "must be a number from 24 up"),
+        ("-1", "must be a number from 24 up"),
+        ("24.5", "must be a whole number"),
+        ("all", "must be a number"),
+        ("", "must be a number"),
+    ],
+)
+def test_channels_are_the_displays_at_least(
+    audio_display: Display, text: str, mistake: str
+) -> None:
+    assert mistake in refused(audio_display, f"audio:?channels={text}")
 
 
 def test_an_unknown_option_is_one_line(audio_display: Display) -> None:

@@ -152,9 +152,9 @@ def test_the_command_finds_no_fault(command: Command, four: Path) -> None:
     said = command("check", "mock:?link=serial", "--display", four)
     out = " ".join(said.out.split())
     assert said.code == 0
-    assert "four at mock:?link=serial, tried with 5 V at most" in out
+    assert "four at mock:?link=serial, checked with 5 V at most" in out
     assert "node 1: 'virtual', firmware 0x00010000, channels 0 … 4" in out
-    assert "no fault found in what was looked at" in out
+    assert "no faults found; not all was measured" in out
     said = command("check", "mock:?link=serial", "--display", four, "--json")
     told = json.loads(said.out)
     assert said.code == 0
@@ -167,9 +167,9 @@ def test_the_command_says_2_for_what_cannot_be(command: Command, four: Path) -> 
     assert said.code == 2
     assert "no such port" in said.err
     target = four.with_name("new.toml")
-    said = command("check", "mock:", "--display", four, "--write", target)
+    said = command("check", "mock:", "--display", four, "--out", target)
     assert said.code == 2
-    assert "--write: needs a person at a terminal" in said.err
+    assert "--out: needs a person at a terminal" in said.err
     assert not target.exists()
 
 
@@ -189,7 +189,7 @@ def test_the_command_asks_at_a_terminal(
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: "")
     target = four.with_name("new.toml")
-    arguments = ("check", "mock:", "--display", four, "--write", target)
+    arguments = ("check", "mock:", "--display", four, "--out", target)
     said = command(*arguments)
     assert said.code == 0
     assert "written:" in said.out

@@ -71,7 +71,7 @@ def test_what_moves_otherwise_is_written(four: Path, tmp_path: Path, opened: lis
 def test_without_write_another_map_is_a_fault(four: Path, opened: list[Bus]) -> None:
     moves = AS_IN_FILE | {4: (3, -1)}
     report = bring_up("mock:?keep=all", four, ask=Person(opened, moves))
-    assert report.faults == ["the display file has another map than the display; see --write"]
+    assert report.faults == ["the display file has another map than the display; see --out"]
 
 
 def test_enter_is_as_in_the_file(four: Path, tmp_path: Path) -> None:

@@ -2,18 +2,21 @@
 
 import importlib.metadata
 import math
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from cli_rig import Command, started
+from cli_rig import Command, assert_mistake, started
 
 import tactile
 from tactile import bench, cli
 from tactile.bench import link
 from tactile.bench.figures import at_least, at_most
+from tactile.cli.app import COMMANDS, RENAMED, load_command
 
 # The other commands
 
@@ -64,14 +67,14 @@ def test_one_texture_as_json_says_what_a_surface_can_have(command: Command) -> N
     waves = math.sqrt(float(np.sum(texture.partials.amplitude**2)) / 2) * 1e6
     assert facts["rms_um"] == pytest.approx(math.hypot(waves, 0.50), rel=0.01)  # README: 0.50 pores
     assert len(facts["band_frequency_per_mm"]) == len(facts["band_error_db"]) > 0
-    for key in ("description", "provenance", "source", "licence"):
+    for key in ("description", "provenance", "source", "license"):
         assert facts[key].strip()
 
 
 def test_one_texture_tells_a_person_its_bands(command: Command) -> None:
     result = command("textures", "wood-oak")
     assert (result.code, result.err) == (0, "")
-    for part in ("wood-oak:", "licence", "µm rms at", "partials", "cycles/mm"):
+    for part in ("wood-oak:", "license", "µm rms at", "partials", "cycles/mm"):
         assert part in result.out
 
 
@@ -157,22 +160,117 @@ def test_bench_says_that_a_device_without_the_protocol_has_no_round_trip(command
 # Help
 
 
-COMMANDS = [
-    "adjust", "bench", "budget", "check", "clear", "convert", "devices", "estop", "fit",
-    "materials", "optimize", "paper", "play", "relief", "response", "serve", "sheet", "show",
-    "strength", "study", "textures",
-]  # fmt: skip
+GROUPS = {
+    "Play and inspect textures": ["play", "sheet", "show", "strength", "textures"],
+    "Create and convert textures": ["convert", "fit", "relief"],
+    "Design displays": ["adjust", "materials", "optimize", "paper", "response", "study"],
+    "Use devices": ["bench", "budget", "check", "devices"],
+    "Run the daemon and stop displays": ["clear", "estop", "serve"],
+}
 
 
-def test_help_lists_these_commands_and_each_help_text_has_an_example(command: Command) -> None:
-    listed = command("--help").out.partition("Commands:")[2]
-    names = sorted(line.split()[0] for line in listed.splitlines() if line.startswith("  "))
-    assert names == COMMANDS
-    for words in ([], *([name] for name in COMMANDS)):
-        result = command(*words, "--help")
-        assert (result.code, result.err) == (0, "")
-        assert result.out.startswith("Usage: tactile")
-        assert f"Example: {' '.join(['tactile', *words])} " in " ".join(result.out.split())
+def test_help_lists_the_commands_in_groups_each_on_one_line(command: Command) -> None:
+    listed = command("--help").out.partition("Options:")[2].split("\n\n")[1:]
+    groups = {}
+    for block in listed:
+        heading, *lines = block.splitlines()
+        groups[heading.removesuffix(":")] = dict(line.split(maxsplit=1) for line in lines)
+    assert {heading: list(rows) for heading, rows in groups.items()} == GROUPS
+    for rows in groups.values():
+        for name, summary in rows.items():
+            assert summary == COMMANDS[name].summary
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_commands_own_help_begins_as_the_list_says_and_has_an_example(
+    command: Command, name: str
+) -> None:
+    assert (load_command(name).help or "").splitlines()[0] == COMMANDS[name].summary
+    result = command(name, "--help")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.startswith(f"Usage: tactile {name} ")
+    assert f"Example: tactile {name} " in " ".join(result.out.split())
+
+
+def test_every_command_module_has_a_line_in_the_table() -> None:
+    modules = Path(cli.__file__).parent.glob("*_command.py")
+    assert {path.stem.removesuffix("_command") for path in modules} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_has_a_help_text_that_is_a_phrase(name: str) -> None:
+    for param in load_command(name).params:
+        text = param.help or ""
+        assert text.endswith("."), f"{name} {param.name}"
+        assert text[0].isupper(), f"{name} {param.name}"
+        assert len(text.split()) >= 3, f"{name} {param.name}"
+        assert not text.startswith(("Of ", "As ", "At ", "In ", "On ")), f"{name} {param.name}"
+
+
+HEAVY = {"matplotlib", "msgspec", "numpy", "rich", "scipy", "threadpoolctl"}
+
+
+def loaded_by(*arguments: str) -> set[str]:
+    """Return the modules that a process has loaded after the command."""
+    code = (
+        f"import sys\nsys.argv = {['tactile', *arguments]}\nfrom tactile.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    print('\\n', *sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return set(run.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("option", ["--help", "--version", "estop --help"])
+def test_what_must_be_quick_loads_only_what_it_needs(option: str) -> None:
+    """A command's module is loaded when that command is called."""
+    modules = loaded_by(*option.split())
+    assert "typer" in modules
+    assert {name.partition(".")[0] for name in modules} & HEAVY == set()
+    commands = {name for name in modules if name.endswith("_command")}
+    assert commands == ({"tactile.cli.estop_command"} if "estop" in option else set())
+
+
+def test_the_version_is_that_of_the_package(command: Command) -> None:
+    try:
+        version = importlib.metadata.version("tactile-display")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("not installed")
+    assert command("--version") == (0, f"tactile {version}\n", "")
+
+
+def test_without_an_installed_package_there_is_no_version(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [])
+    assert_mistake(command("--version"), "the package tactile-display is not installed")
+
+
+def test_an_old_option_is_taken_with_a_warning_and_not_shown(command: Command) -> None:
+    new = command("budget", "reference-24", "mock:?link=can", "--band-hz", 500, "--json")
+    for words in (["--band", "500"], ["--band=500"]):
+        old = command("budget", "reference-24", "mock:?link=can", *words, "--json")
+        assert (old.code, old.out) == (0, new.out)
+        assert old.err == "tactile: --band is deprecated; use --band-hz\n"
+    assert "--band " not in command("budget", "--help").out
+
+
+@pytest.mark.parametrize(
+    ("name", "old"),
+    [
+        ("check", "write"),
+        ("fit", "licence"),
+        ("optimize", "band"),
+        ("optimize", "voltage"),
+        ("relief", "output"),
+        ("study", "band"),
+        ("study", "frequency"),
+        ("study", "voltage"),
+    ],
+)
+def test_every_old_name_leads_to_an_option_of_its_command(name: str, old: str) -> None:
+    options = {option for param in load_command(name).params for option in param.opts}
+    assert f"--{RENAMED[old]}" in options
+    assert f"--{old}" not in options
 
 
 def test_every_example_of_a_help_text_can_be_asked_for(

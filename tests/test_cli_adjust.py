@@ -82,10 +82,10 @@ def test_a_bimorph_is_fitted_and_written(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "needs either --load, or --admittance or --velocity or both"),
-        (["--load", "a.csv", "--velocity", "b.csv"], "needs either --load"),
-        (["--velocity", "b.csv", "--branches", "2"], "--branches is for --load"),
-        (["--load", "a.csv", "--stiffness"], "--stiffness is for"),
+        ([], "give either --load, or one or both of --admittance and --velocity"),
+        (["--load", "a.csv", "--velocity", "b.csv"], "give either --load, or"),
+        (["--velocity", "b.csv", "--branches", "2"], "--branches can only be used with --load"),
+        (["--load", "a.csv", "--stiffness"], "--stiffness can only be used with"),
         (["--load", "a.csv", "--plot", "fit.doc"], "fit.doc: must end in"),
         (["--load", "none.csv"], "none.csv: no such file"),
     ],

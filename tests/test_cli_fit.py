@@ -68,14 +68,21 @@ def test_json_and_a_picture(fit: Command, tmp_path: Path) -> None:
         (["0.wav", "-o", "a.toml"], "0.wav: speed is missing; give --speed-mm-s, or a column"),
         (["9.wav", "-o", "a.toml", "--speed-mm-s", 20], "9.wav: no such file"),
         (["0.wav", "-o", "a.txt", "--speed-mm-s", 20], "a.txt: must end in .toml"),
-        (["0.wav", "-o", "A b.toml", "--speed-mm-s", 20], "named in lower case and hyphens"),
+        (
+            ["0.wav", "-o", "A b.toml", "--speed-mm-s", 20],
+            "consists of lower-case letters, digits and hyphens",
+        ),
         ([*TOLD, "-o", "a.toml", "--category", "textil"], "did you mean 'textile'?"),
-        ([*TOLD, "-o", "a.toml", "--quantity", "speed"], "--quantity 'speed'; there is: accel"),
+        ([*TOLD, "-o", "a.toml", "--quantity", "speed"], "--quantity 'speed': there is: accel"),
         (
             [*FILES, "--speed-mm-s", 20, "--speed-mm-s", 30, "-o", "a.toml"],
-            "--speed-mm-s is given 2 times for 4 recordings: once for all, or for each in turn",
+            "--speed-mm-s is given 2 times for 4 recordings; give it once for all, or once for "
+            "each",
         ),
-        ([*TOLD, "-o", "a.toml", "--normal-force-n", -1], "--normal-force-n -1: must be above 0"),
+        (
+            [*TOLD, "-o", "a.toml", "--normal-force-n", -1],
+            "--normal-force-n -1: must be greater than 0",
+        ),
         ([*TOLD, "-o", "a.toml", "--plot", "a.txt"], "a.txt: must end in .png, .svg, .pdf"),
         ([*TOLD, "-o", "missing/a.toml"], "no folder missing"),
     ],

@@ -9,7 +9,7 @@ from cli_rig import Command, assert_mistake
 from tactile.bus import registry
 from tactile.bus.base import DriveFrame
 from tactile.bus.simulated.mock_bus import open_mock
-from tactile.bus.simulated.modeled_bus import ModeledBus
+from tactile.bus.simulated.modeled_bus import MockOptions, ModeledBus
 from tactile.devices import link_at, open_bus
 from tactile.display.display import load_display
 from tactile.errors import InputError
@@ -62,8 +62,8 @@ def test_devices_lists_what_every_driver_finds(
 ) -> None:
     found = [registry.Found("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
     monkeypatch.setattr(registry, "_drivers", {})
-    assert command("devices").out == "no device found; sim: and mock: are always there\n"
-    registry.register_bus("serial", open_mock, find=lambda: found)
+    assert command("devices").out == "no device found; sim: and mock: are always available\n"
+    registry.register_bus("serial", open_mock, MockOptions, find=lambda: found)
     assert "serial:///dev/ttyACM7  an amplifier, USB 1209:0001" in command("devices").out
     listed = json.loads(command("devices", "--json").out)
     assert listed == [{"url": found[0].url, "about": found[0].about}]
@@ -78,7 +78,7 @@ def test_a_narrow_link_is_played_in_spectrum_frames_and_says_so(command: Command
     )
     assert (told["frames"], told["sample_rate_hz"], told["faults"]) == (25, 8000, {})
     said = command("play", "wood-oak", "--seconds", "0.5", "--device", "mock:?link=can").out
-    assert "25 of the spectrum" in said
+    assert "25 spectrum frames" in said
 
 
 def test_frames_have_no_samples_to_record(command: Command, tmp_path: object) -> None:

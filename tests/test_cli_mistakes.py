@@ -11,6 +11,7 @@ from tactile import cli
 from tactile.arrays import Floats
 from tactile.bus import registry
 from tactile.bus.base import Bus, DisplayLike
+from tactile.bus.options import Options
 from tactile.bus.registry import Address
 from tactile.errors import BusError
 from tactile.files import shipped
@@ -56,25 +57,46 @@ PLAY = {
     "option without value": (["wood-oak", "--seed"], "--seed"),
     "seed below 0": (["wood-oak", "--seed", "-1"], "--seed"),
     "seed of a half": (["wood-oak", "--seed", "0.5"], "--seed"),
-    "negative seconds": (["wood-oak", "--seconds", "-1"], "--seconds -1: must be 0.1 … 86400"),
+    "negative seconds": (
+        ["wood-oak", "--seconds", "-1"],
+        "--seconds -1: must be between 0.1 and 86400",
+    ),
     "no seconds": (["wood-oak", "--seconds", "0"], "--seconds 0: must be"),
     "nan seconds": (["wood-oak", "--seconds", "nan"], "--seconds nan: must be"),
     "infinite seconds": (["wood-oak", "--seconds", "inf"], "--seconds inf: must be"),
     "seconds in words": (["wood-oak", "--seconds", "five"], "--seconds"),
-    "negative speed": (["wood-oak", "--speed-mm-s", "-1"], "--speed-mm-s -1: must be 0 … 2000"),
+    "negative speed": (
+        ["wood-oak", "--speed-mm-s", "-1"],
+        "--speed-mm-s -1: must be between 0 and 2000",
+    ),
     "nan speed": (["wood-oak", "--speed-mm-s", "nan"], "--speed-mm-s nan"),
     "nan angle": (["wood-oak", "--angle-deg", "nan"], "--angle-deg nan"),
     "negative force": (["wood-oak", "--normal-force-n", "-0.1"], "--normal-force-n -0.1: must be"),
-    "large force": (["wood-oak", "--normal-force-n", "21"], "--normal-force-n 21: must be 0 … 20"),
-    "low rate": (["wood-oak", "--sample-rate-hz", "2499"], "--sample-rate-hz 2499: must be 2500"),
+    "large force": (
+        ["wood-oak", "--normal-force-n", "21"],
+        "--normal-force-n 21: must be between 0 and 20",
+    ),
+    "low rate": (
+        ["wood-oak", "--sample-rate-hz", "2499"],
+        "--sample-rate-hz 2499: must be between 2500 and",
+    ),
     "nan rate": (["wood-oak", "--sample-rate-hz", "nan"], "--sample-rate-hz nan"),
     "path and speed": (
         ["wood-oak", "--path", "good.csv", "--speed-mm-s", "80"],
-        "--speed-mm-s and --path exclude each other",
+        "--speed-mm-s cannot be used with --path",
     ),
-    "path and seconds": (["wood-oak", "--path", "good.csv", *SHORT], "--seconds and --path"),
-    "path and angle": (["wood-oak", "--path", "good.csv", "--angle-deg", "0"], "--angle-deg and"),
-    "path and force": (["wood-oak", "--path", "good.csv", "--normal-force-n", "1"], "exclude each"),
+    "path and seconds": (
+        ["wood-oak", "--path", "good.csv", *SHORT],
+        "--seconds cannot be used with --path",
+    ),
+    "path and angle": (
+        ["wood-oak", "--path", "good.csv", "--angle-deg", "0"],
+        "--angle-deg cannot be",
+    ),
+    "path and force": (
+        ["wood-oak", "--path", "good.csv", "--normal-force-n", "1"],
+        "cannot be used with",
+    ),
     "missing path": (["wood-oak", "--path", "none.csv"], "none.csv: no such file"),
     "folder as path": (["wood-oak", "--path", "folder"], "folder: no such file"),
     "binary path": (["wood-oak", "--path", "binary.csv"], "binary.csv: cannot be read"),
@@ -215,10 +237,10 @@ def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
 def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def absent(address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
+    def absent(address: Address[Options], rig: DisplayLike, sample_rate: float | None) -> Bus:
         raise BusError("absent: the amplifier does not answer")
 
-    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, "ramps", tuple))
+    monkeypatch.setitem(registry._drivers, "absent", registry.Driver(absent, Options))
     before = content(folder)
     result = command("play", "wood-oak", *SHORT, "--device", "absent:", "--record", "new.npz")
     assert result.err == "tactile: absent: the amplifier does not answer\n"

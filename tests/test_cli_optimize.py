@@ -34,7 +34,7 @@ def test_a_displays_finger_and_limits_are_the_start(optimize: Command) -> None:
         for more in ((), ("--display", "reference-24"))
     )
     assert with_display == pytest.approx(alone)
-    halved = optimize(*QUICK, "--display", "reference-24", "--voltage", "50", "--json")[1]
+    halved = optimize(*QUICK, "--display", "reference-24", "--voltage-v", "50", "--json")[1]
     assert json.loads(halved)["designs"]["attainable_um"][0] == pytest.approx(alone[0] / 2)
 
 
@@ -75,25 +75,25 @@ def test_a_store_that_is_there_is_refused_and_left(optimize: Command, tmp_path: 
     study.parent.mkdir()
     study.write_text("{}")
     refused = optimize(*QUICK, "--out", "study.zarr")
-    assert_mistake(refused, "study.zarr: is there already; remove it, or name another")
+    assert_mistake(refused, "study.zarr: already exists; remove it, or choose another name")
     assert study.read_text() == "{}"
 
 
 BAD = {
-    "length_mm = 20: reads as low:high; fix one value with --fix length_mm=": ["length_mm=20"],
+    "length_mm = 20: must be low:high, or a fixed value: --fix length_mm=20": ["length_mm=20"],
     "length_mm = 40:8: bounds must be finite and ascend": ["length_mm=40:8"],
-    "'length_mm': reads as name=value": ["length_mm"],
-    "length_mm: given twice": [*QUICK, "length_mm=8:9"],
-    "length_mm = 'a': not a number": ["length_mm=a:9"],
-    "no criterion 'drives' as limit; did you mean 'drive'": [*QUICK, "--limit", "drives=3"],
-    "limit first_resonance = 300: say first_resonance=300:": [
+    "'length_mm': must be name=value, for example length_mm=8:40": ["length_mm"],
+    "length_mm: is given twice": [*QUICK, "length_mm=8:9"],
+    "length_mm = 'a': must be a finite number": ["length_mm=a:9"],
+    "--limit drives=3: no such criterion; did you mean 'drive'": [*QUICK, "--limit", "drives=3"],
+    "--limit first_resonance=300: use first_resonance=300: for at least 300": [
         *QUICK, "--limit", "first_resonance=300",
     ],
-    "--scenarios: belongs to --robust": [*QUICK, "--scenarios", "8"],
+    "--scenarios can only be used with --robust": [*QUICK, "--scenarios", "8"],
     "load = 'low': the scenarios draw the finger": [*QUICK, "--robust", "0.9", "--load", "low"],
-    "load: is given by --load and --fix": [*QUICK, "--fix", "load=low", "--load", "low"],
-    "--plot: shows a front": [*QUICK, "--plot", "front.png"],
-    "band = 1000:10 Hz: must ascend": [*QUICK, "--band", "1000:10"],
+    "load: is given by --load and by --fix": [*QUICK, "--fix", "load=low", "--load", "low"],
+    "--plot: needs two or three objectives": [*QUICK, "--plot", "front.png"],
+    "band = 1000:10 Hz: must ascend": [*QUICK, "--band-hz", "1000:10"],
 }  # fmt: skip
 
 

@@ -170,13 +170,13 @@ def test_a_sheet_of_one_category_is_written(command: Command) -> None:
     [
         (["show", "wood-oka"], "no texture 'wood-oka'; did you mean 'wood-oak'?"),
         (["show", "wood-oak", "--display", "reference-23"], "did you mean 'reference-24'?"),
-        (["show", "wood-oak", "--speed-mm-s", "0"], "--speed-mm-s 0: must be 5 … 1000"),
+        (["show", "wood-oak", "--speed-mm-s", "0"], "--speed-mm-s 0: must be between 5 and 1000"),
         (["show", "wood-oak", "--plot", "a.gif"], "a.gif: must end in .png, .svg, .pdf"),
         (["show", "wood-oak", "--plot", "no/a.png"], "no/a.png: No such file or directory"),
         (["sheet", "no/a.png"], "no/a.png: No such file or directory"),
         (["sheet", "a.png", "--category", "wod"],
          "no texture is of category 'wod'; did you mean 'wood'?"),
-        (["sheet", "a.png", "--speed-mm-s", "2000"], "--speed-mm-s 2000: must be 5 … 1000"),
+        (["sheet", "a.png", "--speed-mm-s", "2000"], "--speed-mm-s 2000: must be between 5 and"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_line(arguments: list[str], said: str, command: Command) -> None:

@@ -29,7 +29,7 @@ def test_by_default_it_is_the_papers_question_and_answer(study: Command) -> None
 def test_figures_for_machines_are_those_of_the_data_set(study: Command) -> None:
     code, out, _ = study(
         "length_mm=12:24:4", "width_mm=2,3", "load=low,high", "--criterion", "mean_force",
-        "--criterion", "footprint", "--frequency", "0:1000:50", "--band", "100:900",
+        "--criterion", "footprint", "--frequency-hz", "0:1000:50", "--band-hz", "100:900",
         "--fix", "shim_height_mm=0.25", "--keep", "velocity", "--within", "0.9",
         "--out", "s.nc", "--json",
     )  # fmt: skip
@@ -86,7 +86,7 @@ def test_a_picture_and_a_report_come_with_it(study: Command) -> None:
 
 def test_scenarios_count_by_what_all_but_the_worst_reach(study: Command) -> None:
     code, out, _ = study("length_mm=16,20", "--scenarios", 16, "--seed", 3, "--out", "s.zarr",
-                           "--frequency", "0:1000:100", "--band", "0:1000", "--json",
+                           "--frequency-hz", "0:1000:100", "--band-hz", "0:1000", "--json",
                            "--criterion", "smallest_displacement")  # fmt: skip
     assert code == 0
     told, data = json.loads(out), load_study("s.zarr")
@@ -97,7 +97,7 @@ def test_scenarios_count_by_what_all_but_the_worst_reach(study: Command) -> None
 
 
 def test_a_displays_bender_finger_and_limits_are_the_start(study: Command) -> None:
-    arguments = ("--display", "reference-24", "--criterion", "attainable", "--band", "10:1000")
+    arguments = ("--display", "reference-24", "--criterion", "attainable", "--band-hz", "10:1000")
     code, out, _ = study("length_mm=20", *arguments, "--json")
     assert code == 0
     half = study("length_mm=20", *arguments, "--voltage-v", 10, "--json")[1]
@@ -131,8 +131,8 @@ def test_ranges_have_their_stop_and_no_noise() -> None:
         (["length_mm="], "length_mm: the axis is empty"),
         (["length_mm=8,x"], "length_mm = 'x': must be a finite number"),
         (["length_mm=8,8.0,8"], "has a value twice"),
-        (["length_mm"], "'length_mm': reads as name=values"),
-        (["length_mm=8", "length_mm=9"], "length_mm: given twice"),
+        (["length_mm"], "'length_mm': must be name=value, for example length_mm=8:30:0.5"),
+        (["length_mm=8", "length_mm=9"], "length_mm: is given twice"),
         (["length_mm=8", "--fix", "length_mm=9"], "length_mm: given twice"),
         (["length_mm=8", "--fix", "width_mm=2,3"], "width_mm: is fixed to one value, not 2"),
         (["length_mm=0:8:1"], "length_mm = 0: must be 0.5 … 200 mm"),
@@ -141,9 +141,9 @@ def test_ranges_have_their_stop_and_no_noise() -> None:
         (["load=low", "--criterion", "mean_forc"], "no criterion 'mean_forc'; did you mean"),
         (["load=low", "--keep", "forc"], "no response 'forc'; did you mean 'force'?"),
         (["load=low", "--criterion", "mean_force"], "mean_force: needs a band"),
-        (["load=low", "--band", "10"], "band = '10': reads as low:high"),
-        (["load=low", "--band", "100:10"], "band = 100:10 Hz: must ascend"),
-        (["load=low", "--band", "10:20", "--frequency", "5,15", "--criterion", "mean_force"],
+        (["load=low", "--band-hz", "10"], "band = 10: must be low:high, in Hz, for"),
+        (["load=low", "--band-hz", "100:10"], "band = 100:10 Hz: must ascend"),
+        (["load=low", "--band-hz", "10:20", "--frequency-hz", "5,15", "--criterion", "mean_force"],
          "mean_force: fewer than two frequencies in the band 10:20 Hz"),
         (["load=low", "--within", "1.5"], "share = 1.5: must be above 0 and below 1"),
         (["load=low", "--out", "s.txt"], "s.txt: must end in .nc or .zarr"),

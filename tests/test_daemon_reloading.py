@@ -9,6 +9,7 @@ from virtual_daemon import World, virtual_world
 
 from tactile import messages as m
 from tactile.bus.registry import register_bus
+from tactile.bus.simulated.modeled_bus import MockOptions
 from tactile.errors import BusError, InputError
 from tactile.server.config import load_config
 from tactile.server.host import Host
@@ -58,7 +59,7 @@ class Daemon:
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
     with virtual_world(lambda playback, volts: None) as world:
-        register_bus("sim", world.open_bus)
+        register_bus("sim", world.open_bus, MockOptions)
         yield Daemon(world, tmp_path / "tactile.toml")
         assert world.errors.all == []
 

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,9 @@ import pytest
 from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
 
 from tactile import messages as m
+from tactile.bus.base import Bus
+from tactile.devices import open_bus
+from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback import process as playback_process
 from tactile.playback.commands import Setup
@@ -255,7 +257,8 @@ def test_a_daemon_that_ends_says_of_no_playback_that_it_was_lost(
         ("serial:///dev/x", "serial:///dev/x?rearm=true"),
         ("serial:///dev/x?baud=9600", "serial:///dev/x?baud=9600&rearm=true"),
         ("can:virtual/x?rearm=false", "can:virtual/x?rearm=false"),
-        ("mock:?link=can", "mock:?link=can"),
+        ("mock:?link=can", "mock:?link=can&rearm=true"),
+        ("sim:", "sim:"),
     ],
 )
 def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
@@ -263,13 +266,12 @@ def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
     opened: str,
 ) -> None:  # fmt: skip
     devices: list[str] = []
-    usual = playback_process.opened
 
-    def open_in_memory(setup: Setup) -> Any:
-        devices.append(setup.device)
-        return usual(replace(setup, device="mock:"))
+    def open_in_memory(url: str, display: Display, **options: Any) -> Bus:
+        devices.append(url)
+        return open_bus("mock:", display, **options)
 
-    monkeypatch.setattr(playback_process, "opened", open_in_memory)
+    monkeypatch.setattr(playback_process, "open_bus", open_in_memory)
     serve(device, rearm=True)
     assert devices == [opened]
     playback_of(world).kill()

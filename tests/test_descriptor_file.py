@@ -36,7 +36,7 @@ ABOUT = st.builds(
     description=LINES,
     provenance=st.sampled_from(["fitted", "published", "authored"]),
     source=LINES.filter(bool) | st.lists(LINES, min_size=20).map(" ".join),
-    licence=LINES,
+    license=LINES,
 )
 REFERENCE = st.builds(
     descriptors.Reference, speed_mm_s=floats(1e-9, 1000), normal_force_n=floats(1e-9, 20)

@@ -275,7 +275,7 @@ def test_the_commands_stop_and_clear_a_device(
     command: Command, bus: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     patient = partial(request_estop, within=PATIENCE)
-    monkeypatch.setattr("tactile.cli.stop_commands.request_estop", patient)
+    monkeypatch.setattr("tactile.cli.estop_command.request_estop", patient)
 
     def play() -> None:
         left, _ = bind("of-a-program-that-was-killed")
@@ -295,16 +295,16 @@ def test_the_commands_stop_and_clear_a_device(
     assert command("play", "wood-oak", "--seconds", "0.1", "--device", MOCK).code == 0
     result = command("estop")
     assert (result.code, result.err) == (
-        1, "nothing of tactile runs on this machine that could be stopped\n"
+        1, "no program of tactile that could be stopped runs on this machine\n"
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--device", MOCK, "--url", "ws://127.0.0.1:1"], "excludes --url"),
+        (["--device", MOCK, "--url", "ws://127.0.0.1:1"], "--url cannot be used with --device"),
         (["--device", MOCK, "--estop", "0"], "greater than or equal to 1"),
-        (["--device", MOCK, "--json"], "--estop must name the e-stop"),
+        (["--device", MOCK, "--json"], "give the number of the e-stop with --estop"),
         (["nobody", "--device", MOCK], "nobody"),
         (["--device", "serial:///dev/ttyNONE"], "ttyNONE"),
     ],

@@ -26,7 +26,7 @@ category = "test"
 description = "written by a test"
 provenance = "authored"
 source = "a test"
-licence = "CC0-1.0"
+license = "CC0-1.0"
 [reference]
 speed_mm_s = 40.0
 normal_force_n = 0.5
@@ -142,6 +142,16 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -
     if Path("/dev/zero").exists():
         with pytest.raises(InputError, match=r"^/dev/zero: has more than 1024 KiB"):
             files.read(Path("/dev/zero"), DisplayFile)
+
+
+def test_the_old_key_of_the_license_is_read_unless_the_new_one_is_there(tmp_path: Path) -> None:
+    line = 'license = "CC0-1.0"'
+    old = TEXTURE.replace(line, 'licence = "by hand"')
+    assert old != TEXTURE
+    (tmp_path / "sample.toml").write_text(old)
+    assert descriptor.load(tmp_path / "sample.toml").texture.license == "by hand"
+    both = TEXTURE.replace(line, f'{line}\nlicence = "by hand"')
+    has(refused(tmp_path / "sample.toml", both), "texture.licence: unknown key", "'license'")
 
 
 def test_what_is_said_of_a_long_value_is_short(tmp_path: Path) -> None:

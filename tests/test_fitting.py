@@ -18,7 +18,7 @@ from tactile.texture.recorded_slide import Recorded
 
 ABOUT = About(
     id="known", category="test", description="known", provenance="fitted", source="slides",
-    licence="CC0-1.0",
+    license="CC0-1.0",
 )  # fmt: skip
 SPEEDS = (0.02, 0.03, 0.05, 0.06)
 

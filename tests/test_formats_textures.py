@@ -130,7 +130,7 @@ def test_a_models_texture_has_its_displacement_spectrum_in_space(model: ModelSet
     """Band by band: ∫ S_a/(2πf)⁴ df over the band in time is the variance of the band in space."""
     texture, told = texture_from(model, 0.1, 2.0)
     assert texture.texture.category == "wood"
-    assert "not to be redistributed" in texture.texture.licence
+    assert "not to be redistributed" in texture.texture.license
     assert any("assumed" in line for line in told)
     s = texture.stochastic
     assert s is not None
@@ -264,7 +264,7 @@ def grating(direction_deg: float) -> descriptors.Descriptor:
     )  # fmt: skip
     about = descriptors.About(
         id="ribs", category="metal", description="", provenance="authored", source="x",
-        licence="CC0-1.0",
+        license="CC0-1.0",
     )  # fmt: skip
     reference = descriptors.Reference(speed_mm_s=80, normal_force_n=1)
     return descriptors.Descriptor(texture=about, reference=reference, periodic=(part,))
@@ -373,7 +373,7 @@ def test_the_command_overwrites_only_when_told_to(command: Command, tmp_path: Pa
         assert reason in said.err
     said = command("convert", "wood-oak", tmp_path / "y.wav", "--speed-mm-s", 0)
     assert said.code == 2
-    assert "--speed-mm-s 0: must be 1 … 1000" in said.err
+    assert "--speed-mm-s 0: must be between 1 and 1000" in said.err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x.haptic", "x.wav"]
     assert command("convert", source, target, "--force").code == 0
     assert target.read_bytes()[:4] == b"RIFF"

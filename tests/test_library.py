@@ -107,7 +107,7 @@ def test_each_source_says_what_is_taken_and_what_is_assumed(name: str) -> None:
     if about.provenance != "authored":
         assert NAMED.search(about.source)
     assert about.description
-    assert about.licence == "CC0-1.0"
+    assert about.license == "CC0-1.0"
 
 
 def test_each_reference_is_in_the_readme_and_each_there_is_used() -> None:

@@ -167,7 +167,7 @@ def test_a_texture_beyond_the_drives_limit_is_told_with_what_is_lost(tmp_path: P
     file = tmp_path / "loud.toml"
     file.write_text(
         '[texture]\nid = "loud"\ncategory = "test"\ndescription = ""\nprovenance = "authored"\n'
-        'source = "made up"\nlicence = "CC0-1.0"\n'
+        'source = "made up"\nlicense = "CC0-1.0"\n'
         "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5\n"
         "[[periodic]]\nwavelength_mm = 0.05\nharmonics_um = [400.0]\n"
     )

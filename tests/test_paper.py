@@ -9,7 +9,6 @@ import pytest
 import xarray
 from test_report import check_alone
 
-import tactile.cli.commands  # noqa: F401  # what `app` knows
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force, tip_response

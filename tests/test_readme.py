@@ -36,6 +36,6 @@ def test_it_names_the_commands_that_there_are() -> None:
     shown = subprocess.run(
         [sys.executable, "-m", "tactile", "--help"], capture_output=True, text=True, check=True
     ).stdout
-    commands = set(re.findall(r"^  (\w+) {2,}", shown.split("Commands:")[1], re.MULTILINE))
+    commands = set(re.findall(r"^  (\w+) {2,}", shown, re.MULTILINE))
     assert said
     assert said <= commands

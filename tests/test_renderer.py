@@ -52,7 +52,7 @@ category = "test"
 description = "a grating"
 provenance = "authored"
 source = "made up"
-licence = "CC0-1.0"
+license = "CC0-1.0"
 [reference]
 speed_mm_s = 80.0
 normal_force_n = 0.5

@@ -103,7 +103,7 @@ def descriptor(laws: Laws, *, speed: float = 40.0, force: float = 0.5) -> Descri
             description="",
             provenance="authored",
             source="a test",
-            licence="",
+            license="",
         ),
         reference=Reference(speed_mm_s=speed, normal_force_n=force),
         events=(Events(density_per_mm2=1.0, amplitude_um=1.0, width_mm=1.0),),

@@ -360,7 +360,8 @@ def test_play_takes_the_automatic_gain(tmp_path: Path, command: Command) -> None
     assert summary["limited_samples"] == 0
     assert summary["peak_drive_v"] == pytest.approx(HEADROOM * 100, rel=0.02)
     code, _, err = command(*play, "--gain", "loud")
-    assert (code, err) == (2, "tactile: --gain loud: must be auto or a number 0 … 1000\n")
+    said = "tactile: --gain loud: must be auto or a number between 0 and 1000\n"
+    assert (code, err) == (2, said)
     path = ["play", "wood-oak", "--path", "none.csv", "--gain", "auto"]
     code, _, err = command(*path)
     assert code == 2

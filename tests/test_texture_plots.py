@@ -35,7 +35,7 @@ category = "test"
 description = "made for a test"
 provenance = "authored"
 source = "assumed"
-licence = "CC0-1.0"
+license = "CC0-1.0"
 
 [reference]
 speed_mm_s = 40.0

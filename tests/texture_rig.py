@@ -27,7 +27,7 @@ def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]
     """Write a descriptor of the given tables and return its path."""
     lines = [
         f'[texture]\nid = "{path.stem}"\ncategory = "test"\ndescription = ""',
-        'provenance = "authored"\nsource = "a test"\nlicence = "CC0-1.0"',
+        'provenance = "authored"\nsource = "a test"\nlicense = "CC0-1.0"',
         "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5",
     ]
     for name, content in tables.items():

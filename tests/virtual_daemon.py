@@ -41,7 +41,13 @@ from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.line_model import Model
 from tactile.bus.simulated.mock_bus import MockBus, open_mock
-from tactile.bus.simulated.modeled_bus import ModeledBus, link_of, model_of, open_modeled
+from tactile.bus.simulated.modeled_bus import (
+    MockOptions,
+    ModeledBus,
+    link_of,
+    model_of,
+    open_modeled,
+)
 from tactile.display.display import Display, load_display
 from tactile.errors import TactileError
 from tactile.estop.latch import Latch, LatchWriter
@@ -238,7 +244,9 @@ class World:
         self.models: dict[str, Model] = {}
         self.adapters: dict[str, ModelBus] = {}
         """I²C adapters with chips, by their paths."""
-        self.on_link: Callable[[Address, Model, int, PlayedRun], None] = lambda *_: None
+        self.on_link: Callable[[Address[MockOptions], Model, int, PlayedRun], None] = lambda *_: (
+            None
+        )
         """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
         self.server: LoopProcess | None = None
         self.host: Host | None = None
@@ -312,17 +320,19 @@ class World:
 
     # The amplifiers
 
-    def open_bus(self, address: Address, rig: DisplayLike, sample_rate: float | None) -> Bus:
+    def open_bus(
+        self, address: Address[MockOptions], rig: DisplayLike, sample_rate: float | None
+    ) -> Bus:
         """Open amplifiers in memory; those on a link are the same ones each time."""
-        if "link" not in address.options:
+        if address.options.link is None:
             return open_mock(address, rig, sample_rate, self.clock)
         name = str(address)
         if name not in self.models:
             wiring = Wiring.of(rig, sample_rate or RATE)
-            model = self.models[name] = model_of(address, wiring, self.clock)
+            model = self.models[name] = model_of(address.options, wiring, self.clock)
             vars(model)["listen"] = lambda: self._listen(address, model)
             self._go_on(model)
-        bus = open_modeled(address, rig, sample_rate, self.models[name])
+        bus = open_modeled(address.options, rig, sample_rate, self.models[name])
         vars(bus)["_turn"] = self._in_turn(bus._turn)
         return bus
 
@@ -339,7 +349,7 @@ class World:
 
         return in_turn
 
-    def _listen(self, address: Address, model: Model) -> None:
+    def _listen(self, address: Address[MockOptions], model: Model) -> None:
         for board, amplifier in enumerate(model.amplifiers):
             for run in amplifier.take_played():
                 self.on_link(address, model, board, run)
@@ -446,7 +456,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
-        register_bus("mock", world.open_bus, link=link_of)
+        register_bus("mock", world.open_bus, MockOptions, link=link_of)
         stand_ins = {
             **_stand_ins(world),
             "tactile.playback.loop.SamplePlayback.write": write,

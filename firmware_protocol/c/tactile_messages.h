@@ -1,9 +1,9 @@
 /* Messages, codes and states of the protocol; written by generate.py from schema.toml.
  *
- * SPEC.md says what they mean. tp_X_encode writes a payload and returns its size, 0
- * where it does not fit. tp_X_decode takes one: a missing tail reads as 0, an unknown
- * tail is ignored; it returns false for one that is shorter than the head of a
- * message with a body. Bodies are pointers into the payload.
+ * SPEC.md defines their meaning. tp_X_encode writes a payload and returns its size, or 0
+ * if it does not fit. tp_X_decode decodes a payload: a missing tail reads as 0 and an
+ * unknown tail is ignored. It returns false for a payload that is shorter than the head
+ * of a message with a body. Bodies are pointers into the payload.
  */
 #ifndef TACTILE_MESSAGES_H
 #define TACTILE_MESSAGES_H
@@ -137,7 +137,7 @@ enum {
     TP_CAN_CLASS_BULK = 6
 };
 
-/* Section 6: an entry per state. */
+/* State table of section 6: an entry per state. */
 #define TP_TABLE_HELLO_OTHER {0x40u, 0x86u, 0x86u, 0x86u, 0x40u, 0x40u, 0x40u}
 #define TP_TABLE_ARM {0x01u, 0x01u, 0x87u, 0x87u, 0x01u, 0x89u, 0x8Au}
 #define TP_TABLE_START {0x88u, 0x02u, 0x87u, 0x87u, 0x88u, 0x89u, 0x8Au}

@@ -1,8 +1,9 @@
-"""The amplifier between a drive sample and the bimorph's electrodes.
+"""Model of the amplifier between a drive sample and the electrodes of the bimorph.
 
-A drive sample means the band-limited signal through the samples, sample k at time k/fs, with no
-hold. An amplifier that holds its output between samples, is slow, late or has an output
-resistance departs from that; its display file says so and the equalizer inverts it.
+Drive samples stand for the band-limited signal through them, sample k at time k/fs, without a hold.
+An amplifier departs from that if it holds its output between samples, has a limited bandwidth, a
+delay or an output resistance. Its display file states these properties, and the equalizer inverts
+them.
 """
 
 from dataclasses import dataclass
@@ -21,18 +22,27 @@ class Amplifier:
 
     Parameters
     ----------
-    gain : volts out per volt of drive
-    bandwidth : corner of its first-order low-pass [Hz]; infinite for none
-    output_resistance : in series with the bimorph [Ω]
-    hold : "none" (output band-limited through the samples) or "zoh" (held until the next one)
-    delay : [s]
-    audio_full_scale : volts of drive at digital full scale of an audio card [V]; None if unknown
-    ac_coupling : corner of the first-order high-pass of a card's outputs [Hz], 0 for DC coupled
+    gain : float
+        Output voltage per volt of drive.
+    bandwidth : float
+        Corner frequency of the first-order low-pass [Hz]; infinite for none.
+    output_resistance : float
+        Resistance in series with the bimorph [Ω].
+    hold : {"none", "zoh"}
+        "none" if the output is band-limited through the samples, "zoh" (zero-order hold) if each
+        sample is held until the next one.
+    delay : float
+        Delay of the output [s].
+    audio_full_scale : float or None
+        Drive at digital full scale of an audio card [V]; None if unknown.
+    ac_coupling : float
+        Corner frequency of the first-order high-pass at the outputs of an audio card [Hz]; 0 for DC
+        coupling.
 
     Raises
     ------
     ValueError
-        Naming the value out of range; also where a hold would need infinite current.
+        If a value is out of range, or if a hold would need infinite current.
     """
 
     gain: float = 1.0
@@ -63,37 +73,47 @@ class Amplifier:
 
     @property
     def peak(self) -> float:
-        """Largest volts out per volt of the drive's limit, whatever the drive.
+        """Largest output voltage per volt of the drive limit, over all possible drives.
 
-        The gain; behind a high-pass twice as much, which takes its own past away: a drive that
-        stayed at one limit until the coupling had charged, then at the other.
+        Without AC coupling this is the gain. A high-pass doubles it, because it subtracts the past
+        of its input: the worst drive stays at one limit until the coupling has charged and then
+        jumps to the other.
         """
         return self.gain * (2.0 if self.ac_coupling else 1.0)
 
     def response(
         self, frequency: NDArray[np.float64], admittance: Complex, sample_rate: float
     ) -> Complex:
-        """Return volts at the electrodes per volt of drive.
+        """Compute the voltage at the electrodes per volt of drive.
 
         Parameters
         ----------
-        frequency : (F,) [Hz]
-        admittance : (..., F) of the loaded bimorph [S]
-        sample_rate : of the drive [Hz]
+        frequency : (F,) array of float
+            Frequencies [Hz].
+        admittance : (..., F) complex array
+            Electrical admittance of the loaded bimorph [S].
+        sample_rate : float
+            Sample rate of the drive [Hz].
 
         Returns
         -------
-        (..., F) complex ndarray
-            gain / (1 + jf/bandwidth) / (1 + R Y) · exp(−jω delay), and for a zero-order hold
-            sinc(f/fs) exp(−jπ f/fs). Without the AC coupling, 1 / (1 + corner/(jf)): its inverse
-            is an integrator, which the equalizer's filter of milliseconds cannot be, and which
-            would spend the voltage limit on what is slower than the band.
+        (..., F) complex array
+            Voltage at the electrodes per volt of drive [V/V].
+
+        Notes
+        -----
+        The response is gain / (1 + jf/bandwidth) / (1 + R Y) · exp(−jω delay), multiplied for a
+        zero-order hold by sinc(f/fs) exp(−jπ f/fs).
+
+        The factor of the AC coupling, 1 / (1 + corner/(jf)), is left out. Its inverse is an
+        integrator, which the equalizer's filter of a few milliseconds cannot realize, and which
+        would spend the voltage limit on frequencies below the band.
         """
-        held = 1.0
+        hold = 1.0
         if self.hold == "zoh":
-            held = np.sinc(frequency / sample_rate) * np.exp(-1j * np.pi * frequency / sample_rate)
-        late = np.exp(-2j * np.pi * frequency * self.delay)
-        slow = 1 + 1j * frequency / self.bandwidth
+            hold = np.sinc(frequency / sample_rate) * np.exp(-1j * np.pi * frequency / sample_rate)
+        delay = np.exp(-2j * np.pi * frequency * self.delay)
+        low_pass = 1 + 1j * frequency / self.bandwidth
         return np.asarray(
-            self.gain * held * late / slow / (1 + self.output_resistance * admittance)
+            self.gain * hold * delay / low_pass / (1 + self.output_resistance * admittance)
         )

@@ -1,16 +1,17 @@
-"""A passive Timoshenko beam segment, exactly, at any frequency.
+"""Exact transition matrix of a passive Timoshenko beam segment at any frequency.
 
-The beam lies along x, deflects by u and its cross-sections rotate by ψ (u_x = zψ), so that the
-curvature is ψ' and the shear angle u' + ψ. With bending moment M = EI ψ', shear force
-F = AG (u' + ψ), F' = −ω² m u and M' = F − ω² ρI ψ + N ψ (N the axial tension) the state
-[u, ψ, M, F] at the end of a segment is a matrix times that at its start.
+The beam lies along x, deflects by u, and its cross-sections rotate by ψ (u_x = zψ), so that the
+curvature is ψ' and the shear angle is u' + ψ. The bending moment is M = EI ψ' and the shear force
+is F = AG (u' + ψ). With F' = −ω² m u and M' = F − ω² ρI ψ + N ψ, where N is the axial tension, the
+state [u, ψ, M, F] at the end of a segment is a matrix times the state at its start.
 
-The matrix is built from four functions c0…c3 of the two roots z1 = λ1², z2 = −λ2² of the
-characteristic polynomial; they are divided differences of entire functions of z, so they have
-no singular point, neither at ω = 0 nor where λ1 turns imaginary at √(AG/ρI). As they are symmetric
-in the two roots they are power series in the roots' sum and product: up to λ = 10 no root is drawn
-and no exponential taken, which is two to five times as fast as the closed form and loses nothing
-at λ = 0.
+The matrix is built from four functions c0…c3 of the two roots z1 = λ1² and z2 = −λ2² of the
+characteristic polynomial. These functions are divided differences of entire functions of z, so they
+have no singular point, neither at ω = 0 nor where λ1 turns imaginary at √(AG/ρI). Since they are
+symmetric in the two roots, they are power series in the sum and the product of the roots. Up to λ =
+10 these series are summed without computing the roots or an exponential, which is two to five times
+as fast as the closed form and loses no accuracy at λ = 0.
+
 Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
 """
 
@@ -26,25 +27,30 @@ Complex: TypeAlias = NDArray[np.complex128]
 Matrix2: TypeAlias = tuple[tuple[Complex, Complex], tuple[Complex, Complex]]
 """A 2 × 2 matrix whose entries are arrays."""
 Four: TypeAlias = tuple[Complex, Complex, Complex, Complex]
+"""The functions c0, c1, c2 and c3."""
 
 SERIES_BELOW = 100.0
-"""|z| up to which c0…c3 are power series; beyond it their closed form."""
+"""Largest |z| for which c0…c3 are computed as power series; beyond it their closed form is used."""
 SERIES = np.array([[1 / factorial(2 * k + n) for k in range(40)] for n in (2, 3, 4, 5)])
-"""Coefficients (4, terms) of c2, c3, (1 − c0)/(z1 z2) and (1 − c1)/(z1 z2)."""
+"""Series coefficients (4, terms) of c2, c3, (1 − c0)/(z1 z2) and (1 − c1)/(z1 z2)."""
 SERIES_ERROR = 1e-17
-"""Largest term left out of a series, relative to its first."""
+"""Bound on the terms left out of a series, relative to its first term."""
 
 
 @dataclass(frozen=True)
 class CrossSection:
-    """What a cross-section resists and weighs; entries broadcast.
+    """Stiffnesses and inertias of a cross-section; the arrays broadcast against each other.
 
     Parameters
     ----------
-    EI : bending stiffness [N m²], complex
-    AG : shear stiffness, shear factor included [N], complex
-    m : mass per length [kg/m]
-    rhoI : rotary inertia per length [kg m]
+    EI : complex array
+        Bending stiffness [N m²].
+    AG : complex array
+        Shear stiffness, shear correction factor included [N].
+    m : array of float
+        Mass per length [kg/m].
+    rhoI : array of float
+        Rotary inertia per length [kg m].
     """
 
     EI: Complex
@@ -55,16 +61,25 @@ class CrossSection:
 
 @dataclass(frozen=True)
 class Transition:
-    """State at the end of a segment from that at its start, in 2 × 2 blocks.
+    """State transition of a segment from its start (1) to its end (2), in 2 × 2 blocks.
 
-    With w = (u, ψ) and f = (M, F): w2 = ww w1 + wf f1 and f2 = fw w1 + ff f1. Each block is worked
-    out when it is asked for: behind a clamp there is no w1.
+    With w = (u, ψ) and f = (M, F), w2 = ww w1 + wf f1 and f2 = fw w1 + ff f1. Each block is
+    computed when it is first used, because not every caller needs all of them: at a clamp, w1 = 0.
 
     Parameters
     ----------
-    section, length : of the segment, length in m
-    inertia, turning : m ω² [N/m²] and ρI ω² − N [N]
-    sigma, tau, c : σ, τ and c0…c3, dimensionless
+    section : CrossSection
+        Cross-section of the segment.
+    length : array of float
+        Length of the segment [m].
+    inertia : array of float
+        Inertia force per length and deflection, m ω² [N/m²].
+    turning : array of float
+        Moment per length and rotation, ρI ω² − N [N].
+    sigma, tau : complex array
+        The dimensionless terms σ = m ω² l²/AG and τ = (ρI ω² − N) l²/EI.
+    c : tuple of four complex arrays
+        The dimensionless functions c0…c3.
     """
 
     section: CrossSection
@@ -77,13 +92,13 @@ class Transition:
 
     @cached_property
     def ww(self) -> Matrix2:
-        """w2 from w1."""
+        """Block that maps w1 to w2."""
         (psi, along), (across, u) = self.ff
         return (u, -along), (-across, psi)
 
     @cached_property
     def wf(self) -> Matrix2:
-        """w2 from f1."""
+        """Block that maps f1 to w2."""
         _, c1, c2, c3 = self.c
         L, a = self.length, self.length**2 / self.section.EI
         bend = L / self.section.EI
@@ -92,7 +107,7 @@ class Transition:
 
     @cached_property
     def fw(self) -> Matrix2:
-        """f2 from w1."""
+        """Block that maps w1 to f2."""
         _, c1, c2, c3 = self.c
         L, inertia, turning = self.length, self.inertia, self.turning
         moment = inertia * L**2 * c2
@@ -101,7 +116,7 @@ class Transition:
 
     @cached_property
     def ff(self) -> Matrix2:
-        """f2 from f1."""
+        """Block that maps f1 to f2."""
         c0, c1, c2, c3 = self.c
         L, a = self.length, self.length**2 / self.section.EI
         along = L * (c1 - (self.sigma + self.tau) * c3)
@@ -110,19 +125,32 @@ class Transition:
 
 
 def characteristic_roots(total: Complex, product: Complex) -> tuple[Complex, Complex]:
-    """Return z1 = λ1² and z2 = −λ2² (dimensionless) from their sum −(σ+τ) and product στ − β⁴."""
+    """Compute the roots of the characteristic polynomial.
+
+    Parameters
+    ----------
+    total : complex array
+        Sum of the roots, −(σ + τ).
+    product : complex array
+        Product of the roots, στ − β⁴.
+
+    Returns
+    -------
+    z1, z2 : complex array
+        The dimensionless roots z1 = λ1² and z2 = −λ2².
+    """
     root = np.sqrt(total**2 / 4 - product)
     return total / 2 + root, total / 2 - root
 
 
 def _closed_form(z1: Complex, z2: Complex) -> Four:
-    """c0…c3 from hyperbolic and circular functions of λ1 = √z1 and λ2 = √−z2."""
+    """Return c0…c3 from hyperbolic and circular functions of λ1 = √z1 and λ2 = √−z2."""
     lambda1, lambda2 = np.sqrt(z1), np.sqrt(-z2)
     growth, turn = np.exp(lambda1), np.exp(1j * lambda2)
-    decay, back = 1 / growth, 1 / turn
-    cosh, cos = (growth + decay) / 2, (turn + back) / 2
+    decay, inverse_turn = 1 / growth, 1 / turn
+    cosh, cos = (growth + decay) / 2, (turn + inverse_turn) / 2
     sinh = _over_root((growth - decay) / 2, lambda1)
-    sin = _over_root((turn - back) / 2, 1j * lambda2)
+    sin = _over_root((turn - inverse_turn) / 2, 1j * lambda2)
     scale = 1 / (z1 - z2)
     return (
         (z1 * cos - z2 * cosh) * scale,
@@ -133,7 +161,7 @@ def _closed_form(z1: Complex, z2: Complex) -> Four:
 
 
 def _over_root(sinh: Any, root: Any) -> Any:
-    """Return sinh(√z)/√z from both, by its series where the root is near zero."""
+    """Return sinh(√z)/√z from sinh(√z) and √z, by its power series where the root is near zero."""
     z = root * root
     near = np.abs(z) < 1e-3
     series = 1 + z / 6 * (1 + z / 20 * (1 + z / 42))
@@ -141,9 +169,10 @@ def _over_root(sinh: Any, root: Any) -> Any:
 
 
 def _series(total: Complex, product: Complex, reach: float) -> Four:
-    """c0…c3 from their power series, roots being no larger than ``reach``.
+    """Return c0…c3 from their power series, for roots no larger than ``reach`` in magnitude.
 
-    Σ aₖ hₖ with hₖ = Σ z1^i z2^(k−i), the divided difference of z^(k+1), |hₖ| ≤ (k+1) reach^k.
+    Each function is Σ aₖ hₖ with hₖ = Σ z1^i z2^(k−i), the divided difference of z^(k+1), for which
+    |hₖ| ≤ (k+1) reach^k.
     """
     k = np.arange(SERIES.shape[1])
     left_out = (k + 1) * reach**k * SERIES[0] / SERIES[0, 0] < SERIES_ERROR
@@ -158,7 +187,20 @@ def _series(total: Complex, product: Complex, reach: float) -> Four:
 
 
 def c_functions(total: Complex, product: Complex) -> Four:
-    """Return c0…c3 of roots with this sum and product (equal shapes), accurate from ω = 0 up."""
+    """Compute c0…c3 from the sum and the product of the two roots, accurate down to ω = 0.
+
+    Parameters
+    ----------
+    total : complex array
+        Sum of the roots, z1 + z2.
+    product : complex array
+        Product of the roots, z1 z2, of the same shape.
+
+    Returns
+    -------
+    tuple of four complex arrays
+        The dimensionless functions c0, c1, c2 and c3.
+    """
     reach = np.abs(total) + np.sqrt(np.abs(product))
     longest = float(reach.max(initial=0.0))
     if longest <= SERIES_BELOW:
@@ -176,19 +218,29 @@ def transition(
     omega: NDArray[np.float64],
     axial_force: NDArray[np.float64],
 ) -> Transition:
-    """Return the exact state transition of a segment.
+    """Compute the exact state transition of a segment.
 
     Parameters
     ----------
-    section : entries broadcast against ``omega``
-    length : of the segment [m]
-    omega : angular frequency [rad/s], zero allowed
-    axial_force : tension N [N]; a finger that presses on the tip is N < 0
+    section : CrossSection
+        Cross-section, whose arrays broadcast against ``omega``.
+    length : array of float
+        Length of the segment [m].
+    omega : array of float
+        Angular frequency [rad/s]; zero is allowed.
+    axial_force : array of float
+        Axial tension N [N]; a finger that presses on the tip makes it negative.
+
+    Returns
+    -------
+    Transition
+        Blocks of the transition matrix.
 
     Notes
     -----
-    Entries grow as exp(λ1) (λ1 = 14 for the default section 20 mm long at 60 kHz), so that sums of
-    products of them, such as a determinant, lose as much. `response` cuts longer segments.
+    The entries grow as exp(λ1), where λ1 = 14 for the default section 20 mm long at 60 kHz. Sums of
+    products of entries, such as a determinant, lose accuracy in proportion. `response` therefore
+    cuts long segments into pieces.
     """
     a = length**2 / section.EI
     inertia = section.m * omega**2

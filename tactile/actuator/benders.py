@@ -1,10 +1,10 @@
-"""Benders that one can buy, as far as their makers print what the model needs.
+"""Commercial benders, as far as their manufacturers publish what the model needs.
 
-`BENDERS` holds each as it is mounted by its data sheet or by who measured it: free length, what is
-clamped, and how it is wired. tests/validation/test_benders.py compares what is printed or was
-measured with what the model makes of it; of the MTP benders it finds capacitance and blocked force
-near what is printed, but a third to a quarter of the displacement, so that a design by their sheet
-alone may promise too much.
+`BENDERS` holds each bender as mounted according to its data sheet or in the measurement that it is
+taken from: its free length, its clamped length and its wiring. tests/validation/test_benders.py
+compares printed and measured values with those of the model. For the MTP benders it finds
+capacitance and blocked force near the printed values, but a third to a quarter of the printed
+displacement, so that a design based on their data sheet alone may promise too much.
 """
 
 from dataclasses import replace
@@ -18,13 +18,14 @@ from tactile.actuator.resonance import first_resonance
 from tactile.actuator.response import blocked_force, tip_response
 
 _MTP_PIEZO = replace(PIEZOS["pzt-5h"], eps33T=3300 * VACUUM_PERMITTIVITY, loss_tangent=0.022)
-"""The sheet prints ε33T 3300 and tanδ 2.2 % of a "PZT5"; all else like PZT-5H (assumed)."""
+"""Ceramic of the MTP benders: the sheet prints ε33T 3300 and tanδ 2.2 % for a "PZT5"; all other
+constants are those of PZT-5H (assumed)."""
 
 
 def _mtp(
     width: float, total: float, free: float, piezo_height: float, shim_height: float
 ) -> Bimorph:
-    """Return a bender of the MTP kind; all but its free length is clamped (dimensions in m)."""
+    """Return a bender of the MTP kind, clamped over all but its free length (dimensions in m)."""
     return Bimorph(
         width=width,
         length=free,
@@ -53,23 +54,27 @@ BENDERS = {
 }
 """Benders by name.
 
-mtp…: the sheet at rphotronics.com/b/product05/1536 prints total size, free length and material; its
-layers are not printed: equal ones around 0.2 mm of brass are assumed. The default design is of the
-class of the first.
+mtp…: the data sheet at rphotronics.com/b/product05/1536 prints total size, free length and
+material. It does not print the layers: equal piezo layers around 0.2 mm of brass are assumed. The
+default design is of the class of the first of these benders.
 
-t226-a4-503x: Piezo Systems, mounted as by Erturk & Inman, Smart Mater. Struct. 18, 2009, 025009:
-brass between 5A4E, in series; the 63.5 mm part with 50.8 mm free (quoted at second hand).
-"""
+t226-a4-503x: by Piezo Systems, mounted as in Erturk & Inman, Smart Mater. Struct. 18, 2009, 025009:
+brass between 5A4E, wired in series, the 63.5 mm part with 50.8 mm free (quoted at second hand)."""
 
 
 def bender_figures(bimorph: Bimorph) -> dict[str, float]:
-    """Return what a data sheet prints of a bender (one design, in air).
+    """Compute the figures that a data sheet gives for a bender in air.
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        One design (numbers, not arrays).
 
     Returns
     -------
-    dict
-        Static displacement and blocked force per volt, tip stiffness, capacitance with the clamped
-        length, first resonance.
+    dict of str to float
+        Static displacement [µm/V] and blocked force per volt [mN/V], tip stiffness [N/m],
+        capacitance with the clamped length included [nF], and first resonance [Hz].
     """
     r = tip_response(bimorph, FingerLoad.none(), [0.0, 1.0])
     force, stiffness = blocked_force(bimorph, [0.0])

@@ -1,17 +1,17 @@
-"""A layered bimorph: shim between two equal piezo layers, and its electromechanical matrix.
+"""Electromechanical model of a layered bimorph: a shim between two equal piezo layers.
 
-Both layers are poled the same way and driven in parallel, the shim against the outer electrodes,
-so that the field in each is U/h_p and the voltage bends: M = EI ψ' − K U, and the current is
-I = jω C_p U + K (ψ̇₂ − ψ̇₁). With the usual negative d31 a positive voltage moves the tip towards
-positive u. Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
+Both layers are poled the same way and driven in parallel, the shim against the outer electrodes.
+The field in each layer is then U/h_p and the voltage bends the beam: M = EI ψ' − K U, and the
+current is I = jω C_p U + K (ψ̇₂ − ψ̇₁). With the usual negative d31, a positive voltage moves the
+tip towards positive u. Source: Hofmann & Twiefel 2014 (see `tactile.actuator`), corrected.
 
-Wired in series the layers are poled oppositely and the voltage lies across both, from one outer
-electrode to the other, the shim floating. Bending strains the layers oppositely, so that their
-charges are the same; each has half the voltage then, E3 = U/(2 h_p), and the charge of one layer
-is the charge of both. With voltage and charge halved, K is half and C_p a quarter of those in
-parallel (so also Smits, Dalke & Cooney, Sensors and Actuators A 28, 1991; Wang & Cross,
-Ferroelectrics 215, 1998). At equal field, that is twice the voltage, a bender bends as in parallel
-and takes the same energy.
+Wired in series, the layers are poled oppositely and the voltage lies across both, from one outer
+electrode to the other, with the shim floating. Bending strains the layers oppositely, so that their
+charges are equal. Each layer then has half the voltage, E3 = U/(2 h_p), and the charge of one layer
+is the charge of the bender. With voltage and charge halved, K is half and C_p a quarter of those in
+parallel (also in Smits, Dalke & Cooney, Sensors and Actuators A 28, 1991, and Wang & Cross,
+Ferroelectrics 215, 1998). At equal field, that is at twice the voltage, a bender in series bends as
+it does in parallel and takes the same energy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,19 +32,23 @@ from tactile.actuator.materials import (
 from tactile.arrays import Complex
 
 SHEAR_FACTOR = 5 / 6
-"""κ² of a rectangular cross-section (Timoshenko)."""
+"""Shear correction factor κ² of a rectangular cross-section (Timoshenko)."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A length of beam with one cross-section: passive where coupling and capacitance are zero.
+    """A length of beam with one cross-section, passive if coupling and capacitance are zero.
 
     Parameters
     ----------
-    section : `beam.Section`
-    length : [m]
-    coupling : K, bending moment per volt and charge per rotation [N m/V = C]
-    capacitance : C_p with bending blocked [F]
+    section : CrossSection
+        Cross-section (`tactile.actuator.beam`).
+    length : array of float
+        Length [m].
+    coupling : complex array
+        Electromechanical coupling K: bending moment per volt, and charge per rotation [N m/V = C].
+    capacitance : complex array
+        Capacitance C_p with bending blocked [F].
     """
 
     section: CrossSection
@@ -53,7 +57,18 @@ class Segment:
     capacitance: Complex
 
     def cut(self, fraction: Real) -> tuple["Segment", "Segment"]:
-        """Return the two parts of the segment cut at a fraction of its length."""
+        """Cut the segment in two.
+
+        Parameters
+        ----------
+        fraction : float or array of float
+            Length of the first part as a fraction of the whole length.
+
+        Returns
+        -------
+        tuple of Segment
+            The two parts.
+        """
         share = np.asarray(fraction)
         return (
             replace(self, length=self.length * share, capacitance=self.capacitance * share),
@@ -65,31 +80,39 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class Bimorph:
-    """A bimorph cantilever; the defaults are the default design.
+    """A bimorph cantilever; the default values describe the default design.
 
-    Any number may be an array: they broadcast, one element a design.
+    Any number may be an array; the arrays broadcast, with one element per design.
 
     Parameters
     ----------
-    width, length, clamped_length : [m]; length is free, from the clamp to the tip
-    piezo_height, shim_height : of one layer [m]
-    piezo, shim : materials
-    series : True where the layers are wired in series, False in parallel
-    layer_stiffening : adds ΔEI = w h_p³/6 · (1/s11E) · k31²/(1−k31²), the stiffening by the field
-        that bending makes within each layer. Without it (the paper's model) the first resonance
-        is 1 % low against a two-dimensional piezoelectric solid, with it 0.05 %.
+    width, length, clamped_length : float or array of float
+        Width, free length from the clamp to the tip, and clamped length [m].
+    piezo_height, shim_height : float or array of float
+        Thickness of one piezo layer and of the shim [m].
+    piezo : PiezoMaterial
+        Material of the piezo layers.
+    shim : ShimMaterial
+        Material of the shim.
+    layer_stiffening : bool
+        Whether to add ΔEI = w h_p³/6 · (1/s11E) · k31²/(1−k31²), the stiffening by the electric
+        field that bending causes within each layer. Compared with a two-dimensional piezoelectric
+        solution the first resonance is 1 % low without it (the model of the paper) and 0.05 % low
+        with it.
+    series : bool or array of bool
+        Whether the layers are wired in series instead of in parallel.
 
     Raises
     ------
     ValueError
-        Naming the dimension that is not finite or has the wrong sign, or a wiring that is no bool.
+        If a dimension is not finite or has the wrong sign, or if ``series`` is not a bool.
 
     Notes
     -----
-    The paper's parameter figure is not available as text; the default design is a documented
-    surrogate. Width and length: a bender of the MTP35×2.1×0.7 class and the paper's optimum
-    length; clamped length and piezo height assumed; shim height chosen so that the optimum
-    ranges of length agree with the paper's.
+    The paper gives its parameters in a figure that is not available as text, so the default design
+    is a documented surrogate. Its width is that of a bender of the MTP35×2.1×0.7 class and its
+    length the paper's optimum. Clamped length and piezo thickness are assumed. The shim thickness
+    is chosen so that the optimum ranges of length agree with those of the paper.
     """
 
     width: Real = 2.1e-3
@@ -114,7 +137,7 @@ class Bimorph:
 
     @property
     def height(self) -> NDArray[np.float64]:
-        """Total height of the three layers [m]."""
+        """Total thickness of the three layers [m]."""
         return 2 * np.asarray(self.piezo_height) + self.shim_height
 
     @property
@@ -124,11 +147,23 @@ class Bimorph:
 
 
 def section(bimorph: Bimorph) -> CrossSection:
-    """Return the cross-section's constants.
+    """Compute the stiffnesses and inertias of the layered cross-section.
 
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry and materials.
+
+    Returns
+    -------
+    CrossSection
+        Bending and shear stiffness (complex, with losses), mass and rotary inertia per length.
+
+    Notes
+    -----
     EI = w/s11s h_s³/12 + w/s11E I2, AG = κ² w (h_s/s55s + 2 h_p/s55E), m = w (ρ_s h_s + 2 ρ_p h_p)
-    and ρI = w (ρ_s h_s³/12 + ρ_p I2), with I2 = (2/3)((h_p + h_s/2)³ − (h_s/2)³) the second moment
-    of both piezo layers per width.
+    and ρI = w (ρ_s h_s³/12 + ρ_p I2), where I2 = (2/3)((h_p + h_s/2)³ − (h_s/2)³) is the second
+    moment of area of both piezo layers per width.
     """
     p, s, w = bimorph.piezo, bimorph.shim, np.asarray(bimorph.width)
     hp, hs = np.asarray(bimorph.piezo_height), np.asarray(bimorph.shim_height)
@@ -136,8 +171,8 @@ def section(bimorph: Bimorph) -> CrossSection:
         1 + 1j / np.asarray(p.quality_factor),
         1 + 1j / np.asarray(s.quality_factor),
     )
-    both = 2 / 3 * ((hp + hs / 2) ** 3 - (hs / 2) ** 3)
-    EI = w * (shim_loss / s.s11 * hs**3 / 12 + piezo_loss / p.s11E * both)
+    second_moment = 2 / 3 * ((hp + hs / 2) ** 3 - (hs / 2) ** 3)
+    EI = w * (shim_loss / s.s11 * hs**3 / 12 + piezo_loss / p.s11E * second_moment)
     if bimorph.layer_stiffening:
         k2 = p.coupling_squared
         EI = EI + w * hp**3 / 6 * piezo_loss / p.s11E * k2 / (1 - k2)
@@ -145,12 +180,23 @@ def section(bimorph: Bimorph) -> CrossSection:
         EI=EI,
         AG=SHEAR_FACTOR * w * (hs * shim_loss / s.s55 + 2 * hp * piezo_loss / p.s55E),
         m=w * (s.density * hs + 2 * p.density * hp),
-        rhoI=w * (s.density * hs**3 / 12 + p.density * both),
+        rhoI=w * (s.density * hs**3 / 12 + p.density * second_moment),
     )
 
 
 def coupling(bimorph: Bimorph) -> Complex:
-    """Return K = w d31 (h_s + h_p)/s11E [N m/V], complex; half of it in series."""
+    """Compute the electromechanical coupling K = w d31 (h_s + h_p)/s11E, or half of it in series.
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry, materials and wiring.
+
+    Returns
+    -------
+    complex array
+        Bending moment per volt [N m/V].
+    """
     p = bimorph.piezo
     d31 = p.d31 * (1 - 1j * np.asarray(p.piezo_loss_tangent))
     stiffness = (1 + 1j / np.asarray(p.quality_factor)) / p.s11E
@@ -159,9 +205,19 @@ def coupling(bimorph: Bimorph) -> Complex:
 
 
 def capacitance(bimorph: Bimorph, length: Real) -> Complex:
-    """Return C_p = (2 w l/h_p)(ε33T − d31²/s11E) [F] of a length l of bender, complex.
+    """Compute the capacitance of a length of bender with bending blocked.
 
-    In series it is a quarter of it.
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry, materials and wiring.
+    length : float or array of float
+        Length l of the electrodes [m].
+
+    Returns
+    -------
+    complex array
+        C_p = (2 w l/h_p)(ε33T − d31²/s11E), or a quarter of it in series [F].
     """
     p = bimorph.piezo
     d31 = p.d31 * (1 - 1j * np.asarray(p.piezo_loss_tangent))
@@ -172,7 +228,18 @@ def capacitance(bimorph: Bimorph, length: Real) -> Complex:
 
 
 def active_segment(bimorph: Bimorph) -> Segment:
-    """Return the free length of the bimorph as a driven segment."""
+    """Return the free length of the bimorph as a driven segment.
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry, materials and wiring.
+
+    Returns
+    -------
+    Segment
+        Segment with coupling and capacitance.
+    """
     return Segment(
         section(bimorph),
         np.asarray(bimorph.length, np.float64),
@@ -182,9 +249,27 @@ def active_segment(bimorph: Bimorph) -> Segment:
 
 
 def passive_segment(bimorph: Bimorph, length: Real) -> Segment:
-    """Return a length of the same layers whose electrodes are not driven.
+    """Return a length of the same layers without drive.
 
-    The electrode is taken as absent (shorted): its field does not stiffen the layer.
+    The electrodes are assumed to be shorted or absent, so that no electric field stiffens the
+    layers.
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry and materials.
+    length : float or array of float
+        Length of the segment [m].
+
+    Returns
+    -------
+    Segment
+        Segment without coupling and capacitance.
+
+    Raises
+    ------
+    ValueError
+        If the length is not finite or not above zero.
     """
     require_positive("passive segment", length=length)
     none = np.zeros((), np.complex128)
@@ -192,23 +277,27 @@ def passive_segment(bimorph: Bimorph, length: Real) -> Segment:
 
 
 def transfer_matrix(segment: Segment, frequency: ArrayLike, *, axial_force: Real = 0.0) -> Complex:
-    """Return the 5 × 5 transfer matrix of a segment.
+    """Compute the 5 × 5 transfer matrix of a segment.
 
     Parameters
     ----------
-    segment : constants of shape (...,) over designs
-    frequency : (F,) [Hz], above zero
-    axial_force : tension [N], of shape (...,)
+    segment : Segment
+        Segment with constants of shape (...,) over designs.
+    frequency : (F,) array_like of float
+        Frequencies, above zero [Hz].
+    axial_force : float or (...,) array of float
+        Axial tension [N].
 
     Returns
     -------
-    (..., F, 5, 5) complex ndarray
-        From [v, ψ̇, M, F, U] at the start to [v, ψ̇, M, F, I] at the end [SI], exp(+jωt).
+    (..., F, 5, 5) complex array
+        Matrix from [v, ψ̇, M, F, U] at the start to [v, ψ̇, M, F, I] at the end, in SI units and at
+        exp(+jωt).
 
     Notes
     -----
-    Column U is K times column M, less K in row M; row I is K times row ψ̇, less K in column ψ̇;
-    entry (I, U) is jωC_p + K T(ψ̇, U).
+    Column U is K times column M, minus K in row M. Row I is K times row ψ̇, minus K in column ψ̇.
+    Entry (I, U) is jωC_p + K T(ψ̇, U).
     """
     omega = 2 * np.pi * np.asarray(frequency, np.float64)
     over = over_frequency(segment)
@@ -228,7 +317,18 @@ def transfer_matrix(segment: Segment, frequency: ArrayLike, *, axial_force: Real
 
 
 def over_frequency(segment: Segment) -> Segment:
-    """Return the segment with a last axis of one in each constant, to broadcast over frequency."""
+    """Append an axis of length one to each constant of a segment, to broadcast over frequency.
+
+    Parameters
+    ----------
+    segment : Segment
+        Segment with constants of shape (...,).
+
+    Returns
+    -------
+    Segment
+        The same segment with constants of shape (..., 1).
+    """
     s = segment.section
     return Segment(
         CrossSection(

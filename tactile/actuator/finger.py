@@ -1,9 +1,11 @@
-"""The finger pad as the bimorph's tip feels it: a generalized Maxwell load.
+"""Mechanical load of the finger pad on the tip of the bimorph: a generalized Maxwell model.
 
-Z_L = k0/(jω) + d0 + Σ k_i d_i/(k_i + jω d_i), the mechanical impedance [N s/m] against shear; the
-same form serves a rotational load [N m s]. The finger pushes back: F = −Z_L v at the tip.
-Source: Hofmann & Twiefel 2014 (see `tactile.actuator`); with that paper's printed sign of the
-load the response is wrong by up to 13 dB.
+The mechanical impedance against shear is Z_L = k0/(jω) + d0 + Σ k_i d_i/(k_i + jω d_i) [N s/m]. The
+same form serves as a rotational load [N m s]. The finger pushes back: the force on the tip is F =
+−Z_L v.
+
+Source: Hofmann & Twiefel 2014 (see `tactile.actuator`). With the sign of the load as that paper
+prints it, the response is wrong by up to 13 dB.
 """
 
 from dataclasses import dataclass
@@ -21,14 +23,17 @@ class FingerLoad:
 
     Parameters
     ----------
-    k0 : parallel stiffness [N/m] (rotational: [N m])
-    d0 : parallel damping [N s/m]
-    branches : (k, d) of each Maxwell branch, a spring in series with a damper
+    k0 : float or array of float
+        Parallel stiffness [N/m]; of a rotational load [N m].
+    d0 : float or array of float
+        Parallel damping [N s/m]; of a rotational load [N m s].
+    branches : tuple of (float or array of float, float or array of float)
+        Stiffness and damping of each Maxwell branch, a spring in series with a damper.
 
     Raises
     ------
     ValueError
-        Naming the constant that is not finite or is negative.
+        If a constant is negative or not finite.
     """
 
     k0: Real
@@ -42,30 +47,49 @@ class FingerLoad:
 
     @classmethod
     def low(cls) -> "FingerLoad":
-        """Return the paper's lightly loading finger."""
+        """Return the lightly loading finger of Hofmann & Twiefel 2014.
+
+        Returns
+        -------
+        FingerLoad
+            Load with k0 = 1000 N/m, d0 = 0.11 N s/m and one branch.
+        """
         return cls(k0=1000.0, d0=0.11, branches=((1300.0, 0.33),))
 
     @classmethod
     def high(cls) -> "FingerLoad":
-        """Return the paper's heavily loading finger."""
+        """Return the heavily loading finger of Hofmann & Twiefel 2014.
+
+        Returns
+        -------
+        FingerLoad
+            Load with k0 = 4300 N/m, d0 = 0.55 N s/m and one branch.
+        """
         return cls(k0=4300.0, d0=0.55, branches=((5000.0, 2.0),))
 
     @classmethod
     def none(cls) -> "FingerLoad":
-        """Return no load: the tip in air."""
-        return cls(k0=0.0, d0=0.0)
-
-    def stiffness(self, frequency: ArrayLike) -> Complex:
-        """Return the dynamic stiffness jωZ_L.
-
-        Parameters
-        ----------
-        frequency : (F,) [Hz], from 0 up
+        """Return the load of a tip that moves in air.
 
         Returns
         -------
-        (..., F) complex ndarray
-            k0 + jω d0 + Σ jω k d/(k + jω d) [N/m], finite at zero frequency.
+        FingerLoad
+            Load without stiffness or damping.
+        """
+        return cls(k0=0.0, d0=0.0)
+
+    def stiffness(self, frequency: ArrayLike) -> Complex:
+        """Compute the dynamic stiffness jωZ_L.
+
+        Parameters
+        ----------
+        frequency : (F,) array_like of float
+            Frequencies, zero allowed [Hz].
+
+        Returns
+        -------
+        (..., F) complex array
+            k0 + jω d0 + Σ jω k d/(k + jω d), finite at zero frequency [N/m].
         """
         rate = 2j * np.pi * np.asarray(frequency, np.float64)
         total = np.asarray(self.k0)[..., None] + rate * np.asarray(self.d0)[..., None]
@@ -76,23 +100,37 @@ class FingerLoad:
         return np.asarray(total, np.complex128)
 
     def impedance(self, frequency: ArrayLike) -> Complex:
-        """Return the mechanical impedance Z_L (..., F) [N s/m] at ``frequency`` (F,) [Hz] > 0."""
+        """Compute the mechanical impedance Z_L.
+
+        Parameters
+        ----------
+        frequency : (F,) array_like of float
+            Frequencies, above zero [Hz].
+
+        Returns
+        -------
+        (..., F) complex array
+            Mechanical impedance [N s/m].
+        """
         return self.stiffness(frequency) / (2j * np.pi * np.asarray(frequency, np.float64))
 
 
 @dataclass(frozen=True, kw_only=True)
 class FingerTable:
-    """A load that depends on how hard the finger presses.
+    """A load that depends on the normal force of the finger.
 
     Parameters
     ----------
-    normal_force : ascending, above zero [N]
-    loads : one `FingerLoad` for each force, with equal numbers of branches
+    normal_force : tuple of float
+        Normal forces, above zero and ascending [N].
+    loads : tuple of FingerLoad
+        Load at each normal force; all have the same number of branches.
 
     Raises
     ------
     ValueError
-        Where forces do not ascend, or loads differ in number or in branches.
+        If the forces do not ascend from above zero, or if the loads differ from them in number or
+        from each other in their number of branches.
     """
 
     normal_force: tuple[float, ...]
@@ -115,12 +153,24 @@ class FingerTable:
             raise ValueError("FingerTable: the loads differ in their number of branches")
 
     def at(self, normal_force: Real) -> FingerLoad:
-        """Return the load at a normal force [N], interpolated; held beyond the table's ends.
+        """Interpolate the load at a normal force.
 
-        Each constant runs straight between the table's forces (assumed).
+        Each constant is interpolated linearly between the tabulated forces (assumed), and held
+        constant beyond the ends of the table.
+
+        Parameters
+        ----------
+        normal_force : float or array of float
+            Normal force [N].
+
+        Returns
+        -------
+        FingerLoad
+            Load at that force.
         """
 
         def along(values: list[Real]) -> Real:
+            """Interpolate a constant."""
             return np.interp(normal_force, self.normal_force, np.asarray(values, np.float64))
 
         return FingerLoad(

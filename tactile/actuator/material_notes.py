@@ -1,12 +1,14 @@
-"""Where the constants of each material come from, and what else a designer asks of it.
+"""Sources of the material constants, and the coercive fields of the ceramics.
 
-A note for each name of `materials.PIEZOS` and `materials.SHIMS`: one line of description, the
-source of the constants with whatever of them is assumed, and the coercive field. Half the coercive
-field is a prudent limit of the drive: beyond it a soft ceramic creeps, near it it is depoled.
+There is a note for each name of `materials.PIEZOS` and `materials.SHIMS`: a one-line description,
+the source of the constants with whatever is assumed of them, and the coercive field. Half the
+coercive field is a prudent limit for the drive: beyond it a soft ceramic creeps, and near the
+coercive field it is depoled.
 
-The CTS, piezo.com and APC sheets and appendix E of Erturk & Inman were read for this; PZT-4, PZT-8,
-PIC 255 and the metals are quoted from their sources at second hand, and agree with the coupling,
-the modulus and the speed of sound quoted of them (tests/test_materials.py).
+The CTS, piezo.com and APC data sheets and appendix E of Erturk & Inman were read for this. PZT-4,
+PZT-8, PIC 255 and the metals are quoted from their sources at second hand; their constants agree
+with the coupling, the modulus and the speed of sound that are quoted for them
+(tests/test_materials.py).
 """
 
 from dataclasses import dataclass
@@ -14,13 +16,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialNote:
-    """What a designer asks of a material besides its constants.
+    """Description, source and coercive field of a material, besides its constants.
 
     Parameters
     ----------
-    description : one line
-    source : of the constants, and what of them is assumed
-    coercive_field : of a piezoceramic, quasi-static [V/m]; None where none is published
+    description : str
+        Description in one line.
+    source : str
+        Source of the constants, and which of them are assumed.
+    coercive_field : float or None
+        Quasi-static coercive field of a piezoceramic [V/m]; None if none is published.
     """
 
     description: str
@@ -32,7 +37,9 @@ _CLEVITE = (
     "Berlincourt, Krueger & Near, Properties of Piezoelectricity Ceramics, Morgan TP-226; "
     "tanθ assumed"
 )
+"""Source of PZT-4 and PZT-8."""
 _ERTURK = "Erturk & Inman 2011, Piezoelectric Energy Harvesting, appendix E (after TP-226); "
+"""Beginning of the source of PZT-5A and PZT-5H."""
 
 MATERIAL_NOTES = {
     "3203hd": MaterialNote(
@@ -83,4 +90,4 @@ MATERIAL_NOTES = {
     "steel": MaterialNote(description="stainless, 304", source="ASM data of 304; Q assumed"),
     "titanium": MaterialNote(description="Ti-6Al-4V", source="ASM data of Ti-6Al-4V; Q assumed"),
 }
-"""A note for each name of `PIEZOS` and `SHIMS`."""
+"""Notes by name of the material, for each name of `PIEZOS` and `SHIMS`."""

@@ -1,12 +1,12 @@
 """Materials of a bimorph: the piezoelectric layers and the shim between them.
 
-Constants follow IEEE Std 176 (s11E, s55E, d31, eps33T). Every number may be an array that
-broadcasts against the others: one call then describes many designs. Losses are constant with
-frequency, as factors on the complex constants at exp(+jωt):
-1/s11 (1 + j/Q), ε (1 − j tanδ), d (1 − j tanθ).
+The constants follow IEEE Std 176 (s11E, s55E, d31, eps33T). Every number may be an array that
+broadcasts against the others, so that one call describes many designs. Losses are constant with
+frequency and enter as factors on the complex constants at exp(+jωt): 1/s11 (1 + j/Q), ε (1 − j
+tanδ) and d (1 − j tanθ).
 
-`PIEZOS` and `SHIMS` are the libraries to choose from by name; `material_notes` tells where the
-numbers come from and what field a ceramic bears. All are typical values: makers give d31 and
+`PIEZOS` and `SHIMS` hold the materials by name; `material_notes` gives the sources of the numbers
+and the field that a ceramic withstands. All are typical values: manufacturers specify d31 and
 permittivity to ±10 … 20 %.
 """
 
@@ -19,29 +19,69 @@ Real = float | NDArray[np.float64]
 """A number, or an array of numbers over designs."""
 
 VACUUM_PERMITTIVITY = 8.8541878128e-12
-"""ε0 [F/m], CODATA 2018."""
+"""Vacuum permittivity ε0, CODATA 2018 [F/m]."""
 
 
 LARGEST_FIELD = 0.4e6
-"""V/m in a piezo layer: half the coercive field of about 8 kV/cm of a soft PZT."""
+"""Largest field allowed in a piezo layer: half the coercive field of a soft PZT, which is about 8
+kV/cm [V/m]."""
 
 
 def require_positive(owner: str, **values: Real) -> None:
-    """Raise ValueError where a value is not finite and positive."""
+    """Check that values are finite and positive.
+
+    Parameters
+    ----------
+    owner : str
+        Name of the class or function that is checked, for the message.
+    **values : float or array of float
+        Values by name.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or not above zero.
+    """
     for name, value in values.items():
         if not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
             raise ValueError(f"{owner}: {name} = {value} is not a finite number above 0")
 
 
 def require_not_negative(owner: str, **values: Real) -> None:
-    """Raise ValueError where a value is not finite or is below zero."""
+    """Check that values are finite and not negative.
+
+    Parameters
+    ----------
+    owner : str
+        Name of the class or function that is checked, for the message.
+    **values : float or array of float
+        Values by name.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or is below zero.
+    """
     for name, value in values.items():
         if not np.all(np.isfinite(value) & (np.asarray(value) >= 0)):
             raise ValueError(f"{owner}: {name} = {value} is not a finite number from 0 up")
 
 
 def require_quality(owner: str, quality_factor: Real) -> None:
-    """Raise ValueError where a quality factor is not above zero; it may be infinite."""
+    """Check that a quality factor is positive; it may be infinite.
+
+    Parameters
+    ----------
+    owner : str
+        Name of the class that is checked, for the message.
+    quality_factor : float or array of float
+        Quality factor.
+
+    Raises
+    ------
+    ValueError
+        If a quality factor is not above zero.
+    """
     if not np.all(np.asarray(quality_factor) > 0):
         raise ValueError(f"{owner}: quality_factor = {quality_factor} is not a number above 0")
 
@@ -52,17 +92,25 @@ class PiezoMaterial:
 
     Parameters
     ----------
-    s11E, s55E : compliance along the bender and in thickness shear, field constant [m²/N]
-    d31 : piezoelectric charge constant [m/V], negative for the usual ceramics
-    eps33T : permittivity at constant stress [F/m]
-    density : [kg/m³]
-    quality_factor : mechanical Q of both compliances; may be infinite
-    loss_tangent, piezo_loss_tangent : tanδ of eps33T and tanθ of d31
+    s11E, s55E : float or array of float
+        Compliance along the bender and in thickness shear, at constant electric field [m²/N].
+    d31 : float or array of float
+        Piezoelectric charge constant, negative for the usual ceramics [m/V].
+    eps33T : float or array of float
+        Permittivity at constant stress [F/m].
+    density : float or array of float
+        Density [kg/m³].
+    quality_factor : float or array of float
+        Mechanical Q of both compliances; may be infinite.
+    loss_tangent : float or array of float
+        Dielectric loss tangent tanδ of eps33T.
+    piezo_loss_tangent : float or array of float
+        Piezoelectric loss tangent tanθ of d31.
 
     Raises
     ------
     ValueError
-        Naming the constant that is not finite or has the wrong sign.
+        If a constant is not finite or has the wrong sign, or if k31² is not below 1.
     """
 
     s11E: Real
@@ -93,7 +141,7 @@ class PiezoMaterial:
 
     @property
     def coupling_squared(self) -> NDArray[np.float64]:
-        """k31² = d31²/(s11E eps33T), the electromechanical coupling."""
+        """Square of the electromechanical coupling factor, k31² = d31²/(s11E eps33T)."""
         return np.asarray(self.d31) ** 2 / (np.asarray(self.s11E) * self.eps33T)
 
 
@@ -103,14 +151,17 @@ class ShimMaterial:
 
     Parameters
     ----------
-    s11, s55 : compliance along the bender and in thickness shear [m²/N]
-    density : [kg/m³]
-    quality_factor : mechanical Q of both compliances; may be infinite
+    s11, s55 : float or array of float
+        Compliance along the bender and in thickness shear [m²/N].
+    density : float or array of float
+        Density [kg/m³].
+    quality_factor : float or array of float
+        Mechanical Q of both compliances; may be infinite.
 
     Raises
     ------
     ValueError
-        Naming the constant that is not finite and positive.
+        If a constant is not positive, or is not finite where it must be.
     """
 
     s11: Real
@@ -139,10 +190,11 @@ PIEZO_3203HD = PiezoMaterial(
     piezo_loss_tangent=0.01,
 )
 """Surrogate of VIBRIT 1100: d31, eps33T, density, s11E (Y11E 62 GPa) and tanδ from the CTS 3203HD
-data sheet; s55E like PZT-5H; quality factor and tanθ assumed."""
+data sheet; s55E as of PZT-5H; quality factor and tanθ assumed."""
 
 CFRP = ShimMaterial(s11=1 / 110e9, s55=1 / 4.5e9, density=1550.0, quality_factor=30.0)
-"""Carbon-fiber reinforced plastic: E 110 GPa, G 4.5 GPa, 1550 kg/m³, Q 30; assumed, typical."""
+"""Carbon-fiber reinforced plastic: E 110 GPa, G 4.5 GPa, 1550 kg/m³, Q 30; assumed typical values.
+"""
 PZT_5A = PiezoMaterial(
     s11E=16.4e-12,
     s55E=47.5e-12,
@@ -153,6 +205,7 @@ PZT_5A = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PZT-5A; `MATERIAL_NOTES` has the source of its constants."""
 PZT_5H = PiezoMaterial(
     s11E=16.5e-12,
     s55E=43.5e-12,
@@ -163,6 +216,7 @@ PZT_5H = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PZT-5H; `MATERIAL_NOTES` has the source of its constants."""
 PZT_4 = PiezoMaterial(
     s11E=12.3e-12,
     s55E=39.0e-12,
@@ -173,6 +227,7 @@ PZT_4 = PiezoMaterial(
     loss_tangent=0.004,
     piezo_loss_tangent=0.002,
 )
+"""Hard ceramic PZT-4; `MATERIAL_NOTES` has the source of its constants."""
 PZT_8 = PiezoMaterial(
     s11E=11.5e-12,
     s55E=31.9e-12,
@@ -183,6 +238,7 @@ PZT_8 = PiezoMaterial(
     loss_tangent=0.004,
     piezo_loss_tangent=0.002,
 )
+"""Hard ceramic PZT-8; `MATERIAL_NOTES` has the source of its constants."""
 PSI_5A4E = PiezoMaterial(
     s11E=15.1e-12,
     s55E=40.0e-12,
@@ -193,6 +249,7 @@ PSI_5A4E = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic of the piezo.com benders; `MATERIAL_NOTES` has the source of its constants."""
 PIC_255 = PiezoMaterial(
     s11E=16.1e-12,
     s55E=1 / 21e9,
@@ -203,6 +260,7 @@ PIC_255 = PiezoMaterial(
     loss_tangent=0.02,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic PIC 255; `MATERIAL_NOTES` has the source of its constants."""
 APC_855 = PiezoMaterial(
     s11E=1 / 59e9,
     s55E=43.5e-12,
@@ -213,6 +271,7 @@ APC_855 = PiezoMaterial(
     loss_tangent=0.025,
     piezo_loss_tangent=0.01,
 )
+"""Soft ceramic APC 855; `MATERIAL_NOTES` has the source of its constants."""
 
 PIEZOS = {
     "3203hd": PIEZO_3203HD,
@@ -225,14 +284,14 @@ PIEZOS = {
     "pzt-8": PZT_8,
 }
 """Piezoceramics by name; `MATERIAL_NOTES` has their sources. tanθ is assumed throughout: 0.01 for
-soft ceramics, 0.002 for hard ones. VIBRIT 1100 is not here: no full set of its constants is
-published, and 3203hd stands in for it."""
+soft ceramics and 0.002 for hard ones. VIBRIT 1100 is not included, because no full set of its
+constants is published; 3203hd stands in for it."""
 
 
 def _isotropic(
     *, modulus: float, poisson: float, density: float, quality_factor: float
 ) -> ShimMaterial:
-    """Return a shim of Young's modulus E [Pa] and Poisson's ratio ν: G = E/(2 (1 + ν))."""
+    """Return a shim of Young's modulus E [Pa] and Poisson's ratio ν, with G = E/(2 (1 + ν))."""
     return ShimMaterial(
         s11=1 / modulus,
         s55=2 * (1 + poisson) / modulus,
@@ -249,5 +308,5 @@ SHIMS = {
     "steel": _isotropic(modulus=193e9, poisson=0.29, density=8000.0, quality_factor=200.0),
     "titanium": _isotropic(modulus=113.8e9, poisson=0.342, density=4430.0, quality_factor=200.0),
 }
-"""Shims by name; `MATERIAL_NOTES` has their sources. Quality factors are assumed throughout: that
-of the glued layer, far below that of the metal alone."""
+"""Shims by name; `MATERIAL_NOTES` has their sources. Quality factors are assumed throughout: they
+are those of the glued layer, far below that of the metal alone."""

@@ -1,16 +1,18 @@
-"""The loaded bimorph in time: drive samples in, shear of the skin and electrode current out.
+"""Time-domain model of the loaded bimorph: from drive samples to shear of the skin and current.
 
-A causal state-space twin of `response`, built from the clamped-free modes of the same beam. The
-tip of the undriven beam is a 2 × 2 compliance between (M, F) and (ψ, u); each mode is a pole of
-it with a residue of rank one, and what the modes above leave out is kept as a static rest that two
-fast, well-damped modes carry. The drive is a moment K U at the tip; finger and Maxwell branches
-are springs and dampers there. Losses: each mode takes the damping that the constant loss factors
-give at its own resonance (a loss factor constant with frequency is not causal), tanθ and tanδ
-are left out. Loaded, the default design differs from `response` by 0.02 dB and 0.45° at most to
-1 kHz; a design whose loaded resonance lies in that band by more (27 mm: 0.07 dB, 0.6°).
+This is a causal state-space counterpart of `response`, built from the clamped-free modes of the
+same beam. The tip of the undriven beam is a 2 × 2 compliance between (M, F) and (ψ, u). Each mode
+is a pole of it with a residue of rank one, and the contribution of all higher modes is kept as a
+static remainder, which two fast, well-damped modes represent. The drive is a moment K U at the tip;
+the finger and its Maxwell branches are springs and dampers there.
 
-Drive samples mean the band-limited signal through them: the plant interpolates with a
-Kaiser-windowed sinc of ±16 samples, hence its delay.
+Losses: each mode has the damping that the constant loss factors give at its own resonance, since a
+loss factor that is constant with frequency is not causal; tanθ and tanδ are left out. Loaded, the
+default design differs from `response` by at most 0.02 dB and 0.45° up to 1 kHz. A design whose
+loaded resonance lies in that band differs by more (27 mm: 0.07 dB, 0.6°).
+
+Drive samples stand for the band-limited signal through them. The plant interpolates with a
+Kaiser-windowed sinc of ±16 samples, which causes its delay.
 """
 
 from collections.abc import Callable
@@ -28,27 +30,35 @@ from tactile.actuator.finger import FingerLoad
 from tactile.arrays import Complex, Floats
 
 MODES = 5
-"""Beam modes kept; the default design's fifth lies at 50 kHz."""
+"""Number of beam modes; the fifth mode of the default design lies at 50 kHz."""
 REST_DAMPING = 0.5
+"""Damping ratio ζ of the two modes that represent the static remainder."""
 HALF_WIDTH = 16
-"""Of the interpolation kernel [samples]: flat to 0.42 fs, images 80 dB down."""
+"""Half width of the interpolation kernel [samples]: flat to 0.42 fs, images 80 dB down."""
 KAISER_BETA = 8.0
+"""Shape parameter β of the Kaiser window."""
 FINE = 16
-"""Straight pieces of the interpolated drive per sample: −0.002 dB at an eighth of fs."""
+"""Number of linear pieces of the interpolated drive per sample; they cost 0.002 dB at an eighth of
+fs."""
 EDGE = 1e-4
-"""Of a piece: how far inside its ends the kernel is read, since a held drive jumps there."""
+"""Distance from the ends of a piece at which the kernel is evaluated, as a fraction of the piece: a
+held drive jumps at the ends."""
 CHUNK = 64
+"""Largest number of samples that one matrix product computes."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Clamped-free modes at the tip.
+    """Clamped-free modes of a beam, as seen at its tip.
 
     Attributes
     ----------
-    frequency : (K,) natural angular frequency [rad/s]
-    damping : (K,) decay 2ζω [1/s]
-    shape : (K, 2) mass-normalized (u, ψ) of the tip [1/√kg], [1/(m√kg)]
+    frequency : (K,) array of float
+        Natural angular frequency ω [rad/s].
+    damping : (K,) array of float
+        Damping coefficient 2ζω [1/s].
+    shape : (K, 2) array of float
+        Mass-normalized (u, ψ) of the tip [1/√kg], [1/(m√kg)].
     """
 
     frequency: Floats
@@ -57,24 +67,25 @@ class Modes:
 
 
 def _lossless(s: CrossSection) -> CrossSection:
+    """Return a cross-section with the real parts of its stiffnesses."""
     return CrossSection(
         np.asarray(s.EI.real, np.complex128), np.asarray(s.AG.real, np.complex128), s.m, s.rhoI
     )
 
 
 def _free_end(s: CrossSection, length: Floats) -> Callable[[complex], Transition]:
-    """Return the transition as a function of ω², complex values allowed."""
+    """Return the transition as a function of ω², which may be complex."""
     none = np.zeros(1)
     return lambda omega2: transition(s, length, np.sqrt(np.atleast_1d(omega2)), none)
 
 
 def _determinant(t: Transition) -> complex:
-    """Zero where a clamped beam moves with its tip free."""
+    """Return det ff, which is zero where a clamped beam oscillates with its tip free."""
     return complex((t.ff[0][0] * t.ff[1][1] - t.ff[0][1] * t.ff[1][0])[0])
 
 
 def _compliance(t: Transition, scale: complex) -> Complex:
-    """Return B adj(D)/scale, ordered (u, ψ) from (F, M)."""
+    """Return B adj(D)/scale, ordered as (u, ψ) from (F, M)."""
     (a, b), (c, d) = t.ff
     rows = [[d, -b], [-c, a]]
     Y = np.array([[sum(t.wf[i][j] * rows[j][k] for j in (0, 1)) for k in (1, 0)] for i in (0, 1)])
@@ -83,37 +94,39 @@ def _compliance(t: Transition, scale: complex) -> Complex:
 
 def _roots(determinant: Callable[[float], float], count: int, first_guess: float) -> list[float]:
     """Return the lowest zeros in ω of a determinant, scanning up in steps below their spacing."""
-    found: list[float] = []
+    roots: list[float] = []
     step, low = first_guess / 4, first_guess / 20
     value = determinant(low)
-    while len(found) < count:
+    while len(roots) < count:
         high = low + step
         following = determinant(high)
         if value * following < 0:
-            found.append(float(brentq(determinant, low, high, xtol=1e-9 * low)))
+            roots.append(float(brentq(determinant, low, high, xtol=1e-9 * low)))
         low, value = high, following
-    return found
+    return roots
 
 
 def _pole(free_end: Callable[[complex], Transition], omega: float) -> complex:
-    """Return the complex ω² of the lossy beam's mode near ω."""
+    """Return the complex ω² of that mode of the lossy beam which is near ω."""
     near = newton(lambda x: _determinant(free_end(x * omega**2)), 1 + 0.01j, tol=1e-9)  # type: ignore[call-overload]
     return complex(near) * omega**2
 
 
 def beam_modes(bimorph: Bimorph, count: int = MODES) -> Modes:
-    """Return the lowest modes of the free length, and two more that carry the static rest.
+    """Compute the lowest modes of the free length, and two more that carry the static remainder.
 
     Parameters
     ----------
-    bimorph : one design (numbers, not arrays)
-    count : of modes proper
+    bimorph : Bimorph
+        One design (numbers, not arrays).
+    count : int
+        Number of beam modes.
 
     Returns
     -------
     Modes
-        ``count`` + 2 of them. With f = (F, M) on the tip, its (u, ψ) is
-        Σ shape shapeᵀ f / (ω_k² − ω² + jω damping_k).
+        ``count`` + 2 modes. For f = (F, M) on the tip, its (u, ψ) is Σ shape shapeᵀ f / (ω_k² − ω²
+        + jω damping_k).
     """
     lossy, length = section(bimorph), np.asarray(bimorph.length, np.float64)
     real, complex_ = _free_end(_lossless(lossy), length), _free_end(lossy, length)
@@ -128,10 +141,10 @@ def beam_modes(bimorph: Bimorph, count: int = MODES) -> Modes:
         shapes.append(residue[:, 0] / np.sqrt(residue[0, 0]))
         dampings.append(pole.imag / w)
     at_rest = real(0.0)
-    rest = _compliance(at_rest, _determinant(at_rest)).real
+    remainder = _compliance(at_rest, _determinant(at_rest)).real
     for w, shape in zip(omegas, shapes, strict=False):
-        rest = rest - np.outer(shape, shape) / w**2
-    size, axes = np.linalg.eigh((rest + rest.T) / 2)
+        remainder = remainder - np.outer(shape, shape) / w**2
+    size, axes = np.linalg.eigh((remainder + remainder.T) / 2)
     top = omegas[count]
     shapes.extend((top * np.sqrt(np.maximum(size, 0)) * axes).T)
     return Modes(
@@ -143,7 +156,10 @@ def beam_modes(bimorph: Bimorph, count: int = MODES) -> Modes:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """ẋ = A x + B v, displacement = C_u x, current = C_i x + D_i v + R_i v̇; v is the drive."""
+    """State-space system of bimorph, finger and amplifier, driven by the drive voltage v.
+
+    ẋ = A x + B v, displacement = C_u x [m] and current = C_i x + D_i v + R_i v̇ [A].
+    """
 
     A: Floats
     B: Floats
@@ -154,7 +170,7 @@ class StateSpace:
 
 
 def _mechanics(modes: Modes, load: FingerLoad) -> tuple[Floats, Floats]:
-    """Return A of modes [q, q̇] and Maxwell branches [s], and the row that reads the tip's u."""
+    """Return A of modes [q, q̇] and Maxwell branches [s], and the row that gives the tip's u."""
     k, b = len(modes.frequency), len(load.branches)
     shape = modes.shape[:, 0]
     A = np.zeros((2 * k + b, 2 * k + b))
@@ -174,31 +190,45 @@ def _mechanics(modes: Modes, load: FingerLoad) -> tuple[Floats, Floats]:
 
 
 def state_space(bimorph: Bimorph, load: FingerLoad, amplifier: Amplifier) -> StateSpace:
-    """Return bimorph, finger and amplifier (gain, bandwidth, output resistance) as one system.
+    """Combine bimorph, finger and amplifier (gain, bandwidth, output resistance) into one system.
 
-    Amplifier states are appended where they are needed: its low-passed output V, and behind an
-    output resistance R the electrode voltage U, from (V − U)/R = C U̇ + K ψ̇(l).
+    States of the amplifier are appended where needed: its low-passed output V, and behind an output
+    resistance R the electrode voltage U, from (V − U)/R = C U̇ + K ψ̇(l).
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        One design (numbers, not arrays).
+    load : FingerLoad
+        One finger (numbers, not arrays).
+    amplifier : Amplifier
+        Amplifier between drive and electrodes.
+
+    Returns
+    -------
+    StateSpace
+        Continuous-time system from drive to displacement and current.
     """
-    kept = tuple((k, d) for k, d in load.branches if float(k) > 0 and float(d) > 0)
+    branches = tuple((k, d) for k, d in load.branches if float(k) > 0 and float(d) > 0)
     modes = beam_modes(bimorph)
-    M, tip = _mechanics(modes, FingerLoad(k0=load.k0, d0=load.d0, branches=kept))
+    M, tip = _mechanics(modes, FingerLoad(k0=load.k0, d0=load.d0, branches=branches))
     k, n = len(modes.frequency), len(M)
     K = float(coupling(bimorph).real)
     C = float(capacitance(bimorph, bimorph.length + bimorph.clamped_length).real)
-    slow, resistive = np.isfinite(amplifier.bandwidth), amplifier.output_resistance > 0
-    size = n + int(slow) + int(resistive)
+    has_low_pass, has_resistance = np.isfinite(amplifier.bandwidth), amplifier.output_resistance > 0
+    size = n + int(has_low_pass) + int(has_resistance)
     A, B = np.zeros((size, size)), np.zeros(size)
     A[:n, :n] = M
     moment, turning = np.zeros(size), np.zeros(size)
     moment[k : 2 * k] = K * modes.shape[:, 1]
     turning[k : 2 * k] = K * modes.shape[:, 1]
     volts, rise, direct = np.zeros(size), np.zeros(size), amplifier.gain
-    if slow:
+    if has_low_pass:
         corner = 2 * np.pi * amplifier.bandwidth
         A[n, n], B[n] = -corner, corner * amplifier.gain
         volts[n], rise, direct = 1.0, A[n].copy(), 0.0
     C_i, D_i, R_i = turning + C * rise, C * B[-1], C * direct
-    if resistive:
+    if has_resistance:
         R, last = amplifier.output_resistance, size - 1
         A[last] = (volts / R - turning) / C
         A[last, last] -= 1 / (R * C)
@@ -213,7 +243,20 @@ def state_space(bimorph: Bimorph, load: FingerLoad, amplifier: Amplifier) -> Sta
 
 
 def kernel(time: Floats, amplifier: Amplifier) -> Floats:
-    """Return the drive's interpolation kernel at times [samples]."""
+    """Evaluate the interpolation kernel of the drive.
+
+    Parameters
+    ----------
+    time : array of float
+        Time from the sample [samples].
+    amplifier : Amplifier
+        Amplifier, whose ``hold`` selects a zero-order hold or a windowed sinc.
+
+    Returns
+    -------
+    array of float
+        Weight of the sample at each time.
+    """
     if amplifier.hold == "zoh":
         return np.asarray(((time >= 0) & (time < 1)).astype(np.float64))
     inside = np.clip(1 - (time / HALF_WIDTH) ** 2, 0, None)
@@ -222,32 +265,43 @@ def kernel(time: Floats, amplifier: Amplifier) -> Floats:
 
 
 def _step(system: StateSpace, step: float) -> tuple[Floats, Floats, Floats]:
-    """Return Φ, Γ0, Γ1 of one step on a drive that runs straight from v0 to v1."""
+    """Return Φ, Γ0 and Γ1 of one time step during which the drive runs linearly from v0 to v1."""
     n = len(system.A)
-    both = np.zeros((n + 2, n + 2))
-    both[:n, :n], both[:n, n], both[n, n + 1] = system.A * step, system.B * step, 1.0
-    e = expm(both)
+    augmented = np.zeros((n + 2, n + 2))
+    augmented[:n, :n], augmented[:n, n], augmented[n, n + 1] = system.A * step, system.B * step, 1.0
+    e = expm(augmented)
     return e[:n, :n], e[:n, n] - e[:n, n + 1], e[:n, n + 1]
 
 
 class Plant:
-    """Simulated contactors on a finger: volts in, shear displacement and current out.
+    """Simulated contactors on a finger: drive voltage in, shear displacement and current out.
 
     Parameters
     ----------
-    bimorph, load : one design and one finger, the same for every contactor
-    sample_rate : of the drive [Hz]
-    contactors : N
-    amplifier : between drive and electrodes
+    bimorph : Bimorph
+        One design, the same for every contactor.
+    load : FingerLoad
+        One finger, the same for every contactor.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    contactors : int
+        Number of contactors N.
+    amplifier : Amplifier, optional
+        Amplifier between drive and electrodes; ideal by default.
 
     Attributes
     ----------
-    delay : samples by which the outputs lag the drive
+    delay : int
+        Delay of the outputs against the drive [samples].
+    amplifier : Amplifier
+        Amplifier between drive and electrodes.
+    system : StateSpace
+        Continuous-time system of one contactor.
 
     Notes
     -----
-    `step` is a linear map of the last states and drive samples, so a block costs two products of
-    matrices: its outputs do not depend on how the drive is cut in blocks.
+    `step` is a linear map of the last states and drive samples, so that a block costs two matrix
+    products. Its outputs do not depend on how the drive is divided into blocks.
     """
 
     def __init__(
@@ -270,14 +324,14 @@ class Plant:
         self._maps: dict[int, tuple[Floats, Floats]] = {}
 
     def _discretize(self, sample_rate: float, late: int) -> None:
-        """Set x[k+1] = Φ x[k] + Γ w, current = C_i x[k] + D w over the window w of samples.
+        """Set x[k+1] = Φ x[k] + Γ w and current = C_i x[k] + D w for a window w of drive.
 
-        The window of sample k holds samples k − HALF_WIDTH − late … k + HALF_WIDTH.
+        The window of sample k holds the samples k − HALF_WIDTH − late … k + HALF_WIDTH.
         """
         window = np.arange(-HALF_WIDTH - late, HALF_WIDTH + 1, dtype=np.float64)
         shift = window + self.amplifier.delay * sample_rate
         edges = np.arange(FINE + 1) / FINE
-        if self.amplifier.hold == "zoh":  # one step, at the fraction of a sample that it is late
+        if self.amplifier.hold == "zoh":  # one jump per sample, at the fraction of the delay
             edges = np.unique([0.0, self.amplifier.delay * sample_rate % 1, 1.0])
         size = len(self.system.A)
         self._transition, self._input = np.eye(size), np.zeros((size, len(window)))
@@ -293,7 +347,7 @@ class Plant:
         self._direct += self.system.R_i * rise / (2 * EDGE) * sample_rate
 
     def _map(self, count: int) -> tuple[Floats, Floats]:
-        """Return outputs and next state of ``count`` samples as one matrix of (state, window)."""
+        """Return outputs and next state of ``count`` samples as matrices on (state, window)."""
         if count not in self._maps:
             n, span = len(self._state), self._taps + count
             x, w = np.eye(n, n + span), np.eye(span, n + span, n)
@@ -311,21 +365,22 @@ class Plant:
 
         Parameters
         ----------
-        drive : (S, N) [V]
+        drive : (S, N) array of float
+            Drive of each contactor [V].
 
         Returns
         -------
-        displacement : (S, N) ndarray
-            Shear displacement of the skin under each contactor [m], ``delay`` samples late.
-        current : (S, N) ndarray
-            Into the electrodes [A], equally late.
+        displacement : (S, N) array of float
+            Shear displacement of the skin under each contactor, ``delay`` samples late [m].
+        current : (S, N) array of float
+            Current into the electrodes, equally late [A].
         """
         out = np.empty((2, *drive.shape))
         for start in range(0, len(drive), CHUNK):
             block = drive[start : start + CHUNK]
             outputs, state = self._map(len(block))
-            known = np.concatenate([self._state, self._past, block])
-            out[:, start : start + len(block)] = outputs @ known
-            self._state = state @ known
-            self._past = known[len(known) - self._taps :].copy()
+            state_and_drive = np.concatenate([self._state, self._past, block])
+            out[:, start : start + len(block)] = outputs @ state_and_drive
+            self._state = state @ state_and_drive
+            self._past = state_and_drive[len(state_and_drive) - self._taps :].copy()
         return out[0], out[1]

@@ -1,18 +1,23 @@
-"""The loaded bimorph in the frequency domain: shear, force and current per volt.
+"""Frequency response of the loaded bimorph: shear displacement, force and current per volt.
 
-From clamp to tip the beam is carried as a compliance: at each cut w = Y f + y U, where
-w = (u, ψ) and f = (M, F) (`beam`). Y = 0 and y = 0 at the clamp. The drive of a segment of coupling
-K is a pair of moments k = (K, 0) U at its ends: within it, f + k is what EI ψ' and the shear make,
-so that with the passive transition w2 = A w1 + B (f1 + k), f2 + k = C w1 + D (f1 + k)
+The beam is condensed from clamp to tip into a compliance: at each cut w = Y f + y U, where
+w = (u, ψ) and f = (M, F) (see `beam`). At the clamp Y = 0 and y = 0. The drive of a segment of
+coupling K is a pair of moments k = (K, 0) U at its ends. Within the segment, f + k is the moment
+and force of bending and shear, so that with the passive transition
+
+    w2 = A w1 + B (f1 + k),    f2 + k = C w1 + D (f1 + k),
+
+the compliance at its end is
 
     Y2 = (A Y + B)(C Y + D)⁻¹,    y2 = A x − Y2 (C x − k),    x = y − Y k,
 
-and at the tip the load closes the system, F = −Z_L v and M = −Z_Lr ψ̇. Unlike a product of
-transfer matrices this loses nothing to the growth of cosh λ, so that long segments may be cut.
+and at the tip the load closes the system with F = −Z_L v and M = −Z_Lr ψ̇. Unlike a product of
+transfer matrices, this recursion loses no accuracy to the growth of cosh λ, so that long segments
+can be cut into pieces.
 
-Everything broadcasts: designs (...,) in front, frequency (F,) last. This is arithmetic on whole
-arrays, of about 550 bytes a point (designs × frequencies) at its peak: sweeps are fastest where
-they come in blocks of some ten thousand points, which stay in the processor's cache.
+Everything broadcasts: designs (...,) come first and frequency (F,) comes last. The computation
+works on whole arrays and takes about 550 bytes per point (designs × frequencies) at its peak.
+Sweeps are fastest in blocks of some ten thousand points, which stay in the processor's cache.
 """
 
 from dataclasses import dataclass, replace
@@ -33,23 +38,34 @@ from tactile.actuator.materials import Real
 from tactile.arrays import Complex
 
 Vector2 = tuple[Complex, Complex]
+"""A vector of two arrays."""
 ZERO: Complex = np.zeros((), np.complex128)
+"""Complex zero that broadcasts."""
 
 LARGEST_GROWTH = 10.0
-"""λ1 of a piece: rounding grows as its exponential, to 2e-10 at λ1 = 12 (measured)."""
+"""Largest λ1 of a piece. Rounding errors grow as exp(λ1), to 2e-10 at λ1 = 12 (measured)."""
 
 
 @dataclass(frozen=True)
 class TipResponse:
-    """What a bimorph's tip does per volt, exp(+jωt).
+    """Response of a bimorph's tip per volt, at exp(+jωt).
 
     Attributes
     ----------
-    frequency : (F,) [Hz]
-    displacement, velocity, rotation : (..., F) complex, of the tip [m/V], [m/(s V)], [rad/V]
-    force : (..., F) complex, into the skin, Z_L v [N/V]
-    admittance : (..., F) complex, I/U, the clamped segment included [S]
-    displacement_at_point : (..., F) complex [m/V] at the measuring point, or None without one
+    frequency : (F,) array of float
+        Frequencies [Hz].
+    displacement : (..., F) complex array
+        Displacement of the tip [m/V].
+    velocity : (..., F) complex array
+        Velocity of the tip [m/(s V)].
+    rotation : (..., F) complex array
+        Rotation of the tip [rad/V].
+    force : (..., F) complex array
+        Force on the skin, Z_L v [N/V].
+    admittance : (..., F) complex array
+        Electrical admittance I/U, the clamped segment included [S].
+    displacement_at_point : (..., F) complex array or None
+        Displacement at the measuring point [m/V]; None without one.
     """
 
     frequency: NDArray[np.float64]
@@ -63,7 +79,10 @@ class TipResponse:
 
 @dataclass(frozen=True)
 class _Cut:
-    """What leads from the end of a piece back to its start: Y, x, (C Y + D)⁻¹, C x − k, and k."""
+    """Quantities that lead from the end of a piece back to its start.
+
+    They are Y, x, (C Y + D)⁻¹, C x − k, and the moment K per volt of the drive.
+    """
 
     Y: Matrix2
     x: Vector2
@@ -73,6 +92,7 @@ class _Cut:
 
 
 def _product(a: Matrix2, b: Matrix2) -> Matrix2:
+    """Return the matrix product."""
     return (
         (a[0][0] * b[0][0] + a[0][1] * b[1][0], a[0][0] * b[0][1] + a[0][1] * b[1][1]),
         (a[1][0] * b[0][0] + a[1][1] * b[1][0], a[1][0] * b[0][1] + a[1][1] * b[1][1]),
@@ -80,6 +100,7 @@ def _product(a: Matrix2, b: Matrix2) -> Matrix2:
 
 
 def _sum(a: Matrix2, b: Matrix2) -> Matrix2:
+    """Return the sum of two matrices."""
     return (
         (a[0][0] + b[0][0], a[0][1] + b[0][1]),
         (a[1][0] + b[1][0], a[1][1] + b[1][1]),
@@ -87,21 +108,24 @@ def _sum(a: Matrix2, b: Matrix2) -> Matrix2:
 
 
 def _apply(a: Matrix2, x: Vector2) -> Vector2:
+    """Return the product of a matrix and a vector."""
     return a[0][0] * x[0] + a[0][1] * x[1], a[1][0] * x[0] + a[1][1] * x[1]
 
 
 def _less(a: Vector2, b: Vector2) -> Vector2:
+    """Return the difference of two vectors."""
     return a[0] - b[0], a[1] - b[1]
 
 
 def _inverse(a: Matrix2) -> Matrix2:
+    """Return the inverse of a matrix."""
     scale = 1 / (a[0][0] * a[1][1] - a[0][1] * a[1][0])
     back = -1 * scale  # twice as fast as two negations
     return (a[1][1] * scale, a[0][1] * back), (a[1][0] * back, a[0][0] * scale)
 
 
 def _from_clamp(t: Transition, K: Complex) -> tuple[Matrix2, Vector2, _Cut]:
-    """Return compliance, y and cut of the first piece of a chain."""
+    """Return compliance, y and cut of the first piece of a chain, which begins at the clamp."""
     inverse = _inverse(t.ff)
     Y = _product(t.wf, inverse)
     cut = _Cut(((ZERO, ZERO), (ZERO, ZERO)), (ZERO, ZERO), inverse, (-K, ZERO), K)
@@ -109,7 +133,7 @@ def _from_clamp(t: Transition, K: Complex) -> tuple[Matrix2, Vector2, _Cut]:
 
 
 def _across(t: Transition, K: Complex, Y: Matrix2, y: Vector2) -> tuple[Matrix2, Vector2, _Cut]:
-    """Carry compliance and y across a piece; see the module's docstring."""
+    """Propagate compliance and y across a piece, by the recursion in the module docstring."""
     x = y[0] - Y[0][0] * K, y[1] - Y[1][0] * K
     inverse = _inverse(_sum(_product(t.fw, Y), t.ff))
     Y2 = _product(_sum(_product(t.ww, Y), t.wf), inverse)
@@ -119,7 +143,24 @@ def _across(t: Transition, K: Complex, Y: Matrix2, y: Vector2) -> tuple[Matrix2,
 
 
 def pieces(segment: Segment, omega: NDArray[np.float64], axial_force: NDArray[np.float64]) -> int:
-    """Return in how many pieces a segment is cut so that rounding cannot grow."""
+    """Compute the number of pieces into which a segment must be cut.
+
+    The cuts bound the growth of rounding errors.
+
+    Parameters
+    ----------
+    segment : Segment
+        Segment with constants that broadcast against ``omega``.
+    omega : array of float
+        Angular frequencies [rad/s].
+    axial_force : array of float
+        Axial tension [N].
+
+    Returns
+    -------
+    int
+        Number of pieces, at least 1.
+    """
     s, top = segment.section, omega.max(initial=0.0)
     a, inertia = segment.length**2 / s.EI, s.m * top**2 * segment.length**2
     sigma, tau = inertia / s.AG, (s.rhoI * top**2 - axial_force) * a
@@ -129,7 +170,10 @@ def pieces(segment: Segment, omega: NDArray[np.float64], axial_force: NDArray[np
 
 @dataclass(frozen=True)
 class _Sweep:
-    """Compliance of a chain seen from its tip, and the cuts along it."""
+    """Compliance of a chain seen from its tip, with the cuts along it.
+
+    ``ends`` holds, for each segment, the number of cuts up to its end.
+    """
 
     Y: Matrix2
     y: Vector2
@@ -140,7 +184,7 @@ class _Sweep:
 def _sweep(
     segments: list[Segment], omega: NDArray[np.float64], axial_force: NDArray[np.float64]
 ) -> _Sweep:
-    """Carry the compliance from the clamp to the tip."""
+    """Condense a chain of segments from the clamp to the tip."""
     Y: Matrix2 = ((ZERO, ZERO), (ZERO, ZERO))
     y: Vector2 = (ZERO, ZERO)
     cuts: list[_Cut] = []
@@ -158,21 +202,24 @@ def _sweep(
 
 
 def _back(sweep: _Sweep, exerted: Vector2) -> list[Vector2]:
-    """Return w at the start of each piece from what the tip exerts; the clamp does not move."""
+    """Return w at the start of each piece, given what the tip exerts; the clamp does not move."""
     if len(sweep.cuts) == 1:
         return [(ZERO, ZERO)]
-    found: list[Vector2] = []
+    states: list[Vector2] = []
     f = _less((ZERO, ZERO), exerted)
     for cut in sweep.cuts[:0:-1]:
         f = _apply(cut.inverse, _less(f, cut.offset))
         w = _apply(cut.Y, f)
-        found.append((w[0] + cut.x[0], w[1] + cut.x[1]))
+        states.append((w[0] + cut.x[0], w[1] + cut.x[1]))
         f = f[0] - cut.k, f[1]
-    return [(ZERO, ZERO), *found[::-1]]
+    return [(ZERO, ZERO), *states[::-1]]
 
 
 def _at_tip(sweep: _Sweep, k: Complex, kr: Complex | None) -> Vector2:
-    """Return w of a tip that is held by dynamic stiffnesses: (1 + Y diag(kr, k)) w = y."""
+    """Return w of a tip held by dynamic stiffnesses k and kr: (1 + Y diag(kr, k)) w = y.
+
+    ``kr`` is the stiffness against rotation; without it the system reduces to one equation.
+    """
     (a, b), (c, d) = sweep.Y
     if kr is None:
         u = sweep.y[0] / (1 + b * k)
@@ -202,20 +249,34 @@ def chain_response(
     axial_force: Real = 0.0,
     point_after: int | None = None,
 ) -> TipResponse:
-    """Return the response of segments in a row from clamp to tip, their electrodes joined.
+    """Compute the response of a chain of segments whose electrodes are connected.
 
     Parameters
     ----------
-    segments : active or passive, of constants (...,) over designs
-    load, rotational_load : at the tip
-    frequency : (F,) [Hz], from 0 up
-    axial_force : tension (...,) [N]; a pressing finger is negative
-    point_after : reports the displacement at the end of this many segments
+    segments : list of Segment
+        Active or passive segments from clamp to tip, with constants (...,) over designs.
+    load : FingerLoad
+        Load against displacement of the tip.
+    frequency : (F,) array_like of float
+        Frequencies, zero allowed [Hz].
+    rotational_load : FingerLoad, optional
+        Load against rotation of the tip (k0 [N m], d0 [N m s]).
+    axial_force : float or (...,) array of float
+        Axial tension; a pressing finger is negative [N].
+    point_after : int, optional
+        Number of segments, counted from the clamp, after which the displacement is reported as
+        ``displacement_at_point``.
+
+    Returns
+    -------
+    TipResponse
+        Response per volt, of shape (..., F).
 
     Raises
     ------
     ValueError
-        Without a segment, or with frequencies that are negative or not finite.
+        If there is no segment, if a frequency is negative or not finite, if the axial force is not
+        finite, or if ``point_after`` is not the number of a segment.
     """
     f, axial = _checked(frequency, axial_force)
     if point_after is not None and not 1 <= point_after <= len(segments):
@@ -246,30 +307,38 @@ def tip_response(
     axial_force: Real = 0.0,
     measuring_point: Real | None = None,
 ) -> TipResponse:
-    """Return the response of a bimorph whose tip carries a load.
+    """Compute the response of a bimorph whose tip carries a load.
 
     Parameters
     ----------
-    bimorph, load : numbers, or arrays that broadcast to (...,) designs
-    frequency : (F,) [Hz], from 0 up
-    rotational_load : against rotation of the tip (k0 [N m], d0 [N m s]); a finger has none
-    axial_force : tension (...,) [N]; a pressing finger is negative
-    measuring_point : distance from the clamp [m] where ``displacement_at_point`` is wanted
+    bimorph : Bimorph
+        One design, or arrays that broadcast to (...,) designs.
+    load : FingerLoad
+        Load against displacement of the tip.
+    frequency : (F,) array_like of float
+        Frequencies, zero allowed [Hz].
+    rotational_load : FingerLoad, optional
+        Load against rotation of the tip (k0 [N m], d0 [N m s]); a finger has none.
+    axial_force : float or (...,) array of float
+        Axial tension; a pressing finger is negative [N].
+    measuring_point : float or array of float, optional
+        Distance from the clamp at which ``displacement_at_point`` is computed [m].
 
     Returns
     -------
     TipResponse
-        Of arrays (..., F), per volt.
+        Response per volt, of shape (..., F).
 
     Raises
     ------
     ValueError
-        With frequencies that are negative or not finite, or a point off the beam.
+        If a frequency is negative or not finite, if the axial force is not finite, or if the
+        measuring point is not on the free length.
 
     Notes
     -----
     Hofmann & Twiefel 2014, corrected (see `beam`, `bimorph`, `finger`): a Timoshenko beam with
-    constant loss factors. Of the model itself the first resonance is 1 % low (`Bimorph`).
+    constant loss factors. The first resonance of the model itself is 1 % low (see `Bimorph`).
     """
     electrodes = np.asarray(bimorph.length) + bimorph.clamped_length
     segment = replace(active_segment(bimorph), capacitance=capacitance(bimorph, electrodes))
@@ -295,19 +364,28 @@ def tip_response(
 def blocked_force(
     bimorph: Bimorph, frequency: ArrayLike, *, axial_force: Real = 0.0
 ) -> tuple[Complex, Complex]:
-    """Return the force of a tip held in place and the stiffness of the tip.
+    """Compute the force of a tip that is held in place, and the dynamic stiffness of the tip.
 
     Parameters
     ----------
-    bimorph, axial_force : numbers, or arrays over designs (...,)
-    frequency : (F,) [Hz], from 0 up
+    bimorph : Bimorph
+        One design, or arrays over designs (...,).
+    frequency : (F,) array_like of float
+        Frequencies, zero allowed [Hz].
+    axial_force : float or (...,) array of float
+        Axial tension; a pressing finger is negative [N].
 
     Returns
     -------
-    force : (..., F) complex ndarray
-        Against what holds the tip (free to rotate), per volt [N/V].
-    stiffness : (..., F) complex ndarray
+    force : (..., F) complex array
+        Force on the support that holds the tip, which is free to rotate [N/V].
+    stiffness : (..., F) complex array
         Dynamic stiffness of the undriven tip [N/m]; force/stiffness is the displacement in air.
+
+    Raises
+    ------
+    ValueError
+        If a frequency is negative or not finite, or if the axial force is not finite.
     """
     f, axial = _checked(frequency, axial_force)
     sweep = _sweep([over_frequency(active_segment(bimorph))], 2 * np.pi * f, axial)

@@ -1,7 +1,7 @@
-"""What this machine and its links can do: rendering speed, memory, jitter, round trips.
+"""Benchmarks of a host and its links: rendering speed, memory, jitter, round trips.
 
-Each benchmark is a function that yields `Figure`, with a goal or without. The figures of the whole
-project are measured by ``python -m benchmarks`` in a checkout.
+Each benchmark is a function that yields `Figure` objects, some with a goal. The figures of the
+whole project are measured by ``python -m benchmarks`` in a checkout.
 """
 
 import sys
@@ -17,13 +17,14 @@ from tactile.bench.resources import measure_jitter, measure_memory, measure_spee
 __all__ = ["BENCHMARKS", "Benchmark", "Figure", "measure", "measure_link"]
 
 Benchmark = Callable[[], Iterator[Figure]]
-"""A benchmark: yields its figures."""
+"""Function that runs a benchmark and yields its figures."""
 
 BENCHMARKS: dict[str, Benchmark] = {
     "speed": measure_speed,
     "memory": measure_memory,
     "jitter": measure_jitter,
 }
+"""Benchmarks by name."""
 
 
 def measure(benchmarks: Sequence[Benchmark]) -> list[Figure]:
@@ -31,7 +32,8 @@ def measure(benchmarks: Sequence[Benchmark]) -> list[Figure]:
 
     Parameters
     ----------
-    benchmarks : what to run, in this order
+    benchmarks : sequence of Benchmark
+        Benchmarks, in the order in which to run them.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A figure with its goal, and a stopwatch."""
+"""Measured figures with their goals, and a stopwatch."""
 
 import math
 import time
@@ -12,7 +12,7 @@ from tactile.bench.metronome import STEP, beating
 from tactile.bus.link.stream import LEAD, LONGEST_LEAD, MOST_LEAD
 
 RATE = 8000.0
-"""Hz of every drive that is measured."""
+"""Sample rate of every drive that is measured [Hz]."""
 HANDFUL = (
     "abrasive-p120",
     "foam-reticulated-30ppi",
@@ -26,8 +26,9 @@ HANDFUL = (
     "textile-corduroy",
     "wood-oak",
 )
-"""Shipped textures that stand for all where each takes seconds: one of each category, gratings and
-sparse events among them. The figures keep their names as the library grows."""
+"""Shipped textures that represent all in benchmarks that take seconds per texture: one of each
+category, gratings and sparse events among them. The set is fixed, so that the names of the
+figures stay the same as the library grows."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,16 @@ class Figure:
 
     Attributes
     ----------
-    name, value, unit : what was measured
-    goal : as text; empty where there is none
-    reached : None where there is no goal
+    name : str
+        Name of the figure.
+    value : float
+        Measured value.
+    unit : str
+        Unit of the value.
+    goal : str
+        Goal as text; empty if there is none.
+    reached : bool or None
+        Whether the goal was reached; None if there is none.
     """
 
     name: str
@@ -48,39 +56,106 @@ class Figure:
     reached: bool | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the figure as plain data.
+
+        Returns
+        -------
+        dict
+            Attributes by name.
+        """
         return asdict(self)
 
 
 def at_most(name: str, value: float, unit: str, limit: float) -> Figure:
-    """Return a figure that must not exceed a limit."""
+    """Create a figure whose goal is not to exceed a limit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    value : float
+        Measured value.
+    unit : str
+        Unit of value and limit.
+    limit : float
+        Largest value that reaches the goal.
+
+    Returns
+    -------
+    Figure
+        Figure with its goal.
+    """
     return Figure(name, value, unit, f"≤ {limit:g}", bool(value <= limit))
 
 
 def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
-    """Return a figure that must reach a limit."""
+    """Create a figure whose goal is to reach a limit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    value : float
+        Measured value.
+    unit : str
+        Unit of value and limit.
+    limit : float
+        Smallest value that reaches the goal.
+
+    Returns
+    -------
+    Figure
+        Figure with its goal.
+    """
     return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
 
 
 def beside_machine(name: str, measured: Iterator[Figure]) -> Iterator[Figure]:
-    """Yield what is measured, then by how much bare loops woke late beside it, one a processor."""
+    """Measure how late bare loops wake, one on each processor, while other figures are measured.
+
+    Parameters
+    ----------
+    name : str
+        Prefix of the names of the figures that are added.
+    measured : iterator of Figure
+        Figures; their measurement takes place as they are consumed.
+
+    Yields
+    ------
+    Figure
+        First the given figures, then percentiles and maximum of the lateness of the loops [ms], and
+        how many of 10 000 blocks would be lost at each lead time that a link may have.
+    """
     with beating() as steps:
         yield from measured
-    late = 1e3 * STEP * np.array(steps)
+    lateness = 1e3 * STEP * np.array(steps)
     for part in (50, 99, 99.9):
-        yield Figure(f"{name}.machine.p{part:g}", float(np.percentile(late, part)), "ms")
-    yield Figure(f"{name}.machine.most", float(late.max()), "ms")
+        yield Figure(f"{name}.machine.p{part:g}", float(np.percentile(lateness, part)), "ms")
+    yield Figure(f"{name}.machine.most", float(lateness.max()), "ms")
     for lead in 1e3 * np.array((LEAD, MOST_LEAD, LONGEST_LEAD)):
-        missed = 1e4 * float(np.mean(late > lead))
+        missed = 1e4 * float(np.mean(lateness > lead))
         yield Figure(f"{name}.machine.later_than_{lead:g}_ms", missed, "of 10 000")
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:
-    """Return the shortest of several timings [s]."""
+    """Time a function several times, after one run that is not timed.
+
+    Parameters
+    ----------
+    work : callable
+        Function to time.
+    repeats : int
+        Number of timed runs.
+
+    Returns
+    -------
+    float
+        Shortest duration of a run [s].
+    """
     work()
-    found = math.inf
+    shortest = math.inf
     for _ in range(repeats):
-        begun = time.perf_counter()
+        start = time.perf_counter()
         work()
-        found = min(found, time.perf_counter() - begun)
-    return found
+        shortest = min(shortest, time.perf_counter() - start)
+    return shortest

@@ -1,4 +1,4 @@
-"""The link to an amplifier: its round trip, and the drift of the amplifier's clock."""
+"""Benchmark of the link to an amplifier: its round trip, and the drift of the amplifier's clock."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from tactile.display.display import Display
 from tactile.errors import InputError
 
 DURATION = 10.0
-"""Time in which the link exchanges time stamps before they are read [s]."""
+"""Time during which the link exchanges timestamps before they are evaluated [s]."""
 
 
 def measure_link(device: str, display: Display, clock: Clock = MONOTONIC) -> Iterator[Figure]:
@@ -18,14 +18,17 @@ def measure_link(device: str, display: Display, clock: Clock = MONOTONIC) -> Ite
 
     Parameters
     ----------
-    device : URL of the device
-    display : display that the device drives
-    clock : clock by which to wait
+    device : str
+        URL of the device.
+    display : Display
+        Display that the device drives.
+    clock : Clock
+        Clock that waits for the exchange of timestamps.
 
     Yields
     ------
     Figure
-        For each amplifier the shortest recent round trip of a time stamp [ms], and the drift of its
+        For each amplifier the shortest recent round trip of a timestamp [ms], and the drift of its
         clock against the host's [ppm].
 
     Raises
@@ -37,9 +40,9 @@ def measure_link(device: str, display: Display, clock: Clock = MONOTONIC) -> Ite
     """
     with open_bus(device, display) as bus:
         clock.sleep(DURATION)
-        known = amplifiers(bus)
-    if not known:
+        inspected = amplifiers(bus)
+    if not inspected:
         raise InputError(f"{device}: no amplifier there speaks the protocol, so none answers")
-    for one in known:
-        yield Figure(f"link.node_{one.node}.round_trip", 1e3 * one.round_trip, "ms")
-        yield Figure(f"link.node_{one.node}.drift", one.drift_ppm, "ppm")
+    for amplifier in inspected:
+        yield Figure(f"link.node_{amplifier.node}.round_trip", 1e3 * amplifier.round_trip, "ms")
+        yield Figure(f"link.node_{amplifier.node}.drift", amplifier.drift_ppm, "ppm")

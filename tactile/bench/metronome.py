@@ -1,9 +1,9 @@
-"""Processes that do nothing but wake for each block, in real time: what the machine allows.
+"""Processes that only wake for each block in real time, which shows what the host is capable of.
 
-One on each processor runs beside what is measured, on the same deadlines and above its priority. A
-block that is sent a lead ahead of its time is lost to anybody who wakes later than that, however
-little there is to do; so what the metronome misses is not the stream's to answer for. The file is
-run by itself, so that nothing but the standard library is loaded.
+One process on each processor runs beside the measurement, on the same deadlines and above its
+priority. A block that is sent a lead time ahead is lost to any program that wakes later than that,
+however little it has to do, so that what the metronome misses cannot be blamed on the stream. The
+file is run by itself, so that nothing but the standard library is loaded.
 """
 
 import os
@@ -16,20 +16,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 PERIOD = 2e-3
-"""s of a block of 16 samples at 8 kHz."""
+"""Duration of a block of 16 samples at 8 kHz [s]."""
 STEP = 1e-4
-"""s of lateness that are counted as one."""
+"""Resolution of the lateness [s]."""
 MOST = 0xFFFF
-"""Steps that are told at most."""
+"""Largest lateness that is recorded [STEP]."""
 PRIORITY = 6
-"""Real-time, one above that of a stream."""
+"""Real-time priority, one above that of a stream."""
 
 
 @contextmanager
 def beating() -> Iterator[list[int]]:
-    """Wake for each block meanwhile; what is yielded tells at the end how late each was [STEP].
+    """Run the metronome during a block of code.
 
-    It is that of the processor which was latest. The priority is real-time where that is allowed.
+    Each block gets the lateness on the processor that was latest. The priority is real-time where
+    that is allowed.
+
+    Yields
+    ------
+    list of int
+        Lateness of each block, filled in when the context ends [STEP].
     """
     late: list[int] = []
     begin = str(time.monotonic())
@@ -44,21 +50,37 @@ def beating() -> Iterator[list[int]]:
     try:
         yield late
     finally:
-        told = [array("H", process.communicate()[0]) for process in processes]
-        late += map(max, zip(*told, strict=False))
+        recordings = [array("H", process.communicate()[0]) for process in processes]
+        late += map(max, zip(*recordings, strict=False))
 
 
 def processors() -> list[str]:
-    """Return the numbers of those that this process may run on; "" where nobody tells."""
+    """List the processors on which this process may run.
+
+    Returns
+    -------
+    list of str
+        Numbers of the processors; a single empty string where the system does not provide them.
+    """
     if hasattr(os, "sched_getaffinity"):
         return [str(number) for number in sorted(os.sched_getaffinity(0))]
     return [""]
 
 
 def beat(begin: float) -> "array[int]":
-    """Wake for each block until standard input ends; return by how many `STEP` each was late.
+    """Wake for each block until standard input ends.
 
-    Blocks that passed before all was loaded were not late.
+    Blocks that passed before the process had started count as punctual.
+
+    Parameters
+    ----------
+    begin : float
+        Time of the first block by the monotonic clock, less one period [s].
+
+    Returns
+    -------
+    array of int
+        Lateness of each block [STEP].
     """
     passed = max(int((time.monotonic() - begin) / PERIOD), 0)
     late = array("H", [0] * passed)
@@ -70,7 +92,13 @@ def beat(begin: float) -> "array[int]":
 
 
 def own(processor: str) -> None:
-    """Keep to a processor, and come first there, where that is allowed."""
+    """Pin this process to a processor and raise it to real-time priority, where that is allowed.
+
+    Parameters
+    ----------
+    processor : str
+        Number of the processor; empty for no pinning.
+    """
     with suppress(OSError, AttributeError):
         if processor:
             os.sched_setaffinity(0, {int(processor)})

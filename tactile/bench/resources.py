@@ -1,4 +1,4 @@
-"""What a machine can do: rendering speed, memory of a long play, and how late a loop wakes."""
+"""Benchmarks of a host: rendering speed, memory of a long play, and lateness of a loop."""
 
 import math
 import os
@@ -18,7 +18,7 @@ from tactile.texture.surface import Texture, load_texture
 
 
 def _grid(count: int) -> Display:
-    """Return a square display of many contactors."""
+    """Return a square display with that many contactors."""
     side = round(math.sqrt(count))
     base = load_display("reference-64")
     at = (np.arange(side) - (side - 1) / 2) * 3e-3
@@ -31,7 +31,24 @@ def _grid(count: int) -> Display:
 
 
 def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -> float:
-    """Return how many times faster than real time a stroke at 80 mm/s is rendered."""
+    """Measure how many times faster than real time a stroke at 80 mm/s is rendered.
+
+    Parameters
+    ----------
+    display : Display
+        Display to render for.
+    texture : Texture
+        Texture to render.
+    block : int
+        Block size [samples].
+    shear : bool
+        Whether the commanded shear is computed as well.
+
+    Returns
+    -------
+    float
+        Duration of the stroke divided by the time to render it.
+    """
     blocks = list(Trajectory.line(speed=0.08, duration=1.0).blocks(RATE, block))
     renderer = Renderer(display, texture)
 
@@ -48,29 +65,46 @@ def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -
 def measure_speed() -> Iterator[Figure]:
     """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
 
-    The plain surface is waves and laws; textures as shipped have an envelope, and some of them
-    sparse events.
+    The plain surface consists of waves and of the laws of speed and force only. The shipped
+    textures have an envelope, and some of them sparse events.
+
+    Yields
+    ------
+    Figure
+        Speed of rendering relative to real time [×].
     """
     from msgspec.structs import replace as changed
 
     suede = load_texture("leather-calf")
     assert suede.descriptor.stochastic is not None
-    even = changed(suede.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
-    plain = replace(suede, descriptor=changed(suede.descriptor, stochastic=even))
-    many, more = _grid(64), _grid(1024)
-    yield at_least("speed.64.blocks_of_64", times_real(many, plain, 64, shear=False), "×", 30)
-    yield at_least("speed.64.blocks_of_16", times_real(many, plain, 16, shear=False), "×", 20)
-    yield at_least("speed.64.with_shear", times_real(many, plain, 64, shear=True), "×", 15)
-    yield at_least("speed.1024.blocks_of_64", times_real(more, plain, 64, shear=False), "×", 2)
-    yield Figure("speed.1024.blocks_of_16", times_real(more, plain, 16, shear=False), "×")
+    without_envelope = changed(suede.descriptor.stochastic, am_depth=0.0, excess_kurtosis=0.0)
+    plain = replace(suede, descriptor=changed(suede.descriptor, stochastic=without_envelope))
+    grid_64, grid_1024 = _grid(64), _grid(1024)
+    yield at_least("speed.64.blocks_of_64", times_real(grid_64, plain, 64, shear=False), "×", 30)
+    yield at_least("speed.64.blocks_of_16", times_real(grid_64, plain, 16, shear=False), "×", 20)
+    yield at_least("speed.64.with_shear", times_real(grid_64, plain, 64, shear=True), "×", 15)
+    yield at_least("speed.1024.blocks_of_64", times_real(grid_1024, plain, 64, shear=False), "×", 2)
+    yield Figure("speed.1024.blocks_of_16", times_real(grid_1024, plain, 16, shear=False), "×")
     for name in HANDFUL:
-        as_shipped = times_real(many, load_texture(name), 64, shear=False)
+        as_shipped = times_real(grid_64, load_texture(name), 64, shear=False)
         yield Figure(f"speed.64.blocks_of_64.{name}", as_shipped, "×")
 
 
 def measure_memory(longest: int = 60) -> Iterator[Figure]:
-    """Compare resident memory of a long play with that of 10 s."""
-    if sys.platform == "win32":  # no accounting of a finished process there
+    """Compare the resident memory of a long play with that of a play of 10 s.
+
+    Parameters
+    ----------
+    longest : int
+        Duration of the long play [s].
+
+    Yields
+    ------
+    Figure
+        Peak memory of the short play, and how much more the long one takes [MiB]. Nothing on
+        Windows, which does not account for a finished process.
+    """
+    if sys.platform == "win32":  # no accounting of finished processes
         return
     peaks = []
     for length in (10, longest):
@@ -82,12 +116,14 @@ def measure_memory(longest: int = 60) -> Iterator[Figure]:
 
 
 def measure_jitter(duration: float = 10.0, clock: Clock = MONOTONIC) -> Iterator[Figure]:
-    """Measure by how much a bare loop on each processor wakes late for a block of 2 ms.
+    """Measure how late a bare loop on each processor wakes for blocks of 2 ms.
 
     Parameters
     ----------
-    duration : time to measure [s]
-    clock : clock by which to wait
+    duration : float
+        Duration of the measurement [s].
+    clock : Clock
+        Clock that waits for its end.
 
     Yields
     ------
@@ -104,7 +140,23 @@ def measure_jitter(duration: float = 10.0, clock: Clock = MONOTONIC) -> Iterator
 
 
 def peak_memory(command: list[str]) -> int:
-    """Run a command and return the most memory it had resident [bytes]."""
+    """Run a command and measure its peak resident memory.
+
+    Parameters
+    ----------
+    command : list of str
+        Command with its arguments.
+
+    Returns
+    -------
+    int
+        Peak resident memory [bytes].
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If the command fails.
+    """
     process = subprocess.Popen(command)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -114,5 +166,16 @@ def peak_memory(command: list[str]) -> int:
 
 
 def resident_bytes(told: int) -> int:
-    """Return what a system's accounting tells as ``ru_maxrss`` in bytes; macOS does, Linux KiB."""
+    """Convert ``ru_maxrss`` of a system's accounting to bytes.
+
+    Parameters
+    ----------
+    told : int
+        Value of ``ru_maxrss``, which is in bytes on macOS and in KiB elsewhere.
+
+    Returns
+    -------
+    int
+        Memory [bytes].
+    """
     return told * (1 if sys.platform == "darwin" else 1024)

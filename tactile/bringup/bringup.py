@@ -1,8 +1,8 @@
-"""The first time a display is driven: who is there, is every line connected, what does it move.
+"""First drive of a display: identify the amplifiers, check every line, learn what it moves.
 
-Never more than 5 V, at the drive and at the electrodes; one channel at a time, all others at 0 V.
-The bus itself is opened for that limit, so that host, bus and amplifier hold it each on their own.
-However it ends, the device is left at 0 V and disarmed.
+Drive and electrodes never exceed 5 V. One channel is driven at a time, all others stay at 0 V. The
+bus itself is opened with that limit, so that host, bus and amplifier each enforce it on their own.
+However the check ends, the device is left at 0 V and disarmed.
 """
 
 import math
@@ -36,22 +36,47 @@ from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
 
 MOST_DISTURBED = 40
-"""Tones during which the link had a fault, after which a line is given up."""
+"""Number of tones disturbed by faults of the link after which the measurement of a line is given
+up."""
 BLINK = 5
-"""s."""
+"""Time for which an amplifier blinks to identify itself [s]."""
 
 Ask = Callable[[str], str]
+"""Function that shows a question to a person and returns the answer."""
 Progress = Callable[[int, int], None]
+"""Function that is called with the number of channels done and their total number."""
 UNTOUCHABLE = ("open", "short", "no voltage")
-"""Lines that are not driven again."""
+"""Verdicts after which a line is not driven again."""
 
 
 @dataclass
 class CheckedChannel:
-    """One drive line and what was found of it; keys carry their units.
+    """Findings about one drive line; names of attributes carry their units.
 
-    ``contactor`` is the file's; ``moved`` the one that a person saw move, and ``along`` whether it
-    went along its direction. None is what was not measured, or not asked.
+    None stands for what was not measured or not asked.
+
+    Attributes
+    ----------
+    channel : int
+        Index of the drive line.
+    contactor : int
+        Contactor that the display file assigns to the channel.
+    verdict : Verdict
+        Result of the measurement.
+    capacitance_nf : float or None
+        Measured capacitance of the line at the electrodes [nF].
+    error_percent : float or None
+        Standard error of the capacitance [%].
+    loss : float or None
+        Loss factor tan δ.
+    voltage_v, current_ua : float or None
+        Measured amplitudes of voltage [V] and current [µA].
+    asked : bool
+        Whether a person answered what the channel moves.
+    moved : int or None
+        Contactor that a person saw move.
+    along : bool or None
+        Whether that contactor moved along its shear direction.
     """
 
     channel: int
@@ -69,7 +94,27 @@ class CheckedChannel:
 
 @dataclass
 class CheckReport:
-    """What came of it; keys carry their units."""
+    """Result of a check; names of attributes carry their units.
+
+    Attributes
+    ----------
+    display, device : str
+        Name of the display and URL of the device.
+    voltage_v : float
+        Limit of the drive during the check [V].
+    capacitance_nf : float
+        Capacitance that each contactor of the display should have [nF].
+    frequency_hz : float
+        Frequency of the tones [Hz].
+    amplifiers : tuple of AmplifierFacts
+        Amplifiers on the bus.
+    channels : list of CheckedChannel
+        Findings in the order of channels.
+    notes, faults : list of str
+        Remarks, and what is wrong, one line each.
+    written : str or None
+        File that the map was written to.
+    """
 
     display: str
     device: str
@@ -83,7 +128,13 @@ class CheckReport:
     written: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the report as plain data.
+
+        Returns
+        -------
+        dict of str to Any
+            Values that can be written as JSON, by the names of the attributes.
+        """
         return asdict(self) | {"amplifiers": [one.as_dict() for one in self.amplifiers]}
 
 
@@ -101,22 +152,34 @@ def bring_up(
 
     Parameters
     ----------
-    url : of the device
-    source : a display's name or file
-    write : file that the told map is written to; needs ``ask``
-    force : overwrite it
-    ask : shows a question, returns the answer; None where nobody can be asked
-    progress : told how many channels are done, of how many
-    accept_unsafe_hold : as of `open_bus`
+    url : str
+        URL of the device.
+    source : str or Path
+        Name or file of the display.
+    write : Path, optional
+        File to write the map that the person reports to; requires ``ask``.
+    force : bool
+        Whether to overwrite that file.
+    ask : callable, optional
+        Function that shows a question and returns the answer; without it, nobody is asked.
+    progress : callable, optional
+        Function that is called with the number of channels done and their total number.
+    accept_unsafe_hold : bool
+        As in `open_bus`.
+
+    Returns
+    -------
+    CheckReport
+        Findings, with all faults.
 
     Raises
     ------
     TactileError
-        For a device or file that cannot be used.
+        If the device or a file cannot be used.
     """
     if write is not None:
         if ask is None:
-            raise InputError("--write: needs a person at a terminal, who sees what moves")
+            raise InputError("--out: needs a person at a terminal, who sees what moves")
         checked_target(source, write, force=force)
     display = cautious(load_display(source))
     drive = display.limits.voltage
@@ -127,7 +190,7 @@ def bring_up(
         open_bus(url, display, accept_unsafe_hold=accept_unsafe_hold) as bus,
         guarded(bus, url),
     ):
-        _greet(report, bus, ask)
+        _identify_amplifiers(report, bus, ask)
         _measure_all(report, bus, display, progress or (lambda done, total: None))
         if ask is not None and bus.state == "idle":
             _ask_all(report, bus, display, ask)
@@ -139,27 +202,29 @@ def bring_up(
     return report
 
 
-def _greet(report: CheckReport, bus: Bus, ask: Ask | None) -> None:
-    """Learn who is there, and let each show itself."""
-    report.amplifiers = found = amplifiers(bus)
-    if not found:
+def _identify_amplifiers(report: CheckReport, bus: Bus, ask: Ask | None) -> None:
+    """List the amplifiers, and let each of them blink."""
+    report.amplifiers = boards = amplifiers(bus)
+    if not boards:
         report.notes.append("the device does not tell what it is: it has no CAPS, and no blink")
-    for k, one in enumerate(found):
-        blinks = identify(bus, one.node, BLINK)
+    for k, board in enumerate(boards):
+        blinks = identify(bus, board.node, BLINK)
         if not blinks:
-            report.notes.append(f"node {one.node} did not answer IDENTIFY")
-        elif ask is not None and len(found) > 1:
-            ask(f"board {k + 1} of {len(found)}, node {one.node}, shows itself; enter to go on: ")
+            report.notes.append(f"node {board.node} did not answer IDENTIFY")
+        elif ask is not None and len(boards) > 1:
+            ask(
+                f"board {k + 1} of {len(boards)}, node {board.node}, shows itself; enter to go on: "
+            )
 
 
-# Measuring
+# Measurement
 
 
 def _measure_all(report: CheckReport, bus: Bus, display: Display, progress: Progress) -> None:
     """Play a tone on each channel in turn, and judge what is measured meanwhile."""
     total = len(report.channels)
     with measuring(bus, INTERVAL) as nodes:
-        _tell_what_is_not_measured(report, nodes)
+        _note_unmeasured(report, nodes)
         for done, one in enumerate(report.channels):
             progress(done, total)
             try:
@@ -181,18 +246,19 @@ def _measure_all(report: CheckReport, bus: Bus, display: Display, progress: Prog
         progress(total, total)
 
 
-def _tell_what_is_not_measured(report: CheckReport, nodes: set[int]) -> None:
+def _note_unmeasured(report: CheckReport, nodes: set[int]) -> None:
+    """Note which amplifiers do not measure, and what therefore goes unnoticed."""
     why = "open, short and wrong lines are not noticed"
-    silent = [one for one in report.amplifiers if one.node not in nodes]
+    unmeasured = [facts for facts in report.amplifiers if facts.node not in nodes]
     if not report.amplifiers:
         report.notes.append(f"no capacitance was measured: the device does not measure; {why}")
-    for one in silent:
-        how = "did not begin to measure" if one.measures else "does not measure (CAPS features)"
-        report.notes.append(f"node {one.node} {how}: of its channels {why}")
+    for facts in unmeasured:
+        how = "did not begin to measure" if facts.measures else "does not measure (CAPS features)"
+        report.notes.append(f"node {facts.node} {how}: of its channels {why}")
 
 
 def _measure_one(one: CheckedChannel, bus: Bus, display: Display) -> str:
-    """Return why nothing is known of a line; empty where it is judged."""
+    """Measure and judge a line; return why that failed, or an empty string."""
     signal, rate = tone(display), bus.wiring.sample_rate
     fade = display.limits.fade
     begin, end = fade * rate, (fade + TONE) * rate
@@ -226,7 +292,7 @@ def _measure_one(one: CheckedChannel, bus: Bus, display: Display) -> str:
 def _readings_of(
     channel: int, bus: Bus, begin: float, end: float
 ) -> list[tuple[int, float, float]]:
-    """Return position, volts and current [A] of a channel's readings between two positions."""
+    """Return position, voltage [V], current [A] of a channel's readings between two positions."""
     return [
         (r.position, r.volts[channel - r.first_channel], r.current[channel - r.first_channel])
         for r in readings(bus)
@@ -234,110 +300,128 @@ def _readings_of(
     ]
 
 
-# Asking
+# Questions to a person
 
 
 def _ask_all(report: CheckReport, bus: Bus, display: Display, ask: Ask) -> None:
-    """Let a person tell what each channel moves, and which way."""
-    for one in report.channels:
-        if one.verdict in UNTOUCHABLE:
+    """Ask a person what each channel moves, and in which direction."""
+    for line in report.channels:
+        if line.verdict in UNTOUCHABLE:
             continue
         try:
-            goes_on = _ask_one(one, bus, display, ask)
+            proceed = _ask_one(line, bus, display, ask)
         except EOFError:
-            goes_on = False
-        if not goes_on:
-            report.notes.append(f"from channel {one.channel} on nobody told what moves")
+            proceed = False
+        if not proceed:
+            report.notes.append(f"from channel {line.channel} on nobody told what moves")
             return
 
 
 def _ask_one(one: CheckedChannel, bus: Bus, display: Display, ask: Ask) -> bool:
-    """Play pulses and ask; return whether to go on.
+    """Play pulses on a channel and ask what moves; return whether to go on.
 
-    The pulses have the file's polarity, so that by the file they shear along the direction.
+    The pulses have the polarity of the display file, so that they shear along the direction if the
+    file is right.
     """
     count, signal = len(display.contactors), train(display, display.polarity[one.contactor])
     problem = ""
     while True:
         sound(bus, signal, one.channel)
-        told = ask(
+        reply = ask(
             f"{problem}channel {one.channel}: which contactor moved? "
             f"[{one.contactor}; r again, - none, q end] "
         ).strip()
-        if told == "q":
+        if reply == "q":
             return False
-        if told == "-":
+        if reply == "-":
             one.asked = True
             return True
-        if told in ("", *map(str, range(count))):
+        if reply in ("", *map(str, range(count))):
             break
-        problem = "" if told == "r" else f"{told!r}: a number below {count}, r, - or q\n"
-    one.moved = int(told) if told else one.contactor
+        problem = "" if reply == "r" else f"{reply!r}: a number below {count}, r, - or q\n"
+    one.moved = int(reply) if reply else one.contactor
     degrees = math.degrees(display.shear_direction[one.moved])
-    one.along = _yes(ask, f"did it shear toward {degrees:g}° and back? [Y/n] ")
+    one.along = _ask_yes_no(ask, f"did it shear toward {degrees:g}° and back? [Y/n] ")
     one.asked = True
     return True
 
 
-def _yes(ask: Ask, question: str) -> bool:
-    while (told := ask(question).strip().lower()) not in ("", "y", "yes", "n", "no"):
+def _ask_yes_no(ask: Ask, question: str) -> bool:
+    """Ask until the answer is yes or no; return whether it is yes."""
+    while (reply := ask(question).strip().lower()) not in ("", "y", "yes", "n", "no"):
         pass
-    return told in ("", "y", "yes")
+    return reply in ("", "y", "yes")
 
 
 def told_map(channels: Sequence[CheckedChannel], display: Display) -> tuple[Map, list[str]]:
-    """Return the map that a person told, and what is wrong with it.
+    """Return the map that a person reported, and what is wrong with it.
 
-    A channel that moves nothing, or was not asked for, keeps its contactor if no other moves it.
+    A channel that moves nothing, or was not asked about, keeps its contactor unless another channel
+    moves that one.
+
+    Parameters
+    ----------
+    channels : sequence of CheckedChannel
+        Channels with the answers of the person.
+    display : Display
+        Display with the map of its file.
+
+    Returns
+    -------
+    tuple of Map and list of str
+        The map, and one line for each contradiction or gap.
     """
     channel, polarity = display.channel.tolist(), display.polarity.tolist()
-    by: dict[int, CheckedChannel] = {}
-    wrong = []
-    for one in channels:
-        if one.moved is None:
+    movers: dict[int, CheckedChannel] = {}
+    problems = []
+    for line in channels:
+        if line.moved is None:
             continue
-        if one.moved in by:
-            other = by[one.moved].channel
-            wrong.append(f"contactor {one.moved}: channels {other} and {one.channel} both move it")
-        by[one.moved] = one
-        channel[one.moved] = one.channel
-        sent = display.polarity[one.contactor]
-        polarity[one.moved] = sent if one.along else -sent
-    for one in channels:
-        if one.moved is None and one.contactor in by and not wrong:
-            wrong.append(f"channel {one.channel}: what it moves is not known")
-    return Map(tuple(channel), tuple(int(p) for p in polarity)), wrong
+        if line.moved in movers:
+            other = movers[line.moved].channel
+            problems.append(
+                f"contactor {line.moved}: channels {other} and {line.channel} both move it"
+            )
+        movers[line.moved] = line
+        channel[line.moved] = line.channel
+        pulsed = display.polarity[line.contactor]
+        polarity[line.moved] = pulsed if line.along else -pulsed
+    for line in channels:
+        if line.moved is None and line.contactor in movers and not problems:
+            problems.append(f"channel {line.channel}: what it moves is not known")
+    return Map(tuple(channel), tuple(int(p) for p in polarity)), problems
 
 
 def _conclude(
     report: CheckReport, display: Display, source: str | Path, write: Path | None, *, force: bool
 ) -> None:
-    """Name the faults, and write the map where that is asked for."""
+    """Add the faults to the report, and write the map if that was requested."""
     report.faults += [
-        f"channel {one.channel}, contactor {one.contactor}: {_explained(one, report)}"
-        for one in report.channels
-        if one.verdict not in ("good", "not measured", "stopped")
+        f"channel {line.channel}, contactor {line.contactor}: {_describe_fault(line, report)}"
+        for line in report.channels
+        if line.verdict not in ("good", "not measured", "stopped")
     ]
     report.faults += [
-        f"channel {one.channel} moved nothing" for one in report.channels
-        if one.asked and one.moved is None
+        f"channel {line.channel} moved nothing" for line in report.channels
+        if line.asked and line.moved is None
     ]  # fmt: skip
-    told, wrong = told_map(report.channels, display)
-    report.faults += wrong
-    untold = [one for one in report.channels if not one.asked and one.verdict not in UNTOUCHABLE]
-    changed = told != Map.of(display)
-    if write is not None and (wrong or untold):
+    reported, problems = told_map(report.channels, display)
+    report.faults += problems
+    unasked = [c for c in report.channels if not c.asked and c.verdict not in UNTOUCHABLE]
+    changed = reported != Map.of(display)
+    if write is not None and (problems or unasked):
         report.faults.append(f"{write} was not written: nobody told the whole map")
     elif write is not None:
-        write_map(source, write, told, force=force)
+        write_map(source, write, reported, force=force)
         report.written = str(write)
     elif changed:
-        report.faults.append("the display file has another map than the display; see --write")
+        report.faults.append("the display file has another map than the display; see --out")
 
 
-def _explained(one: CheckedChannel, report: CheckReport) -> str:
-    found = (
+def _describe_fault(one: CheckedChannel, report: CheckReport) -> str:
+    """Return the verdict on a line with the measured values."""
+    measured = (
         "" if one.capacitance_nf is None
         else f"{one.capacitance_nf:.2f} nF where the display has {report.capacitance_nf:.2f} nF, "
     )  # fmt: skip
-    return f"{one.verdict}: {found}{one.voltage_v:.2f} V at {one.current_ua:.0f} µA"
+    return f"{one.verdict}: {measured}{one.voltage_v:.2f} V at {one.current_ua:.0f} µA"

@@ -1,4 +1,4 @@
-"""How a line is tried: signals of 5 V at most on one channel, and what its readings say of it."""
+"""Test of one drive line: a signal of at most 5 V, and what the readings say of the line."""
 
 import math
 from collections.abc import Callable
@@ -12,74 +12,119 @@ from tactile.bus.base import Bus, DriveBlock, DriveFrame
 from tactile.display.display import Display
 
 TEST_VOLTAGE = 5.0
-"""V that nothing here exceeds: 1/20 of full drive, 19 V/mm in a layer of 0.26 mm; still 4 µm of
-shear in air on the default design, which a fingertip feels and any vibrometer sees."""
+"""Limit of all signals of a test [V]: 1/20 of full drive, or 19 V/mm in a layer of 0.26 mm. It
+still gives 4 µm of shear in air on the default design, which a fingertip feels and any vibrometer
+sees."""
 LEVEL = 0.98
-"""Of the limit: what rounding to codes adds (0.125 dB at most in a spectrum frame) stays below."""
+"""Level of a signal relative to the limit; the margin covers rounding to codes, which adds at most
+0.125 dB in a spectrum frame."""
 INTERVAL = 10e-3
-"""s between readings, the shortest that there is (SPEC.md, SENSE_MS)."""
+"""Interval between readings, the shortest that there is (SPEC.md, SENSE_MS) [s]."""
 FREQUENCY = 161.8
-"""Hz: 1.618 turns from reading to reading, by the golden ratio ever other phases; far enough below
-the resonance that the motion adds 0.3 % to the capacitance in air (the default design)."""
+"""Frequency of the tone [Hz]. It makes 1.618 turns from reading to reading, so that by the golden
+ratio phases never repeat; it is so far below the resonance that motion adds 0.3 % to the
+capacitance in air (default design)."""
 TONE = 0.1
-"""s at full level: 10 readings; so short that a busy machine keeps up with some of them."""
+"""Time of a tone at full level [s]: 10 readings, and short enough for a busy machine to keep up
+with some of the tones."""
 TONES = 3
-"""Tones without any fault of the link that a line is measured by."""
+"""Number of tones without any fault of the link from which a line is measured."""
 LEAST_READINGS = 12
-"""Without which nothing is said; of three unknowns for each of voltage and current."""
+"""Minimum number of readings for a verdict; three unknowns are fitted to each of voltage and
+current."""
 PULSES, PULSE, EDGE = 5, 0.2, 5e-3
-"""Pulses of a train, s from one to the next (half of it up), s of an edge."""
+"""Number of pulses of a train, their period, of which half is up [s], and the duration of an edge
+[s]."""
 BLOCK = 64
+"""Number of samples of a block."""
 
 OPEN = 0.25
-"""Of the display's own capacitance, below which a line is open: cable and connector have some."""
+"""Current relative to that of the display's own capacitance below which a line is open; cable and
+connector have some capacitance too."""
 TOLERANCE = 0.25
-"""Of it, by which a bimorph may be off: ±20 % of the makers' (assumed), and a finger on it −8 %."""
+"""Relative deviation of the capacitance that is accepted: ±20 % by the makers (assumed), and −8 %
+by a finger on the bimorph."""
 SHORT = 10.0
-"""Times the current that the display's own capacitance would draw, from which a line is short."""
+"""Current relative to that of the display's own capacitance above which a line is short."""
 COLLAPSED = 0.5
-"""Of the drive, below which the voltage has not come up."""
+"""Voltage relative to the drive below which the voltage has not come up."""
 VOLTAGE_TOLERANCE = 0.1
-"""Of the drive, by which the voltage may be off (assumed)."""
+"""Relative deviation of the voltage from the drive that is accepted (assumed)."""
 LOSS = 0.3
-"""tan δ from which a line leaks: soft PZT has 0.02, and a board that reads current 50 µs after
-voltage seems to have 0.05 more (assumed)."""
+"""Loss factor tan δ above which a line leaks. Soft PZT has 0.02, and a board that reads the current
+50 µs after the voltage seems to have 0.05 more (assumed)."""
 
 Verdict = Literal[
     "good", "open", "short", "no voltage", "wrong voltage", "off", "leaks", "stopped",
     "not measured",
 ]  # fmt: skip
+"""Result of the test of a line."""
 
 
 def cautious(display: Display) -> Display:
-    """Return a display whose limit is the test's: neither drive nor electrodes see more."""
-    most = TEST_VOLTAGE / max(display.amplifier.peak, 1.0)
-    voltage = min(display.limits.voltage, most)
+    """Return a display limited to the test voltage, at the drive as well as at the electrodes.
+
+    Parameters
+    ----------
+    display : Display
+        Display with the limits of its file.
+
+    Returns
+    -------
+    Display
+        The same display with a voltage limit of at most `TEST_VOLTAGE`.
+    """
+    limit = TEST_VOLTAGE / max(display.amplifier.peak, 1.0)
+    voltage = min(display.limits.voltage, limit)
     return replace(display, limits=replace(display.limits, voltage=voltage))
 
 
 @dataclass(frozen=True)
 class Signal:
-    """``envelope`` (of time [s], in volts) × cos 2πft."""
+    """Signal with the value envelope(t) · cos 2πft.
+
+    Attributes
+    ----------
+    frequency : float
+        Frequency f [Hz].
+    duration : float
+        Duration [s].
+    envelope : callable
+        Function from times [s] to amplitudes [V].
+    """
 
     frequency: float
     duration: float
     envelope: Callable[[Floats], Floats]
 
     def at(self, time: Floats) -> Floats:
-        """Return volts at times (S,) [s]."""
+        """Compute the signal.
+
+        Parameters
+        ----------
+        time : (S,) array of float
+            Times since the beginning [s].
+
+        Returns
+        -------
+        (S,) array of float
+            Drive [V].
+        """
         return self.envelope(time) * np.cos(2 * np.pi * self.frequency * time)
 
 
 @dataclass(frozen=True)
 class LineLoad:
-    """What hangs on a line.
+    """Electrical load of a drive line at the frequency of the tone.
 
     Attributes
     ----------
-    voltage, current : amplitudes [V], [A]
-    admittance : current over voltage [S]
-    error : of the capacitance, relative, one standard deviation
+    voltage, current : float
+        Amplitudes of voltage [V] and current [A].
+    admittance : complex
+        Current divided by voltage [S].
+    error : float
+        Relative standard deviation of the capacitance.
     """
 
     voltage: float
@@ -89,18 +134,29 @@ class LineLoad:
 
     @property
     def capacitance(self) -> float:
-        """In parallel with a resistance [F]."""
+        """Capacitance in parallel with a resistance [F]."""
         return self.admittance.imag / (2 * np.pi * FREQUENCY)
 
     @property
     def loss(self) -> float:
-        """Current in phase with the voltage over that a quarter turn ahead, tan δ."""
+        """Loss factor tan δ: ratio of the currents in phase and in quadrature with voltage."""
         y = self.admittance
         return max(y.real, 0.0) / y.imag if y.imag > 0 else math.inf
 
 
 def tone(display: Display) -> Signal:
-    """Return the tone that lines are measured by, faded in and out by the display's fade."""
+    """Return the tone with which lines are measured, faded in and out by the display's fade.
+
+    Parameters
+    ----------
+    display : Display
+        Display with test limits, see `cautious`.
+
+    Returns
+    -------
+    Signal
+        Tone at `FREQUENCY` that respects the limits of voltage and slew rate.
+    """
     fade = display.limits.fade
     steepest = display.slew / (2 * np.pi * FREQUENCY)
     level = LEVEL * min(display.limits.voltage, steepest)
@@ -114,7 +170,20 @@ def tone(display: Display) -> Signal:
 
 
 def train(display: Display, polarity: float) -> Signal:
-    """Return pulses to one side of 0 V: of positive volts, or negative for a polarity of −1."""
+    """Return pulses to one side of 0 V, by which a person sees what moves.
+
+    Parameters
+    ----------
+    display : Display
+        Display with test limits, see `cautious`.
+    polarity : float
+        1 for positive pulses, −1 for negative ones.
+
+    Returns
+    -------
+    Signal
+        Pulses that respect the limits of voltage and slew rate.
+    """
     level = LEVEL * min(display.limits.voltage, display.slew * EDGE) * polarity
 
     def envelope(time: Floats) -> Floats:
@@ -126,7 +195,19 @@ def train(display: Display, polarity: float) -> Signal:
 
 
 def sound(bus: Bus, signal: Signal, channel: int) -> None:
-    """Play a signal on one channel, all others at 0 V; the bus is idle before and after."""
+    """Play a signal on one channel, with all others at 0 V.
+
+    The bus is idle before and after.
+
+    Parameters
+    ----------
+    bus : Bus
+        Idle bus.
+    signal : Signal
+        Signal to play.
+    channel : int
+        Index of the drive line.
+    """
     if bus.frames is not None:
         _sound_frames(bus, signal, channel)
         return
@@ -142,6 +223,7 @@ def sound(bus: Bus, signal: Signal, channel: int) -> None:
 
 
 def _sound_frames(bus: Bus, signal: Signal, channel: int) -> None:
+    """Play a signal on a link that takes spectrum frames."""
     assert bus.frames is not None
     rate = bus.wiring.sample_rate
     spacing = round(rate / bus.frames.rate)
@@ -157,19 +239,27 @@ def _sound_frames(bus: Bus, signal: Signal, channel: int) -> None:
 
 
 def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: float) -> LineLoad:
-    """Return what hangs on a line, from pairs of voltage and current at known positions.
+    """Fit the load of a line to pairs of voltage and current at known positions.
 
-    With i = C dv/dt + v/R and v = Re V exp jωt it is I/V = 1/R + jωC. V and I are the least squares
-    of (1, cos ωt, sin ωt) at the readings' times. A delay that both have in common cancels; a
-    current read τ later than its voltage takes 1 − cos ωτ off C and adds tan ωτ to the loss. The
-    relative standard error of C is √(2/n) √(s_v²/|V|² + s_i²/|I|²), s the scatter about the sines:
-    with current in whole µA and 65 µA of it 0.1 % of 30 readings.
+    With i = C dv/dt + v/R and v = Re V exp jωt, I/V = 1/R + jωC. V and I are the least-squares fit
+    of (1, cos ωt, sin ωt) at the times of the readings. A delay that both have in common cancels; a
+    current read τ later than its voltage reduces C by the factor cos ωτ and adds tan ωτ to the
+    loss. The relative standard error of C is √(2/n) √(s_v²/|V|² + s_i²/|I|²), where s is the
+    scatter about the sines: 0.1 % for 30 readings of 65 µA with the current in whole µA.
 
     Parameters
     ----------
-    position : (n,) samples
-    volts, current : (n,) [V], [A], read together
-    sample_rate : [Hz]
+    position : (n,) array of float
+        Positions of the readings [samples].
+    volts, current : (n,) array of float
+        Voltage [V] and current [A], read together.
+    sample_rate : float
+        Sample rate of the positions [Hz].
+
+    Returns
+    -------
+    LineLoad
+        The load; its admittance is 0 and its error infinite if voltage or current is 0.
     """
     omega = 2 * np.pi * FREQUENCY
     angle = omega * np.asarray(position) / sample_rate
@@ -186,13 +276,21 @@ def load_of(position: Floats, volts: Floats, current: Floats, *, sample_rate: fl
 
 
 def judge(load: LineLoad, *, drive: float, capacitance: float) -> Verdict:
-    """Return what a load says of its line.
+    """Judge a line by its load.
 
     Parameters
     ----------
-    load : as measured
-    drive : amplitude that was sent [V]
-    capacitance : that it should have, at the drive [F]
+    load : LineLoad
+        Measured load.
+    drive : float
+        Amplitude that was sent [V].
+    capacitance : float
+        Capacitance that the line should have, seen at the drive [F].
+
+    Returns
+    -------
+    Verdict
+        Verdict on the line.
     """
     expected = 2 * np.pi * FREQUENCY * capacitance * drive
     if load.voltage < COLLAPSED * drive:

@@ -18,14 +18,15 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.packet import Packet, encode_packet
 from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
-from tactile.bus.link.link_url import LINK_OPTIONS, open_link
-from tactile.bus.options import flag, number, wholes
+from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Can
@@ -331,25 +332,73 @@ def _gone(code: int | None, error: Exception) -> str:
 # Opening
 
 
-def link_of(address: Address) -> Can:
-    """Return how long packets take on the bus of an address."""
-    nominal = number(address, "bitrate", 10e3, 1e6) or NOMINAL
-    data = number(address, "data_bitrate", 10e3, 10e6)
-    fd = flag(address, "fd") or data is not None
-    return Can(nominal, (data or DATA) if fd else None, flag(address, "extended"))
+class CanOptions(LinkOptions, frozen=True, kw_only=True):
+    """Options of a ``can:`` URL.
+
+    Attributes
+    ----------
+    bitrate : float
+        Nominal bit rate [bit/s].
+    fd : bool
+        Whether CAN FD is spoken; so it is if ``data_bitrate`` is given.
+    data_bitrate : float or None
+        Bit rate of the data phase of CAN FD [bit/s].
+    extended : bool
+        Whether identifiers have 29 bits.
+    nodes : tuple of int
+        Nodes of the amplifiers in the order of the channels; all that answer if empty.
+    """
+
+    bitrate: Annotated[float, Meta(ge=10e3, le=1e6)] = NOMINAL
+    fd: bool = False
+    data_bitrate: Annotated[float, Meta(ge=10e3, le=10e6)] | None = None
+    extended: bool = False
+    nodes: tuple[Annotated[int, Meta(ge=1, le=127)], ...] = ()
 
 
-def connect(address: Address, link: Can, clock: Clock) -> CanWire:
-    """Open the bus of an address.
+def link_of(options: CanOptions) -> Can:
+    """Return how long packets take on the bus.
+
+    Parameters
+    ----------
+    options : CanOptions
+        Options of the device's URL.
+
+    Returns
+    -------
+    Can
+        The bus with its bit rates.
+    """
+    fd = options.fd or options.data_bitrate is not None
+    data = (options.data_bitrate or DATA) if fd else None
+    return Can(options.bitrate, data, options.extended)
+
+
+def connect(path: str, link: Can, clock: Clock) -> CanWire:
+    """Open a CAN bus.
+
+    Parameters
+    ----------
+    path : str
+        Interface of python-can and its channel, such as ``socketcan/can0``.
+    link : Can
+        How long packets take on the bus.
+    clock : Clock
+        Clock by which the wire waits.
+
+    Returns
+    -------
+    CanWire
+        The open bus.
 
     Raises
     ------
-    BusError
-        With what to do about it.
+    WireError
+        If the bus cannot be opened, with what to do about it.
     """
     import can
 
-    interface, _, channel = address.path.partition("/")
+    interface, _, channel = path.partition("/")
     arguments: dict[str, Any] = {"interface": interface, "channel": channel or None}
     if link.data is not None:
         arguments["fd"] = True
@@ -370,7 +419,7 @@ def connect(address: Address, link: Can, clock: Clock) -> CanWire:
     except (can.CanError, OSError, ValueError, ImportError) as error:
         for bus in buses:
             bus.shutdown()
-        raise WireError(f"can: {address.path}: {_reason(interface, channel, error)}") from error
+        raise WireError(f"can: {path}: {_reason(interface, channel, error)}") from error
     channel_of = SocketCan if interface == "socketcan" else PythonCan
     return CanWire(channel_of(buses[-1], buses[0], link), link, clock)
 
@@ -413,13 +462,12 @@ def find() -> Iterator[Found]:
                     yield Found(f"can:socketcan/{name}", "CAN interface")
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    address.only("fd", "bitrate", "data_bitrate", "extended", "nodes", *LINK_OPTIONS, path=True)
-    link = link_of(address)
+def _open(address: Address[CanOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
+    path, options, link = address.path, address.options, link_of(address.options)
     return open_link(
-        address, display, sample_rate, link, lambda: connect(address, link, MONOTONIC),
-        nodes=wholes(address, "nodes", 1, 127),
+        options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC),
+        nodes=options.nodes,
     )  # fmt: skip
 
 
-register_bus("can", _open, find=find, link=link_of)
+register_bus("can", _open, CanOptions, takes_path=True, find=find, link=link_of)

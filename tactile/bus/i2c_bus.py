@@ -13,7 +13,9 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from firmware_protocol.fragments import LENGTH, Cutter, Reassembler
 from firmware_protocol.i2c_link import (
@@ -28,8 +30,8 @@ from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import DisplayLike
 from tactile.bus.budget import PULSE_INTERVAL
 from tactile.bus.link.link_bus import LinkBus
-from tactile.bus.link.link_url import LINK_OPTIONS, open_link
-from tactile.bus.options import flag, number, wholes
+from tactile.bus.link.link_url import LinkOptions, open_link
+from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import I2c
@@ -238,9 +240,38 @@ class LinuxAdapter(Adapter):
 # Opening
 
 
-def link_of(address: Address) -> I2c:
-    """Return how long packets take on the bus of an address."""
-    return I2c(number(address, "clock", 10e3, 5e6) or CLOCK, smbus=flag(address, "smbus"))
+class I2cOptions(LinkOptions, frozen=True, kw_only=True):
+    """Options of an ``i2c:`` URL.
+
+    Attributes
+    ----------
+    address : tuple of int
+        Addresses of the amplifiers in the order of the channels.
+    clock : float
+        Clock of the bus [Hz].
+    smbus : bool
+        Whether packets go in block writes and reads of SMBus, for adapters that have no others.
+    """
+
+    address: tuple[Annotated[int, Meta(ge=0x08, le=0x77, extra=HEXADECIMAL)], ...] = (ADDRESS,)
+    clock: Annotated[float, Meta(ge=10e3, le=5e6)] = CLOCK
+    smbus: bool = False
+
+
+def link_of(options: I2cOptions) -> I2c:
+    """Return how long packets take on the bus.
+
+    Parameters
+    ----------
+    options : I2cOptions
+        Options of the device's URL.
+
+    Returns
+    -------
+    I2c
+        The bus with its clock.
+    """
+    return I2c(options.clock, smbus=options.smbus)
 
 
 def device(path: str) -> str:
@@ -248,15 +279,31 @@ def device(path: str) -> str:
     return f"/dev/i2c-{path}" if path.isdigit() else path
 
 
-def connect(address: Address, addresses: Sequence[int], link: I2c, clock: Clock) -> I2cWire:
-    """Open the bus of an address.
+def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2cWire:
+    """Open an I²C bus.
+
+    Parameters
+    ----------
+    path : str
+        Number of the bus, or its device.
+    addresses : sequence of int
+        Addresses of the amplifiers in the order of the channels.
+    link : I2c
+        How long packets take on the bus.
+    clock : Clock
+        Clock by which the wire waits.
+
+    Returns
+    -------
+    I2cWire
+        The open bus.
 
     Raises
     ------
-    BusError
-        With what to do about it.
+    WireError
+        If the bus cannot be opened or nothing acknowledges, with what to do about it.
     """
-    path = device(address.path)
+    path = device(path)
     try:
         adapter = LinuxAdapter(path)
     except ImportError as error:
@@ -289,15 +336,14 @@ def find() -> Iterator[Found]:
         yield Found(f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}")
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    address.only("address", "clock", "smbus", *LINK_OPTIONS, path=True)
+def _open(address: Address[I2cOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
-    addresses = wholes(address, "address", 0x08, 0x77) or (ADDRESS,)
-    link = link_of(address)
+    path, options, link = address.path, address.options, link_of(address.options)
     return open_link(
-        address, display, sample_rate, link, lambda: connect(address, addresses, link, MONOTONIC)
-    )
+        options, display, sample_rate, link,
+        lambda: connect(path, options.address or (ADDRESS,), link, MONOTONIC),
+    )  # fmt: skip
 
 
-register_bus("i2c", _open, find=find, link=link_of)
+register_bus("i2c", _open, I2cOptions, takes_path=True, find=find, link=link_of)

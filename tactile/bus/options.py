@@ -1,58 +1,149 @@
-"""Options of a device URL, as values; a mistake is one line that names option, value and limit."""
+"""Options of a device URL, as each driver declares them in one Struct.
+
+`decode` checks the text of all options once; a mistake is one line that names option, value and
+limit. From then on options are values with types.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar
+
+import msgspec
+from msgspec import inspect
 
 from firmware_protocol.messages import SampleFormat
-from tactile.bus.registry import Address
 from tactile.errors import InputError
 from tactile.files import nearest
 
-FORMATS = {f.name.lower(): f for f in (SampleFormat.PCM16, SampleFormat.PCM12, SampleFormat.BFP8)}
 FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+FORMATS = {
+    "pcm16": SampleFormat.PCM16,
+    "pcm12": SampleFormat.PCM12,
+    "bfp8": SampleFormat.BFP8,
+    "spectrum": SampleFormat.SPECTRUM8,
+}
+"""Formats of the drive on a link, by their names in a URL."""
+HEXADECIMAL = {"hexadecimal": True}
+"""Mark of an integer, in `msgspec.Meta.extra`, whose limits are printed in hexadecimal."""
+
+SampleFormatName = Literal["pcm16", "pcm12", "bfp8"]
+FormatName = Literal["pcm16", "pcm12", "bfp8", "spectrum"]
+Keep = Literal["second", "all"]
 
 
-def number(address: Address, name: str, low: float, high: float) -> float | None:
-    """Return an option's number, None where it is not given; also in hexadecimal, as 0x42."""
-    text = address.options.get(name)
-    if text is None:
-        return None
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of a device URL; a driver that has none uses this base class itself.
+
+    A field is a bool, a str, an int or float with limits, a Literal, or a tuple of int, which the
+    URL separates by commas. Each has a default.
+    """
+
+
+O = TypeVar("O", bound=Options)  # noqa: E741
+
+
+def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
+    """Decode the options of a device URL.
+
+    Parameters
+    ----------
+    scheme : str
+        Scheme of the URL, which errors name.
+    given : mapping of str to str
+        Text of each option by its name.
+    shape : type of Options
+        Struct that declares the options which the driver has.
+
+    Returns
+    -------
+    Options
+        An instance of ``shape``; options that were not given have their defaults.
+
+    Raises
+    ------
+    InputError
+        If the driver has no such option, or a value is not within its limits.
+    """
+    kinds = option_types(shape)
+    values: dict[str, Any] = {}
+    for name, text in given.items():
+        if name not in kinds:
+            raise InputError(f"{scheme}: unknown option {name!r}; {nearest(name, list(kinds))}")
+        try:
+            values[name] = _value(text, kinds[name])
+        except ValueError as error:
+            raise InputError(f"{scheme}: {name} = {text!r}: {error}") from None
+    return shape(**values)
+
+
+def option_types(shape: type[Options]) -> dict[str, inspect.Type]:
+    """Return the types of a driver's options.
+
+    Parameters
+    ----------
+    shape : type of Options
+        Struct that declares the options.
+
+    Returns
+    -------
+    dict of str to msgspec.inspect.Type
+        Type of each option by its name.
+    """
+    info = inspect.type_info(shape)
+    assert isinstance(info, inspect.StructType)
+    return {field.name: field.type for field in info.fields}
+
+
+def _value(text: str, kind: inspect.Type) -> Any:
+    """Return the value of an option; raise ValueError with what would be allowed."""
+    hexadecimal = False
+    if isinstance(kind, inspect.UnionType):
+        (kind,) = (one for one in kind.types if not isinstance(one, inspect.NoneType))
+    if isinstance(kind, inspect.Metadata):
+        hexadecimal = kind.extra == HEXADECIMAL
+        kind = kind.type
+    match kind:
+        case inspect.VarTupleType():
+            return tuple(_value(part, kind.item_type) for part in text.split(",") if part)
+        case inspect.LiteralType():
+            return _choice(
+                text, sorted(map(str, kind.values), key=lambda value: (len(value), value))
+            )
+        case inspect.BoolType():
+            if text.lower() not in FLAGS:
+                raise ValueError("must be true or false")
+            return FLAGS[text.lower()]
+        case inspect.IntType() | inspect.FloatType():
+            return _number(text, kind, hexadecimal=hexadecimal)
+        case _:
+            return text
+
+
+def _choice(text: str, allowed: list[str]) -> str:
+    if text in allowed:
+        return text
+    if all(value.isdecimal() for value in allowed):
+        raise ValueError(f"must be one of {', '.join(allowed)}")
+    if len(allowed) > 2:
+        raise ValueError(nearest(text, allowed))
+    raise ValueError(f"must be {' or '.join(map(repr, allowed))}")
+
+
+def _number(
+    text: str, kind: inspect.IntType | inspect.FloatType, *, hexadecimal: bool
+) -> int | float:
     try:
         value = float(int(text, 16)) if text.lower().startswith("0x") else float(text)
     except ValueError:
-        raise InputError(f"{address.scheme}: {name} = {text!r}: must be a number") from None
-    if not low <= value <= high:
-        raise InputError(f"{address.scheme}: {name} = {value:g}: must be {low:g} … {high:g}")
-    return value
-
-
-def whole(address: Address, name: str, low: int, high: int) -> int | None:
-    """Return an option's whole number, None where it is not given."""
-    value = number(address, name, low, high)
-    if value is not None and value != int(value):
-        raise InputError(f"{address.scheme}: {name} = {value:g}: must be a whole number")
-    return None if value is None else int(value)
-
-
-def wholes(address: Address, name: str, low: int, high: int) -> tuple[int, ...]:
-    """Return an option's whole numbers, which commas part; none where it is not given."""
-    found = []
-    for text in filter(None, address.options.get(name, "").split(",")):
-        one = whole(Address(address.scheme, "", {name: text}), name, low, high)
-        assert one is not None
-        found.append(one)
-    return tuple(found)
-
-
-def flag(address: Address, name: str) -> bool:
-    """Return whether an option is set; not, where it is not given."""
-    text = address.options.get(name, "false").lower()
-    if text not in FLAGS:
-        raise InputError(f"{address.scheme}: {name} = {text!r}: must be true or false")
-    return FLAGS[text]
-
-
-def sample_format(address: Address, *, spectrum: bool = False) -> SampleFormat | None:
-    """Return the format that is asked for, None where the link chooses; or ``spectrum`` frames."""
-    known = FORMATS | ({"spectrum": SampleFormat.SPECTRUM8} if spectrum else {})
-    name = address.options.get("format")
-    if name is not None and name not in known:
-        raise InputError(f"{address.scheme}: format = {name!r}: {nearest(name, list(known))}")
-    return None if name is None else known[name]
+        raise ValueError("must be a number") from None
+    if kind.ge is not None and kind.le is not None and not kind.ge <= value <= kind.le:
+        low, high = (
+            (hex(int(kind.ge)), hex(int(kind.le)))
+            if hexadecimal
+            else (f"{kind.ge:g}", f"{kind.le:g}")
+        )
+        raise ValueError(f"must be {low} … {high}")
+    if isinstance(kind, inspect.FloatType):
+        return value
+    if value != int(value):
+        raise ValueError("must be a whole number")
+    return int(value)

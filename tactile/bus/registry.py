@@ -6,9 +6,11 @@ when the host dies is refused here, before anything is opened, unless that is ac
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from urllib.parse import parse_qsl, urlsplit
+from typing import Any, Generic
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from tactile.bus.base import Bus, DisplayLike, HostDeath
+from tactile.bus.options import O, decode, option_types
 from tactile.bus.wire_time import Link
 from tactile.errors import BusError, InputError
 from tactile.files import nearest
@@ -21,31 +23,26 @@ ACCEPT = "accept that with --accept-unsafe-hold (accept_unsafe_hold=True)"
 
 
 @dataclass(frozen=True)
-class Address:
+class Address(Generic[O]):
     """A device URL taken apart: ``scheme:path?option=value``.
 
     Attributes
     ----------
-    scheme, path : the parts before and after the first colon
-    options : by name
+    scheme : str
+        Part before the first colon, which names the driver.
+    path : str
+        Part after it, which names the device.
+    options : Options
+        Values of the options, as the driver declares them.
     """
 
     scheme: str
     path: str
-    options: dict[str, str]
-
-    def only(self, *known: str, path: bool = False) -> None:
-        """Raise InputError for an option that is none of the known, or an unwanted path."""
-        if self.path and not path:
-            raise InputError(f"{self.scheme}: takes no path; what does {self.path!r} mean?")
-        for name in self.options:
-            if name not in known:
-                raise InputError(
-                    f"{self.scheme}: unknown option {name!r}; {nearest(name, list(known))}"
-                )
+    options: O
 
 
-Factory = Callable[[Address, DisplayLike, float | None], Bus]
+Factory = Callable[[Address[O], DisplayLike, float | None], Bus]
+"""Function that opens a bus for a display, at a sample rate [Hz] or at its own."""
 
 
 @dataclass(frozen=True)
@@ -63,31 +60,57 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Driver:
-    """A kind of bus: how one is opened, what it does when the host dies, which there are.
+class Driver(Generic[O]):
+    """A kind of bus.
 
-    ``link`` tells how long packets take, of a kind that carries the protocol.
+    Attributes
+    ----------
+    factory : callable
+        Function that opens a bus.
+    options : type of Options
+        Struct that declares the options of its URLs.
+    takes_path : bool
+        Whether its URLs name a device by a path.
+    on_host_death : HostDeath
+        What its amplifiers do when the host dies.
+    find : callable
+        Function that returns the devices that are there.
+    link : callable or None
+        Function that returns how long packets take on the link of a URL with these options; None
+        for a bus that does not carry the protocol.
     """
 
-    factory: Factory
-    on_host_death: HostDeath
-    find: Callable[[], Iterable[Found]]
-    link: Callable[[Address], Link] | None = None
+    factory: Factory[O]
+    options: type[O]
+    takes_path: bool = False
+    on_host_death: HostDeath = "ramps"
+    find: Callable[[], Iterable[Found]] = tuple
+    link: Callable[[O], Link] | None = None
 
 
-_drivers: dict[str, Driver] = {}
+_drivers: dict[str, Driver[Any]] = {}
 
 
 def register_bus(
     scheme: str,
-    factory: Factory,
+    factory: Factory[O],
+    options: type[O],
     *,
+    takes_path: bool = False,
     on_host_death: HostDeath = "ramps",
     find: Callable[[], Iterable[Found]] = tuple,
-    link: Callable[[Address], Link] | None = None,
+    link: Callable[[O], Link] | None = None,
 ) -> None:
-    """Make ``scheme:`` open buses of a kind; an earlier one of that name is replaced."""
-    _drivers[scheme] = Driver(factory, on_host_death, find, link)
+    """Make ``scheme:`` open buses of a kind; an earlier kind of that name is replaced.
+
+    Parameters
+    ----------
+    scheme : str
+        First part of the URLs.
+    factory, options, takes_path, on_host_death, find, link
+        Attributes of the `Driver`.
+    """
+    _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find, link)
 
 
 def find_devices() -> Iterator[Found]:
@@ -96,13 +119,24 @@ def find_devices() -> Iterator[Found]:
         yield from driver.find()
 
 
-def parse(url: str) -> Address:
-    """Take a device URL apart.
+def parse(url: str) -> Address[Any]:
+    """Take a device URL apart and decode its options.
+
+    Parameters
+    ----------
+    url : str
+        URL of a device.
+
+    Returns
+    -------
+    Address
+        Its scheme, its path and the values of its options.
 
     Raises
     ------
     InputError
-        For a scheme that does not exist, with the nearest one, or options that are none.
+        For a scheme that does not exist, with the nearest one, a path that the driver does not
+        take, an option that it does not have, or a value that is not allowed.
     """
     try:
         parts = urlsplit(url)
@@ -117,7 +151,36 @@ def parse(url: str) -> Address:
         given = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError as error:
         raise InputError(f"device {url!r}: {error}; options are name=value") from error
-    return Address(scheme, parts.netloc + parts.path, dict(given))
+    driver, path = _drivers[scheme], parts.netloc + parts.path
+    if path and not driver.takes_path:
+        raise InputError(f"{scheme}: takes no path; what does {path!r} mean?")
+    return Address(scheme, path, decode(scheme, dict(given), driver.options))
+
+
+def with_default_option(url: str, name: str, value: str) -> str:
+    """Return a device URL with an option, unless it names that option or its driver has none.
+
+    Parameters
+    ----------
+    url : str
+        URL of a device.
+    name, value : str
+        Name and text of the option.
+
+    Returns
+    -------
+    str
+        The URL, with the option where that makes a difference.
+
+    Raises
+    ------
+    InputError
+        As `parse` does.
+    """
+    driver, query = _drivers[parse(url).scheme], urlsplit(url).query
+    if name not in option_types(driver.options) or name in dict(parse_qsl(query)):
+        return url
+    return f"{url}{'&' if query else '?'}{urlencode({name: value})}"
 
 
 def link_at(url: str) -> Link:
@@ -133,7 +196,7 @@ def link_at(url: str) -> Link:
     if link is None:
         carrying = ", ".join(f"{name}:" for name, driver in _drivers.items() if driver.link)
         raise InputError(f"device {url!r}: carries no packets; {carrying} do")
-    return link(address)
+    return link(address.options)
 
 
 def open_bus(

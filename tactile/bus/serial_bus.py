@@ -14,14 +14,15 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import DELIMITER, SerialDecoder, encode_frame
 from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
-from tactile.bus.link.link_url import LINK_OPTIONS, open_link
-from tactile.bus.options import number
+from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
@@ -264,29 +265,65 @@ class PortLine(SerialLine):
 # Opening
 
 
-def link_of(address: Address) -> Link:
-    """Return how long packets take on the line of an address."""
-    rate = number(address, "baud", 1200, 100e6)
-    return Usb() if rate is None else Uart(rate)
+class SerialOptions(LinkOptions, frozen=True, kw_only=True):
+    """Options of a ``serial:`` URL.
+
+    Attributes
+    ----------
+    baud : float or None
+        Bit rate of a UART [bit/s]; None for USB CDC, which has none.
+    """
+
+    baud: Annotated[float, Meta(ge=1200, le=100e6)] | None = None
 
 
-def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
-    """Open the line of an address.
+def link_of(options: SerialOptions) -> Link:
+    """Return how long packets take on the line.
+
+    Parameters
+    ----------
+    options : SerialOptions
+        Options of the device's URL.
+
+    Returns
+    -------
+    Link
+        A UART of that bit rate, or USB.
+    """
+    return Usb() if options.baud is None else Uart(options.baud)
+
+
+def connect(path: str, link: Link, clock: Clock) -> SerialWire:
+    """Open a serial line.
+
+    Parameters
+    ----------
+    path : str
+        Device of the port, or a URL of pyserial.
+    link : Link
+        How long packets take on the line.
+    clock : Clock
+        Clock by which the wire waits.
+
+    Returns
+    -------
+    SerialWire
+        The open line.
 
     Raises
     ------
-    BusError
-        With what to do about it.
+    WireError
+        If the port cannot be opened, with what to do about it.
     """
     import serial
 
     rate = round(link.bit_rate) if isinstance(link, Uart) else NO_RATE
-    local = "://" not in address.path  # RFC 2217 has neither a lock nor a limit to writing
+    local = "://" not in path  # RFC 2217 has neither a lock nor a limit to writing
     own: dict[str, Any] = {"exclusive": True, "write_timeout": STALL} if local else {}
     try:
-        port = serial.serial_for_url(address.path, baudrate=rate, timeout=0, **own)
+        port = serial.serial_for_url(path, baudrate=rate, timeout=0, **own)
     except (OSError, ValueError) as error:
-        raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
+        raise WireError(f"serial: {path}: {_reason(path, error)}") from error
     with suppress(Exception):
         port.set_low_latency_mode(True)
     line: SerialLine = (
@@ -296,7 +333,7 @@ def connect(address: Address, link: Link, clock: Clock) -> SerialWire:
         return SerialWire(line, link, clock)
     except OSError as error:
         line.close()
-        raise WireError(f"serial: {address.path}: {_reason(address.path, error)}") from error
+        raise WireError(f"serial: {path}: {_reason(path, error)}") from error
 
 
 def _reason(path: str, error: Exception) -> str:
@@ -336,10 +373,11 @@ def find() -> Iterator[Found]:
         yield Found(f"serial://{port.device}", about)
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    address.only("baud", *LINK_OPTIONS, path=True)
-    link = link_of(address)
-    return open_link(address, display, sample_rate, link, lambda: connect(address, link, MONOTONIC))
+def _open(
+    address: Address[SerialOptions], display: DisplayLike, sample_rate: float | None
+) -> LinkBus:
+    path, options, link = address.path, address.options, link_of(address.options)
+    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
 
 
-register_bus("serial", _open, find=find, link=link_of)
+register_bus("serial", _open, SerialOptions, takes_path=True, find=find, link=link_of)

@@ -1,24 +1,24 @@
-"""The command ``tactile``: parses and prints. A mistake is one line and exit code 2."""
+"""The command line ``tactile``. A mistake by the user is one line on stderr and exit code 2."""
 
+import os
 import sys
 
 import typer
-from rich.console import Console
-from threadpoolctl import threadpool_limits
 
 from tactile.cli.app import app
 from tactile.errors import TactileError
 
 
 def main() -> None:
-    """Run the command line; exit code 2 where a device or what was asked cannot be used."""
-    if sys.argv[1:2] == ["estop"]:  # loads in a fifth of the time that all commands take
-        import tactile.cli.stop_commands
-    else:
-        import tactile.cli.commands  # noqa: F401
+    """Run the command line and exit with the exit code of the command.
+
+    The exit code is 2 if the arguments, a file or a device cannot be used, and 130 if the command
+    is interrupted.
+    """
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # read when numpy loads: threads slow small problems
     try:
-        with threadpool_limits(1):
-            status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt):
         status = 130
     except (TactileError, OSError) as error:
@@ -26,7 +26,7 @@ def main() -> None:
         if rows := getattr(error, "rows", None):
             from tactile.cli.printing import print_budget
 
-            print_budget(rows, "", console=Console(stderr=True))
+            print_budget(rows, "", stderr=True)
     except Exception as error:
         if not hasattr(error, "format_message"):  # the parser's own kind; typer does not export it
             raise
@@ -37,5 +37,6 @@ def main() -> None:
 
 
 def _complain(message: str) -> int:
+    """Print an error message on standard error and return the exit code 2."""
     print(message, file=sys.stderr)
     return 2

@@ -1,54 +1,158 @@
-"""The application that commands are added to, and the options that several of them take."""
+"""The table of the commands, and the group that loads the module of a command when it is called.
 
-from typing import Annotated
+The command ``tactile NAME`` is the function ``run`` of the module ``tactile.cli.NAME_command``. To
+add a command, write its module and add its line to `COMMANDS`.
+"""
+
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple
 
 import typer
-from rich.console import Console
-from rich.table import Table
+from typer.core import TyperGroup
 
-from tactile.errors import InputError
+from tactile.errors import NotFoundError
 
-app = typer.Typer(
-    help="Textures on tactile displays made of piezoelectric bimorphs.\n\n"
-    "Example: tactile play wood-oak --speed-mm-s 80 --seconds 5",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
-DisplayOption = Annotated[
-    str, typer.Option("--display", help="reference-24, reference-64, or a TOML file.")
-]
-AcceptHold = Annotated[
-    bool,
-    typer.Option(
-        "--accept-unsafe-hold",
-        help="Also on an amplifier that holds its last voltage when the host dies, or does nobody "
-        "knows what.",
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print figures for machines.")]
+PLAY = "Play and inspect textures"
+AUTHOR = "Create and convert textures"
+DESIGN = "Design displays"
+DEVICES = "Use devices"
+SERVE = "Run the daemon and stop displays"
 
 
-def print_table(rows: dict[str, str], title: str) -> None:
-    """Print names with their values."""
-    table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
-    for name, value in rows.items():
-        table.add_row(name, value)
-    Console().print(table)
+class Entry(NamedTuple):
+    """A line of the table: the heading of a command in ``tactile --help``, and its summary."""
+
+    group: str
+    summary: str
 
 
-def within(name: str, value: float | None, low: float, high: float, default: float) -> float:
-    """Return an option's value, or its default where it was not given.
+COMMANDS = {
+    "play": Entry(PLAY, "Play a texture under a moving finger."),
+    "sheet": Entry(PLAY, "Draw an overview of the shipped textures."),
+    "show": Entry(PLAY, "Show the surface and the spectrum of a texture."),
+    "strength": Entry(PLAY, "Report how strongly a texture is felt on a display."),
+    "textures": Entry(PLAY, "List the shipped textures, or describe one of them."),
+    "convert": Entry(AUTHOR, "Convert haptic effects and textures to other formats."),
+    "fit": Entry(AUTHOR, "Fit a texture to recordings of a sliding finger or sensor."),
+    "relief": Entry(AUTHOR, "Create a texture from a height map of a surface."),
+    "adjust": Entry(DESIGN, "Fit the finger or the bimorph of a display to measurements."),
+    "materials": Entry(DESIGN, "List the known piezoceramics, shims and benders."),
+    "optimize": Entry(DESIGN, "Find the Pareto-optimal designs for the given objectives."),
+    "paper": Entry(DESIGN, "Reproduce the figures and claims of Hofmann & Twiefel 2014."),
+    "response": Entry(DESIGN, "Report the frequency response of the bimorph of a display."),
+    "study": Entry(DESIGN, "Sweep the parameters of a bender and compare the designs."),
+    "bench": Entry(DEVICES, "Measure the performance of this machine or of a link."),
+    "budget": Entry(DEVICES, "List the sample formats and rates that fit on a link."),
+    "check": Entry(DEVICES, "Check the amplifier, the wiring and the channels of a display."),
+    "devices": Entry(DEVICES, "List the connected devices with their URLs."),
+    "clear": Entry(SERVE, "Clear an e-stop after a person has checked that it is safe."),
+    "estop": Entry(SERVE, "Stop all displays of this machine immediately."),
+    "serve": Entry(SERVE, "Serve displays to other programs by WebSocket and OSC."),
+}
+"""All commands by name, in the order of ``tactile --help``."""
 
-    Raises
-    ------
-    InputError
-        Where it is not within its limits.
+RENAMED = {
+    "band": "band-hz",
+    "frequency": "frequency-hz",
+    "licence": "license",
+    "output": "out",
+    "voltage": "voltage-v",
+    "write": "out",
+}
+"""New name of each option that was renamed in version 0.1; remove the old names in 0.2."""
+
+_STYLE: dict[str, Any] = {
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+}
+
+
+class LazyGroup(TyperGroup):
+    """A group whose commands are those of `COMMANDS`, each loaded when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Load a command and return it, or return None if there is no such command."""
+        return load_command(cmd_name) if cmd_name in COMMANDS else None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the arguments call, or fail with the nearest name."""
+        if args[0] not in COMMANDS:
+            near = get_close_matches(args[0], COMMANDS, 1, 0.5)
+            hint = f"did you mean {near[0]!r}?" if near else "tactile --help lists the commands"
+            ctx.fail(f"no command {args[0]!r}; {hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with their summaries, a section for each group."""
+        width = max(map(len, COMMANDS))
+        for group in dict.fromkeys(entry.group for entry in COMMANDS.values()):
+            rows = [
+                (name.ljust(width), entry.summary)
+                for name, entry in COMMANDS.items()
+                if entry.group == group
+            ]
+            with formatter.section(group):
+                formatter.write_dl(rows)
+
+
+def load_command(name: str) -> Any:
+    """Load the module of a command.
+
+    Parameters
+    ----------
+    name : name of the command, a key of `COMMANDS`
+
+    Returns
+    -------
+    typer.core.TyperCommand
+        The command, which parses its arguments and calls the function ``run`` of the module.
     """
-    if value is None:
-        return default
-    if not low <= value <= high:
-        raise InputError(f"{name} {value:g}: must be {low:g} … {high:g}")
-    return value
+    single = typer.Typer(**_STYLE)
+    single.command(name)(import_module(f"tactile.cli.{name}_command").run)
+    return typer.main.get_command(single)
+
+
+def _new_name(name: str) -> str:
+    """Return the name of an option, and warn on standard error if an old one was given."""
+    if name not in RENAMED:
+        return name
+    typer.echo(f"tactile: --{name} is deprecated; use --{RENAMED[name]}", err=True)
+    return RENAMED[name]
+
+
+app = typer.Typer(cls=LazyGroup, context_settings={"token_normalize_func": _new_name}, **_STYLE)
+
+
+def _print_version(asked: bool) -> None:
+    """Print the installed version and exit, if it was asked for."""
+    if asked:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            typer.echo(f"tactile {version('tactile-display')}")
+        except PackageNotFoundError:
+            raise NotFoundError("--version: the package tactile-display is not installed") from None
+        raise typer.Exit
+
+
+@app.callback()
+def take_options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Render textures on tactile displays made of piezoelectric bimorphs.
+
+    Run tactile COMMAND --help for the options of a command.
+
+    Example: tactile play wood-oak --speed-mm-s 80 --seconds 5
+    """

@@ -1,88 +1,166 @@
-"""What the longer commands print, from plain figures."""
+"""Tables and progress bars for a terminal."""
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
 
-CHECKED = (
-    "channel", "contactor", "capacitance_nf", "error_percent", "loss", "voltage_v", "verdict",
-    "moved", "along",
-)  # fmt: skip
+
+def plain_console(*, stderr: bool = False) -> Console:
+    """Return a console that prints every text as it is, without markup.
+
+    Parameters
+    ----------
+    stderr : whether it prints to standard error and not to standard output
+
+    Returns
+    -------
+    Console
+        The console.
+    """
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+
+Heading = str | Column
+
+
+def right(*headings: str) -> list[Heading]:
+    """Return right-aligned columns for `print_table`.
+
+    Parameters
+    ----------
+    *headings : heading of each column
+
+    Returns
+    -------
+    list of Column
+        A column for each heading.
+    """
+    return [Column(heading, justify="right") for heading in headings]
+
+
+def unwrapped(heading: str) -> Heading:
+    """Return a column for `print_table` whose cells are never broken into lines.
+
+    Parameters
+    ----------
+    heading : heading of the column
+
+    Returns
+    -------
+    Column
+        The column.
+    """
+    return Column(heading, no_wrap=True)
+
+
+def print_table(
+    columns: Iterable[Heading],
+    rows: Iterable[Iterable[str]],
+    title: str = "",
+    *,
+    header: bool = True,
+    stderr: bool = False,
+) -> None:
+    """Print a table without lines.
+
+    Parameters
+    ----------
+    columns : headings of the columns, which are left-aligned, or results of `right`
+    rows : cells of each row
+    title : line above the table
+    header : whether the headings are printed
+    stderr : whether the table is printed to standard error
+    """
+    table = Table(
+        *columns, title=title or None, title_justify="left", show_header=header, box=None,
+        pad_edge=False,
+    )  # fmt: skip
+    for row in rows:
+        table.add_row(*row)
+    plain_console(stderr=stderr).print(table)
+
+
+def print_facts(facts: Mapping[str, str], title: str) -> None:
+    """Print names with their values.
+
+    Parameters
+    ----------
+    facts : value by name
+    title : line above them
+    """
+    print_table(("name", "value"), facts.items(), title, header=False)
+
+
+def print_bands(frequency: Iterable[float], level: Iterable[float], error: Iterable[float]) -> None:
+    """Print the spatial spectrum of a texture.
+
+    Parameters
+    ----------
+    frequency : centers of the bands in cycles/mm
+    level : power spectral density in dB re 1 µm²·mm
+    error : level of the realized surface minus that of the descriptor, in dB
+    """
+    columns = right("cycles/mm", "level dB re 1 µm²·mm", "realized − descriptor dB")
+    rows = (
+        (f"{f:g}", f"{one:.1f}", f"{e:+.2f}")
+        for f, one, e in zip(frequency, level, error, strict=True)
+    )
+    print_table(columns, rows, "Bands along a stroke")
 
 
 def print_budget(
-    rows: list[Any], title: str, *, first: bool = False, console: Console | None = None
+    rows: Iterable[Any], title: str, *, has_plan: bool = False, stderr: bool = False
 ) -> None:
-    """Print what fits; the ``first`` that does is what will be sent."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column("sent as")
-    for heading in ("Hz", "of the wire", "channels that fit"):
-        table.add_column(heading, justify="right")
-    table.add_column("")
+    """Print which sample formats and rates fit on a link.
+
+    Parameters
+    ----------
+    rows : rows of `tactile.bus.budget.table`
+    title : line above the table
+    has_plan : whether the first row that fits is the one that will be used
+    stderr : whether the table is printed to standard error
+    """
+    cells = []
     for row in rows:
         verdict = "too much" if row.why_not.startswith("takes ") else row.why_not
         if row.fits:
-            verdict, first = "chosen" if first else "fits", False
-        use = f"{row.use:.0%}"
-        table.add_row(row.what, f"{row.sample_rate:g}", use, str(row.most), verdict)
-    (console or Console()).print(table)
+            verdict, has_plan = "chosen" if has_plan else "fits", False
+        cells.append((row.what, f"{row.sample_rate:g}", f"{row.use:.0%}", str(row.most), verdict))
+    columns = ["sent as", *right("Hz", "of the wire", "channels that fit"), ""]
+    print_table(columns, cells, title, stderr=stderr)
 
 
-def print_check(r: dict[str, Any], *, console: Console | None = None) -> None:
-    """Print what a check found."""
-    out = console or Console()
-    for one in r["amplifiers"]:
-        out.print(_amplifier(one), highlight=False)
-    title = f"{r['display']} at {r['device']}, tried with {r['voltage_v']:g} V at most"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    shown = [name for name in CHECKED if any(one[name] is not None for one in r["channels"])]
-    for name in shown:
-        heading, _, unit = name.partition("_")
-        unit = {"nf": "nF", "v": "V", "percent": "±%"}.get(unit, unit)
-        table.add_column(f"{heading} {unit}".strip(), justify="right")
-    for one in r["channels"]:
-        table.add_row(*(_cell(one[name]) for name in shown))
-    out.print(table)
-    for kind in ("note", "fault"):
-        for line in r[f"{kind}s"]:
-            out.print(f"{kind}: {line}", highlight=False, markup=False)
-    if r["written"]:
-        out.print(f"written: {r['written']}", highlight=False, markup=False)
-    if not r["faults"]:
-        whole = all(one["verdict"] == "good" for one in r["channels"])
-        out.print("all lines are good" if whole else "no fault found in what was looked at")
-
-
-def print_figures(figures: list[dict[str, Any]]) -> None:
+def print_figures(figures: Iterable[Mapping[str, Any]]) -> None:
     """Print measured figures beside their goals.
 
     Parameters
     ----------
     figures : name, value, unit, goal and reached of each, as `Figure.as_dict` returns them
     """
-    table = Table(box=None, pad_edge=False)
-    for heading in ("figure", "measured", "goal", ""):
-        table.add_column(heading, justify="right" if heading == "measured" else "left")
-    for f in figures:
-        mark = {None: "", True: "reached", False: "NOT REACHED"}[f["reached"]]
-        table.add_row(f["name"], f"{f['value']:.4g} {f['unit']}", f["goal"], mark)
-    Console().print(table)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
-
-
-def _amplifier(a: dict[str, Any]) -> str:
-    low, high = a["rates_hz"]
-    first = a["first_channel"]
-    return (
-        f"node {a['node']}: {a['name']!r}, firmware {a['firmware']:#010x}, channels {first} … "
-        f"{first + a['channels'] - 1}, {a['voltage_limit_v']:g} V, "
-        f"{a['slew_limit_v_per_us']:g} V/µs, {low} … {high} Hz, {', '.join(a['formats'])}, "
-        f"{'measures' if a['measures'] else 'does not measure'}, "
-        f"clock {a['drift_ppm']:+.1f} ppm"
+    mark = {None: "", True: "reached", False: "NOT REACHED"}
+    rows = (
+        (f["name"], f"{f['value']:.4g} {f['unit']}", f["goal"], mark[f["reached"]]) for f in figures
     )
+    print_table(["figure", *right("measured"), "goal", ""], rows)
+
+
+def progress_bar(*, shown: bool) -> Progress:
+    """Return a progress bar on standard error that counts steps.
+
+    Parameters
+    ----------
+    shown : whether it may be shown; it never is if standard error is not a terminal
+
+    Returns
+    -------
+    Progress
+        The bar, which disappears when it is closed.
+    """
+    console = plain_console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=console, transient=True, disable=not (shown and console.is_terminal),
+    )  # fmt: skip

@@ -1,1 +1,1 @@
-"""The display as a file and as arrays: contactors, channels, amplifier, finger and limits."""
+"""Description of a display as a file and as arrays: contactors, channels, amplifier and limits."""

@@ -1,10 +1,10 @@
-"""A tactile display as a file, and the arrays that the renderer needs of it.
+"""Reading of a display file into the arrays that the renderer needs.
 
-The TOML file says where each contactor stands, which way it shears, which channel drives it, what
-bender, finger and amplifier it has, and what must never be exceeded. Contactors come as a
-``[grid]`` or one by one as ``[[contactor]]``. A measured response of amplifier and loaded bimorph
-may replace the model for some or all of them. Inside, everything is SI; the first contactor and the
-first channel are number 0.
+The TOML file states where each contactor stands, in which direction it shears, which channel drives
+it, which bender, finger and amplifier it has, and which limits must never be exceeded. Contactors
+are given as a ``[grid]`` or one by one as ``[[contactor]]``. A measured response of amplifier and
+loaded bimorph may replace the model for some or all of them. All quantities in `Display` are in SI
+units. Contactors and channels are counted from 0.
 """
 
 import math
@@ -42,26 +42,33 @@ from tactile.errors import InputError
 Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "unit")
+"""Columns of a file with a measured response."""
 UNITS = {"m/V": 1.0, "um/V": 1e-6, "µm/V": 1e-6, "nm/V": 1e-9}
+"""Factor to m/V of each unit that a measured response may have."""
 MEASURED_BAND = (20.0, 1000.0)
-"""Hz that a measured response must cover."""
+"""Lowest and highest frequency that a measured response must cover [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits:
-    """What the drive may ask of an amplifier and a bimorph.
+    """Limits that the drive of an amplifier and a bimorph must keep.
 
     Parameters
     ----------
-    voltage : of the drive [V], on either side of zero; the electrodes see the amplifier's gain more
-    slew : of the drive [V/s]
-    current : of one channel [A], into its bimorph's capacitance; infinite for none
-    fade : length of the ordinary ramp [s]
+    voltage : float
+        Largest magnitude of the drive [V]; the voltage at the electrodes is larger by the gain of
+        the amplifier.
+    slew : float
+        Largest rate of change of the drive [V/s].
+    current : float
+        Largest current of one channel into the capacitance of its bimorph [A]; infinite for none.
+    fade : float
+        Length of the ordinary ramp to or from 0 V [s].
 
     Raises
     ------
     ValueError
-        Naming the limit that is not above zero; only the current may be infinite.
+        If a limit is not above zero, or is infinite and not the current.
     """
 
     voltage: float
@@ -78,19 +85,38 @@ class DriveLimits:
             raise ValueError(f"Limits: current = {self.current} A is not above 0")
 
     def step(self, sample_rate: float, capacitance: float) -> float:
-        """Return the largest change of drive from one sample to the next [V].
+        """Compute the largest change of drive from one sample to the next.
 
-        ``capacitance`` is that of a bimorph times the amplifier's gain [F].
+        Parameters
+        ----------
+        sample_rate : float
+            Sample rate of the drive [Hz].
+        capacitance : float
+            Capacitance of a bimorph times the gain of the amplifier [F].
+
+        Returns
+        -------
+        float
+            Largest change per sample [V].
         """
         return min(self.slew, self.current / capacitance) / sample_rate
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A measured response of amplifier and loaded bimorph: shear per volt of drive.
+    """A measured response of amplifier and loaded bimorph: shear displacement per volt of drive.
 
-    Between its frequencies magnitude (in its logarithm) and unwrapped phase run straight; beyond
-    its ends both are held.
+    Between the frequencies of the measurement, the logarithm of the magnitude and the unwrapped
+    phase are interpolated linearly; beyond its ends both are held constant.
+
+    Attributes
+    ----------
+    frequency : (K,) array of float
+        Frequencies, ascending [Hz].
+    magnitude : (K,) array of float
+        Magnitude of the response [m/V].
+    phase : (K,) array of float
+        Phase of the response [rad].
     """
 
     frequency: Floats
@@ -98,7 +124,18 @@ class Measured:
     phase: Floats
 
     def at(self, frequency: Floats) -> Complex:
-        """Return the response [m/V] at frequencies (F,) [Hz]."""
+        """Interpolate the response.
+
+        Parameters
+        ----------
+        frequency : (F,) array of float
+            Frequencies [Hz].
+
+        Returns
+        -------
+        (F,) complex array
+            Shear displacement per volt of drive [m/V].
+        """
         size = np.exp(np.interp(frequency, self.frequency, np.log(self.magnitude)))
         turn = np.interp(frequency, self.frequency, np.unwrap(self.phase))
         return np.asarray(size * np.exp(1j * turn))
@@ -106,20 +143,36 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class Display:
-    """An array of contactors.
+    """An array of contactors, with its benders, finger, amplifier and limits.
 
     Attributes
     ----------
-    name : of the display
-    contactors : (N, 2) where they stand under the finger [m]
-    shear_direction : (N,) from the x axis [rad]
-    polarity : (N,) 1, or −1 where positive volts shear against ``shear_direction``
-    channel : (N,) the drive line of each
-    opening : along and across the shear direction [m]
-    projected : whether shear is projected on the direction of motion
-    bimorph, load, amplifier, limits : of every contactor
-    measured : responses that replace the model
-    kind : (N,) 0 for the model, k for ``measured[k − 1]``
+    name : str
+        Name of the display.
+    contactors : (N, 2) array of float
+        Positions of the contactors under the finger [m].
+    shear_direction : (N,) array of float
+        Shear direction of each contactor, from the x axis [rad].
+    polarity : (N,) array of float
+        1, or −1 where a positive voltage shears against ``shear_direction``.
+    channel : (N,) array of int
+        Channel that drives each contactor.
+    opening : tuple of float
+        Size of an opening along and across the shear direction [m].
+    projected : bool
+        Whether shear is projected on the direction of motion.
+    bimorph : Bimorph
+        Bender of every contactor.
+    load : FingerLoad or FingerTable
+        Load of every contactor.
+    amplifier : Amplifier
+        Amplifier of every channel.
+    limits : DriveLimits
+        Limits of the drive of every channel.
+    measured : tuple of Measured
+        Measured responses that replace the model.
+    kind : (N,) array of int
+        Response of each contactor: 0 for the model, k for ``measured[k − 1]``.
     """
 
     name: str
@@ -138,46 +191,62 @@ class Display:
 
     @property
     def channels(self) -> int:
-        """Drive lines of the amplifier, the unused ones below the highest included."""
+        """Number of channels of the amplifier, unused ones below the highest included."""
         return int(self.channel.max()) + 1
 
     @property
     def shear_axes(self) -> Floats:
-        """Unit vectors (N, 2) of the shear directions."""
+        """Unit vectors of the shear directions, of shape (N, 2)."""
         return np.stack([np.cos(self.shear_direction), np.sin(self.shear_direction)], axis=1)
 
     @property
     def capacitance(self) -> float:
-        """Of one bimorph at rest, clamped segment included [F]: what the current limit is for."""
+        """Capacitance of one bimorph at rest, clamped segment included [F].
+
+        The current limit refers to it.
+        """
         r = tip_response(self.bimorph, FingerLoad.none(), [1.0])
         return float((r.admittance / (2j * np.pi * r.frequency)).real[0])
 
     @property
     def slew(self) -> float:
-        """Largest rate of drive that both the slew limit and the current limit allow [V/s]."""
+        """Largest rate of change of the drive that slew limit and current limit allow [V/s]."""
         return self.limits.step(1.0, self.capacitance * self.amplifier.gain)
 
     @property
     def load_forces(self) -> tuple[float, ...]:
-        """Normal forces [N] of the finger's table; one, for a load that does not depend on it."""
+        """Normal forces of the finger's table, or 1 N for a load that does not vary [N]."""
         return self.load.normal_force if isinstance(self.load, FingerTable) else (1.0,)
 
     def load_at(self, normal_force: float) -> FingerLoad:
-        """Return the finger's load at a normal force [N]."""
-        return self.load.at(normal_force) if isinstance(self.load, FingerTable) else self.load
-
-    def responses(self, frequency: Floats, sample_rate: float) -> Complex:
-        """Return shear per volt of drive, amplifier included.
+        """Return the load of the finger at a normal force.
 
         Parameters
         ----------
-        frequency : (F,) [Hz]
-        sample_rate : of the drive [Hz], for an amplifier that holds
+        normal_force : float
+            Normal force [N].
 
         Returns
         -------
-        (L, C, F) complex ndarray
-            Per force of ``load_forces`` and per ``kind`` [m/V].
+        FingerLoad
+            Load at that force.
+        """
+        return self.load.at(normal_force) if isinstance(self.load, FingerTable) else self.load
+
+    def responses(self, frequency: Floats, sample_rate: float) -> Complex:
+        """Compute the shear displacement per volt of drive, amplifier included.
+
+        Parameters
+        ----------
+        frequency : (F,) array of float
+            Frequencies [Hz].
+        sample_rate : float
+            Sample rate of the drive, which matters to an amplifier that holds [Hz].
+
+        Returns
+        -------
+        (L, C, F) complex array
+            Response for each force of ``load_forces`` and each value of ``kind`` [m/V].
         """
         table = []
         for force in self.load_forces:
@@ -187,7 +256,18 @@ class Display:
         return np.array(table)
 
     def to_channels(self, drive: Floats) -> Floats:
-        """Return drive (S, N) of contactors as (S, channels) of drive lines; unused ones at 0 V."""
+        """Assign the drive of contactors to channels.
+
+        Parameters
+        ----------
+        drive : (S, N) array of float
+            Drive of each contactor [V].
+
+        Returns
+        -------
+        (S, channels) array of float
+            Drive of each channel; unused channels are at 0 V [V].
+        """
         lines = np.zeros((len(drive), self.channels))
         lines[:, self.channel] = drive
         return lines
@@ -196,19 +276,26 @@ class Display:
 def load_display(
     name_or_path: str | Path, *, load: FingerLoad | FingerTable | None = None
 ) -> Display:
-    """Return a shipped display by its name, or one from a file.
+    """Load a shipped display by its name, or a display from a file.
 
     Parameters
     ----------
-    name_or_path : "reference-24", "reference-64", or a TOML file
-    load : instead of the finger in the file
+    name_or_path : str or Path
+        Name of a shipped display ("reference-24", "reference-64") or path of a TOML file.
+    load : FingerLoad or FingerTable, optional
+        Load that replaces the finger of the file.
+
+    Returns
+    -------
+    Display
+        The display.
 
     Raises
     ------
     NotFoundError
-        With the nearest name.
+        If there is no such display; the message suggests the nearest name.
     InputError
-        One line: file, field, value and limit.
+        If the file is not valid; the message gives file, field, value and limit in one line.
     """
     path = files.find("displays", name_or_path)
     content = files.read(path, DisplayFile)
@@ -225,6 +312,7 @@ def load_display(
 
 
 def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
+    """Return the display that a file describes."""
     contactors = contactors_of(content)
     measured, kind = _measured(content, contactors, path)
     return Display(
@@ -245,7 +333,18 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
 
 
 def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
-    """Return a file's contactors, those of a grid one by one."""
+    """List the contactors of a display file; those of a grid are expanded.
+
+    Parameters
+    ----------
+    content : DisplayFile
+        Content of the file.
+
+    Returns
+    -------
+    tuple of Contactor
+        Contactors in the order of their numbers.
+    """
     if content.grid is None:
         return content.contactor
     g = content.grid
@@ -263,6 +362,7 @@ def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
 
 
 def _bimorph(table: BimorphTable) -> Bimorph:
+    """Return the bender that a table describes."""
     for key, known in (("piezo", PIEZOS), ("shim", SHIMS)):
         name = getattr(table, key)
         if name not in known:
@@ -289,15 +389,17 @@ def _bimorph(table: BimorphTable) -> Bimorph:
 
 
 def _in_si(value: float | None, unit: float) -> float | None:
+    """Return a value in SI units, or None for None."""
     return None if value is None else value * unit
 
 
 def _adjusted(material: Material, **constants: float | None) -> Material:
-    """Return a material with those constants replaced that are given."""
+    """Return a material with the given constants replaced; None leaves a constant unchanged."""
     return replace(material, **{k: v for k, v in constants.items() if v is not None})
 
 
 def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:
+    """Return the load that a table describes."""
     if finger.preset is not None:
         return getattr(FingerLoad, finger.preset)()  # type: ignore[no-any-return]
     if finger.table:
@@ -314,6 +416,7 @@ def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:
 
 
 def _amplifier(table: AmplifierTable) -> Amplifier:
+    """Return the amplifier that a table describes."""
     return Amplifier(
         gain=table.gain,
         bandwidth=math.inf if table.bandwidth_hz is None else table.bandwidth_hz,
@@ -326,6 +429,7 @@ def _amplifier(table: AmplifierTable) -> Amplifier:
 
 
 def _limits(table: LimitsTable) -> DriveLimits:
+    """Return the limits that a table describes."""
     return DriveLimits(
         voltage=table.voltage_v,
         slew=table.slew_v_per_us * 1e6,
@@ -337,27 +441,39 @@ def _limits(table: LimitsTable) -> DriveLimits:
 def _measured(
     content: DisplayFile, contactors: tuple[Contactor, ...], path: Path
 ) -> tuple[tuple[Measured, ...], NDArray[np.intp]]:
-    """Return the measured responses, and which of them each contactor has (0: none)."""
-    wanted: list[str | None] = [c.response for c in contactors]
-    own = [name is not None for name in wanted]
+    """Return the measured responses, and the index of each contactor's own, from 1 (0: none)."""
+    responses: list[str | None] = [c.response for c in contactors]
+    own = [name is not None for name in responses]
     for i, group in enumerate(content.group):
         for member in group.contactors or range(len(contactors)):
             if member >= len(contactors):
                 raise InputError(f"group[{i}].contactors: {member} is not below {len(contactors)}")
             if not own[member]:
-                wanted[member] = group.response
-    names = sorted({name for name in wanted if name is not None})
-    kind = [0 if name is None else names.index(name) + 1 for name in wanted]
+                responses[member] = group.response
+    names = sorted({name for name in responses if name is not None})
+    kind = [0 if name is None else names.index(name) + 1 for name in responses]
     return tuple(load_response(path.parent / name) for name in names), np.array(kind, np.intp)
 
 
 def load_response(path: str | Path) -> Measured:
-    """Read a measured response: a CSV of frequency_hz, magnitude, phase_deg, unit.
+    """Read a measured response from a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        File with the columns frequency_hz, magnitude, phase_deg and unit.
+
+    Returns
+    -------
+    Measured
+        The response in SI units.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: file, field, value and limit.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file is not valid; the message gives file, field, value and limit in one line.
     """
     path = Path(path)
     rows = files.read_columns(path, COLUMNS)
@@ -381,7 +497,7 @@ def load_response(path: str | Path) -> Measured:
 
 
 def _check_geometry(display: Display) -> None:
-    """Refuse what cannot be built or must not be driven."""
+    """Raise InputError for a display that cannot be built or must not be driven."""
     highest = display.limits.voltage * display.amplifier.peak
     layer = display.bimorph.layer_voltage / display.bimorph.piezo_height
     field = highest * float(layer)
@@ -419,7 +535,10 @@ def _three_digits_below(value: float) -> float:
 
 
 def _first_overlap(display: Display) -> tuple[int, int] | None:
-    """Return the first two contactors whose openings meet: no side of either separates them."""
+    """Return the first two contactors whose openings overlap, by the separating axis theorem.
+
+    Two rectangles are disjoint if a side of either of them separates the two.
+    """
     axis = display.shear_axes
     frames = np.stack([axis, np.stack([-axis[:, 1], axis[:, 0]], axis=1)], axis=1)
     half = np.asarray(display.opening) / 2

@@ -1,22 +1,43 @@
-"""What a display's TOML file may say: its tables, their keys with units, and their ranges."""
+"""Tables of a display's TOML file: their keys, with units in the names, and the allowed ranges."""
 
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
 Millimeters = Annotated[float, Meta(gt=0, le=200)]
+"""Length [mm]."""
 Place = Annotated[float, Meta(ge=-500, le=500)]
+"""Coordinate [mm]."""
 Degrees = Annotated[float, Meta(ge=-360, le=360)]
+"""Angle [°]."""
 Stiffness = Annotated[float, Meta(ge=0, le=1e6)]
+"""Stiffness [N/m]."""
 Damping = Annotated[float, Meta(ge=0, le=1e3)]
+"""Damping [N s/m]."""
 Quality = Annotated[float, Meta(ge=1, le=1e5)]
+"""Mechanical quality factor."""
 CHANNELS = 4096
+"""Number of channels that a display may have; channel numbers are below it."""
 Channel = Annotated[int, Meta(ge=0, lt=CHANNELS)]
+"""Channel number, from 0."""
 Index = Annotated[int, Meta(ge=0)]
+"""Contactor number, from 0."""
 
 
 class AboutTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the display is."""
+    """Table ``[display]``: what the display is.
+
+    Attributes
+    ----------
+    id : str
+        Name of the display, in lower case with hyphens.
+    description : str
+        Description in plain text.
+    opening_mm : tuple of float
+        Size of the opening of a contactor along and across its shear direction [mm].
+    shear_projection : {"none", "motion"}
+        Whether shear is projected on the direction of motion.
+    """
 
     id: Annotated[str, Meta(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
     description: str
@@ -25,7 +46,21 @@ class AboutTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Grid(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Contactors on a rectangular grid around the origin; numbered along x first."""
+    """Table ``[grid]``: contactors on a rectangular grid around the origin, numbered along x first.
+
+    Attributes
+    ----------
+    columns, rows : int
+        Number of contactors along x and along y.
+    pitch_mm : tuple of float
+        Distance between neighbors along x and along y [mm].
+    shear_direction_deg : float
+        Shear direction of all contactors, from the x axis [°].
+    polarity : {-1, 1}
+        Sign of the shear along the shear direction for a positive drive.
+    first_channel : int
+        Channel of the first contactor; the others follow in order.
+    """
 
     columns: Annotated[int, Meta(ge=1, le=64)]
     rows: Annotated[int, Meta(ge=1, le=64)]
@@ -41,7 +76,21 @@ class Grid(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One contactor."""
+    """Table ``[[contactor]]``: one contactor.
+
+    Attributes
+    ----------
+    position_mm : tuple of float
+        Position (x, y) under the finger [mm].
+    channel : int
+        Channel that drives the contactor.
+    shear_direction_deg : float
+        Shear direction, from the x axis [°].
+    polarity : {-1, 1}
+        Sign of the shear along the shear direction for a positive drive.
+    response : str or None
+        File of a measured response, relative to the display file.
+    """
 
     position_mm: tuple[Place, Place]
     channel: Channel
@@ -51,9 +100,16 @@ class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Contactors that share a measured response: all of them where none are named.
+    """Table ``[[group]]``: contactors that share a measured response.
 
-    A contactor's own response goes before its group's.
+    A contactor's own response takes precedence over that of its group.
+
+    Attributes
+    ----------
+    response : str
+        File of the measured response, relative to the display file.
+    contactors : tuple of int
+        Numbers of the contactors; empty for all of them.
     """
 
     response: str
@@ -61,10 +117,33 @@ class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The bender: geometry, materials by name, wiring.
+    """Table ``[bimorph]``: geometry, materials by name, and wiring of the bender.
 
-    The last five are adjusted constants, such as a fit to a measurement writes: they go before
-    those of the named material.
+    The last six keys are adjusted constants, such as a fit to a measurement writes. They take
+    precedence over those of the named material.
+
+    Attributes
+    ----------
+    width_mm, length_mm, clamped_length_mm : float
+        Width, free length and clamped length [mm].
+    piezo_height_mm, shim_height_mm : float
+        Thickness of one piezo layer and of the shim [mm].
+    layer_stiffening : bool
+        Whether the stiffening by the field within the layers is modeled (see `Bimorph`).
+    piezo, shim : str
+        Names of the materials in `PIEZOS` and `SHIMS`.
+    wiring : {"parallel", "series"}
+        Wiring of the piezo layers.
+    s11e_um2_per_n : float or None
+        Compliance s11E of the piezo layers [µm²/N].
+    d31_pm_per_v : float or None
+        Piezoelectric charge constant d31 [pm/V].
+    eps33t_relative : float or None
+        Relative permittivity ε33T/ε0.
+    piezo_quality, shim_quality : float or None
+        Mechanical quality factors of the piezo layers and of the shim.
+    loss_tangent : float or None
+        Dielectric loss tangent tanδ of the piezo layers.
     """
 
     width_mm: Annotated[float, Meta(ge=0.1, le=50)] = 2.1
@@ -91,7 +170,19 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A load at one normal force."""
+    """Table ``[[finger.table]]``: the load of the finger at one normal force.
+
+    Attributes
+    ----------
+    normal_force_n : float
+        Normal force [N].
+    k0_n_per_m : float
+        Parallel stiffness [N/m].
+    d0_n_s_per_m : float
+        Parallel damping [N s/m].
+    branches : tuple of (float, float)
+        Stiffness [N/m] and damping [N s/m] of each Maxwell branch.
+    """
 
     normal_force_n: Annotated[float, Meta(gt=0, le=50)]
     k0_n_per_m: Stiffness
@@ -100,7 +191,21 @@ class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class FingerLoadTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The load: a preset, its constants, or a table over normal force."""
+    """Table ``[finger]``: the load as a preset, as constants, or as a table over normal force.
+
+    Attributes
+    ----------
+    preset : {"low", "high", "none"} or None
+        Name of a preset of `FingerLoad`.
+    k0_n_per_m : float or None
+        Parallel stiffness [N/m].
+    d0_n_s_per_m : float or None
+        Parallel damping [N s/m].
+    branches : tuple of (float, float)
+        Stiffness [N/m] and damping [N s/m] of each Maxwell branch.
+    table : tuple of FingerRow
+        Loads at several normal forces.
+    """
 
     preset: Literal["low", "high", "none"] | None = None
     k0_n_per_m: Stiffness | None = None
@@ -119,7 +224,25 @@ class FingerLoadTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class AmplifierTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The amplifier; without it an ideal one."""
+    """Table ``[amplifier]``; without it the amplifier is ideal.
+
+    Attributes
+    ----------
+    gain : float
+        Output voltage per volt of drive.
+    bandwidth_hz : float or None
+        Corner frequency of the first-order low-pass [Hz].
+    output_resistance_ohm : float
+        Resistance in series with the bimorph [Ω].
+    hold : {"none", "zoh"}
+        Whether each sample is held until the next one ("zoh").
+    delay_us : float
+        Delay of the output [µs].
+    audio_full_scale_v : float or None
+        Drive at digital full scale of an audio card [V].
+    ac_coupling_hz : float or None
+        Corner frequency of the first-order high-pass at the outputs of an audio card [Hz].
+    """
 
     gain: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     bandwidth_hz: Annotated[float, Meta(gt=0)] | None = None
@@ -131,7 +254,19 @@ class AmplifierTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What must never be exceeded."""
+    """Table ``[limits]``: what must never be exceeded.
+
+    Attributes
+    ----------
+    voltage_v : float
+        Largest magnitude of the drive [V].
+    slew_v_per_us : float
+        Largest rate of change of the drive [V/µs].
+    current_ma : float or None
+        Largest current of one channel [mA].
+    fade_ms : float
+        Length of the ordinary ramp to or from 0 V [ms].
+    """
 
     voltage_v: Annotated[float, Meta(gt=0, le=1000)]
     slew_v_per_us: Annotated[float, Meta(gt=0, le=100)] = 0.7
@@ -140,7 +275,27 @@ class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class DisplayFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A display, as in its file."""
+    """Content of a display file; contactors are given either as ``[grid]`` or as ``[[contactor]]``.
+
+    Attributes
+    ----------
+    display : AboutTable
+        What the display is.
+    finger : FingerLoadTable
+        Load on the tips of the benders.
+    limits : LimitsTable
+        Limits of the drive.
+    grid : Grid or None
+        Contactors on a grid.
+    contactor : tuple of Contactor
+        Contactors one by one.
+    group : tuple of Group
+        Measured responses of several contactors.
+    bimorph : BimorphTable
+        Bender of every contactor.
+    amplifier : AmplifierTable
+        Amplifier of every channel.
+    """
 
     display: AboutTable
     finger: FingerLoadTable

@@ -1,5 +1,5 @@
-"""The emergency stop: it shares no thread, no process and no socket with ordinary traffic.
+"""Emergency stop, which shares no thread, process or socket with ordinary traffic.
 
-A `latch` is a file that server, e-stop process and playback process all map into memory. The
-e-stop `process` listens for a `request` on a socket of its own and sets the latches.
+A `latch` is a file that the server, the e-stop process and the playback process all map into
+memory. The e-stop `process` listens for a `request` on a socket of its own and sets the latches.
 """

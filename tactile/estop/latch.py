@@ -1,12 +1,13 @@
-"""The e-stop latch of one display: a file that server, e-stop process and playback all map.
+"""E-stop latch of one display: a file mapped by the server, the e-stop process and playback.
 
-Each of the three counts the e-stops that it was asked for in a word of its own, so that none ever
-waits for another, and a process that is stopped or killed at any instant keeps nobody from tripping
-the latch. The number of an e-stop is the sum of the three counts. It holds until the server has
-written that number, or a later one, as cleared: a clear of an older e-stop never ends a newer one.
+Each of the three processes counts the e-stops that it was asked for in a word of its own. None ever
+waits for another, and a process that is stopped or killed at any instant prevents nobody from
+tripping the latch. The number of an e-stop is the sum of the three counts. The e-stop holds until
+the server has written that number, or a later one, as cleared. Clearing an older e-stop therefore
+never ends a newer one.
 
-The file outlives all processes. Its blocks are there from the beginning, so that a full disk keeps
-no e-stop from being written. A file that is damaged is an e-stop.
+The file outlives all processes. Its blocks are allocated from the beginning, so that a full disk
+does not prevent an e-stop from being written. A damaged file counts as an e-stop.
 """
 
 import hashlib
@@ -33,24 +34,26 @@ if sys.platform != "win32":
 MAGIC = 0x31504F5453454354
 """First word of the file: "TCESTOP1", little-endian."""
 CLEARED = 4
-"""Word that holds the number up to which e-stops were cleared."""
+"""Index of the word that holds the number up to which e-stops were cleared."""
 WORDS, TEXT = 8, 248
-"""Words of the header; bytes of the note of each writer, after the time of its e-stop."""
+"""Number of words of the header, and size of each writer's note after the time of its e-stop
+[bytes]."""
 SIZE = 8 * WORDS + 3 * (8 + TEXT)
+"""Size of the file [bytes]."""
 LOCK_WITHIN = 3.0
-"""Time that the processes of a daemon that was killed have to let go of the file [s]."""
+"""Time that the processes of a killed daemon have to release the file [s]."""
 READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
-"""Flags with which a latch's file is opened."""
+"""Flags with which the file of a latch is opened."""
 SUFFIX = ".estop"
-"""End of the name of each latch's file."""
+"""Suffix of the file name of every latch."""
 LONGEST_NAME = 200
-"""Characters of a file's name, which file systems hold to 255 bytes."""
+"""Maximum length of a file name without its suffix [characters]; file systems allow 255 bytes."""
 UNSAVED = ("sim:",)
-"""Devices without any voltage, the latch of which ends with the daemon."""
+"""Prefixes of the URLs of devices without any voltage, whose latch ends with the daemon."""
 
 
 class LatchWriter(IntEnum):
-    """Who trips the latch; the value is the index of its word."""
+    """Process that trips a latch; the value is the index of its word."""
 
     SERVER = 1
     ESTOP_PROCESS = 2
@@ -58,37 +61,52 @@ class LatchWriter(IntEnum):
 
 
 class Latch:
-    """The latch, mapped.
+    """E-stop latch of a device, mapped into this process.
 
     Parameters
     ----------
-    handle : of the file, as its `Latch.handle` says in the server
-    writer : who maps it
+    handle : str
+        Handle of the file, as given by `Latch.handle` in the server.
+    writer : LatchWriter
+        Process that maps the file.
+
+    Attributes
+    ----------
+    handle : str
+        "fd:" and an inherited descriptor, or "file:" and a path.
     """
 
     def __init__(self, handle: str, writer: LatchWriter) -> None:
         self.handle, self._writer = handle, writer
-        kind, _, what = handle.partition(":")
-        self._file = int(what) if kind == "fd" else os.open(what, os.O_RDWR)
+        kind, _, address = handle.partition(":")
+        self._file = int(address) if kind == "fd" else os.open(address, os.O_RDWR)
         self._map = mmap.mmap(self._file, SIZE)
         self._words: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, WORDS)
 
     @classmethod
     def open(cls, device: str, folder: Path, *, clock: Clock = MONOTONIC) -> "Latch":
-        """Return the latch of a device for its server, and keep every other program from it.
+        """Open the latch of a device in its server and lock out every other program.
 
         Parameters
         ----------
-        device : URL of the device that the latch guards
-        folder : where latches are kept; created where it is missing
-        clock : to wait by for what is left of a program that was killed
+        device : str
+            URL of the device that the latch guards.
+        folder : Path
+            Folder of the latches, which is created if it does not exist.
+        clock : Clock
+            Clock for waiting until the processes of a killed program have released the file.
+
+        Returns
+        -------
+        Latch
+            The latch, written as `LatchWriter.SERVER`. It is tripped if its file was damaged.
 
         Raises
         ------
         InputError
-            Where the file cannot be had.
+            If the file cannot be opened.
         BusError
-            Where another program has it, perhaps one that was killed and left a hung process.
+            If another program has it, perhaps one that was killed and left a hung process.
         """
         if device.startswith(UNSAVED):
             file, name = tempfile.mkstemp(prefix="tactile-estop-")
@@ -111,7 +129,7 @@ class Latch:
 
     @classmethod
     def _of(cls, file: int, path: Path, device: str) -> "Latch":
-        """Return the server's latch from a file that it has locked."""
+        """Return the server's latch of a file that the server has locked."""
         intact = _is_intact(file)
         if sys.platform == "win32":
             os.close(file)
@@ -124,70 +142,80 @@ class Latch:
 
     @property
     def descriptor(self) -> int | None:
-        """Descriptor that a child process has to inherit, None where it opens the file itself."""
+        """Descriptor that a child process must inherit; None if the child opens the file itself."""
         kind, _, number = self.handle.partition(":")
         return int(number) if kind == "fd" else None
 
     @property
     def number(self) -> int:
-        """Number of the latest e-stop, 0 where there has been none."""
+        """Number of the latest e-stop, 0 if there has been none."""
         return int(self._words[LatchWriter.SERVER : CLEARED].sum())
 
     @property
     def holds(self) -> int:
-        """Number of the e-stop that holds, 0 where none does."""
+        """Number of the e-stop that holds, 0 if none does."""
         number = self.number
         return number if number > int(self._words[CLEARED]) else 0
 
     @property
     def reason(self) -> str:
-        """One line on who tripped it last, and when; empty where nobody did."""
+        """Line that says who tripped the latch last, and when; empty if nobody did."""
         notes = []
         for writer in LatchWriter:
-            at = self._place(writer)
-            when = np.frombuffer(self._map, np.float64, 1, at)[0]
-            note = self._map[at + 8 : at + 8 + TEXT].rstrip(b"\0").decode(errors="replace")
+            offset = self._note_offset(writer)
+            when = np.frombuffer(self._map, np.float64, 1, offset)[0]
+            note = self._map[offset + 8 : offset + 8 + TEXT].rstrip(b"\0").decode(errors="replace")
             notes.append((float(when), note))
         when, note = max(notes)
         return f"{note}, {time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(when))}" if note else ""
 
     def trip(self, reason: str) -> int:
-        """Latch an e-stop; never wait.
+        """Latch an e-stop, without waiting for anything.
 
         Parameters
         ----------
-        reason : who asked for it, in one line
+        reason : str
+            Who asked for it, in one line.
 
         Returns
         -------
         int
-            The number of the e-stop.
+            Number of the e-stop.
         """
         self._words[self._writer] += np.uint64(1)
         self._note(reason)
         return self.number
 
     def clear(self, number: int) -> None:
-        """End the e-stop with a number, and those before it; only the server does that.
+        """End the e-stop with a number, and all before it; only the server may do so.
 
-        None that is yet to come ends, whatever the number.
+        An e-stop that is yet to come is not ended, whatever the number.
+
+        Parameters
+        ----------
+        number : int
+            Number of the e-stop.
         """
         self._words[CLEARED] = max(min(number, self.number), int(self._words[CLEARED]))
 
     def save(self) -> None:
-        """Wait until the disk has it.
+        """Write the latch to the disk, and wait until it is there.
 
         Raises
         ------
         OSError
-            Where the disk fails.
+            If the disk fails.
         """
         if sys.platform != "linux":
-            self._map.flush()  # holds Python's lock; Linux's fsync writes mapped pages as well
+            # flush holds the interpreter lock; on Linux fsync alone writes mapped pages as well
+            self._map.flush()
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Let go of the file; the server also of its lock, which its children share."""
+        """Unmap and close the file.
+
+        The server also releases its lock, which its child processes share.
+        """
         if self._writer is LatchWriter.SERVER and sys.platform != "win32":
             fcntl.flock(self._file, fcntl.LOCK_UN)
         del self._words
@@ -195,13 +223,15 @@ class Latch:
         os.close(self._file)
 
     def _note(self, reason: str) -> None:
-        at = self._place(self._writer)
-        np.frombuffer(self._map, np.float64, 1, at)[0] = time.time()
+        """Write the time and the reason of this writer's latest e-stop."""
+        offset = self._note_offset(self._writer)
+        np.frombuffer(self._map, np.float64, 1, offset)[0] = time.time()
         text = " ".join(reason.split()).encode()[:TEXT]
-        self._map[at + 8 : at + 8 + TEXT] = text.ljust(TEXT, b"\0")
+        self._map[offset + 8 : offset + 8 + TEXT] = text.ljust(TEXT, b"\0")
 
     @staticmethod
-    def _place(writer: LatchWriter) -> int:
+    def _note_offset(writer: LatchWriter) -> int:
+        """Return the offset of a writer's note in the file [bytes]."""
         return 8 * WORDS + (writer - 1) * (8 + TEXT)
 
 
@@ -210,7 +240,13 @@ def file_name(device: str) -> str:
 
     Parameters
     ----------
-    device : its URL
+    device : str
+        URL of the device.
+
+    Returns
+    -------
+    str
+        The URL, percent-encoded; a long one is shortened and completed by its hash.
     """
     name = quote(device, safe="")
     if len(name) > LONGEST_NAME:
@@ -221,59 +257,64 @@ def file_name(device: str) -> str:
 def inherit_estops(
     heirs: Mapping[str, Latch], used: Collection[str], folder: Path, *, clock: Clock = MONOTONIC
 ) -> None:
-    """Latch the e-stops that hold for the same devices by other URLs.
+    """Take over the e-stops that hold for the same devices under other URLs.
 
-    An e-stop is not over because somebody edited an option of the URL, or named the device by
-    another link (``/dev/serial/by-id/…``; followed where the device is plugged in). Options may
-    also choose among several amplifiers of a bus (``nodes`` of CAN): one display too many is
-    stopped then. A file that cannot be read is an e-stop.
+    An e-stop does not end because somebody edited an option of the URL, or named the device by
+    another link (``/dev/serial/by-id/…``, which is followed if the device is plugged in). Options
+    may also select among several amplifiers of a bus (``nodes`` of CAN); in that case one display
+    too many is stopped. A file that cannot be read counts as an e-stop.
 
     Parameters
     ----------
-    heirs : latches by URL of the device
-    used : URLs of all devices of this daemon, which keep their e-stops
-    folder : where latches are kept
-    clock : to wait by for what is left of a program that was killed
+    heirs : mapping of str to Latch
+        Latches that take over, by URL of the device.
+    used : collection of str
+        URLs of all devices of this daemon, which keep their e-stops.
+    folder : Path
+        Folder of the latches.
+    clock : Clock
+        Clock for waiting until the processes of a killed program have released a file.
     """
-    kept = {file_name(device) for device in used}
+    used_names = {file_name(device) for device in used}
     for path in sorted(folder.glob("*" + SUFFIX)):
-        place = _place(unquote(path.name.removesuffix(SUFFIX)))
-        latches = [latch for device, latch in heirs.items() if _place(device) == place]
-        if latches and path.name not in kept:
+        key = _device_key(unquote(path.name.removesuffix(SUFFIX)))
+        latches = [latch for device, latch in heirs.items() if _device_key(device) == key]
+        if latches and path.name not in used_names:
             try:
-                _hand_on(path, latches, clock)
+                _transfer_estop(path, latches, clock)
             except (OSError, BusError) as error:
                 for latch in latches:
                     latch.trip(f"e-stop latch {path.name} cannot be taken over: {error}")
 
 
-def _place(device: str) -> str:
+def _device_key(device: str) -> str:
     """Return the URL of a device without its options and links.
 
-    Taken apart as `tactile.bus.registry` does.
+    It is split as in `tactile.bus.registry`.
     """
     try:
         parts = urlsplit(device)
         is_file = not parts.netloc and os.path.isabs(parts.path)
         path = os.path.realpath(parts.path) if is_file else parts.path
-    except ValueError:  # the name of a file that no daemon made
+    except ValueError:  # the file was not made by a daemon
         return device
     return f"{parts.scheme}:{parts.netloc}{path}"
 
 
-def _hand_on(path: Path, heirs: Sequence[Latch], clock: Clock) -> None:
-    """Have latches take over an e-stop that holds, and end it where it was, once that is saved.
+def _transfer_estop(path: Path, heirs: Sequence[Latch], clock: Clock) -> None:
+    """Trip latches for an e-stop that holds in a file, then clear it there, once they are saved.
 
     Raises
     ------
     OSError, BusError
-        Where the file cannot be opened, or a latch not saved; it still holds then.
+        If the file cannot be opened or a latch cannot be saved; the e-stop in the file still holds
+        then.
     """
     file = os.open(path, READ_WRITE)
     try:
         _lock(file, path.name, path, clock)
     except BusError:
-        return  # another daemon has it, and another amplifier of the same bus
+        return  # another daemon has it, for another amplifier of the same bus
     with closing(Latch._of(file, path, path.name)) as old:
         if old.holds:
             for latch in heirs:
@@ -284,12 +325,14 @@ def _hand_on(path: Path, heirs: Sequence[Latch], clock: Clock) -> None:
 
 
 def _is_intact(file: int) -> bool:
-    """Return whether a file holds a latch; make it a new one where it is empty or damaged.
+    """Return whether a file holds a latch; initialize it if it is empty or damaged.
+
+    A new, empty file counts as intact.
 
     Raises
     ------
     BusError
-        Where the disk is full.
+        If the disk is full.
     """
     content = os.read(file, SIZE + 1)
     if len(content) == SIZE:
@@ -308,15 +351,15 @@ def _is_intact(file: int) -> bool:
 
 
 def _lock(file: int, device: str, path: Path, clock: Clock) -> None:
-    """Keep other daemons from a latch; wait for what is left of one that was killed.
+    """Lock out other daemons from a latch; wait for the processes of one that was killed.
 
     Raises
     ------
     BusError
-        Where another program has it.
+        If another program has the lock.
     """
     if sys.platform == "win32":
-        return  # the device itself lets no second daemon in
+        return  # there, the device itself cannot be opened by a second daemon
     end = clock.now() + LOCK_WITHIN
     while True:
         try:

@@ -1,12 +1,13 @@
-"""The e-stop's own way in: a process and a socket that share nothing with ordinary clients.
+"""E-stop process, whose process and socket are shared with no ordinary client.
 
-It trips the latches, which playback watches, by itself: an e-stop sent here works while the server
-is flooded, hangs or is stopped, and while playback is started again. Requests are datagrams: there
-is no connection that anyone could keep open. Whoever may write to the socket may stop.
+It trips the latches, which playback watches. An e-stop that is sent here therefore works while the
+server is flooded, hangs or is stopped, and while playback is being restarted. Requests are
+datagrams, so that there is no connection that anyone could keep open. Whoever may write to the
+socket may trigger an e-stop.
 
-A request is ``{"estop": null}`` for all displays or ``{"estop": "right"}`` for one, as JSON; the
-answer ``{"estops": {"right": 3}}`` names the number that was latched for each, or holds an
-``"error"``. Requests with the same ``"id"`` are one, so that it may be sent again.
+A request is ``{"estop": null}`` for all displays or ``{"estop": "right"}`` for one, as JSON. The
+answer ``{"estops": {"right": 3}}`` gives the number that was latched for each display, or holds an
+``"error"``. Requests with the same ``"id"`` count as one, so that a request may be repeated.
 """
 
 import json
@@ -30,37 +31,58 @@ from tactile.paths import runtime_folder
 log = logging.getLogger("tactile.estop")
 
 LONGEST_ID, MOST_ANSWERED = 64, 256
-"""Characters of a request's id; requests that are known again when they come once more."""
+"""Maximum length of a request's id [characters], and number of answered requests whose repetition
+is recognized."""
 CREDENTIALS = struct.Struct("3i")
-"""Process, user and group of a sender, as Linux tells them (unix(7), SCM_CREDENTIALS)."""
+"""Process, user and group of a sender, as Linux passes them (unix(7), SCM_CREDENTIALS)."""
 
 
 @dataclass(frozen=True)
 class EstopSetup:
-    """The latches that an e-stop process trips: the handle of each by the display's name."""
+    """Latches that an e-stop process trips.
+
+    Attributes
+    ----------
+    latches : dict of str to str
+        Handle of the latch by name of the display.
+    """
 
     latches: dict[str, str]
 
 
 @dataclass(frozen=True)
 class EstopReady:
-    """The first answer of an e-stop process: the address of its socket, or why it has none."""
+    """First answer of an e-stop process.
+
+    Attributes
+    ----------
+    address : str
+        Address of its socket; empty if it has none.
+    failure : str
+        Reason why it has no socket; empty if it has one.
+    """
 
     address: str = ""
     failure: str = ""
 
 
 def bind(name: str) -> tuple[socket.socket, str]:
-    """Return a socket for requests and its address, as `tactile estop` looks for it.
+    """Create a socket for requests at an address where `tactile estop` finds it.
 
     Parameters
     ----------
-    name : part of the address that no other socket of this machine has
+    name : str
+        Part of the address that no other socket of this machine has.
+
+    Returns
+    -------
+    tuple of socket and str
+        The socket and its address.
 
     Raises
     ------
     OSError
-        Where it cannot be made.
+        If the socket cannot be created.
     """
     folder = runtime_folder()
     folder.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -69,7 +91,7 @@ def bind(name: str) -> tuple[socket.socket, str]:
         link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         path.unlink(missing_ok=True)
         link.bind(str(path))
-        path.chmod(0o666)  # whoever reaches the folder may stop
+        path.chmod(0o666)  # whoever can reach the folder may trigger an e-stop
     else:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         link.bind(("127.0.0.1", 0))
@@ -80,16 +102,17 @@ def bind(name: str) -> tuple[socket.socket, str]:
 
 
 class Desk:
-    """Carries out requests.
+    """Executor of e-stop requests.
 
     Parameters
     ----------
-    latches : by the name of the display
+    latches : dict of str to Latch
+        Latches by name of the display.
     """
 
     def __init__(self, latches: dict[str, Latch]) -> None:
         self._latches = latches
-        self._answered: OrderedDict[str, dict[str, Any]] = OrderedDict()
+        self._answers: OrderedDict[str, dict[str, Any]] = OrderedDict()
         self._new = threading.Event()
 
     def answer(self, request: bytes, sender: str) -> dict[str, Any]:
@@ -97,21 +120,29 @@ class Desk:
 
         Parameters
         ----------
-        request : as of the module's docstring
-        sender : who asks, for the note in the latch
+        request : bytes
+            Request as in the module docstring.
+        sender : str
+            Who asks, for the note in the latch.
+
+        Returns
+        -------
+        dict of str to Any
+            Answer as in the module docstring; an error about an unknown display also has
+            ``"unknown"``.
         """
         try:
             content = json.loads(request)
-            wanted, number = content["estop"], str(content.get("id", ""))[:LONGEST_ID]
+            target, request_id = content["estop"], str(content.get("id", ""))[:LONGEST_ID]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return {"error": 'no request; {"estop": null} stops all displays'}
-        if number and number in self._answered:
-            return self._answered[number]
-        answer = self._carry_out(wanted, sender)
-        if number:
-            self._answered[number] = answer
-            if len(self._answered) > MOST_ANSWERED:
-                self._answered.popitem(last=False)
+        if request_id and request_id in self._answers:
+            return self._answers[request_id]
+        answer = self._carry_out(target, sender)
+        if request_id:
+            self._answers[request_id] = answer
+            if len(self._answers) > MOST_ANSWERED:
+                self._answers.popitem(last=False)
         return answer
 
     def _carry_out(self, wanted: object, sender: str) -> dict[str, Any]:
@@ -126,7 +157,13 @@ class Desk:
         return {"estops": {name: latch.trip(sender) for name, latch in chosen.items()}}
 
     def serve(self, link: socket.socket) -> None:
-        """Wait for a request, carry it out and answer it."""
+        """Wait for one request, carry it out and answer it.
+
+        Parameters
+        ----------
+        link : socket
+            Socket as created by `bind`.
+        """
         extra: list[tuple[int, int, bytes]] = []
         try:
             if hasattr(link, "recvmsg"):
@@ -134,17 +171,17 @@ class Desk:
                 request, extra, _, address = link.recvmsg(LARGEST_REQUEST, space)
             else:
                 request, address = link.recvfrom(LARGEST_REQUEST)
-        except OSError as error:  # Windows tells of what an earlier answer met
+        except OSError as error:  # Windows reports here that an earlier answer did not arrive
             log.warning("a request could not be read: %s", error)
             return
         answer = json.dumps(self.answer(request, f"by tactile estop{_user(extra)}")).encode()
         if address:
-            with suppress(OSError):  # who does not read the answer needs none
+            with suppress(OSError):  # the sender may be gone, or not read the answer
                 link.sendto(answer, getattr(socket, "MSG_DONTWAIT", 0), address)
         self._new.set()
 
     def save(self) -> None:
-        """Write e-stops to the disk as they come, for ever; latched they are before."""
+        """Write e-stops to the disk as they come, forever; they are latched before that."""
         while True:
             self._new.wait()
             self._new.clear()
@@ -165,7 +202,7 @@ def _user(extra: list[tuple[int, int, bytes]]) -> str:
 
 
 def _end_with(pipe: Any, address: str) -> None:
-    """End this process when its standard input does."""
+    """End this process when its standard input ends."""
     while pipe.read(1):
         continue
     Path(address).unlink(missing_ok=True)
@@ -173,7 +210,7 @@ def _end_with(pipe: Any, address: str) -> None:
 
 
 def main() -> None:
-    """Serve until standard input ends, which is when the server does."""
+    """Serve requests until standard input ends, which is when the server ends."""
     pipe: Any = os.fdopen(os.dup(0), "rb", buffering=0)
     out: Any = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

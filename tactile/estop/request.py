@@ -19,13 +19,13 @@ from tactile.paths import estop_sockets
 LARGEST_REQUEST = 1024
 """Largest size of a request [bytes]."""
 LARGEST_ANSWER = 65_536
-"""Largest size of an answer [bytes]; `tactile.estop.process` says what both hold."""
+"""Largest size of an answer [bytes]; `tactile.estop.process` describes both."""
 WITHIN = 1.0
-"""Time in which a program must answer [s]; it does so within milliseconds."""
+"""Time in which a program must answer [s]; it normally takes milliseconds."""
 GONE = "nobody listens there any more"
 """Failure of a request to a socket that a process left behind."""
 ATTEMPT = 0.25
-"""Time after which a request is repeated [s]: some systems lose datagrams of a full socket."""
+"""Time after which a request is repeated [s], as some systems lose datagrams to a full socket."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,16 @@ class EstopAnswer:
 
     Attributes
     ----------
-    socket : path of the program's e-stop socket
-    estops : number of the e-stop that was latched, by display
-    failure : why nothing was latched; empty where it was
-    unknown : whether the program lives and drives no display of that name
-    seconds : from the request to the answer [s]
+    socket : str
+        Path of the program's e-stop socket.
+    estops : dict of str to int
+        Number of the e-stop that was latched, by name of the display.
+    failure : str
+        Reason why nothing was latched; empty if it was.
+    unknown : bool
+        Whether the program runs but drives no display of that name.
+    seconds : float
+        Time from the request to the answer [s].
     """
 
     socket: str
@@ -54,29 +59,32 @@ class EstopAnswer:
 
 
 def request_estop(display: str | None = None, *, within: float = WITHIN) -> list[EstopAnswer]:
-    """Ask all programs of this machine that this user can reach for an e-stop, all at once.
+    """Request an e-stop from all programs of this machine that this user can reach, all at once.
 
     Parameters
     ----------
-    display : name of the only display to stop, or URL of its device without a daemon; None for all
-    within : time in which each must answer [s]
+    display : str, optional
+        Name of the only display to stop, or URL of its device if it is driven without a daemon; by
+        default all displays.
+    within : float
+        Time in which each program must answer [s].
 
     Returns
     -------
     list of EstopAnswer
-        One for each program; none where none runs.
+        One answer for each program; empty if no program runs.
     """
     request = json.dumps({"estop": display, "id": secrets.token_hex(8)}).encode()
     begun, answers = MONOTONIC.now(), dict[str, EstopAnswer]()
     waiting = {str(path): path for path in estop_sockets()}
-    with _links(len(waiting)) as links:
+    with _reply_sockets(len(waiting)) as links:
         by_link = dict(zip(links, list(waiting), strict=True))
-        while by_link and (left := begun + within - MONOTONIC.now()) > 0:
+        while by_link and (remaining := begun + within - MONOTONIC.now()) > 0:
             for link, name in list(by_link.items()):
                 if (failure := _send(link, waiting[name], request)) is not None:
                     answers[name] = EstopAnswer(name, failure=failure)
                     del by_link[link]
-            attempt = MONOTONIC.now() + min(ATTEMPT, left)
+            attempt = MONOTONIC.now() + min(ATTEMPT, remaining)
             while by_link and (rest := attempt - MONOTONIC.now()) > 0:
                 for link in select.select(list(by_link), [], [], rest)[0]:
                     name = by_link.pop(link)
@@ -86,7 +94,7 @@ def request_estop(display: str | None = None, *, within: float = WITHIN) -> list
 
 
 def _send(link: socket.socket, path: Path, request: bytes) -> str | None:
-    """Send a request; return why that cannot be, None where it was sent or may be once more."""
+    """Send a request; return why it cannot be sent, or None if it was or may be sent again."""
     try:
         if hasattr(socket, "AF_UNIX"):
             link.sendto(request, str(path))
@@ -96,7 +104,7 @@ def _send(link: socket.socket, path: Path, request: bytes) -> str | None:
         return None
     except (ConnectionError, FileNotFoundError):
         with suppress(OSError):
-            path.unlink()  # what a process that was killed has left
+            path.unlink()  # left behind by a killed process
         return GONE
     except (OSError, ValueError) as error:
         return str(error)
@@ -104,23 +112,24 @@ def _send(link: socket.socket, path: Path, request: bytes) -> str | None:
 
 
 def _answer(name: str, link: socket.socket, seconds: float) -> EstopAnswer:
-    """Return the answer that has come, or what is wrong with it."""
+    """Return the answer that has arrived, or what is wrong with it."""
     try:
-        said: Any = json.loads(link.recv(LARGEST_ANSWER))
-        if "error" in said:
-            unknown = bool(said.get("unknown"))
-            return EstopAnswer(name, failure=str(said["error"]), unknown=unknown, seconds=seconds)
-        estops = {str(display): int(number) for display, number in said["estops"].items()}
+        reply: Any = json.loads(link.recv(LARGEST_ANSWER))
+        if "error" in reply:
+            unknown = bool(reply.get("unknown"))
+            return EstopAnswer(name, failure=str(reply["error"]), unknown=unknown, seconds=seconds)
+        estops = {str(display): int(number) for display, number in reply["estops"].items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         return EstopAnswer(name, failure=f"no answer of an e-stop process: {error}")
     return EstopAnswer(name, estops, seconds=seconds)
 
 
 @contextmanager
-def _links(count: int) -> Iterator[list[socket.socket]]:
+def _reply_sockets(count: int) -> Iterator[list[socket.socket]]:
     """Provide sockets that answers can be sent to.
 
-    On Linux they have names outside the file system, as a service may not see this user's folders.
+    On Linux they have names outside the file system, because a service may not see this user's
+    folders.
     """
     names = list[Path]()
     links = [
@@ -136,7 +145,7 @@ def _links(count: int) -> Iterator[list[socket.socket]]:
                 names.append(Path(tempfile.gettempdir()) / f"tactile-{os.getpid()}-{k}.estop")
                 names[-1].unlink(missing_ok=True)
                 link.bind(str(names[-1]))
-                names[-1].chmod(0o666)  # the daemon's user is another one
+                names[-1].chmod(0o666)  # the daemon may run as another user
         yield links
     finally:
         for link in links:

@@ -1,7 +1,8 @@
-"""What the server tells a playback process, and what it is answered.
+"""Commands of the server to a playback process, and the answers to them.
 
-Both go as pickles over the child's standard streams, each order with a number that comes back with
-its answer; the loop obeys at a block's edge. An e-stop is no order: playback watches the latch.
+Both are pickled and sent over the standard streams of the child process. Each order has a number
+that comes back with its answer; the loop executes orders between two blocks. An e-stop is not an
+order: playback watches the latch.
 """
 
 from dataclasses import dataclass
@@ -15,15 +16,36 @@ from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 
 Texture = RealizedLayer | SpectrumRenderer
-"""A texture made ready for a display: for a link that takes samples, or frames."""
+"""Texture realized for a display, on a link that takes samples or one that takes frames."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """The first that a playback process is told: what it plays, on what."""
+    """First message to a playback process: the display to play, and on which device.
+
+    Attributes
+    ----------
+    display : Display
+        Display to play.
+    device : str
+        URL of the bus.
+    sample_rate : float or None
+        Sample rate of the drive; None for the choice of the device [Hz].
+    accept_unsafe_hold : bool
+        As in `open_bus`.
+    gain : float
+        Gain of the display, on top of that of each client.
+    worn : bool
+        Whether the finger stays on the display although it touches nothing.
+    memory : str
+        Handle of the shared memory.
+    latch : str
+        Handle of the display's e-stop latch.
+    """
 
     display: Display
     device: str
+    rearm: bool
     sample_rate: float | None
     accept_unsafe_hold: bool
     gain: float
@@ -34,9 +56,22 @@ class Setup:
 
 @dataclass(frozen=True)
 class DeviceOpened:
-    """What came of that: how the device plays; or why there is none.
+    """Reply to `Setup`: how the device plays, or why it could not be opened.
 
-    ``carriers`` and ``frame_rate`` are 0 for a link that takes samples.
+    Attributes
+    ----------
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    carriers : int
+        Number of carriers; 0 for a link that takes samples.
+    frame_rate : float
+        Frame rate; 0 for a link that takes samples [Hz].
+    latency : float
+        Time before it is due at which the bus wants a block [s].
+    real_time : tuple of str
+        Real-time privileges that the system refused.
+    why_not : str
+        Reason why the device could not be opened; empty if it was.
     """
 
     sample_rate: float = 0.0
@@ -49,7 +84,15 @@ class DeviceOpened:
 
 @dataclass(frozen=True)
 class Keep:
-    """Have a texture ready under a number."""
+    """Order to keep a texture ready under a number.
+
+    Attributes
+    ----------
+    number : int
+        Number of the texture.
+    texture : RealizedLayer or SpectrumRenderer
+        Texture realized for the display.
+    """
 
     number: int
     texture: Texture
@@ -57,14 +100,28 @@ class Keep:
 
 @dataclass(frozen=True)
 class Drop:
-    """A texture that nobody selects any more."""
+    """Order to drop a texture that no client selects any more.
+
+    Attributes
+    ----------
+    number : int
+        Number of the texture.
+    """
 
     number: int
 
 
 @dataclass(frozen=True)
 class SelectTextures:
-    """The textures of a client, each with its gain."""
+    """Order to select the textures of a client.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    layers : tuple of (int, float)
+        Number of each texture, with its gain.
+    """
 
     client: int
     layers: tuple[tuple[int, float], ...]
@@ -72,7 +129,17 @@ class SelectTextures:
 
 @dataclass(frozen=True)
 class Scale:
-    """The gain of all that is a client's, and whether its textures sound."""
+    """Order to set the gain of everything that a client plays.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    gain : float
+        Gain of its textures and waves.
+    sounds : bool
+        Whether its textures sound.
+    """
 
     client: int
     gain: float
@@ -81,7 +148,23 @@ class Scale:
 
 @dataclass(frozen=True)
 class Wave:
-    """Samples [m] of a client; answered by how many were taken and how many seconds wait."""
+    """Order to play samples of a client.
+
+    The answer is the number of samples that were taken, and the duration of those that wait [s].
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    samples : (S,) array of float32
+        Shear [m].
+    sample_rate : float
+        Sample rate [Hz].
+    contactors : tuple of int
+        Contactors that play them; empty for all.
+    append : bool
+        Whether they follow the samples that wait, or replace them.
+    """
 
     client: int
     samples: NDArray[np.float32]
@@ -92,7 +175,15 @@ class Wave:
 
 @dataclass(frozen=True)
 class Shape:
-    """A parametric effect of a client."""
+    """Order to play a parametric effect of a client.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    curve : Curve
+        Effect to play.
+    """
 
     client: int
     curve: Curve
@@ -100,38 +191,66 @@ class Shape:
 
 @dataclass(frozen=True)
 class Silence:
-    """No more waveforms of a client."""
+    """Order to end the waveforms and effects of a client.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    """
 
     client: int
 
 
 @dataclass(frozen=True)
 class Forget:
-    """A client is gone."""
+    """Order to forget a client that has left.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    """
 
     client: int
 
 
 @dataclass(frozen=True)
 class StartBus:
-    """Start the bus."""
+    """Order to start the bus."""
 
 
 @dataclass(frozen=True)
 class StopBus:
-    """Fade out and stop it."""
+    """Order to fade out and stop the bus."""
 
 
 @dataclass(frozen=True)
 class ClearDevice:
-    """End the e-stop with a number at the device; the server writes it to the latch then."""
+    """Order to end an e-stop at the device; the server then writes it to the latch.
+
+    Attributes
+    ----------
+    estop : int
+        Number of the e-stop.
+    """
 
     estop: int
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Of the order with the same number: what it gave, or what it failed of."""
+    """Answer to the order with the same number.
+
+    Attributes
+    ----------
+    number : int
+        Number of the order.
+    value : tuple of float
+        Result of the order.
+    failure : str
+        Reason why it failed; empty if it did not.
+    """
 
     number: int
     value: tuple[float, ...] = ()
@@ -140,7 +259,15 @@ class Answer:
 
 @dataclass(frozen=True)
 class News:
-    """Something happened: the kind of a `messages.Event`, and one line."""
+    """Event on the display.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of a `messages.Event`.
+    detail : str
+        One line about it.
+    """
 
     kind: str
     detail: str
@@ -150,3 +277,4 @@ Order = (
     Keep | Drop | SelectTextures | Scale | Wave | Shape | Silence | Forget | StartBus | StopBus
     | ClearDevice
 )  # fmt: skip
+"""Any order to a playback process."""

@@ -1,8 +1,8 @@
-"""The e-stop of a device that is driven without a daemon, by `tactile play` or `tactile check`.
+"""E-stop of a device that is driven without a daemon, by `tactile play` or `tactile check`.
 
-The program has the device's latch, as a daemon would. A thread waits for `tactile estop`, latches
-the e-stop and stops the bus, whatever the program does meanwhile. Once the program hangs as a
-whole, the amplifier's watchdog acts.
+The program holds the latch of the device, as a daemon would. A thread waits for `tactile estop`,
+latches the e-stop and stops the bus, whatever the program does meanwhile. If the program as a whole
+hangs, the amplifier's watchdog acts.
 """
 
 import logging
@@ -29,22 +29,28 @@ log = logging.getLogger("tactile.estop")
 
 @contextmanager
 def guarded(bus: Bus, device: str) -> Iterator[None]:
-    """Let `tactile estop` stop a bus, which must not start while an e-stop of its device holds.
+    """Let `tactile estop` stop a bus, and refuse to use it while an e-stop of its device holds.
 
     A device without any voltage (``sim:``) has no e-stop.
 
     Parameters
     ----------
-    bus : of the device, open and idle
-    device : its URL, by which `tactile estop` names it
+    bus : Bus
+        Bus of the device, open and idle.
+    device : str
+        URL of the device, by which `tactile estop` names it.
+
+    Yields
+    ------
+    None
+        Control, while the e-stop is active.
 
     Raises
     ------
     BusError
-        Where an e-stop holds, or came while the bus was in use; where another program has the
-        latch.
+        If an e-stop holds or came while the bus was in use, or if another program has the latch.
     InputError
-        Where the file of the latch cannot be had.
+        If the file of the latch cannot be opened.
     """
     if device.startswith(UNSAVED):
         yield
@@ -68,22 +74,26 @@ def clear_device(
 
     Parameters
     ----------
-    device : its URL
-    display : what hangs on it
-    choose : is given the number of the e-stop that holds and its reason; returns the number of the
-        e-stop to end
-    accept_unsafe_hold : as of `open_bus`
+    device : str
+        URL of the device.
+    display : Display
+        Display that is connected to it.
+    choose : callable
+        Function that is given the number of the e-stop that holds and its reason, and returns the
+        number of the e-stop to end.
+    accept_unsafe_hold : bool
+        As in `open_bus`.
 
     Returns
     -------
     int
-        Number of the e-stop that was ended, 0 where none held.
+        Number of the e-stop that was ended, 0 if none held.
 
     Raises
     ------
     TactileError
-        Where the device cannot be opened; where another e-stop than the chosen one holds; where
-        the amplifier refuses it.
+        If the device cannot be opened, an e-stop other than the chosen one holds, or the amplifier
+        refuses to clear it.
     """
     with (
         open_bus(device, display, accept_unsafe_hold=accept_unsafe_hold) as bus,
@@ -107,7 +117,7 @@ def clear_device(
 
 @contextmanager
 def _latch_of(bus: Bus, device: str) -> Iterator[Latch]:
-    """Provide the latch of a device, tripped where its amplifier is e-stopped."""
+    """Provide the latch of a device, tripped if its amplifier is e-stopped."""
     folder = state_folder()
     with closing(Latch.open(device, folder)) as latch:
         inherit_estops({device: latch}, [device], folder)
@@ -116,7 +126,7 @@ def _latch_of(bus: Bus, device: str) -> Iterator[Latch]:
 
 
 def _latch_estop_of_amplifier(latch: Latch, bus: Bus) -> None:
-    """Give an e-stop that only the amplifier knows of a number."""
+    """Trip the latch for an e-stop that only the amplifier knows of."""
     if bus.state == "estopped" and not latch.holds:
         latch.trip(_reason(bus))
         latch.save()
@@ -128,7 +138,7 @@ def _reason(bus: Bus) -> str:
 
 
 def _refuse_where_held(latch: Latch, device: str, error: BusError | None = None) -> None:
-    """Raise BusError where an e-stop holds."""
+    """Raise BusError if an e-stop holds."""
     if latch.holds:
         raise BusError(
             f"{device}: e-stop {latch.holds} holds, {latch.reason}; "
@@ -138,7 +148,7 @@ def _refuse_where_held(latch: Latch, device: str, error: BusError | None = None)
 
 @contextmanager
 def _listening(bus: Bus, latch: Latch, device: str) -> Iterator[None]:
-    """Wait for `tactile estop` in a thread."""
+    """Serve requests of `tactile estop` in a thread while the context is open."""
     try:
         link, address = bind(f"{os.getpid()}-{secrets.token_hex(4)}")
     except OSError as error:
@@ -166,5 +176,5 @@ def _listening(bus: Bus, latch: Latch, device: str) -> Iterator[None]:
         waking.send(b"\0")
         thread.join()
         Path(address).unlink(missing_ok=True)
-        for one in (link, waking, woken):
-            one.close()
+        for endpoint in (link, waking, woken):
+            endpoint.close()

@@ -1,11 +1,12 @@
-"""Playback of one display: the loop that renders each block as late as it may, and its voices.
+"""Playback loop of one display: it renders each block as late as possible.
 
-Each block is rendered for the time at which it will be put out, from the finger's place predicted
-to that time, as late before it as the bus allows. What the block is made of is the mixing rule of
-`tactile.messages`: the textures of the client whose finger it is, and all clients' waves.
+Each block is rendered for the time at which it will be put out, from the finger's position
+predicted for that time, as late as the bus allows. The content of a block follows the mixing rule
+of `tactile.messages`: the textures of the client to which the finger belongs, and the waves of all
+clients.
 
-The loop never raises for what it is told and never waits for who tells it; what it could not do is
-counted. Where it is held up it goes on at what is due by then, fading in.
+The loop never raises because of what it receives and never waits for a sender; what it could not do
+is counted. After a delay it continues with the block that is due by then, and fades in.
 """
 
 import math
@@ -35,36 +36,63 @@ from tactile.rendering.stroke import Motion
 from tactile.tracking.tracker import ContactTracker
 
 BLOCK = 16
-"""Samples: 2 ms at 8 kHz."""
+"""Length of a block [samples]: 2 ms at 8 kHz."""
 MARGIN = 0.5e-3
-"""s for rendering a block, before the bus wants it (measured: 0.2 ms for 24 contactors)."""
+"""Time for rendering a block before the bus wants it [s] (measured: 0.2 ms for 24 contactors)."""
 LATENESS = 0.9
-"""Of the bus's ``ahead``; a block that is later than that is skipped, for it would be late."""
+"""Delay from which on a block is skipped because it would be late, as a part of the bus's
+``ahead``."""
 HELD_UP = 20e-3
-"""s after which one is skipped on a bus that is never late."""
+"""Delay from which on a block is skipped on a bus that is never late [s]."""
 IN_AIR = 10 ** (-34 / 20)
-"""Of waves while nothing touches: an unloaded bimorph rings up by 34 dB (physics.md)."""
+"""Gain of waves while nothing touches the display: an unloaded bimorph rings up by 34 dB
+(physics.md)."""
 REPORTED = 5
-"""Blocks from report to report of shear and drive."""
+"""Number of blocks from one report of shear and drive to the next."""
 SMOOTHED = 0.02
-"""Weight of a block's latency in the mean."""
+"""Weight of a block's latency in the exponential mean."""
 
 
 def state_of(status: BusStatus) -> State:
-    """Return the state of playback: armed only while the amplifier is known to play."""
+    """Return the state of playback: armed only while the amplifier is known to play.
+
+    Parameters
+    ----------
+    status : BusStatus
+        Status of the bus.
+
+    Returns
+    -------
+    State
+        "disarmed", "armed" or "estopped".
+    """
     if status.state == "estopped":
         return "estopped"
     return "armed" if status.playing else "disarmed"
 
 
 class SamplePlayback:
-    """Renders on a bus that takes blocks.
+    """Rendering for a bus that takes blocks of samples.
+
+    Parameters
+    ----------
+    display : Display
+        Display to render for.
+    bus : Bus
+        Bus to write to.
 
     Attributes
     ----------
-    spacing : samples of a block
-    lag : samples by which what is put out lags what is rendered for it
-    first : samples after a block's first at which a contact can first be noticed in it
+    spacing : int
+        Length of a block [samples].
+    lag : int
+        Delay of the output behind the input that it is rendered from [samples].
+    first : int
+        Position in a block of the first sample in which a new contact can be noticed [samples].
+    shear : (N,) array of float
+        Last commanded shear [m].
+    drive : (N,) array of float
+        Last drive [V].
     """
 
     spacing = BLOCK
@@ -78,30 +106,76 @@ class SamplePlayback:
         self.shear = self.drive = np.zeros(len(display.contactors))
 
     def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
-        """Go over to other textures, each with its gain."""
+        """Cross-fade to other textures.
+
+        Parameters
+        ----------
+        layers : sequence of (RealizedLayer, float)
+            Textures, each with its gain; textures for frames are ignored.
+        """
         self._renderer.play([(t, gain) for t, gain in layers if isinstance(t, RealizedLayer)])
 
     def fade_in(self) -> None:
-        """Rise from nothing."""
+        """Let the shear rise from 0."""
         self._renderer.fade_in()
 
     def due(self, position: int) -> Floats:
-        """Return the times for which a block is rendered (S,) [s]."""
+        """Return the times for which a block is rendered.
+
+        Parameters
+        ----------
+        position : int
+            Position of the block [samples].
+
+        Returns
+        -------
+        (S,) array of float
+            Times in the host's clock [s].
+        """
         rate = self._bus.wiring.sample_rate
         return np.asarray(self._bus.due(position + self.lag) + np.arange(BLOCK) / rate)
 
     def asked(self, position: int) -> float:
-        """Return when the bus wants a block [s]."""
+        """Return the time at which the bus wants a block.
+
+        Parameters
+        ----------
+        position : int
+            Position of the block [samples].
+
+        Returns
+        -------
+        float
+            Time in the host's clock [s].
+        """
         return self._bus.due(position) - self._bus.ahead
 
     def write(self, position: int, place: Floats, force: Floats, waves: Singles | None) -> None:
-        """Render a block and play it."""
+        """Render a block and write it to the bus.
+
+        Parameters
+        ----------
+        position : int
+            Position of the block [samples].
+        place : (S, 2) array of float
+            Positions of the finger [m].
+        force : (S,) array of float
+            Normal forces [N].
+        waves : (S, N) array of float32 or None
+            Shear to add [m].
+        """
         drive, shear = self._renderer.block(place, force, waveform=waves, shear=True)
         self._bus.write(DriveBlock(position, self._display.to_channels(drive)))
         self.drive, self.shear = drive[-1], shear[-1]
 
     def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
-        """Use a texture once, so that its memory is there."""
+        """Use a texture once, so that its memory is allocated.
+
+        Parameters
+        ----------
+        texture : RealizedLayer or SpectrumRenderer
+            Texture to use; one for frames is ignored.
+        """
         if isinstance(texture, RealizedLayer):
             motion = Motion(self._bus.wiring.sample_rate)
             stroke = motion(motion.taken(np.zeros((BLOCK, 2)), np.zeros(BLOCK)))
@@ -109,21 +183,41 @@ class SamplePlayback:
             texture(stroke)
 
     def flush(self) -> None:
-        """Be ready to start: let nothing of what was played before be heard."""
+        """Prepare for a start: render silence until the filters hold nothing played before."""
         nothing = np.zeros((4 * BLOCK, 2))
         for _ in range(4):
             self._renderer.block(nothing, nothing[:, 0])
 
     @property
     def limited(self) -> int:
-        """Samples that were turned down."""
+        """Number of samples that were turned down."""
         return self._renderer.limiter.limited_samples
 
 
 class FramePlayback:
-    """Renders on a bus that takes spectrum frames; waves find no room on it.
+    """Rendering for a bus that takes spectrum frames, which have no room for waves.
 
-    Textures have carriers in common; their frames are added and then limited.
+    All textures have the same carriers; their frames are added and then limited.
+
+    Parameters
+    ----------
+    display : Display
+        Display to render for.
+    bus : Bus
+        Bus to write to.
+
+    Attributes
+    ----------
+    spacing : int
+        Distance between frames [samples].
+    lag : int
+        Delay of the output behind the input that it is rendered from [samples].
+    first : int
+        Position in a stretch of the first sample in which a new contact can be noticed [samples].
+    shear : (N,) array of float
+        Commanded shear, which is not computed and stays 0 [m].
+    drive : (N,) array of float
+        Largest drive that the last frame can give [V].
     """
 
     lag = first = 0
@@ -141,64 +235,131 @@ class FramePlayback:
         self.shear = self.drive = np.zeros(len(display.contactors))
 
     def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
-        """Go over to other textures from the next frame on, between which envelopes ramp."""
+        """Change to other textures from the next frame on, to which the envelopes ramp.
+
+        Parameters
+        ----------
+        layers : sequence of (SpectrumRenderer, float)
+            Textures, each with its gain; textures for samples are ignored.
+        """
         self._playing = [(t, gain) for t, gain in layers if isinstance(t, SpectrumRenderer)]
 
     def fade_in(self) -> None:
-        """Begin with a frame of nothing."""
+        """Begin with a frame of 0 V."""
         self._rise = 0.0
 
     def due(self, position: int) -> Floats:
-        """Return the times on the way to the next frame (S,) [s], its own the last."""
+        """Return the times of a stretch that ends with the next frame.
+
+        Parameters
+        ----------
+        position : int
+            Position of the stretch [samples].
+
+        Returns
+        -------
+        (S,) array of float
+            Times in the host's clock; the last is that of the frame [s].
+        """
         end = self._bus.due(position + self.spacing)
         steps = np.arange(self.spacing // BLOCK)[::-1]
         return np.asarray(end - steps * (BLOCK / self._rate))
 
     def asked(self, position: int) -> float:
-        """Return when the bus wants the frame at the end of a stretch [s]."""
+        """Return the time at which the bus wants the frame at the end of a stretch.
+
+        Parameters
+        ----------
+        position : int
+            Position of the stretch [samples].
+
+        Returns
+        -------
+        float
+            Time in the host's clock [s].
+        """
         return self._bus.due(position) - self._bus.ahead
 
     def write(self, position: int, place: Floats, force: Floats, waves: Singles | None) -> None:
-        """Render the frame at the end of a stretch and play it."""
-        at = position + self.spacing
+        """Render the frame at the end of a stretch and write it to the bus.
+
+        Parameters
+        ----------
+        position : int
+            Position of the stretch [samples].
+        place : (S, 2) array of float
+            Positions of the finger [m].
+        force : (S,) array of float
+            Normal forces [N].
+        waves : (S, N) array of float32 or None
+            Ignored.
+        """
+        frame_position = position + self.spacing
         step = min(8, len(place) - 1)
         velocity = (place[-1] - place[-1 - step]) * self._rate / (BLOCK * max(step, 1))
         lines = np.zeros((self._display.channels, len(self._carriers)), np.complex128)
         total = np.zeros((len(self._display.contactors), len(self._carriers)), np.complex128)
         for texture, gain in self._playing:
-            texture.sample = at
+            texture.sample = frame_position
             total += gain * self._rise * texture.unlimited(place[-1], velocity, float(force[-1]))
         total = self._limiter(total)
         lines[self._display.channel] = total
-        self._bus.write_frame(DriveFrame(at, lines))
+        self._bus.write_frame(DriveFrame(frame_position, lines))
         self._rise = 1.0
         self.drive = np.asarray(np.abs(total).sum(axis=1))
 
     def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
-        """Use a texture once, so that its memory is there."""
+        """Use a texture once, so that its memory is allocated.
+
+        Parameters
+        ----------
+        texture : RealizedLayer or SpectrumRenderer
+            Texture to use; one for samples is ignored.
+        """
         if isinstance(texture, SpectrumRenderer):
             texture.unlimited(np.zeros(2), np.zeros(2), 0.0)
 
     def flush(self) -> None:
-        """Set the idle bus to the carriers; there is nothing that would be heard later."""
+        """Set the idle bus to the carriers; nothing of what was played before can sound later."""
         self._bus.tune(self._carriers)
 
     @property
     def limited(self) -> int:
-        """Frames that were turned down."""
+        """Number of frames that were turned down."""
         return self._limiter.limited_frames
 
 
 @dataclass
 class PlaybackLoop:
-    """Plays one display on its bus.
+    """Loop that plays one display on its bus.
 
     Parameters
     ----------
-    display, bus, memory : what plays, on what, and what it shares with the server
-    gain : of the display, over that of each client
-    worn : whether the finger stays on the display though it touches nothing
-    clock : the host's, by which blocks are due
+    display : Display
+        Display to play.
+    bus : Bus
+        Bus of the display.
+    memory : Shared
+        Memory shared with the server.
+    gain : float
+        Gain of the display, on top of that of each client.
+    worn : bool
+        Whether the finger stays on the display although it touches nothing.
+    clock : Clock
+        Clock of the host, in which blocks are due.
+
+    Attributes
+    ----------
+    textures : dict of int to RealizedLayer or SpectrumRenderer
+        Textures that are ready, by number.
+    voices : dict of int to Voice
+        Voice of each client.
+    rendering : SamplePlayback or FramePlayback
+        Rendering for the kind of link.
+    tracker : ContactTracker
+        Tracker of the finger.
+    report : PlaybackReport
+        Report to the server.
     """
 
     display: Display
@@ -213,7 +374,7 @@ class PlaybackLoop:
     def __post_init__(self) -> None:
         rendering = SamplePlayback if self.bus.frames is None else FramePlayback
         self.rendering: SamplePlayback | FramePlayback = rendering(self.display, self.bus)
-        ContactTracker().at(np.zeros(BLOCK), 0.0)  # what is used first takes long
+        ContactTracker().at(np.zeros(BLOCK), 0.0)  # the first call is slow: make it before playing
         self.tracker = ContactTracker()
         self.report = PlaybackReport(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
@@ -222,21 +383,46 @@ class PlaybackLoop:
         self._air = Ramp(step, 1.0 if self.worn else IN_AIR)
         self._touching = self.worn
 
-    # What the server tells
+    # Orders of the server
 
     def keep(self, number: int, texture: RealizedLayer | SpectrumRenderer) -> None:
-        """Have a texture ready under a number, also for its first block."""
+        """Keep a texture ready under a number, and prepare it for its first block.
+
+        Parameters
+        ----------
+        number : int
+            Number of the texture.
+        texture : RealizedLayer or SpectrumRenderer
+            Texture realized for the display.
+        """
         self.textures[number] = texture
         self.rendering.touch(texture)
 
     def voice(self, client: int) -> Voice:
-        """Return a client's voice."""
+        """Return the voice of a client, which is created if there is none.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+
+        Returns
+        -------
+        Voice
+            Voice of the client.
+        """
         if client not in self.voices:
             self.voices[client] = Voice(self._rate, len(self.display.contactors))
         return self.voices[client]
 
     def forget(self, client: int) -> None:
-        """Fade out all that is a client's."""
+        """Fade out everything that a client plays.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
         voice = self.voices.get(client)
         if voice is not None:
             voice.queue.clear()
@@ -245,7 +431,13 @@ class PlaybackLoop:
             self.refresh(client)
 
     def refresh(self, client: int) -> None:
-        """Play what the client has selected, where the finger is its."""
+        """Play the textures that a client has selected, if the finger belongs to it.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
         if client != self._client:
             return
         voice = self.voices.get(client)
@@ -254,12 +446,12 @@ class PlaybackLoop:
         self.rendering.play([(self.textures[n], g * gain) for n, g in layers if n in self.textures])
 
     def arm(self) -> None:
-        """Start the bus, at 0 V and in silence: no wave of before goes on.
+        """Start the bus, at 0 V and in silence: no earlier wave continues.
 
         Raises
         ------
         BusError
-            Where the amplifier does not start.
+            If the amplifier does not start.
         """
         self.bus.stop()
         self.rendering.flush()
@@ -300,7 +492,7 @@ class PlaybackLoop:
         except BusStateError:
             if self.running:
                 raise
-            return  # an e-stop or a fault came since the look at the bus: nothing to play
+            return  # an e-stop or a fault came since the state was read: nothing to play
         due = self.bus.due(position + self.rendering.first)
         self.memory.write_trace(BlockTrace(position, self.memory.contacts_read, now, due))
         if arrival is not None:
@@ -312,7 +504,7 @@ class PlaybackLoop:
             self.write_report()
 
     def _catch_up(self, now: float) -> None:
-        """Where it was held up, go on at what is due by now."""
+        """Continue with the block that is due now, if the loop was delayed."""
         late = now - self.rendering.asked(self._position)
         if late > (LATENESS * self.bus.ahead or HELD_UP):
             spacing = self.rendering.spacing
@@ -322,7 +514,7 @@ class PlaybackLoop:
             self.rendering.fade_in()
 
     def _take_contacts(self) -> float | None:
-        """Hand contacts on to the tracker; return when the newest of them came [s]."""
+        """Pass contacts to the tracker; return when the newest of them arrived [s]."""
         arrival = None
         for touch in self.memory.contacts():
             velocity = (touch.vx, touch.vy) if touch.has_velocity else None
@@ -336,7 +528,7 @@ class PlaybackLoop:
         return arrival
 
     def _waves(self, count: int) -> Singles | None:
-        """Return the sum of all clients' waves (S, N) [m], of those that a block has time for."""
+        """Return the sum of all clients' waves (S, N) [m] that a block has time for."""
         touching = self.worn or self.tracker.touching
         if touching != self._touching:
             self._touching = touching
@@ -359,7 +551,7 @@ class PlaybackLoop:
         return self._air(np.broadcast_to(total, (count, len(self.display.contactors))))
 
     def write_report(self) -> None:
-        """Tell how it stands."""
+        """Write the state of playback to the shared memory."""
         r, status = self.report, self.bus.status
         r.time = self.clock.now()
         r.state = state_of(status)

@@ -1,7 +1,8 @@
-"""Playback: a trajectory rendered block by block onto a bus.
+"""Offline playback: a trajectory rendered block by block onto a bus.
 
-The stream fades in at its beginning and out at its end. What is handed to the listener is aligned:
-the renderer's delay is taken off, so that a sample's drive, shear, place and time belong together.
+The stream fades in at its beginning and out at its end. What is passed to the listener is aligned:
+the renderer's delay is removed, so that drive, shear, position and time of a sample belong
+together.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,18 +20,27 @@ from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
 
 BLOCK = 64
+"""Largest length of a block [samples]."""
 
 
 @dataclass(frozen=True)
 class PlayedBlock:
-    """What was sent, sample by sample.
+    """Block that was sent, sample by sample.
 
     Attributes
     ----------
-    time : (S,) [s]
-    position, normal_force : (S, 2) [m] and (S,) [N] of the finger
-    drive, shear : (S, N) [V] and [m], as commanded
-    speed : of the finger at the block's end [m/s]
+    time : (S,) array of float
+        Times [s].
+    position : (S, 2) array of float
+        Position of the finger [m].
+    normal_force : (S,) array of float
+        Normal force [N].
+    drive : (S, N) array of float
+        Drive [V].
+    shear : (S, N) array of float
+        Commanded shear [m].
+    speed : float
+        Speed of the finger at the end of the block [m/s].
     """
 
     time: Floats
@@ -55,20 +65,30 @@ def play(
 
     Parameters
     ----------
-    display, renderer, trajectory, bus : what plays what, where, on what; the bus idle
-    sample_rate : of the drive [Hz]
-    listen : called after each block
-    clock : by which to wait for each block's time, on a bus that does not; None to go ahead
+    display : Display
+        Display to play.
+    renderer : Renderer
+        Renderer with the texture.
+    trajectory : Trajectory
+        Path of the finger.
+    bus : Bus
+        Bus of the display, idle.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    listen : callable
+        Function that is called with each played block.
+    clock : Clock, optional
+        Clock to wait for each block's time by, on a bus that does not wait; None to go ahead.
 
     Raises
     ------
     BusError
-        Where the bus fails; the stream is then aborted by the bus's ``with`` block.
+        If the bus fails; its ``with`` block then aborts the stream.
     """
     fade = round(display.limits.fade * sample_rate)
     last = round(trajectory.duration * sample_rate) - fade
     renderer.fade_in()
-    begun, sent = 0.0, 0
+    start_time, sent = 0.0, 0
     delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
     for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
         if sent == max(last, 0):
@@ -76,7 +96,7 @@ def play(
         drive, shear = renderer.block(position, normal_force, shear=True)
         if not sent:  # the first block takes longest
             bus.start()
-            begun = 0.0 if clock is None else clock.now()
+            start_time = 0.0 if clock is None else clock.now()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         _check_estop(bus)
         sent += len(drive)
@@ -84,7 +104,7 @@ def play(
         if played is not None:
             listen(played)
         if clock is not None and not bus.paced:
-            clock.sleep(begun + sent / sample_rate - clock.now())
+            clock.sleep(start_time + sent / sample_rate - clock.now())
     bus.stop()
 
 
@@ -96,18 +116,32 @@ def play_frames(
     *,
     sample_rate: float,
 ) -> int:
-    """Play a trajectory as spectrum frames, on a bus that takes them; return how many.
+    """Play a trajectory as spectrum frames, on a bus that takes them.
 
-    The first frame rises from 0 V, and the last falls to it.
+    The first frame rises from 0 V, and the last one falls to it.
 
     Parameters
     ----------
-    display, renderer, trajectory, bus, sample_rate : as of `play`
+    display : Display
+        Display to play.
+    renderer : SpectrumRenderer
+        Renderer with the texture.
+    trajectory : Trajectory
+        Path of the finger.
+    bus : Bus
+        Bus of the display, idle.
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
+
+    Returns
+    -------
+    int
+        Number of frames.
 
     Raises
     ------
     BusError
-        Where the bus fails.
+        If the bus fails.
     """
     bus.tune(renderer.carriers)
     spacing = renderer.spacing
@@ -128,7 +162,7 @@ def play_frames(
 
 
 def _check_estop(bus: Bus) -> None:
-    """Raise BusError where the rest of what is to be played would be dropped by an e-stop."""
+    """Raise BusError if an e-stop would drop the rest of what is to be played."""
     if bus.state == "estopped":
         raise BusError(f"e-stopped while playing: {bus.status.detail or 'clear it to play again'}")
 
@@ -136,7 +170,7 @@ def _check_estop(bus: Bus) -> None:
 def _blocks(
     trajectory: Trajectory, sample_rate: float, extra: int, cut: int
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the trajectory's blocks, with an edge where the fade begins."""
+    """Yield the blocks of the trajectory, with a boundary where the fade begins."""
     start = 0
     for position, normal_force in trajectory.blocks(sample_rate, BLOCK, extra=extra):
         at = cut - start
@@ -148,7 +182,7 @@ def _blocks(
 
 
 class _Delayed:
-    """Holds places back until their drive and shear come out of the renderer."""
+    """Delay line of positions, until their drive and shear come out of the renderer."""
 
     def __init__(self, begin: float, sample_rate: float, delay: int) -> None:
         self._begin, self._rate, self._delay = begin, sample_rate, delay
@@ -158,6 +192,7 @@ class _Delayed:
     def __call__(
         self, position: Floats, normal_force: Floats, drive: Floats, shear: Floats
     ) -> PlayedBlock | None:
+        """Add a block; return the samples whose output has come, None if there are none."""
         touch = np.concatenate([self._touch, np.column_stack([position, normal_force])])
         early = min(max(-self._count, 0), len(drive))
         count = len(drive) - early
@@ -176,5 +211,6 @@ class _Delayed:
         )
 
     def _speed(self, place: Floats, at: int) -> float:
+        """Return the speed [m/s] at a sample, from its neighbors."""
         before, after = max(at - 1, 0), min(at + 1, len(place) - 1)
         return float(np.hypot(*(place[after] - place[before]))) * self._rate / (after - before)

@@ -1,4 +1,4 @@
-"""What a process asks of the system, so that it is never late; what it did not get it says."""
+"""Real-time privileges of a process, so that it is never late; refusals are reported."""
 
 import ctypes
 import gc
@@ -8,17 +8,17 @@ from contextlib import suppress
 from pathlib import Path
 
 PRIORITY = 10
-"""Of SCHED_FIFO: above all that is ordinary, below the kernel's own threads (50)."""
+"""Priority under SCHED_FIFO: above all ordinary threads, below the kernel's own (50)."""
 CURRENT, FUTURE = 1, 2
-"""Of mlockall."""
+"""Flags MCL_CURRENT and MCL_FUTURE of mlockall."""
 SWITCH = 2e-4
-"""s after which a thread of Python's has to let another have its turn; 5 ms by default."""
+"""Interval after which a Python thread has to yield to another [s]; 5 ms by default."""
 
 
 def shorten_collections() -> None:
-    """Have Python's garbage collector look no more at the objects that there are now.
+    """Exempt all present objects from Python's garbage collector.
 
-    Else each full collection goes through all that was ever imported, and all threads stand still
+    Otherwise each full collection visits everything that was ever imported, and all threads stop
     for some 50 to 90 ms.
     """
     gc.collect()
@@ -26,9 +26,15 @@ def shorten_collections() -> None:
 
 
 def prepare() -> tuple[str, ...]:
-    """Ask for all of it, for the threads there are and will be; return what was not granted.
+    """Request real-time privileges for all present and future threads.
 
-    Memory is collected no more by itself, priority is real-time, memory is locked.
+    Automatic garbage collection is switched off, the priority is made real-time, and memory is
+    locked.
+
+    Returns
+    -------
+    tuple of str
+        One line for each privilege that was refused, with its remedy.
     """
     sys.setswitchinterval(SWITCH)
     shorten_collections()
@@ -42,7 +48,13 @@ def prepare() -> tuple[str, ...]:
 
 
 def urge() -> bool:
-    """Give real-time priority to all threads of this process; tell whether that is allowed."""
+    """Give real-time priority to all threads of this process.
+
+    Returns
+    -------
+    bool
+        Whether the system allows it.
+    """
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
@@ -55,6 +67,7 @@ def urge() -> bool:
 
 
 def _lock() -> bool:
+    """Lock all memory of the process; return whether the system allows it."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         return bool(libc.mlockall(CURRENT | FUTURE) == 0)

@@ -1,12 +1,12 @@
-"""The program that plays one display: it reads orders, plays, and answers.
+"""Program that plays one display: it reads orders, plays, and answers.
 
-It is a process of its own, so that nothing that a server does holds up a block. Its standard input
-is the server's pipe: where that ends, for whatever reason, it fades out, disarms and exits. What
-it writes never holds it up: answers wait in a queue of their own thread.
+It is a process of its own, so that nothing that the server does delays a block. Its standard input
+is a pipe from the server. If that ends, for whatever reason, the program fades out, disarms and
+exits. Writing never delays it: answers wait in a queue that has its own thread.
 
 Another thread watches the latch and the server's signs of life, also while the loop waits for the
-amplifier: an e-stop goes to the bus at once, and a server that is silent for `SILENCE` is one that
-could not stop what plays, so all fades and high voltage goes off.
+amplifier. An e-stop goes to the bus at once. A server that is silent for `SILENCE` could not stop
+what plays, so that everything fades and the high voltage goes off.
 """
 
 import os
@@ -22,6 +22,7 @@ from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tactile.bus.base import Bus
+from tactile.bus.registry import with_default_option
 from tactile.devices import open_bus
 from tactile.errors import BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
@@ -32,41 +33,47 @@ from tactile.playback.shared_memory import Shared
 from tactile.playback.silence import SilenceTimer
 
 IDLE = 20e-3
-"""s between looks at orders while nothing plays."""
+"""Interval between looks at the orders while nothing plays [s]."""
 WATCH = 5e-3
-"""s between looks at the latch and at the server's signs of life."""
+"""Interval between looks at the latch and at the server's signs of life [s]."""
 SILENCE = 0.15
-"""s without a sign of life of the server after which all fades and is disarmed."""
+"""Time without a sign of life of the server after which all fades and is disarmed [s]."""
 MOST_ORDERS = 8
-"""Orders that are obeyed between two blocks, so that many of them hold up none (100 µs each)."""
+"""Largest number of orders that are executed between two blocks, so that many of them delay none
+(100 µs each)."""
 WAITING = 256
-"""Answers and news that wait to be written; more are dropped, since nobody reads them."""
+"""Largest number of answers and news that wait to be written; more are dropped, since nobody reads
+them."""
 PATIENCE = 0.1
-"""s that what is left to say may take at the end."""
+"""Time that remaining answers may take at the end [s]."""
 
 
 class Program:
-    """Obeys the server.
+    """Executor of the server's orders.
 
     Parameters
     ----------
-    player : what it plays with
-    latch : the display's e-stop latch
-    say : takes answers and news, and never waits
+    player : PlaybackLoop
+        Loop that plays the display.
+    latch : Latch
+        E-stop latch of the display.
+    say : callable
+        Function that sends answers and news, and never waits.
     """
 
     def __init__(
         self, player: PlaybackLoop, latch: Latch, say: Callable[[Answer | News], None]
     ) -> None:
-        self._player, self._latch, self._say = player, latch, say
+        self._player, self._latch, self._send = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
-        self._news = threading.Event()
+        self._wake = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
-        self._bus_estops = player.bus.estops if latch.holds else 0  # it is e-stopped for that one
+        # If an e-stop holds, the bus has been e-stopped for that one.
+        self._bus_estops = player.bus.estops if latch.holds else 0
         self._beats, self._silence = 0, SilenceTimer(longest_step=2 * WATCH)
-        self._forsaken = self._ended = False
-        self._told = "", "disarmed", "up"
+        self._server_silent = self._ended = False
+        self._sent_status = "", "disarmed", "up"
         self._underruns = 0
 
     def run(self) -> None:
@@ -74,43 +81,57 @@ class Program:
         try:
             while not self._ended:
                 if not self.turn():
-                    self._player.clock.wait(self._news, IDLE)
-                    self._news.clear()
+                    self._player.clock.wait(self._wake, IDLE)
+                    self._wake.clear()
         finally:
             self._player.bus.close()
 
     def take(self, number: int, order: Order) -> None:
-        """Take an order, from any thread."""
+        """Queue an order, from any thread.
+
+        Parameters
+        ----------
+        number : int
+            Number of the order.
+        order : Order
+            Order to execute.
+        """
         self._orders.append((number, order))
-        self._news.set()
+        self._wake.set()
 
     def end(self) -> None:
-        """Let `run` end, from any thread."""
+        """Let `run` return, from any thread."""
         self._ended = True
-        self._news.set()
+        self._wake.set()
 
     def turn(self) -> bool:
-        """Obey, and play a block; return whether there are more to play."""
+        """Execute orders and play a block.
+
+        Returns
+        -------
+        bool
+            Whether there is more to do at once.
+        """
         player = self._player
         self.look_at_latch()
         for _ in range(min(len(self._orders), MOST_ORDERS)):
-            self._obey(*self._orders.popleft())
-        if self._forsaken and player.running:
+            self._answer(*self._orders.popleft())
+        if self._server_silent and player.running:
             player.disarm()
-            self._say(News("disarmed", f"the server was silent for {SILENCE:g} s"))
+            self._send(News("disarmed", f"the server was silent for {SILENCE:g} s"))
         if player.running:
             player.step()
             if player.report.blocks % 16 == 0:
-                self._tell_changes()
+                self._send_changes()
         else:
             player.write_report()
-            self._tell_changes()
+            self._send_changes()
         return player.running or bool(self._orders)
 
-    # What another thread does
+    # Methods that another thread calls
 
     def watch(self) -> None:
-        """Look at the latch and at the server's signs of life until the end, in another thread."""
+        """Watch the latch and the server's signs of life until the end, in another thread."""
         clock = self._player.clock
         looked = clock.now()
         try:
@@ -119,45 +140,54 @@ class Program:
                 self.look_at_latch()
                 before, looked = looked, clock.now()
                 self.look_at_server(looked - before)
-        finally:  # also where an amplifier cannot be e-stopped: its watchdog takes it to 0 V
+        finally:  # also if an amplifier cannot be e-stopped: its watchdog takes it to 0 V
             self.end()
 
     def look_at_latch(self) -> None:
-        """Stop at once where there is a new e-stop, and latch one that the amplifier tells of."""
+        """Stop at once for a new e-stop, and latch one that the amplifier reports."""
         with self._stopping:
             bus, holds = self._player.bus, self._latch.holds
-            if bus.estops != self._bus_estops:  # who pressed a button, or another host
+            if bus.estops != self._bus_estops:  # from a button or another host
                 self._bus_estops = bus.estops
                 why = bus.status.detail or "no reason known"
                 self._estop = self._latch.trip(f"by the amplifier: {why}")
             elif holds and holds != self._estop:
                 before = bus.estops
                 bus.estop()
-                self._bus_estops += min(bus.estops - before, 1)  # one more is the amplifier's own
+                # A second e-stop within the call is the amplifier's own, left for the next look.
+                self._bus_estops += min(bus.estops - before, 1)
                 self._estop = holds
 
     def look_at_server(self, passed: float) -> None:
-        """See whether the server still gives signs of life, a time after the last look [s]."""
+        """Check whether the server still gives signs of life.
+
+        Parameters
+        ----------
+        passed : float
+            Time since the last look [s].
+        """
         beats, before = self._player.memory.beats, self._beats
         self._beats = beats
-        self._forsaken = self._silence.look(passed, sign=beats != before) > SILENCE
-        if self._forsaken:
-            self._news.set()
+        self._server_silent = self._silence.look(passed, sign=beats != before) > SILENCE
+        if self._server_silent:
+            self._wake.set()
 
     # Orders
 
-    def _obey(self, number: int, order: Order) -> None:
+    def _answer(self, number: int, order: Order) -> None:
+        """Execute an order, and send its result or failure."""
         try:
-            value = self._do(order)
+            value = self._execute(order)
         except (TactileError, ValueError) as error:
-            self._say(Answer(number, failure=str(error)))
-        except Exception as error:  # playing goes on, whatever was wrong with an order
+            self._send(Answer(number, failure=str(error)))
+        except Exception as error:  # playback continues, whatever was wrong with an order
             traceback.print_exc()
-            self._say(Answer(number, failure=f"playback failed: {error!r}"))
+            self._send(Answer(number, failure=f"playback failed: {error!r}"))
         else:
-            self._say(Answer(number, value))
+            self._send(Answer(number, value))
 
-    def _do(self, order: Order) -> tuple[float, ...]:
+    def _execute(self, order: Order) -> tuple[float, ...]:
+        """Execute an order; return its result."""
         player = self._player
         match order:
             case commands.Keep():
@@ -181,8 +211,8 @@ class Program:
             case commands.Forget():
                 player.forget(order.client)
             case commands.StartBus():
-                self._may_arm()
-                if not player.running:  # else it would silence what others play
+                self._check_may_arm()
+                if not player.running:  # arming would silence what others play
                     player.arm()
             case commands.StopBus():
                 player.disarm()
@@ -190,65 +220,69 @@ class Program:
                 self._clear(order.estop)
         return ()
 
-    def _may_arm(self) -> None:
-        """Refuse to arm while an e-stop holds, or the server could not stop what plays.
+    def _check_may_arm(self) -> None:
+        """Refuse to arm while an e-stop holds, or while the server could not stop what plays.
 
         Raises
         ------
         BusStateError
-            Where that is so.
+            If that is so.
         """
         if self._latch.holds:
             raise BusStateError(f"e-stop {self._latch.holds} holds, {self._latch.reason}")
-        if self._forsaken:
+        if self._server_silent:
             raise BusStateError(f"the server was silent for {SILENCE:g} s")
 
     def _clear(self, estop: int) -> None:
-        """Make the device ready after an e-stop, unless a newer one holds.
+        """Clear the device after an e-stop, unless a newer one holds.
 
         Raises
         ------
         BusError
-            Where the device refuses, or a newer e-stop holds.
+            If the device refuses, or a newer e-stop holds.
         """
         self.look_at_latch()
         if self._latch.holds == estop:
             self._player.bus.clear()
             self._player.write_report()
-        if self._latch.holds not in (0, estop):  # 0: another clear of the same came before
+        if self._latch.holds not in (0, estop):  # 0: another order has cleared the same before
             raise BusStateError(f"e-stop {self._latch.holds} holds, not {estop}")
 
     def _append(self, order: commands.Wave) -> tuple[float, ...]:
+        """Queue samples; return how many were taken, and the time of those that wait [s]."""
         waves = self._player.voice(order.client).queue
         if not order.append:
             waves.clear()
         taken = waves.append(order.samples, order.sample_rate, order.contactors)
         return float(taken), waves.waiting
 
-    # What there is to say
+    # News
 
-    def _tell_changes(self) -> None:
-        """Tell of another state but e-stops, another line of trouble, and underruns."""
+    def _send_changes(self) -> None:
+        """Send news of another state but e-stops, of trouble, and of underruns."""
         status, counters = self._player.bus.status, self._player.bus.counters
         state = state_of(status)
-        told, self._told = self._told, (status.detail, state, status.link)
-        if state != told[1] and state != "estopped":
-            self._say(News(state, status.detail))
-        if status.link != told[2]:
-            self._say(News("link", status.detail or f"the link is {status.link}"))
-        elif status.detail and status.detail != told[0]:
-            self._say(News("fault", status.detail))
+        before, self._sent_status = self._sent_status, (status.detail, state, status.link)
+        if state != before[1] and state != "estopped":
+            self._send(News(state, status.detail))
+        if status.link != before[2]:
+            self._send(News("link", status.detail or f"the link is {status.link}"))
+        elif status.detail and status.detail != before[0]:
+            self._send(News("fault", status.detail))
         if counters.underruns > self._underruns:
-            self._say(News("underrun", f"{counters.underruns - self._underruns} more"))
+            self._send(News("underrun", f"{counters.underruns - self._underruns} more"))
             self._underruns = counters.underruns
 
 
 class Pipe:
-    """The server's end of a playback process: orders come in, answers and news go out.
+    """Connection of a playback process to the server: orders come in, answers and news go out.
 
     Parameters
     ----------
-    orders, answers : files to read and to write
+    orders : file
+        File to read orders from.
+    answers : file
+        File to write answers and news to.
     """
 
     def __init__(self, orders: BinaryIO, answers: BinaryIO) -> None:
@@ -256,16 +290,29 @@ class Pipe:
         self._waiting: queue.Queue[Answer | News] = queue.Queue(WAITING)
 
     def say(self, what: Answer | News) -> None:
-        """Have something written; drop it where nobody reads."""
+        """Queue a message to be written; it is dropped if nobody reads.
+
+        Parameters
+        ----------
+        what : Answer or News
+            Message to write.
+        """
         with suppress(queue.Full):
             self._waiting.put_nowait(what)
 
     def begin(self, program: Program) -> None:
-        """Hand orders to a program and write what it says, each in a thread of its own."""
+        """Pass orders to a program and write its messages, each in a thread of its own.
+
+        Parameters
+        ----------
+        program : Program
+            Program that executes the orders.
+        """
         for work in (self._read, self._write):
             threading.Thread(target=work, args=(program,), name="tactile-talk", daemon=True).start()
 
     def _read(self, program: Program) -> None:
+        """Read orders until the server is gone, then end the program."""
         try:
             while True:
                 program.take(*pickle.load(self._orders))
@@ -275,10 +322,11 @@ class Pipe:
             program.end()
 
     def _write(self, program: Program) -> None:
+        """Write messages until the server is gone, then end the program."""
         while True:
-            what = self._waiting.get()
+            message = self._waiting.get()
             try:
-                self._answers.write(pickle.dumps(what, protocol=5))
+                self._answers.write(pickle.dumps(message, protocol=5))
                 self._answers.flush()
             except (OSError, ValueError):
                 program.end()
@@ -287,26 +335,43 @@ class Pipe:
                 self._waiting.task_done()
 
     def flush(self, seconds: float) -> None:
-        """Wait for a while until all is written."""
-        waited = threading.Thread(target=self._waiting.join, daemon=True)
-        waited.start()
-        waited.join(seconds)
+        """Wait until everything is written.
+
+        Parameters
+        ----------
+        seconds : float
+            Longest time to wait [s].
+        """
+        joining = threading.Thread(target=self._waiting.join, daemon=True)
+        joining.start()
+        joining.join(seconds)
 
 
 def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
-    """Open a bus; return it and how it plays.
+    """Open the bus of a display.
 
     Parameters
     ----------
-    setup : what the server says of the device and its display
+    setup : Setup
+        Device and display, as the server describes them.
+
+    Returns
+    -------
+    bus : Bus
+        Open bus.
+    how : DeviceOpened
+        How the device plays.
 
     Raises
     ------
     TactileError
-        Where it cannot be.
+        If the device cannot be opened.
     """
+    device = setup.device
+    if setup.rearm:
+        device = with_default_option(device, "rearm", "true")
     bus = open_bus(
-        setup.device, setup.display,
+        device, setup.display,
         sample_rate=setup.sample_rate, accept_unsafe_hold=setup.accept_unsafe_hold,
     )  # fmt: skip
     frames = bus.frames
@@ -319,7 +384,7 @@ def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
 
 
 def main() -> None:
-    """Play as the server says on standard input."""
+    """Play as the server orders on standard input."""
     inward: Any = os.fdopen(os.dup(0), "rb", buffering=1 << 16)
     outward: Any = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -350,8 +415,9 @@ def main() -> None:
             program.run()
         finally:
             pipe.flush(PATIENCE)
-    os._exit(0)  # at once: nothing that was frozen is taken to pieces
+    os._exit(0)  # at once: frozen objects are not deallocated one by one
 
 
 def _fields(how: DeviceOpened) -> tuple[float, int, float, float]:
+    """Return the fields of a reply without the refused privileges."""
     return how.sample_rate, how.carriers, how.frame_rate, how.latency

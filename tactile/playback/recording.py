@@ -1,7 +1,7 @@
-"""A recording of played drive and shear as one ``.npz``, streamed to disk as it grows.
+"""Recording of played drive and shear as one ``.npz``, streamed to disk as it grows.
 
-Each array goes to a file of its own beside the target and all are packed at the end, so that memory
-stays flat and the target appears whole or not at all.
+Each array goes to a file of its own beside the target, and all are packed at the end, so that
+memory stays flat and the target appears whole or not at all.
 """
 
 import os
@@ -18,22 +18,26 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 
 COPY = 1 << 20
+"""Size of the pieces in which arrays are copied [bytes]."""
 
 
 class Recorder:
-    """Writes arrays that grow along their first axis.
+    """Writer of arrays that grow along their first axis.
 
-    Use as a context manager: left without an error it makes the file, otherwise nothing.
+    Use it as a context manager: leaving it without an exception makes the file, otherwise there is
+    none.
 
     Parameters
     ----------
-    path : of the ``.npz`` to write
-    constants : arrays that do not grow
+    path : str or Path
+        ``.npz`` file to write.
+    **constants : array of float or float
+        Arrays that do not grow, by name.
 
     Raises
     ------
     InputError
-        Where the folder is not there or cannot be written.
+        If the folder does not exist or cannot be written.
     """
 
     def __init__(self, path: str | Path, **constants: NDArray[np.float64] | float) -> None:
@@ -48,7 +52,18 @@ class Recorder:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
     def add(self, **arrays: Floats) -> None:
-        """Append rows to each array; every call names the same ones."""
+        """Append rows to each array.
+
+        Parameters
+        ----------
+        **arrays : array of float
+            Rows to append, by name; every call gives the same names.
+
+        Raises
+        ------
+        InputError
+            If the disk cannot be written.
+        """
         for name, array in arrays.items():
             rows, *rest = self._shapes.get(name, (0, *array.shape[1:]))
             self._shapes[name] = (rows + len(array), *rest)
@@ -76,9 +91,11 @@ class Recorder:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _unwritable(self, error: OSError) -> InputError:
+        """Return the exception for a file that cannot be written."""
         return InputError(f"{self._path}: cannot be written: {error.strerror or error}")
 
     def _pack(self) -> None:
+        """Write all arrays to one archive, and move it to the target."""
         whole = self._folder / "whole.npz"
         with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
             for name, constant in self._constants.items():

@@ -1,4 +1,4 @@
-"""A whole run: display, texture, path and device brought together, played, judged and recorded."""
+"""Complete run: a texture played along a path on a device, judged and recorded."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -28,12 +28,53 @@ from tactile.texture.surface import Texture
 
 @dataclass
 class Summary:
-    """What came of a run; keys carry their units.
+    """Result of a run; the names carry the units.
 
-    ``signal_to_error_db`` is played against commanded shear in 20–1000 Hz, on a simulated display;
-    ``attainable_um`` the peak shear that full drive attains at the worst frequency to 1000 Hz.
-    ``frames`` counts those of a link that takes spectrum frames; what samples would tell is then
-    not known, and limited and invalid are frames. ``status`` says what is wrong with the link.
+    Attributes
+    ----------
+    texture : str
+        Name of the texture.
+    display : str
+        Name of the display.
+    device : str
+        URL of the bus.
+    gain : float
+        Gain of the texture.
+    sample_rate_hz : float
+        Sample rate of the drive.
+    seconds : float
+        Duration.
+    samples : int
+        Number of samples that were played.
+    frames : int
+        Number of frames on a link that takes spectrum frames. What only samples tell is then not
+        known, and limited and invalid samples are numbers of frames.
+    peak_drive_v : float
+        Peak drive.
+    voltage_limit_v : float
+        Voltage limit of the drive.
+    rms_shear_um : float
+        Root mean square of the commanded shear.
+    peak_shear_um : float
+        Peak of the commanded shear.
+    attainable_um : float
+        Peak shear that full drive attains at the worst frequency up to 1000 Hz.
+    equalizer_error_db : float
+        Largest error of the inverse filter in the band.
+    limited_samples : int
+        Number of samples that the limiter turned down.
+    invalid_samples : int
+        Number of samples that were not finite or out of range.
+    signal_to_error_db : float or None
+        Played against commanded shear in 20–1000 Hz, on a simulated display.
+    peak_current_ma : float or None
+        Peak current, on a simulated display.
+    status : str
+        What is wrong with the link; empty if nothing is.
+    faults : dict of str to int
+        Counts of the link's faults.
+    recording : str or None
+        File of the recording.
     """
 
     texture: str
@@ -59,12 +100,18 @@ class Summary:
     recording: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the summary as plain data.
+
+        Returns
+        -------
+        dict of str to object
+            Fields by name.
+        """
         return asdict(self)
 
 
 class _Run:
-    """Takes the blocks as they are played and keeps account of them."""
+    """Bookkeeping of the blocks of a run as they are played."""
 
     def __init__(
         self,
@@ -86,11 +133,17 @@ class _Run:
         self._fidelity = Fidelity(rate)
         self._preroll = delay
         self._waiting: list[PlayedBlock] = []
-        self._felt = np.zeros((0, 0))
+        self._skin_shear = np.zeros((0, 0))
         self._square = 0.0
 
     def account(self, block: PlayedBlock) -> None:
-        """Count a block in."""
+        """Count a block in.
+
+        Parameters
+        ----------
+        block : PlayedBlock
+            Block that was played.
+        """
         s = self.summary
         s.samples += len(block.time)
         s.peak_drive_v = max(s.peak_drive_v, float(np.abs(block.drive).max()))
@@ -98,22 +151,35 @@ class _Run:
         self._square += float(np.mean(block.shear**2, axis=1).sum())
 
     def paired(self, block: PlayedBlock | None) -> list[tuple[PlayedBlock, Floats | None]]:
-        """Return the blocks whose played shear is known by now, with it."""
+        """Return the blocks whose played shear is known by now, each with that shear.
+
+        Parameters
+        ----------
+        block : PlayedBlock or None
+            New block, if there is one.
+
+        Returns
+        -------
+        list of (PlayedBlock, (S, N) array of float or None)
+            Blocks with the shear of the skin [m]; None on a device that is not simulated.
+        """
         if self._simulated is None:
             return [] if block is None else [(block, None)]
         if block is not None:
             self._waiting.append(block)
-        felt = self._simulated.take_shear()
-        skipped = min(self._preroll, len(felt))
+        shear = self._simulated.take_shear()
+        skipped = min(self._preroll, len(shear))
         self._preroll -= skipped
-        self._felt = np.concatenate([self._felt.reshape(-1, felt.shape[1]), felt[skipped:]])
+        self._skin_shear = np.concatenate(
+            [self._skin_shear.reshape(-1, shear.shape[1]), shear[skipped:]]
+        )
         pairs: list[tuple[PlayedBlock, Floats | None]] = []
-        while self._waiting and len(self._felt) >= len(self._waiting[0].time):
-            done = self._waiting.pop(0)
-            count = len(done.time)
-            self._fidelity.add(done.shear, self._felt[:count])
-            pairs.append((done, self._felt[:count]))
-            self._felt = self._felt[count:]
+        while self._waiting and len(self._skin_shear) >= len(self._waiting[0].time):
+            block_played = self._waiting.pop(0)
+            count = len(block_played.time)
+            self._fidelity.add(block_played.shear, self._skin_shear[:count])
+            pairs.append((block_played, self._skin_shear[:count]))
+            self._skin_shear = self._skin_shear[count:]
         return pairs
 
     def play(
@@ -125,7 +191,21 @@ class _Run:
         *,
         realtime: bool,
     ) -> None:
-        """Play to the end, and account for it."""
+        """Play to the end, and complete the summary.
+
+        Parameters
+        ----------
+        display : Display
+            Display to play.
+        renderer : Renderer
+            Renderer with the texture.
+        trajectory : Trajectory
+            Path of the finger.
+        watch : callable or None
+            Function that is called with each block and the renderer.
+        realtime : bool
+            Whether to play in step with the clock.
+        """
 
         def listen(block: PlayedBlock) -> None:
             self.account(block)
@@ -144,9 +224,10 @@ class _Run:
         self._finish(renderer)
 
     def _write(self, block: PlayedBlock | None) -> None:
-        for done, felt in self.paired(block):
+        """Record the blocks that are complete by now."""
+        for played, shear in self.paired(block):
             if self._recorder is not None:
-                self._recorder.add(**_rows(done, felt))
+                self._recorder.add(**_rows(played, shear))
 
     def _finish(self, renderer: Renderer) -> None:
         """Complete the summary."""
@@ -182,21 +263,40 @@ def run(
 
     Parameters
     ----------
-    display, texture, trajectory : what plays what, where
-    device : URL of the bus
-    gain : of the texture's displacement
-    sample_rate : of the drive [Hz]; by default what the device chooses
-    seed : of the surface's realization
-    record : ``.npz`` to write: drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
-        contactors_mm and, from a simulated display, shear_played_m
-    watch : called after each block; never, where the device takes spectrum frames
-    realtime : play in step with the clock
-    accept_unsafe_hold : as of `open_bus`
+    display : Display
+        Display to play.
+    texture : Texture
+        Texture to play.
+    trajectory : Trajectory
+        Path of the finger.
+    device : str
+        URL of the bus.
+    gain : float
+        Factor on the texture's displacement.
+    sample_rate : float, optional
+        Sample rate of the drive, by default the choice of the device [Hz].
+    seed : int
+        Seed of the surface's realization.
+    record : Path, optional
+        ``.npz`` file to write, with drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
+        contactors_mm and, from a simulated display, shear_played_m.
+    watch : callable, optional
+        Function that is called with each block and the renderer; not called if the device takes
+        spectrum frames.
+    realtime : bool
+        Whether to play in step with the clock.
+    accept_unsafe_hold : bool
+        As in `open_bus`.
+
+    Returns
+    -------
+    Summary
+        Result of the run.
 
     Raises
     ------
     TactileError
-        For a device or file that cannot be used.
+        If the device or a file cannot be used.
     """
     summary = Summary(
         texture.name, display.name, device, gain, voltage_limit_v=display.limits.voltage
@@ -231,6 +331,7 @@ def _play_frames(
     bus: Bus,
     seed: int,
 ) -> None:
+    """Play on a link that takes spectrum frames, and complete the summary."""
     assert bus.frames is not None
     rate = bus.wiring.sample_rate
     renderer = SpectrumRenderer(
@@ -245,6 +346,7 @@ def _play_frames(
 
 
 def _rows(block: PlayedBlock, felt: Floats | None) -> dict[str, Floats]:
+    """Return the arrays of a block to record, by name."""
     rows = {
         "drive_v": block.drive,
         "shear_target_m": block.shear,

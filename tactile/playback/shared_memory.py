@@ -1,13 +1,13 @@
 """Memory that the server and one playback process share: contacts go one way, a report the other.
 
-Neither ever waits for the other. Contacts are a ring of entries, each with a number that is odd
-while it is written (a sequence lock), so that a reader takes every whole one and knows how many it
-missed. The report is one such entry, the latest. A trace tells which contacts each of the latest
-blocks was rendered from, and when it is put out.
+Neither side ever waits for the other. Contacts are a ring of entries, each with a number that is
+odd while the entry is written (a sequence lock), so that a reader takes only complete entries and
+knows how many it missed. The report is a single such entry, the latest. A trace tells which
+contacts each of the latest blocks was rendered from, and when the block is put out.
 
-On Linux it is a memfd that the child inherits, of which nothing can be left behind; elsewhere a
-file in the folder for temporary ones, which the server removes. A kill at any instant leaves at
-worst one entry unfinished, which no reader takes.
+On Linux the memory is a memfd that the child inherits, which leaves nothing behind; elsewhere it is
+a file in the folder for temporary files, which the server removes. A kill at any instant leaves at
+worst one unfinished entry, which no reader takes.
 """
 
 import mmap
@@ -27,22 +27,30 @@ from numpy.typing import NDArray
 from tactile.bus.base import BusCounters
 
 CONTACTS, TRACES = 256, 8192
-"""Entries of the rings: a quarter of a second at 1 kHz, and 16 s of blocks."""
+"""Lengths of the rings: a quarter of a second of contacts at 1 kHz, and 16 s of blocks
+[entries]."""
 DETAIL = 240
-"""Bytes of its line."""
+"""Space for the line of detail of a report [bytes]."""
 
 
 @dataclass
 class PlaybackCounters(BusCounters):
-    """Counters of one display's playback since it began, besides those of its bus.
+    """Counters of one display's playback since it began, in addition to those of its bus.
 
     Attributes
     ----------
-    limited_samples : samples that the limiter changed, or frames on a link that takes frames
-    late_contacts, invalid_contacts : contacts that came too late or were not finite
-    lost_contacts : contacts that were overwritten before playback read them
-    skipped_samples : positions that playback left out because it was late
-    dropped_waves : blocks of a client's waveforms, and transients, for which there was no time
+    limited_samples : int
+        Number of samples that the limiter changed, or of frames on a link that takes frames.
+    late_contacts : int
+        Number of contacts that came too late.
+    invalid_contacts : int
+        Number of contacts that were not finite or out of range.
+    lost_contacts : int
+        Number of contacts that were overwritten before playback read them.
+    skipped_samples : int
+        Number of positions that playback left out because it was late.
+    dropped_waves : int
+        Number of blocks of a client's waves, and of transients, for which there was no time.
     """
 
     limited_samples: int = 0
@@ -56,26 +64,57 @@ class PlaybackCounters(BusCounters):
 COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
 """Names of the counters, in the order of the report."""
 NUMBER = struct.Struct("<Q")
+"""Format of a count."""
 CONTACT = struct.Struct("<QQddddddd?")
+"""Format of an entry of the ring of contacts: its number and a `Touch`."""
 TRACE = struct.Struct("<QQQdd")
+"""Format of an entry of the ring of traces: its number and a `BlockTrace`."""
 REPORT = struct.Struct(f"<Qd4BQ7d{len(COUNTERS)}Q{DETAIL}s")
+"""Format of the report."""
 HEADS = 64
-"""Bytes before the rings: how many contacts and traces were written, the report's number, and how
-many heartbeats of the server."""
+"""Space before the rings [bytes]: how many contacts and traces were written, the number of the
+report, and the number of heartbeats of the server."""
 AT_CONTACTS = HEADS
+"""Offset of the ring of contacts [bytes]."""
 AT_TRACES = AT_CONTACTS + 128 * CONTACTS
+"""Offset of the ring of traces [bytes]."""
 AT_REPORT = AT_TRACES + 64 * TRACES
+"""Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
+"""Offset of the arrays of shear and drive [bytes]."""
 Ring = tuple[int, int, int, struct.Struct, int]
-"""Where it begins, bytes and number of its entries, their form, and where their count is."""
+"""Offset of a ring, size of an entry [bytes], number of entries, format of an entry, offset of the
+count."""
 CONTACT_RING: Ring = (AT_CONTACTS, 128, CONTACTS, CONTACT, 0)
+"""Ring of the contacts, written by the server."""
 TRACE_RING: Ring = (AT_TRACES, 64, TRACES, TRACE, 8)
+"""Ring of the traces, written by playback."""
 State = Literal["disarmed", "armed", "estopped"]
+"""State of playback."""
 STATES: tuple[State, ...] = get_args(State)
+"""All states, in the order of their codes in the report."""
 
 
 class Touch(NamedTuple):
-    """A contact: of which client, when on the host's clock [s], where [m], how fast and hard."""
+    """Contact of a finger.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client to which the finger belongs.
+    time : float
+        Time at which it was measured, in the host's clock [s].
+    arrival : float
+        Time at which it arrived, in the host's clock [s].
+    x, y : float
+        Position of the finger [m].
+    vx, vy : float
+        Velocity of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+    has_velocity : bool
+        Whether the client gave the velocity.
+    """
 
     client: int
     time: float
@@ -89,7 +128,19 @@ class Touch(NamedTuple):
 
 
 class BlockTrace(NamedTuple):
-    """A block: its position, contacts that had come, when it was rendered and when it is due."""
+    """Trace of a block.
+
+    Attributes
+    ----------
+    position : int
+        Position of the block [samples].
+    contacts : int
+        Number of contacts that had come when it was rendered.
+    time : float
+        Time at which it was rendered, in the host's clock [s].
+    due : float
+        Time at which it is put out, in the host's clock [s].
+    """
 
     position: int
     contacts: int
@@ -99,7 +150,40 @@ class BlockTrace(NamedTuple):
 
 @dataclass
 class PlaybackReport:
-    """What a playback process tells of itself."""
+    """Report of a playback process on itself.
+
+    Attributes
+    ----------
+    blocks : int
+        Number of blocks that were played.
+    time : float
+        Time of the report, in the host's clock [s].
+    state : State
+        State of playback.
+    link : str
+        "up" or "down".
+    running : bool
+        Whether there are blocks to play.
+    touching : bool
+        Whether the finger touches the surface.
+    client : int
+        Number of the client to which the finger belongs.
+    position : tuple of 2 floats
+        Position of the finger [m].
+    velocity : tuple of 2 floats
+        Velocity of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    latency : float
+        Mean time from the arrival of a contact to the output of the first sample that it affects
+        [s].
+    counters : dict of str to int
+        Value of each counter.
+    detail : str
+        One line on what is wrong; empty if nothing is.
+    """
 
     blocks: int = 0
     time: float = 0.0
@@ -118,18 +202,31 @@ class PlaybackReport:
 
 
 class Shared:
-    """The memory, mapped.
+    """Shared memory, mapped into the process.
 
     Parameters
     ----------
-    handle : of the memory, as its creator tells
-    contactors : N
+    handle : str
+        Handle of the memory, from the process that created it.
+    contactors : int
+        Number of contactors, N.
+
+    Attributes
+    ----------
+    handle : str
+        Handle of the memory, "fd:" with a descriptor or "file:" with a path.
+    shear : (N,) array of float32
+        Last commanded shear [m].
+    drive : (N,) array of float32
+        Last drive [V].
+    lost_contacts : int
+        Number of contacts that were overwritten before they were read.
     """
 
     def __init__(self, handle: str, contactors: int) -> None:
         self.handle, kind = handle, handle.partition(":")[0]
-        what = handle.partition(":")[2]
-        descriptor = int(what) if kind == "fd" else os.open(what, os.O_RDWR)
+        target = handle.partition(":")[2]
+        descriptor = int(target) if kind == "fd" else os.open(target, os.O_RDWR)
         size = AT_ARRAYS + 8 * contactors
         self._map = mmap.mmap(descriptor, size)
         if kind != "fd":
@@ -142,7 +239,18 @@ class Shared:
 
     @classmethod
     def create(cls, contactors: int) -> "Shared":
-        """Return new memory, all zero."""
+        """Create memory that is all zero.
+
+        Parameters
+        ----------
+        contactors : int
+            Number of contactors, N.
+
+        Returns
+        -------
+        Shared
+            New memory.
+        """
         size = AT_ARRAYS + 8 * contactors
         if sys.platform == "linux":
             descriptor = os.memfd_create("tactile")
@@ -157,26 +265,26 @@ class Shared:
 
     @property
     def descriptor(self) -> int | None:
-        """What a child has to inherit."""
+        """Descriptor that a child process has to inherit; None for a file."""
         kind, _, number = self.handle.partition(":")
         return int(number) if kind == "fd" else None
 
     def close(self) -> None:
-        """Let go of it; who created it on other systems than Linux removes it by that."""
+        """Release the memory; on systems other than Linux this also removes its file."""
         self.shear = self.drive = np.zeros(0, np.float32)
         with suppress(BufferError):
             self._map.close()
-        kind, _, what = self.handle.partition(":")
+        kind, _, target = self.handle.partition(":")
         with suppress(OSError):
             if kind == "fd":
-                os.close(int(what))
+                os.close(int(target))
             else:
-                Path(what).unlink()
+                Path(target).unlink()
 
     # Signs of life
 
     def beat(self) -> None:
-        """Give a sign of life of the server."""
+        """Count one more sign of life of the server."""
         NUMBER.pack_into(self._map, 24, self.beats + 1)
 
     @property
@@ -187,29 +295,47 @@ class Shared:
     # Contacts
 
     def write_contact(self, touch: Touch) -> int:
-        """Add a contact; return how many there have been."""
+        """Add a contact.
+
+        Parameters
+        ----------
+        touch : Touch
+            Contact to add.
+
+        Returns
+        -------
+        int
+            Number of contacts so far.
+        """
         self._contact = self._put(CONTACT_RING, self._contact, touch)
         return self._contact
 
     def contacts(self) -> Iterator[Touch]:
-        """Yield the contacts that came since the last call."""
+        """Yield the contacts that came since the last call.
+
+        Yields
+        ------
+        Touch
+            Contact that could be read whole; others are counted as lost.
+        """
         head = NUMBER.unpack_from(self._map, 0)[0]
         first = max(self._read, head - CONTACTS + 8)
         self.lost_contacts += first - self._read
         self._read = head
         for n in range(first, head):
-            found = CONTACT.unpack_from(self._map, AT_CONTACTS + 128 * (n % CONTACTS))
-            if found[0] == 2 * n + 2:
-                yield Touch(*found[1:])
+            row = CONTACT.unpack_from(self._map, AT_CONTACTS + 128 * (n % CONTACTS))
+            if row[0] == 2 * n + 2:
+                yield Touch(*row[1:])
             else:
                 self.lost_contacts += 1
 
     @property
     def contacts_read(self) -> int:
-        """How many contacts the reader has seen or missed."""
+        """Number of contacts that the reader has seen or missed."""
         return self._read
 
     def _put(self, ring: Ring, n: int, row: tuple[object, ...]) -> int:
+        """Write entry ``n`` of a ring under its sequence lock; return the number of the next."""
         at, size, slots, form, head = ring
         place = at + size * (n % slots)
         NUMBER.pack_into(self._map, place, 2 * n + 1)
@@ -221,23 +347,48 @@ class Shared:
     # Traces
 
     def write_trace(self, trace: BlockTrace) -> None:
-        """Add a block's trace."""
+        """Add the trace of a block.
+
+        Parameters
+        ----------
+        trace : BlockTrace
+            Trace to add.
+        """
         self._trace = self._put(TRACE_RING, self._trace, trace)
 
     def traces(self, first: int) -> tuple[int, list[BlockTrace]]:
-        """Return the traces from number ``first`` on that are still there, and the next number."""
+        """Return the traces from a number on that are still there.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first trace to return.
+
+        Returns
+        -------
+        next : int
+            Number of the next trace.
+        traces : list of BlockTrace
+            Traces that could be read whole.
+        """
         head = NUMBER.unpack_from(self._map, 8)[0]
-        found = []
+        traces = []
         for n in range(max(first, head - TRACES + 64), head):
             row = TRACE.unpack_from(self._map, AT_TRACES + 64 * (n % TRACES))
             if row[0] == 2 * n + 2:
-                found.append(BlockTrace(*row[1:]))
-        return head, found
+                traces.append(BlockTrace(*row[1:]))
+        return head, traces
 
     # The report
 
     def write_report(self, r: PlaybackReport) -> None:
-        """Replace the report."""
+        """Replace the report.
+
+        Parameters
+        ----------
+        r : PlaybackReport
+            Report to write.
+        """
         self._reported += 1
         NUMBER.pack_into(self._map, 16, 2 * self._reported - 1)
         REPORT.pack_into(
@@ -249,7 +400,15 @@ class Shared:
         NUMBER.pack_into(self._map, 16, 2 * self._reported)
 
     def report(self) -> PlaybackReport:
-        """Return the latest whole report; that of a process that died while it wrote as it is."""
+        """Return the latest complete report.
+
+        If a process died while it wrote the report, the incomplete one is returned.
+
+        Returns
+        -------
+        PlaybackReport
+            Report of the playback process.
+        """
         for _ in range(100):
             before = NUMBER.unpack_from(self._map, 16)[0]
             row = REPORT.unpack_from(self._map, AT_REPORT)

@@ -1,13 +1,13 @@
-"""What clients add to the surface: streamed waveforms and parametric effects, as shear in time.
+"""Waves that clients add to the surface as shear: streamed waveforms and parametric effects.
 
-A `Queue` plays samples as they come, resampled to the drive's rate, one client's after each other;
-what does not fit is not taken, and the client told (XR_FB_haptic_pcm's ``samplesConsumed``). An
-`EffectPlayer` is evaluated block by block from its points (XR_EXT_haptic_parametric). Both are
-within what the limiter lets through like all else.
+A `Queue` plays samples in the order of their arrival, resampled to the rate of the drive. What does
+not fit is not taken, and the client is told so (``samplesConsumed`` of XR_FB_haptic_pcm). An
+`EffectPlayer` evaluates an effect block by block from its points (XR_EXT_haptic_parametric). Both
+pass the limiter like everything else.
 
-All clients together may cost `BLOCK_WORK` in a block. Work is counted before it is done, in
-evaluations of a kernel or a transient at a sample, so that what is played never depends on how busy
-the machine is. Waves that do not fit are silent for the block while their time goes on.
+All clients together may use `BLOCK_WORK` per block. Work is counted before it is done, in
+evaluations of a kernel or of a transient at one sample, so that what is played never depends on the
+load of the machine. Waves that do not fit are silent for the block while their time goes on.
 """
 
 import heapq
@@ -21,55 +21,71 @@ import numpy as np
 from tactile.arrays import Floats, Singles
 
 LONGEST = 1.0
-"""s of samples that wait for one client at most."""
+"""Largest duration of samples that wait for one client [s]."""
 ENDING = 5e-3
-"""s in which what is replaced or ends early falls to nothing."""
+"""Time in which a wave that is replaced or ends early falls to 0 [s]."""
 ZEROS, SHAPE = 8, 7.0
-"""Of the window between samples: 70 dB (Kaiser's β 7)."""
+"""Length of the interpolation window on either side, in zeros of the sinc, and its shape: 70 dB
+(Kaiser's β 7)."""
 _APART = np.linspace(0, ZEROS, 512 * ZEROS + 1)
+"""Distances from the center of the window [zeros]."""
 KERNEL = (
     _APART,
     np.sinc(_APART) * np.i0(SHAPE * np.sqrt(1 - (_APART / ZEROS) ** 2)) / np.i0(SHAPE),
 )
-"""The window times the sinc over distance in zeros; read in straight lines, to 4e-6."""
+"""Window times sinc over the distance in zeros; read with linear interpolation, to 4e-6."""
 MOST_SEGMENTS = 128
-"""Changes of rate or contactors that wait in a queue: with its `LONGEST`, one every 8 ms."""
+"""Largest number of changes of rate or contactors that wait in a queue: within its `LONGEST`, one
+every 8 ms."""
 HOLD = 50e-3
-"""s for which a streamed effect is held after its last point (XR_EXT_haptic_parametric)."""
+"""Time for which a streamed effect is held after its last point (XR_EXT_haptic_parametric) [s]."""
 PLAIN = 160.0
-"""Hz of an effect without a frequency: that of most phones' actuators (assumed)."""
+"""Frequency of an effect that has none, that of most phones' actuators (assumed) [Hz]."""
 PERIODS = 2.0
-"""Of a transient."""
+"""Duration of a transient [periods]."""
 MOST_TRANSIENTS = 16
-"""Of an effect, that sound at once; more are dropped. At 160 Hz, two periods each, these are 1280
-taps a second, more than can be told from a tone (assumed). They cost as much as the rest of it."""
+"""Largest number of transients of an effect that sound at once; more are dropped. At 160 Hz and two
+periods each, these are 1280 taps a second, more than can be told from a tone (assumed). They take
+as much work as the rest of the effect."""
 BLOCK_WORK = 12_000
-"""For the waves of all clients in a block: 0.36 of its 2 ms at 30 ns a unit, as `python -m
-benchmarks waves` measures it."""
+"""Work for the waves of all clients in a block: 0.36 ms of its 2 ms at 30 ns a unit, as measured by
+`python -m benchmarks waves`."""
 EFFECT_WORK = 1000
-"""Of an effect in a block without its transients, the same for any few samples."""
+"""Work of an effect in a block without its transients, the same for any small number of samples."""
 TRANSIENT_WORK = 4
-"""Of one at a sample: a sine and a cosine."""
+"""Work of a transient at one sample: a sine and a cosine."""
 SEGMENT_WORK = 1000
-"""Of a waveform's segment in a block without its samples, likewise."""
+"""Work of a waveform's segment in a block without its samples, the same for any small number of
+them."""
 CONTACTORS = 8
-"""That take as much at a sample as one evaluation of the kernel."""
+"""Number of contactors that take as much work at one sample as an evaluation of the kernel."""
 TURN = 50
-"""Blocks after which another client is the first whose waves are played: 0.1 s."""
+"""Number of blocks after which another client becomes the first whose waves are played: 0.1 s."""
 
 
 class WaveformSegment:
-    """Samples at one rate for some contactors, read at the drive's rate.
+    """Samples at one rate for some contactors, read at the rate of the drive.
 
-    Between samples it is band-limited: y(t) = Σ x[k] c sinc(c (t − k)) w(t − k), with c the lower
-    of both rates over its own, and w Kaiser's window over `ZEROS` zeros of the sinc either way.
-    Samples that have not come yet are 0, so that nothing waits for them. (soxr, a library that does
-    it better, holds 12 to 140 ms back where it streams.)
+    The interpolation is band-limited: y(t) = Σ x[k] c sinc(c (t − k)) w(t − k), where c is the
+    lower of both rates over the rate of the samples, and w Kaiser's window over `ZEROS` zeros of
+    the sinc on either side. Samples that have not come yet are 0, so that nothing waits for them.
+    (soxr, a library that interpolates better, holds 12 to 140 ms back when it streams.)
 
     Parameters
     ----------
-    sample_rate, drive_rate : of what is added and what is read [Hz]
-    plays : (N,) 1 for each contactor that plays it, else 0
+    sample_rate : float
+        Sample rate of what is added [Hz].
+    drive_rate : float
+        Sample rate of what is read [Hz].
+    plays : (N,) array of float32
+        1 for each contactor that plays the samples, otherwise 0.
+
+    Attributes
+    ----------
+    rate : float
+        Sample rate of what is added [Hz].
+    plays : (N,) array of float32
+        1 for each contactor that plays the samples, otherwise 0.
     """
 
     def __init__(self, sample_rate: float, drive_rate: float, plays: Singles) -> None:
@@ -83,7 +99,13 @@ class WaveformSegment:
         self._at = float(self._reach)
 
     def add(self, samples: Singles) -> None:
-        """Add samples."""
+        """Add samples at the end.
+
+        Parameters
+        ----------
+        samples : (S,) array of float32
+            Samples [m].
+        """
         end = self._end + len(samples)
         if end + self._reach > len(self._data):
             self._make_room(len(samples))
@@ -92,7 +114,7 @@ class WaveformSegment:
         self._end = end
 
     def _make_room(self, count: int) -> None:
-        """Let go of what was read, with room for twice what is left and comes: 0 beyond its end."""
+        """Drop what was read, and make room for twice what is left and comes, filled with 0."""
         done = int(self._at) - self._reach
         left = self._data[done : self._end]
         self._data = np.zeros(2 * (len(left) + count) + self._reach, np.float32)
@@ -101,19 +123,52 @@ class WaveformSegment:
 
     @property
     def left(self) -> float:
-        """What is still to be read [s]."""
+        """Duration of the samples that are still to be read [s]."""
         return max(self._end - self._at, 0.0) / self.rate
 
     def ready(self, count: int) -> int:
-        """Return how many samples can be read, up to a count."""
+        """Return the number of samples that can be read.
+
+        Parameters
+        ----------
+        count : int
+            Largest number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Number of samples, at most ``count``.
+        """
         return min(count, math.ceil((self._end - self._at) / self._ratio))
 
     def work(self, count: int) -> int:
-        """Return what it takes to read as many."""
+        """Return the work of reading samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work.
+        """
         return SEGMENT_WORK + count * (2 * self._reach + len(self.plays) // CONTACTORS)
 
     def read(self, count: int) -> Floats:
-        """Return the next samples, as many as there are up to a count."""
+        """Return the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Largest number of samples of the drive.
+
+        Returns
+        -------
+        (S,) array of float
+            Samples, as many as there are up to ``count`` [m].
+        """
         count = self.ready(count)
         time = self._at + self._ratio * np.arange(count)
         index = time.astype(np.intp)[:, None] + self._near
@@ -123,7 +178,13 @@ class WaveformSegment:
         return np.asarray(kernel.sum(axis=1) * self._cut)
 
     def skip(self, count: int) -> None:
-        """Go on by a count of samples without reading them."""
+        """Advance without reading.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+        """
         self._at += self._ratio * count
 
 
@@ -132,8 +193,10 @@ class Queue:
 
     Parameters
     ----------
-    sample_rate : of the drive [Hz]
-    contactors : N
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    contactors : int
+        Number of contactors, N.
     """
 
     def __init__(self, sample_rate: float, contactors: int) -> None:
@@ -144,16 +207,26 @@ class Queue:
 
     @property
     def waiting(self) -> float:
-        """What is still to be played [s]."""
+        """Duration of the samples that are still to be played [s]."""
         return sum(segment.left for segment in self._segments)
 
     def append(self, samples: Singles, sample_rate: float, contactors: tuple[int, ...]) -> int:
-        """Take samples [m] at a rate [Hz] for some contactors, all where none is named.
+        """Add samples, as far as there is room.
+
+        Parameters
+        ----------
+        samples : (S,) array of float32
+            Samples [m].
+        sample_rate : float
+            Sample rate [Hz].
+        contactors : tuple of int
+            Contactors that play them; empty for all.
 
         Returns
         -------
         int
-            How many were taken: none beyond `LONGEST`, nor of one segment more than there may be.
+            Number of samples that were taken: none beyond `LONGEST`, and none that would need a
+            segment more than `MOST_SEGMENTS`.
         """
         room = int(max(LONGEST - self.waiting, 0.0) * sample_rate)
         plays = np.full(self._contactors, not contactors, np.float32)
@@ -174,7 +247,18 @@ class Queue:
         self._ending = self._ending[:0] if self._last is None else self._last * ramp[:, None]
 
     def work(self, count: int) -> int:
-        """Return what the next samples take; 0 where nothing waits."""
+        """Return the work of the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work; 0 if nothing waits.
+        """
         total = SEGMENT_WORK if len(self._ending) else 0
         for segment in self._segments:
             part = segment.ready(count)
@@ -185,7 +269,18 @@ class Queue:
         return total
 
     def take(self, count: int) -> Singles | None:
-        """Return the next samples (S, N) [m]; None where nothing waits."""
+        """Return the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, N) array of float32 or None
+            Shear [m]; None if nothing waits.
+        """
         if not self._segments and not len(self._ending):
             self._last = None
             return None
@@ -204,7 +299,13 @@ class Queue:
         return out
 
     def skip(self, count: int) -> None:
-        """Go on by the next samples without playing them."""
+        """Advance without playing.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+        """
         if len(self._ending):
             self._ending = self._ending[count:]
         self._last = None
@@ -218,16 +319,25 @@ class Queue:
 
 @dataclass(frozen=True)
 class Curve:
-    """A parametric effect.
+    """Parametric effect.
 
     Attributes
     ----------
-    size : [m] of an amplitude of 1
-    amplitude, frequency : (P, 2) of time from its beginning [s] and value, or [Hz]
-    transients : (T, 3) of time [s], value and frequency [Hz], in order of time
-    stream : whether it goes on from what plays
-    dropped : transients that were left out, `MOST_TRANSIENTS` others sounding when they begin
-    end : when it is over [s]
+    size : float
+        Shear of an amplitude of 1 [m].
+    amplitude : (P, 2) array of float
+        Points of the amplitude: time from the beginning [s] and value.
+    frequency : (P, 2) array of float
+        Points of the frequency: time from the beginning [s] and value [Hz].
+    transients : (T, 3) array of float
+        Time [s], value and frequency [Hz] of each transient, in order of time.
+    stream : bool
+        Whether the effect continues the one that plays.
+    dropped : int
+        Number of transients that were left out because `MOST_TRANSIENTS` others sound when they
+        begin.
+    end : float
+        Time at which the effect is over [s].
     """
 
     size: float
@@ -239,39 +349,41 @@ class Curve:
     end: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Do here, in the server, what playback then has no need to do."""
-        kept = _thinned(self.transients[np.argsort(self.transients[:, 0], kind="stable")])
-        ends = [ENDING, *(kept[:, 0] + PERIODS / kept[:, 2])]
+        """Prepare the transients here, in the server, so that playback does not have to."""
+        transients = _thinned(self.transients[np.argsort(self.transients[:, 0], kind="stable")])
+        ends = [ENDING, *(transients[:, 0] + PERIODS / transients[:, 2])]
         if len(self.amplitude):
             ends.append(self.amplitude[-1, 0] + (HOLD if self.stream else 0.0) + ENDING)
-        object.__setattr__(self, "dropped", len(self.transients) - len(kept))
-        object.__setattr__(self, "transients", kept)
+        object.__setattr__(self, "dropped", len(self.transients) - len(transients))
+        object.__setattr__(self, "transients", transients)
         object.__setattr__(self, "end", float(max(ends)))
 
 
 def _thinned(transients: Floats) -> Floats:
-    """Return transients without those that begin while as many as may be sound."""
+    """Return the transients without those that begin while the largest number sounds."""
     ends: list[float] = []
-    kept = []
+    chosen = []
     for k, (begin, _, frequency) in enumerate(transients.tolist()):
         while ends and ends[0] <= begin:
             heapq.heappop(ends)
         if len(ends) < MOST_TRANSIENTS:
             heapq.heappush(ends, begin + PERIODS / frequency)
-            kept.append(k)
-    return transients[kept]
+            chosen.append(k)
+    return transients[chosen]
 
 
 class EffectPlayer:
-    """Plays a client's curves; the last one replaces those before it.
+    """Player of one client's curves, of which the last replaces those before it.
 
     Parameters
     ----------
-    sample_rate : [Hz]
+    sample_rate : float
+        Sample rate of the drive [Hz].
 
     Attributes
     ----------
-    dropped : transients that were left out of the curves so far
+    dropped : int
+        Number of transients that were left out of the curves so far; may be reset.
     """
 
     def __init__(self, sample_rate: float) -> None:
@@ -283,7 +395,13 @@ class EffectPlayer:
         self.dropped = 0
 
     def begin(self, curve: Curve | None) -> None:
-        """Go over to a curve; None ends what plays."""
+        """Change over to another curve.
+
+        Parameters
+        ----------
+        curve : Curve or None
+            Curve to play; None ends what plays.
+        """
         if curve is None:
             nothing = np.zeros((0, 2))
             curve = Curve(0.0, nothing, nothing, np.zeros((0, 3)), stream=False)
@@ -297,7 +415,18 @@ class EffectPlayer:
         self.dropped += curve.dropped
 
     def work(self, count: int) -> int:
-        """Return what the next samples take; 0 at rest."""
+        """Return the work of the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work; 0 at rest.
+        """
         if self._curve is None:
             return 0
         end = self._at + count / self._rate
@@ -308,11 +437,22 @@ class EffectPlayer:
         return EFFECT_WORK + TRANSIENT_WORK * count * len(self._sounding)
 
     def take(self, count: int) -> Singles | None:
-        """Return the next samples (S, 1) [m], the same for all contactors; None at rest."""
+        """Return the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, 1) array of float32 or None
+            Shear, the same for all contactors [m]; None at rest.
+        """
         curve = self._curve
         if curve is None:
             return None
-        self.work(count)
+        self.work(count)  # also updates which transients sound
         time = self._at + np.arange(count) / self._rate
         size = self._size(curve, time)
         f = np.interp(time, *self._frequency) if self._frequency.size else np.full(count, PLAIN)
@@ -321,22 +461,29 @@ class EffectPlayer:
         self._phase, self._last = float(turns[-1] % 1), float(size[-1])
         if self._sounding:
             wave += _taps(time, self._transients[self._sounding])
-        self._go_on(curve, count)
+        self._advance(curve, count)
         return np.asarray(wave[:, None], np.float32)
 
     def skip(self, count: int) -> None:
-        """Go on by the next samples without playing them."""
+        """Advance without playing.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+        """
         if self._curve is not None:
             self._last = 0.0
-            self._go_on(self._curve, count)
+            self._advance(self._curve, count)
 
-    def _go_on(self, curve: Curve, count: int) -> None:
+    def _advance(self, curve: Curve, count: int) -> None:
+        """Advance the time of a curve, and end it when it is over."""
         self._at += count / self._rate
         if self._at > curve.end:
             self._curve, self._last, self._phase = None, 0.0, 0.0
 
     def _size(self, curve: Curve, time: Floats) -> Floats:
-        """Return the amplitude [m], going over from the last curve's."""
+        """Return the amplitude [m], with a transition from that of the last curve."""
         size = np.zeros(len(time))
         if self._amplitude.size:
             last = self._amplitude[0, -1] + (HOLD if curve.stream else 0.0)
@@ -350,9 +497,10 @@ class EffectPlayer:
 
 
 def _taps(time: Floats, transients: Floats) -> Floats:
-    """Return the sum of transients at times (S,) [s]: sines under half a cosine, falling.
+    """Return the sum of transients at times (S,) [s]: sines under the falling half of a cosine.
 
-    Their columns (T, 3) are when they begin [s], half their size [m] and angular frequency [1/s].
+    The columns of ``transients`` (T, 3) are beginning [s], half their size [m] and angular
+    frequency [rad/s].
     """
     phase = np.subtract.outer(transients[:, 0], time)
     phase *= -transients[:, 2:]
@@ -361,20 +509,29 @@ def _taps(time: Floats, transients: Floats) -> Floats:
 
 
 class Voice:
-    """What a client has to be played.
+    """What one client plays.
 
     Parameters
     ----------
-    sample_rate : of the drive [Hz]
-    contactors : N
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    contactors : int
+        Number of contactors, N.
 
     Attributes
     ----------
-    queue, effect : its waves
-    layers : numbers of its textures, each with its gain
-    gain : of all that is its own
-    sounds : whether its textures sound
-    gone : whether the client has left
+    queue : Queue
+        Streamed waveforms.
+    effect : EffectPlayer
+        Parametric effects.
+    layers : tuple of (int, float)
+        Number of each texture, with its gain.
+    gain : float
+        Gain of everything that the client plays.
+    sounds : bool
+        Whether its textures sound.
+    gone : bool
+        Whether the client has left.
     """
 
     def __init__(self, sample_rate: float, contactors: int) -> None:
@@ -385,17 +542,39 @@ class Voice:
         self.sounds, self.gone = True, False
 
     def silence(self) -> None:
-        """Drop all waves at once, where nothing sounds."""
+        """Drop all waves at once, while nothing sounds."""
         self.queue, self.effect = Queue(self._rate, self._contactors), EffectPlayer(self._rate)
         self._last: Singles | None = None
         self._silent = False
 
     def work(self, count: int) -> int:
-        """Return what the next samples of its waves take; 0 where it has none."""
+        """Return the work of the next samples of its waves.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work; 0 without waves.
+        """
         return self.queue.work(count) + self.effect.work(count)
 
     def take(self, count: int) -> Singles | None:
-        """Return the next samples of its waves (S, N or 1) [m]; None where it has none."""
+        """Return the next samples of its waves.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, N) or (S, 1) array of float32 or None
+            Shear [m]; None without waves.
+        """
         parts = [p for p in (self.queue.take(count), self.effect.take(count)) if p is not None]
         wave = parts[0] + parts[1] if len(parts) == 2 else parts[0] if parts else None
         self._last = wave
@@ -405,7 +584,18 @@ class Voice:
         return wave
 
     def skip(self, count: int) -> Singles | None:
-        """Go on by the next samples in silence; return the fade to it (S, N or 1) [m], if any."""
+        """Advance its waves in silence.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, N) or (S, 1) array of float32 or None
+            Fade to silence [m]; None if there was no wave in the block before.
+        """
         self.queue.skip(count)
         self.effect.skip(count)
         last, self._last, self._silent = self._last, None, True
@@ -413,17 +603,24 @@ class Voice:
 
 
 def _rise(count: int) -> Singles:
-    """Return a ramp to 1 (S, 1)."""
+    """Return a linear ramp to 1, (S, 1)."""
     return np.arange(1, count + 1, dtype=np.float32)[:, None] / np.float32(count)
 
 
 def affordable(work: Mapping[int, int], turn: int) -> set[int]:
-    """Return whose waves are played in a block: in order from one client on, all that fit.
+    """Choose whose waves are played in a block: in order from one client on, all that fit.
 
     Parameters
     ----------
-    work : of each client that has waves
-    turn : which of them is the first; the others follow in order of their numbers
+    work : mapping of int to int
+        Work of each client that has waves, by its number.
+    turn : int
+        Which of these clients is the first; the others follow in order of their numbers.
+
+    Returns
+    -------
+    set of int
+        Clients whose waves are played.
     """
     clients, left = sorted(work), BLOCK_WORK
     first = turn % max(len(clients), 1)

@@ -1,1 +1,1 @@
-"""From a surface and a moving finger to volts: contact, shear, equalizer, limiter, renderer."""
+"""Rendering of a texture under a moving finger: from contact to a limited drive voltage."""

@@ -1,4 +1,4 @@
-"""Where the finger is: a trajectory of position and normal force, continuous with its velocity."""
+"""Trajectory of a finger: position, its continuous velocity, and normal force over time."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,30 +12,45 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "normal_force_n")
+"""Columns of a trajectory file, in the order of the arrays they fill."""
 LARGEST_FORCE = 50.0
-"""N; a finger that slides stays below 10 N, so that more is another unit."""
+"""Largest normal force that is accepted [N]. A sliding finger stays below 10 N, so that a larger
+number is most likely in another unit."""
 LARGEST_POSITION = 500.0
-"""m."""
+"""Largest magnitude of a coordinate that is accepted [m]."""
 LARGEST_SPEED = 10.0
-"""m/s between two samples; a fast stroke of a finger is below 1 m/s."""
+"""Largest speed between two samples that is accepted [m/s]; a fast stroke of a finger is below 1
+m/s."""
 
 
 class Trajectory:
-    """A finger's way over the surface.
+    """Path of a finger over the surface.
 
-    Between samples it is a shape-preserving cubic (PCHIP): position and velocity are continuous,
+    Samples are joined by a shape-preserving cubic (PCHIP): position and velocity are continuous,
     nothing overshoots, and a finger that rests stays at rest.
 
     Parameters
     ----------
-    time : (T,) ascending [s]
-    position : (T, 2) of the finger over the surface [m]
-    normal_force : (T,) or one number [N]
+    time : (T,) array_like of float
+        Times of the samples, strictly ascending, T ≥ 2 [s].
+    position : (T, 2) array_like of float
+        Position of the finger on the surface [m].
+    normal_force : (T,) array_like of float or float
+        Normal force [N].
+
+    Attributes
+    ----------
+    time : (T,) array of float
+        Times of the samples [s].
+    position : (T, 2) array of float
+        Positions [m].
+    normal_force : (T,) array of float
+        Normal forces [N].
 
     Raises
     ------
     InputError
-        Where time does not ascend, shapes differ, or a value is not finite or beyond reason.
+        If the times do not ascend, the shapes differ, or a value is not finite or out of range.
     """
 
     def __init__(self, time: ArrayLike, position: ArrayLike, normal_force: ArrayLike) -> None:
@@ -49,10 +64,11 @@ class Trajectory:
             raise InputError("normal_force: needs one value, or as many as time") from None
         self._check()
         samples = np.column_stack([self.position, self.normal_force])
-        with np.errstate(over="ignore"):  # 1 / (a subnormal slope): scipy takes the inverse again
+        with np.errstate(over="ignore"):  # scipy inverts subnormal slopes twice, which is harmless
             self._curve = PchipInterpolator(self.time, samples)
 
     def _check(self) -> None:
+        """Raise InputError for arrays that cannot be the path of a finger."""
         if self.time.ndim != 1 or len(self.time) < 2 or self.position.shape != (len(self.time), 2):
             raise InputError("trajectory: needs time (T,) and position (T, 2) with T ≥ 2")
         for name, values in (
@@ -90,26 +106,46 @@ class Trajectory:
     def line(
         cls, *, speed: float, angle: float = 0.0, duration: float = 1.0, normal_force: float = 0.5
     ) -> "Trajectory":
-        """Return a straight stroke from the origin.
+        """Return a straight stroke that begins at the origin.
 
         Parameters
         ----------
-        speed : [m/s]
-        angle : of the motion, from the x axis [rad]
-        duration : [s]
-        normal_force : [N]
+        speed : float
+            Speed [m/s].
+        angle : float
+            Direction of motion, measured from the x axis [rad].
+        duration : float
+            Duration [s].
+        normal_force : float
+            Normal force, constant along the stroke [N].
+
+        Returns
+        -------
+        Trajectory
+            Stroke with one sample at either end.
         """
         direction = np.array([np.cos(angle), np.sin(angle)])
         return cls([0.0, duration], np.outer([0.0, speed * duration], direction), normal_force)
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Trajectory":
-        """Read a file with the columns time_s, x_mm, y_mm, normal_force_n.
+        """Read a trajectory from a CSV file with the columns time_s, x_mm, y_mm and normal_force_n.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to read.
+
+        Returns
+        -------
+        Trajectory
+            Trajectory in SI units.
 
         Raises
         ------
         NotFoundError, InputError
-            One line: file, row, field and value.
+            If the file is missing or invalid; the message is one line with file, row, field and
+            value.
         """
         rows = files.read_columns(Path(path), COLUMNS)
         values = files.numbers(Path(path), COLUMNS, rows)
@@ -122,13 +158,26 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last [s]."""
+        """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     def at(self, time: ArrayLike) -> tuple[Floats, Floats]:
-        """Return position (..., 2) [m] and normal force (...) [N] at times [s].
+        """Return position and normal force at given times.
 
-        Beyond either end the finger goes on at the velocity it has there, its force held.
+        Beyond either end the finger continues at the velocity that it has there, with constant
+        force.
+
+        Parameters
+        ----------
+        time : (...) array_like of float
+            Times [s].
+
+        Returns
+        -------
+        position : (..., 2) array of float
+            Positions [m].
+        normal_force : (...) array of float
+            Normal forces [N].
         """
         t = np.asarray(time, np.float64)
         inside = np.clip(t, self.time[0], self.time[-1])
@@ -139,16 +188,43 @@ class Trajectory:
         return values[..., :2], values[..., 2]
 
     def velocity(self, time: ArrayLike) -> Floats:
-        """Return velocity (..., 2) [m/s] at times [s]; beyond either end what it is there."""
+        """Return the velocity at given times.
+
+        Parameters
+        ----------
+        time : (...) array_like of float
+            Times [s]; beyond either end the velocity is that of the end.
+
+        Returns
+        -------
+        (..., 2) array of float
+            Velocities [m/s].
+        """
         inside = np.clip(np.asarray(time, np.float64), self.time[0], self.time[-1])
         return np.asarray(self._curve(inside, 1)[..., :2])
 
     def blocks(
         self, sample_rate: float, size: int, *, extra: int = 0
     ) -> Iterator[tuple[Floats, Floats]]:
-        """Yield position (S, 2) and normal force (S,) in blocks of at most ``size`` samples.
+        """Yield the trajectory sampled at a constant rate, block by block.
 
-        Sample k is at time[0] + k/sample_rate, for the whole duration and ``extra`` samples more.
+        Sample k is taken at time[0] + k/sample_rate.
+
+        Parameters
+        ----------
+        sample_rate : float
+            Sample rate [Hz].
+        size : int
+            Largest number of samples in a block.
+        extra : int
+            Number of samples to add after the end of the trajectory.
+
+        Yields
+        ------
+        position : (S, 2) array of float
+            Positions [m].
+        normal_force : (S,) array of float
+            Normal forces [N].
         """
         count = round(self.duration * sample_rate) + extra
         for start in range(0, count, size):

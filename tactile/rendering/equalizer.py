@@ -1,14 +1,15 @@
-"""The equalizer: what drive makes the skin follow a shear that is given in time.
+"""Equalizer: the drive voltage that makes the skin follow a given shear over time.
 
-It takes a response, an array of shear per volt over frequency, and knows neither beam nor finger,
-so that a measured response works as well. The inverse is exact wherever full drive can give at
-least the smallest shear that anyone feels; beyond, its magnitude is bounded there and keeps its
-phase. What full drive attains is |response| × voltage limit.
+The design takes a frequency response, an array of shear per volt, and knows nothing of beam or
+finger, so that a measured response works as well as a modeled one. The inverse is exact wherever
+full drive gives at least the smallest shear that anyone can feel. Elsewhere its magnitude is
+bounded to the value at that limit, with the phase unchanged. What full drive attains is |response|
+× voltage limit.
 
-The inverse is played as a FIR filter of 32 taps, 1 ms late. A resonance of the bimorph is a zero
-of its inverse, so that few taps hold it: in the band it is within 0.04 dB and 0.25° of the
-inverse, loaded. Being a filter it is as exact for a finger that starts, stops and turns, for
-modulated amplitudes and for events as it is for steady strokes.
+The inverse is played as an FIR filter of 32 taps, 1 ms late. A resonance of the bimorph is a zero
+of its inverse, so that few taps suffice: in the band, and for the loaded bimorph, the filter is
+within 0.04 dB and 0.25° of the inverse. Because it is a filter, it is as exact for a finger that
+starts, stops and turns, for modulated amplitudes and for events as it is for steady strokes.
 """
 
 from dataclasses import dataclass
@@ -19,56 +20,87 @@ from numpy.typing import NDArray
 from tactile.arrays import Complex, Floats, Singles
 
 SMALLEST_SHEAR = 0.1e-6
-"""m peak: the lowest detection threshold over frequency (250 Hz; Verrillo and Bolanowski)."""
+"""Lowest detection threshold over frequency (250 Hz; Verrillo and Bolanowski) [m peak]."""
 PASS_BAND = 1000.0
+"""Frequency up to which shear is commanded in full [Hz]."""
 STOP_BAND = 1250.0
-"""Hz; shear is commanded in full up to the first and not at all from the second on."""
+"""Frequency from which on no shear is commanded [Hz]."""
 FREE_BAND = 2000.0
-"""Hz from which on the filter is held down; between, it may do as it likes."""
+"""Frequency from which on the filter's gain is held down [Hz]. Between `STOP_BAND` and here the
+filter is almost unconstrained."""
 STOP_WEIGHT, FREE_WEIGHT = 3e-3, 1e-4
-"""Of errors beyond `FREE_BAND` and below it, against one in the band."""
+"""Weights of the fit's errors above and below `FREE_BAND`, relative to errors in the band."""
 LOWEST_RATE = 2 * STOP_BAND
-"""Hz: the lowest sample rate that carries what is commanded."""
+"""Lowest sample rate that carries all that is commanded [Hz]."""
 FITTED = 0.45
-"""Of a low sample rate, to which a filter is fitted: a real one has no phase at half of it."""
+"""Fraction of a low sample rate up to which a filter is fitted: a real filter has no free phase at
+half the sample rate."""
 GRID = 10.0
-"""Hz between the frequencies at which the filter is fitted."""
+"""Spacing of the frequencies at which the filter is fitted [Hz]."""
 TAPS = (32, 64, 256)
+"""Filter lengths to try, in this order [samples]."""
 DELAYS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 176)
-"""Samples: the first is enough for a bimorph, later ones for a response with a delay of its own."""
+"""Filter delays to try, in this order [samples]. The first suffices for a bimorph, later ones serve
+a response that has a delay of its own."""
 TOLERANCE = 6e-3
-"""Largest relative error in 10 … 1000 Hz for which the next delay is not tried: 0.05 dB, 0.35°."""
+"""Largest relative error in 10 … 1000 Hz at which the search ends: 0.05 dB, 0.35°."""
 NEGLIGIBLE = 1e-4
-"""Of the taps of contactors that differ: what a further shared filter must gain at least."""
+"""Smallest singular value, relative to the largest, for which contactors that differ get a further
+shared filter."""
 
 
 def roll_off(frequency: Floats) -> Floats:
-    """Return the weight of commanded shear at frequencies [Hz] of either sign.
+    """Compute the weight that is applied to commanded shear.
 
-    One to 1000 Hz, zero from 1250 Hz, half a cosine between.
+    The weight is 1 up to 1000 Hz, 0 from 1250 Hz on, and half a cosine between.
+
+    Parameters
+    ----------
+    frequency : (...) array of float
+        Frequencies of either sign [Hz].
+
+    Returns
+    -------
+    (...) array of float
+        Weights, 0 … 1.
     """
     beyond = np.clip((np.abs(frequency) - PASS_BAND) / (STOP_BAND - PASS_BAND), 0, 1)
     return np.asarray((1 + np.cos(np.pi * beyond)) / 2)
 
 
 def attainable(response: Complex, voltage: float) -> Floats:
-    """Return the peak shear [m] that a sinusoid of ``voltage`` [V] gives, per frequency."""
+    """Compute the peak shear that a sinusoid at the voltage limit gives.
+
+    Parameters
+    ----------
+    response : (...) array of complex
+        Shear per volt [m/V].
+    voltage : float
+        Amplitude of the drive [V].
+
+    Returns
+    -------
+    (...) array of float
+        Peak shear [m].
+    """
     return np.asarray(np.abs(response) * voltage)
 
 
 def inverse(response: Complex, voltage: float) -> Complex:
-    """Return the bounded inverse of a response.
+    """Compute the bounded inverse of a response.
 
     Parameters
     ----------
-    response : (..., F) shear per volt [m/V], exp(+jωt)
-    voltage : the drive's limit [V]
+    response : (..., F) array of complex
+        Shear per volt, time dependence exp(+jωt) [m/V].
+    voltage : float
+        Voltage limit of the drive [V].
 
     Returns
     -------
-    (..., F) complex ndarray
-        Volts per meter, 1/H where |H| × voltage is at least `SMALLEST_SHEAR`, elsewhere of that
-        bound's magnitude and the phase of 1/H.
+    (..., F) array of complex
+        Drive per shear [V/m]: 1/H where |H| × voltage is at least `SMALLEST_SHEAR`; elsewhere the
+        magnitude at that bound with the phase of 1/H.
     """
     size = np.abs(response)
     floor = SMALLEST_SHEAR / voltage
@@ -77,44 +109,69 @@ def inverse(response: Complex, voltage: float) -> Complex:
 
 
 def _turns(frequency: Floats, sample_rate: float, taps: int) -> Complex:
+    """Return the phasors exp(−2πj f n/rate) of each frequency (F,) and tap (taps,)."""
     return np.asarray(np.exp(-2j * np.pi / sample_rate * np.outer(frequency, np.arange(taps))))
 
 
 def fit_taps(gain: Complex, sample_rate: float, taps: int, delay: int) -> tuple[Floats, float]:
-    """Return the FIR filter whose response is a gain, some samples late, and its largest error.
+    """Fit FIR filters to gains that are to be reached with a given delay.
+
+    The fit is a weighted least-squares solution over 0 … half the sample rate.
 
     Parameters
     ----------
-    gain : (K, F) at 0, 10, … `STOP_BAND` Hz
-    sample_rate : [Hz]
-    taps, delay : of the filter [samples]
+    gain : (K, F) array of complex
+        Gains at 0, 10, … `STOP_BAND` Hz [V/m].
+    sample_rate : float
+        Sample rate [Hz].
+    taps : int
+        Length of the filters [samples].
+    delay : int
+        Delay of the filters [samples].
 
     Returns
     -------
-    taps : (K, taps) ndarray
-        Weighted least squares over 0 … half the sample rate.
+    taps : (K, taps) array of float
+        Filter coefficients [V/m].
     error : float
-        As `largest_error`.
+        Largest relative error, as defined by `largest_error`.
     """
     f = np.arange(0, sample_rate / 2, GRID)
     band = min(gain.shape[1], int(FITTED * sample_rate / GRID) + 1)
     gain = gain[:, :band]
     late = np.exp(-2j * np.pi / sample_rate * f[:band] * delay)
-    wanted = np.zeros((len(f), len(gain)), np.complex128)
-    wanted[:band] = (gain * late).T
+    target = np.zeros((len(f), len(gain)), np.complex128)
+    target[:band] = (gain * late).T
     weight = np.where(f < FREE_BAND, FREE_WEIGHT, STOP_WEIGHT)
     weight[:band] = 1.0
-    left, right = _turns(f, sample_rate, taps) * weight[:, None], wanted * weight[:, None]
-    found = np.linalg.lstsq(
+    left, right = _turns(f, sample_rate, taps) * weight[:, None], target * weight[:, None]
+    fitted = np.linalg.lstsq(
         np.concatenate([left.real, left.imag]),
         np.concatenate([right.real, right.imag]),
         rcond=1e-12,
     )[0].T
-    return found, largest_error(found, gain, sample_rate, delay)
+    return fitted, largest_error(fitted, gain, sample_rate, delay)
 
 
 def largest_error(taps: Floats, gain: Complex, sample_rate: float, delay: int) -> float:
-    """Return the largest |filter/gain − 1| in 10 … 1000 Hz of filters (K, T), gains (K, F)."""
+    """Compute the largest |filter/gain − 1| in 10 … 1000 Hz.
+
+    Parameters
+    ----------
+    taps : (K, T) array of float
+        Filter coefficients [V/m].
+    gain : (K, F) array of complex
+        Gains at 0, 10, … `STOP_BAND` Hz [V/m].
+    sample_rate : float
+        Sample rate [Hz].
+    delay : int
+        Delay of the filters [samples].
+
+    Returns
+    -------
+    float
+        Largest relative error over all filters.
+    """
     f = np.arange(0, sample_rate / 2, GRID)[: gain.shape[1]]
     gain = gain[:, : len(f)]
     late = np.exp(-2j * np.pi / sample_rate * f * delay)
@@ -124,16 +181,20 @@ def largest_error(taps: Floats, gain: Complex, sample_rate: float, delay: int) -
 
 @dataclass(frozen=True)
 class InverseFilter:
-    """The FIR inverse of amplifier and loaded bimorph, for every contactor and finger force.
+    """FIR inverse of amplifier and loaded bimorph, for every kind of contactor and finger force.
 
-    Contactors that differ share a few filters: taps of kind c are Σ_r mix[c, r] taps[l, r].
+    Contactors that differ share a few filters: the taps of kind c are Σ_r mix[c, r] taps[l, r].
 
     Attributes
     ----------
-    taps : (L, R, T) [V/m], for L normal forces
-    mix : (C, R)
-    delay : [samples]
-    error : largest |filter × response − 1| in 10 … 1000 Hz over kinds and forces
+    taps : (L, R, T) array of float
+        Shared filters for L normal forces [V/m].
+    mix : (C, R) array of float
+        Weight of each shared filter for each kind of contactor.
+    delay : int
+        Delay of the filter [samples].
+    error : float
+        Largest |filter × response − 1| in 10 … 1000 Hz over kinds and forces.
     """
 
     taps: Floats
@@ -143,41 +204,46 @@ class InverseFilter:
 
 
 def design(response: Complex, voltage: float, sample_rate: float) -> InverseFilter:
-    """Return the FIR inverse of responses.
+    """Design the FIR inverse of a set of responses.
+
+    Filters are tried in the order of `TAPS` and `DELAYS`. One replaces the best so far only if it
+    more than halves its error, and the search ends as soon as the best is within `TOLERANCE`.
 
     Parameters
     ----------
-    response : (L, C, F) shear per volt [m/V] at 0, 10, … `STOP_BAND` Hz, for L normal forces and
-        C kinds of contactors
-    voltage : the drive's limit [V]
-    sample_rate : [Hz]
+    response : (L, C, F) array of complex
+        Shear per volt at 0, 10, … `STOP_BAND` Hz, for L normal forces and C kinds of contactors
+        [m/V].
+    voltage : float
+        Voltage limit of the drive [V].
+    sample_rate : float
+        Sample rate [Hz].
 
     Returns
     -------
     InverseFilter
-        The shortest and earliest within `TOLERANCE`; where there is none, a later one only where it
-        halves the error.
+        Filters for all forces and kinds.
     """
     loads, kinds, _ = response.shape
     gain = inverse(response, voltage).reshape(loads * kinds, -1)
     best: tuple[float, Floats, int] | None = None
     for taps, delay in ((t, d) for t in TAPS for d in DELAYS if d < t):
-        found, error = fit_taps(gain, sample_rate, taps, delay)
+        fitted, error = fit_taps(gain, sample_rate, taps, delay)
         if best is None or error < best[0] / 2:
-            best = error, found, delay
+            best = error, fitted, delay
         if best[0] <= TOLERANCE:
             break
     assert best is not None
-    error, found, delay = best
+    error, fitted, delay = best
     if kinds == 1:
-        return InverseFilter(found.reshape(loads, 1, -1), np.ones((1, 1)), delay, error)
-    rows = np.moveaxis(found.reshape(loads, kinds, -1), 1, 0).reshape(kinds, -1)
+        return InverseFilter(fitted.reshape(loads, 1, -1), np.ones((1, 1)), delay, error)
+    rows = np.moveaxis(fitted.reshape(loads, kinds, -1), 1, 0).reshape(kinds, -1)
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     u, s, vt = np.linalg.svd(rows / size, full_matrices=False)
     terms = max(1, int(np.count_nonzero(s > NEGLIGIBLE * s[0])))
     mix, shared = size * u[:, :terms], s[:terms, None] * vt[:terms]
-    kept = np.moveaxis((mix @ shared).reshape(kinds, loads, -1), 0, 1).reshape(found.shape)
-    error = largest_error(kept, gain, sample_rate, delay)
+    restored = np.moveaxis((mix @ shared).reshape(kinds, loads, -1), 0, 1).reshape(fitted.shape)
+    error = largest_error(restored, gain, sample_rate, delay)
     by_load = np.moveaxis(shared.reshape(terms, loads, -1), 0, 1)
     return InverseFilter(by_load, mix, delay, error)
 
@@ -187,10 +253,14 @@ class Equalizer:
 
     Parameters
     ----------
-    filter : what to run
-    kind : (N,) which of the filter's kinds each contactor is
-    polarity : (N,) 1 or −1
-    forces : (L,) normal forces [N] of the filter's first axis
+    filter : InverseFilter
+        Filter to run.
+    kind : (N,) array of int
+        Kind of each contactor, an index of the filter's kinds.
+    polarity : (N,) array of float
+        Polarity of each contactor, 1 or −1.
+    forces : tuple of L floats
+        Normal forces of the filter's first axis [N].
     """
 
     def __init__(
@@ -208,21 +278,21 @@ class Equalizer:
         self._maps: dict[int, Singles] = {}
 
     def _map(self, count: int) -> Singles:
-        """Return the filters as matrices (L, R, S, S + T − 1) over the stream."""
+        """Return the filters as matrices (L, R, S, S + T − 1) that act on a piece of the stream."""
         if count not in self._maps:
             taps = self._filter.taps
             length = taps.shape[-1]
-            found = np.zeros((*taps.shape[:2], count, count + length - 1), np.float32)
+            matrices = np.zeros((*taps.shape[:2], count, count + length - 1), np.float32)
             for k in range(count):
-                found[:, :, k, k : k + length] = taps[..., ::-1]
-            self._maps[count] = found
+                matrices[:, :, k, k : k + length] = taps[..., ::-1]
+            self._maps[count] = matrices
         return self._maps[count]
 
     def __call__(self, shear: Singles, normal_force: Floats) -> Singles:
-        """Return volts (S, N) for the shear (S, N) [m] ``delay`` samples ago.
+        """Return the volts (S, N) for shear (S, N) [m] that was commanded ``delay`` samples ago.
 
-        ``normal_force`` (S,) [N] is that of the finger now. Before its first sample the stream is
-        taken to have rested there.
+        ``normal_force`` (S,) [N] is the present force of the finger. Before its first sample the
+        stream is taken to have rested at that sample's value.
         """
         if not len(shear):
             return shear
@@ -232,16 +302,16 @@ class Equalizer:
         self._past = line[len(shear) :]
         maps = self._map(len(shear))
         if len(maps) == 1:
-            return self._played(maps[0], line)
-        place = np.interp(normal_force, self._forces, np.arange(len(self._forces)))
+            return self._apply(maps[0], line)
+        position = np.interp(normal_force, self._forces, np.arange(len(self._forces)))
         volts = np.zeros_like(shear)
-        for load in range(int(place.min()), min(int(place.max()) + 2, len(maps))):
-            share = np.maximum(1 - np.abs(place - load), 0).astype(np.float32)
-            volts += self._played(maps[load], line) * share[:, None]
+        for load in range(int(position.min()), min(int(position.max()) + 2, len(maps))):
+            share = np.maximum(1 - np.abs(position - load), 0).astype(np.float32)
+            volts += self._apply(maps[load], line) * share[:, None]
         return volts
 
-    def _played(self, maps: Singles, line: Singles) -> Singles:
-        """Return Σ_r of each shared filter's output times the contactors' share of it."""
+    def _apply(self, maps: Singles, line: Singles) -> Singles:
+        """Return Σ_r of each shared filter's output times each contactor's weight of it."""
         volts = maps[0] @ line
         if self._plain:
             return np.asarray(volts)

@@ -1,17 +1,17 @@
-"""One texture on one display: what it asks of the skin under each contactor, stroke by stroke.
+"""One texture on one display: the shear that it commands under each contactor, stroke by stroke.
 
-Partial m of the surface sounds at f_m = k_m·v/2π (signed) as the finger moves at v, and contactor
-i at x_i is to be sheared by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. That is
-separable, so a block of samples is a product of matrices,
+Partial m of the surface sounds at f_m = k_m·v/2π (signed) while the finger moves at velocity v.
+Contactor i at x_i is to shear the skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1
+kHz. This is separable, so that a block of samples is a product of matrices,
 
     shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
 
-Phases are counted in float64, reduced, and looked up in a table of 8192 phasors (−73 dB, in what
-is commanded and played alike). The roll-off W follows the velocity at nodes every 8 samples of the
-stream, ramped between them; while the finger is too slow for any partial to leave the band it is
-one. The envelope multiplies what is no grating, sparse events add, the laws of speed and force
-multiply. A layer remembers nothing of the stream, so that it may be made anywhere and sent to who
-plays it.
+Phases are computed in float64, reduced, and looked up in a table of 8192 phasors (errors of −73 dB,
+alike in what is commanded and in what is played). The roll-off W follows the velocity at nodes,
+every 8 samples of the stream, with ramps between them; as long as the finger is too slow for any
+partial to leave the band, W is 1. The envelope multiplies everything but gratings, sparse events
+are added, and the laws of speed and force multiply the sum. A layer keeps no state of the stream,
+so that it may be made in one process and sent to the one that plays it.
 """
 
 import numpy as np
@@ -26,29 +26,33 @@ from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
 from tactile.texture.surface import Partials, Texture
 
 PHASORS = 8192
+"""Number of phasors in the table, a power of two."""
 PHASOR_TABLE = np.exp(2j * np.pi * np.arange(PHASORS) / PHASORS).astype(np.complex64)
+"""Phasors of the phases 0 … 2π, evenly spaced."""
 ROUNDER = 1.5 * 2.0**52
-"""Added to a float64 it leaves the nearest integer in the low bits (IEEE 754)."""
+"""Number that leaves the nearest integer in the low bits of a float64 to which it is added (IEEE
+754)."""
 GRID = 0.1
-"""Hz between entries of the roll-off's table."""
+"""Spacing of the entries in the table of the roll-off [Hz]."""
 ENTRIES = round(equalizer.STOP_BAND / GRID)
+"""Index of the last entry in the table of the roll-off, that of the stop band."""
 
 
 def _interleaved(phasor: NDArray[np.complex128]) -> Singles:
-    """Return (2M, N) so that z (S, M) complex, viewed as (S, 2M) real, @ it is Re(z @ phasor)."""
+    """Return the matrix (2M, N) that gives Re(z @ phasor) from z (S, M), viewed as real (S, 2M)."""
     rows = np.empty((2 * len(phasor), phasor.shape[1]), np.float32)
     rows[0::2], rows[1::2] = phasor.real, -phasor.imag
     return rows
 
 
 def _at_contactors(partials: Partials, contactors: Floats) -> NDArray[np.complex128]:
-    """Return a exp j(k·x + φ), (M, N)."""
+    """Return a exp j(k·x + φ) of each partial at each contactor, (M, N)."""
     phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
     return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
 
 
 class _Waves:
-    """exp(jk·p) of a set of waves at many places, through the phasor table."""
+    """Phasors exp(jk·p) of a set of waves at many places, looked up in the table."""
 
     def __init__(self, wave_vector: Floats) -> None:
         steps = wave_vector.T * (PHASORS / (2 * np.pi))
@@ -56,7 +60,10 @@ class _Waves:
         self._scratch: dict[int, tuple[Floats, NDArray[np.int64], NDArray[np.complex64]]] = {}
 
     def __call__(self, place: Floats) -> NDArray[np.complex64]:
-        """Return (S, M) phasors at places (3, S), x, y and 1; the next call uses it again."""
+        """Return phasors (S, M) at places (3, S) with the rows x, y and 1.
+
+        The array is overwritten by the next call.
+        """
         count = place.shape[1]
         if count not in self._scratch:
             steps = np.empty((count, self._steps.shape[1]))
@@ -70,7 +77,7 @@ class _Waves:
 
 
 class _RollOff:
-    """Weights of the partials that the finger's speed brings out of the band."""
+    """Weights of the partials, which fall to 0 as the finger's speed takes them out of the band."""
 
     def __init__(self, wave_vector: Floats) -> None:
         self._cycles = wave_vector.T / (2 * np.pi)
@@ -78,15 +85,15 @@ class _RollOff:
         self._table = self._table.astype(np.float32)
         highest = float(np.linalg.norm(self._cycles, axis=0).max(initial=0.0))
         self.slow_squared = (equalizer.PASS_BAND / max(highest, 1e-9)) ** 2
-        """Square of the speed [m²/s²] up to which no partial leaves the band."""
+        """Square of the speed up to which no partial leaves the band [m²/s²]."""
         self._ramps: dict[tuple[int, int], Singles] = {}
 
     def __call__(self, velocity: Floats, start: int) -> Singles:
         """Return weights (S, M) of samples start … start + S − 1.
 
-        They are read at nodes, multiples of `NODE` in the stream, and ramped between them a node
-        late, so that no later velocity is needed. ``velocity`` (2, `HISTORY` + S) [m/s] begins
-        two nodes before the samples.
+        The weights are computed at nodes, multiples of `NODE` in the stream, and ramp between them
+        one node late, so that no later velocity is needed. ``velocity`` (2, `HISTORY` + S) [m/s]
+        begins two nodes before the samples.
         """
         count, phase = velocity.shape[1] - HISTORY, start % NODE
         if (count, phase) not in self._ramps:
@@ -100,16 +107,22 @@ class _RollOff:
 
 
 class RealizedLayer:
-    """A texture realized under each contactor of a display.
+    """Texture realized under each contactor of a display.
 
     Parameters
     ----------
-    display, texture : what is played on, and what
-    seed : of the surface's realization
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+    seed : int
+        Seed of the surface's realization.
 
     Attributes
     ----------
-    friction : law of the quasi-static part, which `skin_stretch` renders; None where there is none
+    friction : FrictionLaw or None
+        Law of the quasi-static part, which `skin_stretch` renders; None for a texture without
+        friction.
     """
 
     def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
@@ -130,17 +143,17 @@ class RealizedLayer:
             self._events = EventField(surface, texture.descriptor.events, contactors)
 
     def __call__(self, stroke: Stroke) -> Singles:
-        """Return what each contactor is to do (S, N) [m]."""
+        """Return the shear (S, N) that each contactor is to give along a stroke [m]."""
         phasors = self._waves(stroke.place)
         sides, split = phasors.view(np.float32), len(self._to_shear)
         if not stroke.squares.max() <= self._roll_off.slow_squared:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
-        whole = self._bands if len(self._to_envelope) else split
-        shear = sides[:, :whole] @ self._to_shear[:whole]
+        modulated = self._bands if len(self._to_envelope) else split
+        shear = sides[:, :modulated] @ self._to_shear[:modulated]
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
-        if whole < split:
-            shear += sides[:, whole:split] @ self._to_shear[whole:]
+        if modulated < split:
+            shear += sides[:, modulated:split] @ self._to_shear[modulated:]
         if self._events is not None:
             shear += self._events.at(stroke.place[:2])
         shear *= self._scale(
@@ -149,7 +162,7 @@ class RealizedLayer:
         return np.asarray(shear)
 
     def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
-        """Return the laws' factor per sample, (S, 1), or (S, N) where shear is projected."""
+        """Return the factor of the laws per sample, (S, 1), or (S, N) where shear is projected."""
         factor = self._law(squares, normal_force)[:, None]
         if self._axes is not None:
             unit = velocity / np.sqrt(squares + STILL**2)

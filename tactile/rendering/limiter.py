@@ -1,11 +1,11 @@
-"""The limiter: the only door through which volts leave.
+"""Limiter: the last stage before the drive, which no voltage bypasses.
 
-Two stages. The first looks eight samples ahead and turns one gain, common to all contactors so
-that the tactile image keeps its shape, down before a sample that would break a limit and slowly up
-after it: nothing is clipped, and where no limit is near nothing is changed. The second holds the
-step from sample to sample whatever came before, by going only part of the way in all contactors
-alike; on a drive that has no jumps and needs no turning down for its steps it never acts. Both
-count what they do.
+It has two stages. The first looks eight samples ahead and applies one gain, common to all
+contactors so that the tactile image keeps its shape. The gain falls before a sample that would
+break a limit and recovers slowly after it: nothing is clipped, and nothing is changed where no
+limit is near. The second stage bounds the step from sample to sample unconditionally, by going only
+part of the way in all contactors alike; a drive without jumps, whose steps need no reduction, never
+makes it act. Both stages count what they do.
 """
 
 import numpy as np
@@ -15,32 +15,41 @@ from numpy.typing import NDArray
 from tactile.arrays import Floats
 
 LOOK_AHEAD = 8
-"""Samples: 1 ms at 8 kHz."""
+"""Look-ahead, which is also the delay of the limiter [samples]: 1 ms at 8 kHz."""
 RELEASE = 0.1
 """Time constant of the gain's recovery [s]."""
 NONSENSE = 1e9
-"""Volts from which on an input is taken as invalid."""
+"""Magnitude from which on an input is taken as invalid [V]."""
 LONGEST = 4096
-"""Samples taken at a time."""
+"""Largest number of samples that is processed at a time."""
 ROUNDING = 1e-9
-"""Relative distance kept from each limit, for sums in double precision."""
+"""Relative distance that is kept from each limit, for sums in double precision."""
 
 
 class Limiter:
-    """Holds voltage and step of N channels; what goes in comes out ``delay`` samples later.
+    """Bounds voltage and step of N channels; the input comes out ``delay`` samples later.
 
     Parameters
     ----------
-    voltage : largest magnitude [V]
-    step : largest change from one sample to the next [V]
-    sample_rate : [Hz]
-    channels : N
+    voltage : float
+        Largest magnitude of a sample [V].
+    step : float
+        Largest change from one sample to the next [V].
+    sample_rate : float
+        Sample rate [Hz].
+    channels : int
+        Number of channels, N.
 
     Attributes
     ----------
-    limited_samples : output samples whose gain was below one
-    guarded_samples : output samples that went only part of the way
-    invalid_samples : input values that were not finite or beyond reason, taken as 0 V
+    delay : int
+        Delay from input to output [samples].
+    limited_samples : int
+        Number of output samples whose gain was below 1.
+    guarded_samples : int
+        Number of output samples that went only part of the way.
+    invalid_samples : int
+        Number of input values that were not finite or out of range, taken as 0 V.
     """
 
     delay = LOOK_AHEAD
@@ -59,16 +68,17 @@ class Limiter:
         self.invalid_samples = 0
 
     def __call__(self, volts: NDArray[np.floating]) -> Floats:
-        """Return the next samples, within the limits whatever is asked.
+        """Return the next samples, within the limits for any input.
 
         Parameters
         ----------
-        volts : (S, N) [V]; may hold anything, NaN and infinity included
+        volts : (S, N) array of float
+            Drive to limit; may hold any values, NaN and infinity included [V].
 
         Returns
         -------
-        (S, N) ndarray
-            The input ``delay`` samples ago, limited [V].
+        (S, N) array of float
+            Input of ``delay`` samples ago, limited [V].
         """
         if len(volts) > LONGEST:
             parts = range(0, len(volts), LONGEST)
@@ -90,12 +100,13 @@ class Limiter:
         return out
 
     def _cleaned(self, volts: Floats) -> Floats:
+        """Return the input with invalid values replaced by 0 V, and count them."""
         good = np.abs(volts) < NONSENSE
         self.invalid_samples += volts.size - int(np.count_nonzero(good))
         return np.where(good, volts, 0.0)
 
     def _rest(self) -> None:
-        """See whether gain and guard are done, so that drive may pass as it is."""
+        """Note whether gain and guard have recovered, so that the drive may pass unchanged."""
         settled = self._own.min() == 1 and self._held.min() > 1 - 1e-6
         if settled and np.array_equal(self._last, self._waiting[0]):
             self._held[:] = 1.0
@@ -104,10 +115,10 @@ class Limiter:
             self._idle = False
 
     def _gain(self, line: Floats) -> Floats:
-        """Return the gain of each output sample, from how far each input goes over its limits.
+        """Return the gain of each output sample, from how far each input exceeds its limits.
 
-        A sample's own gain is min(1, voltage/|u|, step/|Δu|). The lowest of it over the look-ahead,
-        let go exponentially, then averaged over the look-ahead, is never above it.
+        The gain that a sample alone needs is min(1, voltage/|u|, step/|Δu|). Its minimum over the
+        look-ahead, released exponentially and then averaged over the look-ahead, is never above it.
         """
         new, old = line[LOOK_AHEAD + 1 :], line[LOOK_AHEAD:-1]
         over = np.maximum(
@@ -118,31 +129,31 @@ class Limiter:
         self._own = own[len(over) :]
         lowest = sliding_window_view(own, LOOK_AHEAD + 1).min(axis=1)
         reduction = np.concatenate([[1 - self._held[-1]], 1 - lowest])
-        let_go = 1 - _decaying_maximum(reduction, self._recovery)[1:]
-        held = np.concatenate([self._held, np.minimum(lowest, let_go)])
+        released = 1 - _decaying_maximum(reduction, self._recovery)[1:]
+        held = np.concatenate([self._held, np.minimum(lowest, released)])
         self._held = held[len(over) :]
         gain = sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1)
         self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
         return np.asarray(gain)
 
     def _guard(self, wanted: Floats) -> Floats:
-        """Go from sample to sample by no more than the step, in the direction of what is asked."""
+        """Move from sample to sample by at most the step, in the direction of what is wanted."""
         change = np.abs(np.diff(wanted, axis=0, prepend=self._last[None]))
         if change.max(initial=0.0) > self._step:
             for k, row in enumerate(wanted):
                 move = row - (wanted[k - 1] if k else self._last)
-                far = float(np.abs(move).max())
-                if far > self._step:
-                    row += move * (self._step / far - 1)
+                largest = float(np.abs(move).max())
+                if largest > self._step:
+                    row += move * (self._step / largest - 1)
                     self.guarded_samples += 1
         self._last = wanted[-1].copy()
         return wanted
 
 
 def _decaying_maximum(values: Floats, decay: float) -> Floats:
-    """Return the running maximum of values (K,) that shrinks by ``decay`` per step.
+    """Return the running maximum of values (K,) that shrinks by the factor ``decay`` per step.
 
-    y[n] = max over k ≤ n of values[k] decay^(n−k), without a loop.
+    y[n] = max over k ≤ n of values[k] decay^(n−k), computed without a loop.
     """
     weight = decay ** np.arange(len(values))
     return np.asarray(np.maximum.accumulate(values / weight) * weight)

@@ -1,10 +1,10 @@
-"""The renderer: position and force in, volts out, block by block.
+"""Renderer: finger position and force in, drive voltage out, block by block.
 
-The finger's places become strokes (`stroke`), each texture's `RealizedLayer` turns these into
-shear, and layers, each with its gain, what friction stretches the skin by (`skin_stretch`) and
-streamed waveforms add up; then the `Equalizer` turns shear into volts and the `Limiter` lets them
-out. Layers may be changed while it plays: new ones fade in as old ones fade out. Nothing depends on
-how the stream is cut.
+`Motion` turns the finger's positions into strokes (`stroke`), and the `RealizedLayer` of each
+texture turns these into shear. The sum of all layers, each with its gain, of the skin stretch due
+to friction (`skin_stretch`) and of streamed waveforms is what is commanded. The `Equalizer`
+converts it to volts, which leave through the `Limiter`. Layers may be changed during playback: new
+ones fade in as old ones fade out. The result does not depend on how the stream is cut into blocks.
 """
 
 from collections.abc import Sequence
@@ -26,22 +26,29 @@ from tactile.rendering.stroke import FARTHEST, NODE, Motion, Stroke
 from tactile.texture.surface import Texture
 
 CHUNK = BLOCK = 64
+"""Largest number of samples that is rendered at a time, and size of the blocks of `render`."""
 FASTEST = 200e3
-"""Hz."""
+"""Highest sample rate that is accepted [Hz]."""
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A rendered trajectory; drive and shear are aligned.
+    """Rendered trajectory, with drive and shear aligned in time.
 
     Attributes
     ----------
-    drive : (S, N) [V], contactors in the display's order
-    shear : (S, N) [m], what the skin should do at ``time`` when drive plays from sample 0
-    time : (S,) [s]
-    position : (S, 2) of the finger [m]
-    sample_rate : [Hz]
-    limited_samples : how many samples the limiter turned down
+    drive : (S, N) array of float
+        Drive, contactors in the display's order [V].
+    shear : (S, N) array of float
+        Shear that the skin should have at ``time`` if the drive plays from sample 0 [m].
+    time : (S,) array of float
+        Times of the samples [s].
+    position : (S, 2) array of float
+        Positions of the finger [m].
+    sample_rate : float
+        Sample rate [Hz].
+    limited_samples : int
+        Number of samples that the limiter turned down.
     """
 
     drive: Floats
@@ -53,35 +60,55 @@ class Rendering:
 
 
 class Ramp:
-    """A gain that goes from value to value by half a cosine.
+    """Gain that moves from value to value along half a cosine.
 
     Parameters
     ----------
-    step : of the way, per sample
-    value : to begin with
+    step : float
+        Part of a transition that one sample makes, 0 … 1.
+    value : float
+        Initial gain.
     """
 
     def __init__(self, step: float, value: float) -> None:
         self._step, self._from, self._to, self._way = step, value, value, 1.0
 
     def to(self, value: float) -> None:
-        """Go to a value, from where it is now."""
+        """Start a transition from the present gain.
+
+        Parameters
+        ----------
+        value : float
+            Gain to reach.
+        """
         self._from, self._to, self._way = self._at(self._way), value, 0.0
 
     def after(self, samples: int) -> float:
-        """Return the gain some samples after the next."""
+        """Return the gain at a later sample.
+
+        Parameters
+        ----------
+        samples : int
+            Number of samples after the next one.
+
+        Returns
+        -------
+        float
+            Gain at that sample.
+        """
         return self._to if self._way == 1 else self._at(min(self._way + self._step * samples, 1.0))
 
     def _at(self, way: float) -> float:
+        """Return the gain at a part of the transition, 0 … 1."""
         return self._from + (self._to - self._from) * (1 - float(np.cos(np.pi * way))) / 2
 
     @property
     def silent(self) -> bool:
-        """Whether it is 0 and stays there."""
+        """Whether the gain is 0 and stays there."""
         return self._way == 1 and self._to == 0
 
     def __call__(self, shear: Singles) -> Singles:
-        """Return shear (S, N) scaled by the next S values."""
+        """Return shear (S, N), scaled by the next S gains, and advance by as many samples."""
         if self._way == 1:
             return shear if self._to == 1 else np.asarray(shear * np.float32(self._to))
         way = np.minimum(self._way + self._step * np.arange(len(shear)), 1.0)
@@ -95,22 +122,33 @@ class Renderer:
 
     Parameters
     ----------
-    display, texture : what to render on, and what; None for nothing yet
-    sample_rate : of the drive [Hz]
-    seed : of the surface's realization
+    display : Display
+        Display to render for.
+    texture : Texture or None
+        Texture to render from the first sample on; None for none yet.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    seed : int
+        Seed of the surface's realization.
 
     Attributes
     ----------
-    delay : samples by which `block` lags its input
-    limiter : the `Limiter` that volts leave through, with its counts
-    filter : the `InverseFilter` in use
-    frequency, attainable : (F,) [Hz] and (L, N, F) peak shear [m] of a sinusoid at the voltage
-        limit, per force of the finger's table and contactor
+    delay : int
+        Delay of `block` from input to output [samples].
+    limiter : Limiter
+        Limiter that the drive leaves through, with its counts.
+    filter : InverseFilter
+        Inverse filter in use.
+    frequency : (F,) array of float
+        Frequencies of ``attainable`` [Hz].
+    attainable : (L, N, F) array of float
+        Peak shear of a sinusoid at the voltage limit, per force of the finger's table, contactor
+        and frequency [m].
 
     Raises
     ------
     InputError
-        Where the sample rate is below twice the band, or beyond reason.
+        If the sample rate is below twice the band or too high.
     """
 
     def __init__(
@@ -152,25 +190,30 @@ class Renderer:
 
     @property
     def invalid_samples(self) -> int:
-        """Samples that were not finite or beyond reason.
+        """Number of samples that were not finite or out of range.
 
-        The last good position is held, the force taken as zero, a waveform's sample as zero.
+        The last valid position is held, the force is taken as 0, and so is a waveform's sample.
         """
         return self._motion.invalid_samples + self._invalid
 
     def fade_in(self) -> None:
-        """Let shear rise from nothing within the display's fade, from the next sample on."""
+        """Let the shear rise from 0 within the display's fade, from the next sample on."""
         self._fade = Ramp(self._fade_step, 0.0)
         self._fade.to(1.0)
 
     def fade_out(self) -> None:
-        """Let shear fall to nothing within the display's fade, and stay there."""
+        """Let the shear fall to 0 within the display's fade, and stay there."""
         self._fade.to(0.0)
 
     def play(self, layers: Sequence[tuple[RealizedLayer, float]]) -> None:
-        """Go over to other layers, each with its gain, within the display's fade.
+        """Cross-fade to other layers within the display's fade.
 
-        A layer that plays already goes on, at its new gain.
+        A layer that plays already continues, and its gain moves to the new one.
+
+        Parameters
+        ----------
+        layers : sequence of (RealizedLayer, float)
+            Layers to play, each with its gain.
         """
         gains = {id(layer): gain for layer, gain in layers}
         for layer, ramp in self._layers:
@@ -182,6 +225,7 @@ class Renderer:
                 self._add(layer, ramp)
 
     def _add(self, layer: RealizedLayer, ramp: Ramp) -> None:
+        """Start a layer, and its friction if it has any, with a gain."""
         self._layers.append((layer, ramp))
         if layer.friction is not None:
             self._rubbing.append((Bristles(layer.friction), ramp))
@@ -216,17 +260,21 @@ class Renderer:
 
         Parameters
         ----------
-        position : (S, 2) of the finger [m]
-        normal_force : (S,) [N]
-        waveform : (S,) or (S, N) shear [m] to add to the surface's, such as a transient
-        shear : also return what the skin is to do
+        position : (S, 2) array_like of float
+            Positions of the finger [m].
+        normal_force : (S,) array_like of float
+            Normal forces [N].
+        waveform : (S,) or (S, N) array_like of float, optional
+            Shear to add to that of the surface, such as a transient [m].
+        shear : bool
+            Whether to return the commanded shear as well.
 
         Returns
         -------
-        drive : (S, N) ndarray
-            Volts, limited, ``delay`` samples late; contactors in the display's order.
-        shear : (S, N) ndarray
-            Shear displacement [m] that this drive commands, equally late. Only on request.
+        drive : (S, N) array of float
+            Limited drive, ``delay`` samples late; contactors in the display's order [V].
+        shear : (S, N) array of float
+            Shear displacement that this drive commands, equally late [m]. Only on request.
         """
         touch = self._motion.taken(position, normal_force)
         count = touch.shape[1]
@@ -244,17 +292,19 @@ class Renderer:
         return drive, np.concatenate([part[1] for part in parts]).astype(np.float64)
 
     def _added(self, waveform: ArrayLike, count: int) -> Floats:
+        """Return a waveform as a valid array (S, N) of shear [m]."""
         wave = np.asarray(waveform, np.float64)
         wave = wave[:, None] if wave.ndim == 1 else wave
         return self._finite(np.broadcast_to(wave, (count, self._contactors)))
 
     def _finite(self, waveform: Floats) -> Floats:
+        """Return a waveform with invalid values replaced by 0, and count them."""
         good = np.abs(waveform) < FARTHEST
         self._invalid += waveform.size - int(np.count_nonzero(good))
         return np.where(good, waveform, 0.0)
 
     def _chunk(self, touch: Floats, waveform: Floats) -> tuple[Floats, Singles]:
-        """Render at most `CHUNK` samples; what falls before the stream's beginning is 0 V."""
+        """Render at most `CHUNK` samples; samples before the stream's first stroke are 0 V."""
         count = touch.shape[1]
         stroke = self._motion(touch)
         if len(self._waveform) or stroke is None:
@@ -273,8 +323,8 @@ class Renderer:
         return self.limiter(volts[len(volts) - count :]), shear
 
     def _shear(self, stroke: Stroke, waveform: Floats) -> Singles:
-        """Return what each contactor is to do (S, N) [m]."""
-        stretch = self._stretch(stroke, self._rubbing)  # before the ramps go on
+        """Return the shear that each contactor is to give (S, N) [m]."""
+        stretch = self._stretch(stroke, self._rubbing)  # reads the ramps before they advance
         parts = [ramp(layer(stroke)) for layer, ramp in self._layers]
         shear = (
             parts[0]
@@ -296,6 +346,7 @@ class Renderer:
 
 
 def _limiter(display: Display, sample_rate: float) -> Limiter:
+    """Return the limiter of a display's drive."""
     limits = display.limits
     return Limiter(
         limits.voltage,
@@ -317,14 +368,21 @@ def render(
 
     Parameters
     ----------
-    display, texture, trajectory : what to render on, what, and where the finger goes
-    sample_rate : of the drive [Hz]
-    seed : of the surface's realization
+    display : Display
+        Display to render for.
+    texture : Texture
+        Texture to render.
+    trajectory : Trajectory
+        Path of the finger.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    seed : int
+        Seed of the surface's realization.
 
     Returns
     -------
     Rendering
-        With drive and shear aligned: the renderer's delay is taken off both.
+        Drive and shear, aligned: the renderer's delay is removed from both.
     """
     renderer = Renderer(display, texture, sample_rate=sample_rate, seed=seed)
     blocks = list(trajectory.blocks(sample_rate, BLOCK, extra=renderer.delay))

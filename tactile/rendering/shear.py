@@ -1,4 +1,4 @@
-"""What the skin is to do: the laws of speed and force, and sparse events, as shear targets."""
+"""Laws of speed and force, and sparse events, as targets of shear."""
 
 import numpy as np
 
@@ -8,21 +8,39 @@ from tactile.texture.event_power import FWHM
 from tactile.texture.surface import Surface
 
 CONTACT_FORCE = 0.05
-"""N; below it the finger is leaving and shear falls to nothing at 0 N (assumed)."""
+"""Normal force below which the finger is leaving and shear falls, to 0 at 0 N (assumed) [N]."""
 SHIFT = 11
+"""Binary logarithm of `PIXELS`."""
 PIXELS = 1 << SHIFT
-"""Of an event field's side: 12.5 µm on a tile of 25.6 mm."""
+"""Number of pixels along one side of an event field: pixels of 12.5 µm on a tile of 25.6 mm."""
 LAST = PIXELS - 1
+"""Index of the last pixel, and mask that wraps an index around the tile."""
 
 
 def held_power_law(
     x: Floats, reference: float, bounds: tuple[float, float], exponent: float
 ) -> Floats:
-    """Return (x/reference)^exponent, held smoothly constant outside its bounds.
+    """Compute (x/reference)^exponent, held smoothly constant outside its bounds.
 
-    x is first bent to stay within: x⁸ becomes 1/(1/(x⁸ + low⁸) + 1/high⁸), 0.75 dB off the law
-    right at an end. One at the reference, even and smooth at zero, so that a stop and a reversal
-    change nothing.
+    x is first bent to stay within the bounds: x⁸ becomes 1/(1/(x⁸ + low⁸) + 1/high⁸), which is 0.75
+    dB off the law exactly at a bound. The law is 1 at the reference, even, and smooth at 0, so that
+    it has no jump at a stop or a reversal.
+
+    Parameters
+    ----------
+    x : (...) array of float
+        Argument, such as speed or force, in the unit of ``reference``.
+    reference : float
+        Argument at which the law is 1.
+    bounds : tuple of 2 floats
+        Lower and upper end of the range in which the law holds, in the unit of ``reference``.
+    exponent : float
+        Exponent of the power law.
+
+    Returns
+    -------
+    (...) array of float
+        Factors.
     """
 
     def bent(value: Floats) -> Floats:
@@ -32,11 +50,16 @@ def held_power_law(
 
 
 class Law:
-    """The factor on displacement at a speed and a normal force, read from two tables.
+    """Factor on displacement at a given speed and normal force, read from two tables.
 
-    Both of the descriptor's laws, and a smooth fall to nothing as the force goes to zero. The
-    tables reach as far as the laws vary; between entries, 1 % of speed or force apart, they run
-    straight, within 3e-5 of an exponent of one.
+    The factor is the product of the descriptor's two laws and of a smooth fall to 0 as the force
+    goes to 0. The tables cover the range in which the laws vary. Between entries, 1 % of speed or
+    force apart, they are interpolated linearly, which is within 3e-5 for an exponent of 1.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Description of the texture.
     """
 
     def __init__(self, descriptor: Descriptor) -> None:
@@ -55,24 +78,34 @@ class Law:
         self._force = force, touch * touch * (3 - 2 * touch) * by_force
 
     def __call__(self, speed_squared: Floats, normal_force: Floats) -> Floats:
-        """Return factors (S,) at squared speeds [m²/s²] and normal forces [N]."""
+        """Return factors (S,) at squared speeds (S,) [m²/s²] and normal forces (S,) [N]."""
         factor = np.interp(speed_squared, *self._speed)
         factor *= np.interp(normal_force, *self._force)
         return factor
 
 
 def _places(bounds: tuple[float, float]) -> Floats:
-    """Return where a law is tabulated: from a sixth of its lower bound to six times its upper."""
+    """Return the arguments of a law's table: 1/6 of the lower to 6 times the upper bound."""
     low, high = bounds[0] / 6, bounds[1] * 6
     return np.geomspace(low, high, int(np.log(high / low) / 0.01))
 
 
 class EventField:
-    """Sparse events drawn once on a tile that repeats over the surface, read bilinearly.
+    """Sparse events, drawn once on a tile that repeats over the surface and read bilinearly.
 
-    The narrowest event, 0.1 mm, is 8 pixels wide: the reading is within 2.2 % of its peak, one of
-    0.25 mm within 0.4 %. Contactors are taken to stand on whole pixels, so that one fraction of a
-    pixel serves them all: 9 µm at most from where they are, nothing for the shipped displays.
+    The narrowest event, 0.1 mm, is 8 pixels wide: its reading is within 2.2 % of its peak, that of
+    an event of 0.25 mm within 0.4 %. Contactors are assumed to stand on whole pixels, so that one
+    fraction of a pixel serves them all; this moves them by at most 9 µm, and not at all for the
+    shipped displays.
+
+    Parameters
+    ----------
+    surface : Surface
+        Realized surface with the events' places and peaks.
+    kinds : tuple of Events
+        Kinds of events, in the order of the descriptor.
+    contactors : (N, 2) array of float
+        Places of the contactors [m].
     """
 
     def __init__(self, surface: Surface, kinds: tuple[Events, ...], contactors: Floats) -> None:
@@ -87,7 +120,18 @@ class EventField:
         self._flat = field.ravel()
 
     def at(self, place: Floats) -> Singles:
-        """Return displacement (S, N) [m] at each contactor for finger places (2, S) [m]."""
+        """Return the displacement at each contactor.
+
+        Parameters
+        ----------
+        place : (2, S) array of float
+            Positions of the finger [m].
+
+        Returns
+        -------
+        (S, N) array of float
+            Displacement [m].
+        """
         pixel = place * self._per_meter
         whole = np.floor(pixel)
         x, y = (pixel - whole).astype(np.float32)[..., None]
@@ -105,7 +149,7 @@ class EventField:
 
 
 def _draw(field: Singles, place: Floats, peak: float, kind: Events, pitch: float) -> None:
-    """Add one event at a place [pixels]."""
+    """Add one event to the field at a place [pixels]."""
     sigma = kind.width_mm * 1e-3 / FWHM / pitch
     reach = int(np.ceil(5 * sigma))
     start = np.floor(place).astype(int)

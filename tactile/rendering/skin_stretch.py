@@ -1,50 +1,53 @@
-"""Friction as skin stretch: what the surface drags the skin along, slowly, under each contactor.
+"""Friction as skin stretch: how far the surface drags the skin, slowly, under each contactor.
 
 **Force.** A finger pressed with N that slides at speed v meets F = μ(v) φ(N) N with
 
     μ(v) = μk + (μs − μk) exp(−(v/vs)²)                                       (Stribeck),
 
 φ(N) = (N/N0)^force_exponent, held beyond the descriptor's range of forces. The surface drags the
-skin against the motion of the finger: positive shear along a contactor's axis is skin dragged that
-way, so a contactor with the axis a is to stretch the skin by a·s, s pointing along −v. A contactor
-whose axis is at a right angle to the motion does nothing.
+skin against the motion of the finger. Positive shear along a contactor's axis is skin dragged in
+that direction, so that a contactor with the axis a stretches the skin by a·s, where s points along
+−v. A contactor whose axis is at a right angle to the motion does nothing.
 
-**Presliding.** The skin is a bristle: it follows the surface by 1/`GIVE` of coefficient for each
-meter of motion, the less the nearer it comes to μ(v). Its state is the mobilized coefficient q, a
-vector, and dx the way of the finger (`Bristles`; Dahl 1968, LuGre: Canudas de Wit et al. 1995),
+**Presliding.** The skin is modeled as a bristle. It follows the surface by 1/`GIVE` of coefficient
+for each meter of motion, and by less the nearer it comes to μ(v). Its state is the mobilized
+coefficient q, a vector, and dx is the displacement of the finger (`Bristles`; Dahl 1968, LuGre:
+Canudas de Wit et al. 1995),
 
     dq = dx/GIVE − q |dx|/(GIVE μ(v)).
 
-A reversal pulls the stretch over within some tenths of a millimeter, a stop holds it, and however
-a finger trembles nothing jumps. Along a straight piece of way the solution is an exponential; it
-is taken as such, so that no step is too long.
+A reversal turns the stretch over within some tenths of a millimeter, a stop holds it, and a
+trembling finger causes no jump. Along a straight piece of path the solution is an exponential and
+is computed as such, so that no step is too long.
 
-**Stick-slip.** A share ``stick_slip`` of the contact does not slide evenly: it sticks, follows the
-surface whole (dq = dx/GIVE) until the static force, and slips back by the 2 (μ(v) − μk) that a mass
-on a spring overshoots, at low speed to 2μk − μs, as far below the kinetic level as it was above.
-Hence a saw-tooth of depth 2 stick_slip (μ(v) − μk) φN once every 2 GIVE (μ(v) − μk) of way: higher
-with speed, gone above the Stribeck speed. A slip lasts `SLIP` nodes, in which the finger goes on;
-that takes as much off the depth, and where nothing is left the contact slides evenly. Real
-stick-slip is irregular; this one is the same for the same path.
+**Stick-slip.** A share ``stick_slip`` of the contact does not slide evenly. It sticks and follows
+the surface fully (dq = dx/GIVE) up to the static force, then slips back by the 2 (μ(v) − μk) that a
+mass on a spring overshoots, at low speed to 2μk − μs, as far below the kinetic level as it was
+above. The result is a sawtooth of depth 2 stick_slip (μ(v) − μk) φN once every 2 GIVE (μ(v) − μk)
+of path: its frequency grows with speed, and it disappears above the Stribeck speed. A slip lasts
+`SLIP` nodes, during which the finger goes on; this reduces the depth accordingly, and where nothing
+is left the contact slides evenly. Real stick-slip is irregular; this one is the same for the same
+path.
 
-**What is felt of it.** Each of n contactors takes 1/n of F, which stretches the finger's load model
-by F/(n k0). Up to `STROKE_SHARE` of what full drive attains at rest, bent there by a tanh, that is
-commanded. A whole finger pad gives about a millimeter per newton: the display plays a compressed
-copy, 24 contactors on the lightly loading finger 1 : 26, with direction, reversals, holds and slips
-in their places, and what is lost is size: materials of high μ, pressed hard, are told apart less
-and less (0.76 of the share at F = `STROKE_SHARE` × attainable × n k0, 0.40 N there, 0.96 at twice
-that). Textures add up, each with its gain, and their
-sum is held to the share.
+**Commanded stretch.** Each of n contactors takes 1/n of F, which stretches the finger's load model
+by F/(n k0). This is commanded up to `STROKE_SHARE` of what full drive attains at rest, with a tanh
+that saturates there. A whole finger pad gives about a millimeter per newton, so that the display
+plays a compressed copy, for 24 contactors on the lightly loading finger 1 : 26. Direction,
+reversals, holds and slips stay in their places, and what is lost is size: materials of high μ,
+pressed hard, are harder and harder to tell apart (0.76 of the share at F = `STROKE_SHARE` ×
+attainable × n k0, which is 0.40 N there, 0.96 at twice that). The textures add up, each with its
+gain, and their sum is held to the share.
 
-**When.** The finger is read at nodes, one every 2 ms on the stream's own grid; between them a
-uniform cubic B-spline runs, which is smooth, never leaves the range of its nodes and has the
-spectrum sinc⁴: a slip, however sudden, becomes a smooth step of 8 ms, 10 to 90 % of it in 3 ms (a
-pad of about 100 Hz swings no faster; assumed), 71 dB down from 1 kHz on. That is 4 ms late. Motion
-is averaged over `AVERAGED` before, since difference of noisy places is not rest. Both err late,
-as touch forgives (40 ms: Okamoto et al., IEEE ToH 2009).
+**Timing.** The finger is read at nodes, one every 2 ms on the stream's own grid. Between them runs
+a uniform cubic B-spline, which is smooth, never leaves the range of its nodes and has the spectrum
+sinc⁴: a slip, however sudden, becomes a smooth step of 8 ms, with 10 to 90 % of it in 3 ms (a pad
+of about 100 Hz swings no faster; assumed), 71 dB down from 1 kHz on. The spline is 4 ms late.
+Motion is averaged over `AVERAGED` first, because the difference of two noisy positions of a resting
+finger is not 0. Both delays are within what touch tolerates (40 ms: Okamoto et al., IEEE ToH 2009).
 
-The laws are a layer's; the state is here, beside the renderer's ramps. An amplifier that is coupled
-to AC lets through what is faster than its corner: reversals and slips, no hold.
+The friction laws belong to a layer; the state is kept here, beside the renderer's ramps. An
+AC-coupled amplifier passes only what is faster than its corner frequency: reversals and slips, but
+no hold.
 """
 
 import math
@@ -60,42 +63,65 @@ from tactile.rendering.stroke import Stroke
 from tactile.texture.descriptor import Descriptor
 
 Pair = tuple[float, float]
+"""Vector, x and y."""
 
 STROKE_SHARE = 0.3
-"""Of the shear that full drive attains at rest: the most that friction takes. The rest is the
-texture's: four times the rms of the strongest shipped, 7 µm, takes up to 53 % under the heavily
-loading finger; and what is held for long is easy on the ceramic."""
+"""Largest part of the shear attained by full drive at rest that friction may take. The rest is for
+the texture: four times the rms of the strongest shipped texture, 7 µm, takes up to 53 % under the
+heavily loading finger. A moderate voltage that is held for long is also easy on the ceramic."""
 GIVE = 1e-3
-"""m of skin stretch per unit of friction coefficient: a pad as stiff as 1 N/mm at 1 N (assumed)."""
+"""Skin stretch per unit of friction coefficient [m]: a pad with a stiffness of 1 N/mm at 1 N
+(assumed)."""
 NODE_TIME = 2e-3
-"""s from node to node, to the nearest whole number of samples."""
+"""Time from node to node, rounded to a whole number of samples [s]."""
 AVERAGED = 5e-3
-"""s, the time constant over which the finger's motion is averaged (assumed)."""
+"""Time constant over which the finger's motion is averaged (assumed) [s]."""
 RESTS = 1e-12
-"""m from node to node, below which a finger does not move."""
+"""Distance between nodes below which a finger does not move [m]."""
 SLIP = 2
-"""Nodes that a slip takes, the steep half of the spline's step."""
+"""Duration of a slip, the steep half of the spline's step [nodes]."""
 QUICKEST = 2
-"""Nodes from slip to slip; what would slip more often slides evenly."""
+"""Shortest time from slip to slip [nodes]; a contact that would slip more often slides evenly."""
 LEAST = 1e-3
-"""Smallest coefficient, and smallest end of a range of forces [N], that is told from nothing."""
+"""Smallest coefficient, and smallest end of a range of forces [N], that is distinguished from 0."""
 
 
 class GainLike(Protocol):
-    """A gain that may go from value to value."""
+    """Gain that may change from value to value."""
 
     def after(self, samples: int) -> float:
-        """Return it some samples after the next."""
+        """Return the gain at a later sample.
+
+        Parameters
+        ----------
+        samples : int
+            Number of samples after the next one.
+
+        Returns
+        -------
+        float
+            Gain at that sample.
+        """
 
 
 class FrictionLaw:
-    """What a texture's friction is, with no memory of the stream.
+    """Friction of a texture, without any state of the stream.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Description of a texture with friction.
 
     Attributes
     ----------
-    kinetic, weakening : μk and μs − μk, at the reference force
-    speed : vs [m/s]
-    sticking : the share of the contact that sticks and slips
+    kinetic : float
+        Kinetic coefficient μk at the reference force.
+    weakening : float
+        Difference μs − μk of static and kinetic coefficient at the reference force.
+    speed : float
+        Stribeck speed vs [m/s].
+    sticking : float
+        Share of the contact that sticks and slips, 0 … 1.
     """
 
     def __init__(self, descriptor: Descriptor) -> None:
@@ -114,22 +140,52 @@ class FrictionLaw:
         )
 
     def over_kinetic(self, speed: float) -> float:
-        """Return μ(v) − μk at a speed [m/s]."""
+        """Compute the excess of the coefficient over the kinetic one, μ(v) − μk.
+
+        Parameters
+        ----------
+        speed : float
+            Sliding speed [m/s].
+
+        Returns
+        -------
+        float
+            Excess of the coefficient.
+        """
         ratio = speed / self.speed
         return self.weakening * math.exp(-ratio * ratio)
 
     def force(self, normal_force: float) -> float:
-        """Return φ(N) N [N]: the friction at a coefficient of one; bends as `held_power_law`."""
+        """Compute φ(N) N, the friction force at a coefficient of 1.
+
+        φ saturates beyond its range of forces as `held_power_law` does.
+
+        Parameters
+        ----------
+        normal_force : float
+            Normal force N [N].
+
+        Returns
+        -------
+        float
+            Friction force [N].
+        """
         bent = 1 / (1 / (normal_force**8 + self._low) + self._high)
         return float(bent**self._exponent / self._reference * normal_force)
 
 
 class Bristles:
-    """The coefficient that a finger has mobilized of one texture, a vector along its motion.
+    """Coefficient that a finger has mobilized of one texture, a vector along its motion.
 
     Parameters
     ----------
-    law : of the texture
+    law : FrictionLaw
+        Friction of the texture.
+
+    Attributes
+    ----------
+    law : FrictionLaw
+        Friction of the texture.
     """
 
     def __init__(self, law: FrictionLaw) -> None:
@@ -137,15 +193,27 @@ class Bristles:
         self.release()
 
     def release(self) -> None:
-        """Let go: the finger has left."""
+        """Reset the stretch, for a finger that has left the surface."""
         self._even: Pair = (0.0, 0.0)
         self._stuck: Pair = (0.0, 0.0)
 
     def move(self, dx: float, dy: float, duration: float) -> Pair:
-        """Return q after the finger has gone straight by (dx, dy) [m] within a time [s].
+        """Move the finger in a straight line and return the mobilized coefficient q.
 
-        It is that of the end; but a slip on the way counts for the part of the way before it too,
-        as if q were averaged over the way: so that slips are timed between nodes.
+        The result is q at the end of the line. A slip on the way also counts for the part of the
+        way before it, as if q were averaged over the way, so that slips are timed between nodes.
+
+        Parameters
+        ----------
+        dx, dy : float
+            Displacement of the finger [m].
+        duration : float
+            Duration of the motion [s].
+
+        Returns
+        -------
+        tuple of 2 floats
+            Mobilized coefficient q along x and y.
         """
         way = math.hypot(dx, dy)
         if way < RESTS:
@@ -176,27 +244,32 @@ class Bristles:
         return x * mean, y * mean
 
     def _mixed(self, stuck: Pair) -> Pair:
+        """Return q of the whole contact from that of its sticking part."""
         share, (x, y) = self.law.sticking, self._even
         return x + share * (stuck[0] - x), y + share * (stuck[1] - y)
 
 
 def _slid(q: Pair, dx: float, dy: float, way: float, top: float) -> Pair:
-    """Return the bristle's q after a straight way, on which it nears ``top`` along the way."""
+    """Return a bristle's q after a straight way, on which q nears ``top`` along the motion."""
     keep = math.exp(-way / (GIVE * top))
     x, y = dx / way * top, dy / way * top
     return x + (q[0] - x) * keep, y + (q[1] - y) * keep
 
 
 class Stretch:
-    """Turns the friction of the textures that play into stretch under each contactor.
+    """Converts the friction of the textures that play into stretch under each contactor.
 
     Parameters
     ----------
-    display : what stretches the skin
-    attainable : (L,) shear at rest that full drive attains on every contactor [m], per force of
-        the finger's table
-    sample_rate : of the stream [Hz]
-    longest : stroke that is ever taken at a time [samples]
+    display : Display
+        Display that stretches the skin.
+    attainable : (L,) array of float
+        Shear at rest that full drive attains on every contactor, per force of the finger's table
+        [m].
+    sample_rate : float
+        Sample rate of the stream [Hz].
+    longest : int
+        Length of the longest stroke that is processed at a time [samples].
     """
 
     def __init__(
@@ -214,7 +287,7 @@ class Stretch:
         self._scale = float(self._mosts[0]), float(self._fulls[0])
         self._axes = -display.shear_axes.T.astype(np.float32)
         self._common = (*self._axes[:, 0].tolist(),) if not np.ptp(self._axes, axis=1).any() else ()
-        self._spline = self._found = spline_weights(self._every, longest)
+        self._spline = self._cached = spline_weights(self._every, longest)
         self._asked = 0, 0
         self._line: list[Pair] = [(0.0, 0.0)] * 4
         self._place, self._motion = (0.0, 0.0), (0.0, 0.0)
@@ -224,10 +297,10 @@ class Stretch:
     def __call__(
         self, stroke: Stroke, playing: Sequence[tuple[Bristles, GainLike]]
     ) -> Singles | None:
-        """Return stretch (S, N) [m] of the textures that play; None where there is none at all.
+        """Return the stretch (S, N) [m] of the textures that play; None if there is none at all.
 
-        It is (S, 1) where all contactors have one axis. ``playing`` has the bristles of each
-        texture and its gain.
+        It is (S, 1) if all contactors have one axis. ``playing`` holds the bristles and the gain of
+        each texture.
         """
         if not playing and not any(x or y for x, y in self._line):
             self._pressed = False
@@ -246,16 +319,19 @@ class Stretch:
         return np.asarray(spline.dot(np.array(line, np.float32)).dot(self._axes))
 
     def _weights(self, begin: int, count: int, nodes: int) -> Singles:
-        """Return the spline's rows of some samples; the last ones asked for are at hand."""
+        """Return the spline's rows of some samples, cached for a repeated call."""
         if self._asked != (begin, count):
             self._asked = begin, count
-            self._found = np.ascontiguousarray(self._spline[begin : begin + count, :nodes])
-        return self._found
+            self._cached = np.ascontiguousarray(self._spline[begin : begin + count, :nodes])
+        return self._cached
 
     def _at_node(
         self, place: Pair, force: float, playing: Sequence[tuple[Bristles, GainLike]], after: int
     ) -> Pair:
-        """Return what the surface does to the skin [m], turned along motion."""
+        """Return the stretch (x, y) [m] that the surface causes, in the direction of motion.
+
+        It depends on no contactor's axis; ``after`` is the node's sample within the stroke.
+        """
         dx, dy = self._moved(place, force > 0)
         self._press(force)
         if not self._force:
@@ -292,7 +368,7 @@ class Stretch:
         return self._motion
 
     def _press(self, normal_force: float) -> None:
-        """Follow the normal force, down no faster than from what it was to 0 within the fade."""
+        """Follow the normal force, at most as fast as its last rise falls to 0 within the fade."""
         if normal_force >= self._force:
             self._force = normal_force
             self._falls = normal_force * self._release
@@ -301,10 +377,23 @@ class Stretch:
 
 
 def spline_weights(every: int, longest: int) -> Singles:
-    """Return weights (every + longest, K) of nodes, the first three before the first row's.
+    """Compute the weights of a spline's nodes at each sample.
 
-    Row p is p samples after a node, column j that node's (j − 3)rd successor: B(p/every + 3 − j),
-    with B the uniform cubic B-spline on 0 … 4, which peaks two nodes after its own.
+    Row p is p samples after a node, and column j belongs to that node's (j − 3)rd successor:
+    B(p/every + 3 − j) with the uniform cubic B-spline B on 0 … 4, which peaks two nodes after its
+    own.
+
+    Parameters
+    ----------
+    every : int
+        Distance between nodes [samples].
+    longest : int
+        Length of the longest stroke [samples].
+
+    Returns
+    -------
+    (every + longest, K) array of float32
+        Weights; the first three columns belong to the nodes before that of the first row.
     """
     rows = np.arange(every + longest) / every
     u = np.clip(rows[:, None] + 3 - np.arange(int(rows[-1]) + 5), 0, 4)

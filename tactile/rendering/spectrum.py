@@ -1,41 +1,43 @@
-"""Spectrum frames: what the partials are on a few carriers, for a link too narrow for samples.
+"""Spectrum frames: the partials on a few carriers, for a link that is too narrow for samples.
 
 A link plays Σ_p Re Z_p(t) exp 2πj f_p t per contactor: P carriers of fixed frequency f_p, each with
-a complex envelope Z_p that is sent R times a second and runs straight from frame to frame. The
-envelopes come from the partials, not from samples. Partial m sounds at f_m = k_m·v/2π; conjugated
-where f_m < 0, so that a reversal changes envelopes only, it is on carrier p
+a complex envelope Z_p that is sent R times a second and interpolated linearly between frames. The
+envelopes are computed from the partials, not from samples. Partial m sounds at f_m = k_m·v/2π; it
+is conjugated where f_m < 0, so that a reversal changes envelopes only. On carrier p it is
 
     s_p(|f_m|) G(|f_m|) a_m exp j(k_m·(p + x_i) + φ_m) exp(−2πj f_p t),
 
-with G the inverse response, t the frame's sample time, and s the shares of the carriers.
+with the inverse response G, the frame's sample time t, and the shares s of the carriers.
 
 **Carriers** (`carrier_frequencies`). The lowest is 0 Hz: a finger at rest is then a constant, and a
-partial that passes 0 Hz in a reversal does not jump. Carriers closer than 0.62 R carry whatever is
-between them almost as it is. There are too few for that everywhere, so the highest sub-bands are
-third octaves, as wide as the skin's just noticeable difference of frequency (18–25 %, Israr & Tan
-2006), where its detection threshold rises (from 250 Hz to 1 kHz by 30 dB), and all other carriers
-go, evenly, to what is below. With 16 at 50 Hz that is 31 Hz apart up to 282 Hz and six third
-octaves. Fewer carriers stretch that pattern. Below 100 Hz, where thresholds rise as well, there is
-nothing to save: what is narrower than the frame rate takes no carrier of its own.
+partial that passes 0 Hz in a reversal does not jump. Carriers closer than 0.62 R carry everything
+between them almost unchanged. There are too few for that everywhere. The highest sub-bands are
+therefore third octaves, as wide as the skin's just noticeable difference of frequency (18–25 %,
+Israr & Tan 2006), in the range where its detection threshold rises (by 30 dB from 250 Hz to 1 kHz),
+and all other carriers are spread evenly below. With 16 carriers at 50 Hz these are 31 Hz apart up
+to 282 Hz, with six third octaves above. Fewer carriers stretch that pattern. Below 100 Hz, where
+thresholds rise as well, nothing can be saved: what is narrower than the frame rate takes no carrier
+of its own.
 
-**Shares** (`shares`). One carrier alone, its envelope straight between frames, plays a partial δ
-off with images R apart: (2/3 + cos(2πδ/R)/3) of its power, and that shrinking part in its place.
-Images of one partial fall on the same frequencies from every carrier, so its neighbors can cancel
-them: shares are the least-squares solution that leaves least in the images, held near the
-partial's own carrier, then scaled to unit power, which for one carrier is the known
-compensation. They change continuously with frequency, sub-band edges included. The texture's own
-envelope makes sidebands of a partial, unless it is a grating's, at f_m ± v·q for its waves q; they
-take the shares of their place, all its waves at their rms frequency and to first order in its
-logarithm.
+**Shares** (`shares`). A single carrier, whose envelope is linear between frames, plays a partial δ
+off with images R apart: (2/3 + cos(2πδ/R)/3) of its power, and only a part of that, which shrinks
+with δ, at its own frequency. The images of a partial fall on the same frequencies from every
+carrier, so that neighbors can cancel them. The shares are the least-squares solution that leaves
+least in the images, held near the partial's own carrier, then scaled to unit power, which for one
+carrier is the known compensation. They change continuously with frequency, also across sub-band
+edges. The texture's envelope makes sidebands of a partial that is not a grating's, at f_m ± v·q for
+its waves q; these take the shares of their place, with all waves of the envelope at their rms
+frequency and to first order in its logarithm.
 
-**Limits**. A sum of carriers never exceeds Σ|Z_p|, between frames no more than at the larger of its
-ends. Frames are turned down, all contactors alike, until that holds the voltage limit and its
-slope the slew: no clamp ever acts, at the price of 1–2 dB below what a limiter of samples allows.
+**Limits**. A sum of carriers never exceeds Σ|Z_p|, and between frames it stays below the larger of
+its ends. Frames are turned down, all contactors alike, until that sum holds the voltage limit and
+its slope the slew: no clamp ever acts, at the price of 1–2 dB less than a limiter of samples
+allows.
 
-**Not carried**: sparse events and streamed waveforms, which are no partials. `python -m
-benchmarks spectrum` tells what textures with events lose by it. Nor friction (`skin_stretch`),
-which has a memory of the way that frames, each made from where the finger is now, do not have: on
-a link of frames no texture stretches the skin.
+**Not carried** are sparse events and streamed waveforms, which are not partials; `python -m
+benchmarks spectrum` tells what textures with events lose by it. Friction (`skin_stretch`) is not
+carried either: it has a memory of the path, which frames, each computed from the present state of
+the finger, do not have. On a link of frames no texture stretches the skin.
 """
 
 import math
@@ -55,34 +57,55 @@ from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Texture
 
 HIGHEST = 1e3 * 10**0.05
-"""Hz, end of the third octave at 1 kHz and of the last sub-band; the rest, rolled off, joins it."""
+"""Upper end of the third octave at 1 kHz and of the last sub-band [Hz]; what is above, rolled off,
+is played with it."""
 THIRD = 10**0.1
+"""Frequency ratio of a third octave (base ten)."""
 RESOLVED = 0.62
-"""Of the frame rate, the distance of carriers that leaves a partial's images 25–40 dB down."""
+"""Distance of carriers that leaves a partial's images 25–40 dB down, as a fraction of the frame
+rate."""
 STRETCHED = 0.8
-"""The same where carriers are too few, and thirds become wider with it."""
+"""The same distance if carriers are too few; third octaves are widened with it."""
 FIRST = 0.6
-"""Of that distance, where the first carrier above 0 Hz is: below 0 Hz none helps."""
+"""Frequency of the first carrier above 0 Hz, as a fraction of the distance of carriers: there is no
+carrier below 0 Hz to help."""
 FASTEST_STROKE = 0.25
-"""m/s (assumed), up to which a texture's highest partial has a carrier nearby."""
+"""Speed up to which a texture's highest partial has a carrier nearby (assumed) [m/s]."""
 CLOSEST = 0.4
-"""Of the frame rate; carriers closer than that add nothing."""
+"""Distance below which another carrier adds nothing, as a fraction of the frame rate."""
 IMAGES = 30
-"""On either side of a partial that shares are fitted on."""
+"""Number of images on either side of a partial that shares are fitted to."""
 RIDGE, AFAR = 0.1, 4.0
-"""Of the fit: what it costs to share, and how fast that grows with a sub-band's distance."""
+"""Weight in the fit of what other carriers take, and how fast it grows with a sub-band's
+distance."""
 ROUNDING = 10 ** (0.125 / 20)
-"""By which the wire may round an amplitude up: half a step of 0.25 dB."""
+"""Factor by which the wire may round an amplitude up: half a step of 0.25 dB."""
 MOST = 64
+"""Largest number of carriers that the protocol allows."""
 SLOWEST = 20.0
-"""Carriers and frames a second that the protocol allows."""
+"""Lowest frame rate that the protocol allows [Hz]."""
 
 
 def carrier_frequencies(count: int, frame_rate: float, highest: float = HIGHEST) -> Floats:
-    """Return P ascending carrier frequencies [Hz], the first 0.
+    """Compute the frequencies of carriers.
 
-    As few third octaves below ``highest`` [Hz] as leave all below them resolved, evenly; where
-    there are too few carriers for any such number, a stretched pattern of both.
+    The result has as few third octaves below ``highest`` as leave the band below them resolved with
+    even steps. If there are too few carriers for any such number, it is a stretched pattern of
+    both.
+
+    Parameters
+    ----------
+    count : int
+        Number of carriers, P.
+    frame_rate : float
+        Frame rate R [Hz].
+    highest : float
+        Upper end of the last sub-band [Hz].
+
+    Returns
+    -------
+    (P,) array of float
+        Frequencies, ascending from 0 [Hz].
     """
     for thirds in range(count - 1):
         steps, end = _steps(count - thirds)
@@ -100,37 +123,54 @@ def carrier_frequencies(count: int, frame_rate: float, highest: float = HIGHEST)
 def band_carriers(
     carriers: int, frame_rate: float, sample_rate: float, highest: float = HIGHEST
 ) -> Floats:
-    """Return (P,) carriers up to a frequency [Hz], whole multiples of sample_rate/2³².
+    """Compute the carriers of a band, on the frequency grid of the link.
 
-    Fewer than asked for, where the band needs no more.
+    Parameters
+    ----------
+    carriers : int
+        Largest number of carriers; a band that needs fewer gets fewer.
+    frame_rate : float
+        Frame rate R [Hz].
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
+    highest : float
+        Upper end of the band [Hz].
+
+    Returns
+    -------
+    (P,) array of float
+        Frequencies, whole multiples of sample_rate/2³² [Hz].
     """
     count = min(carriers, max(1, int(highest / (CLOSEST * frame_rate) + 0.5)))
-    wanted = carrier_frequencies(count, frame_rate, highest)
-    return np.asarray(np.rint(wanted / sample_rate * 2**32) * (sample_rate / 2**32))
+    exact = carrier_frequencies(count, frame_rate, highest)
+    return np.asarray(np.rint(exact / sample_rate * 2**32) * (sample_rate / 2**32))
 
 
 def _steps(count: int) -> tuple[Floats, float]:
-    """Return even places from 0, the first step shorter, and where the last's sub-band ends."""
+    """Return even places from 0, the first step shorter, and the end of the last one's sub-band."""
     return np.append(0.0, np.arange(count - 1) + FIRST), max(count - 1.5 + FIRST, 0.5)
 
 
 def shares(frequency: Floats, carriers: Floats, frame_rate: float) -> Floats:
-    """Return how much of a partial each carrier takes, (F, P).
+    """Compute how much of a partial each carrier takes.
 
     Parameters
     ----------
-    frequency : (F,) of partials [Hz]
-    carriers : (P,) ascending [Hz]
-    frame_rate : R [Hz]
+    frequency : (F,) array of float
+        Frequencies of partials [Hz].
+    carriers : (P,) array of float
+        Frequencies of carriers, ascending [Hz].
+    frame_rate : float
+        Frame rate R [Hz].
 
     Returns
     -------
-    (F, P) ndarray
-        s that minimizes Σ_k |Σ_p s_p sinc²(δ_p + k) − [k = 0]|² + Σ_p λ_p (s_p − o_p)² with
-        δ_p = (f − f_p)/R, o one for the own carrier (fading over at edges) and λ_p growing with
-        the distance from sub-band p, scaled so that what is played has the partial's power.
-        Frames joined by straight ramps have images with the spectrum sinc². On a carrier, and at
-        0 Hz, it is the own carrier alone.
+    (F, P) array of float
+        Shares s that minimize Σ_k |Σ_p s_p sinc²(δ_p + k) − [k = 0]|² + Σ_p λ_p (s_p − o_p)² with
+        δ_p = (f − f_p)/R, where o is 1 for the partial's own carrier (with a transition at edges)
+        and λ_p grows with the distance from sub-band p, scaled so that what is played has the power
+        of the partial. The images of frames joined by linear ramps have the spectrum sinc². On a
+        carrier, and at 0 Hz, only the own carrier has a share.
     """
     offset = (frequency[:, None] - carriers) / frame_rate
     edges = (carriers[1:] + carriers[:-1]) / 2
@@ -141,14 +181,14 @@ def shares(frequency: Floats, carriers: Floats, frame_rate: float) -> Floats:
     lines = np.sinc(offset[..., None] + np.arange(-IMAGES, IMAGES + 1)) ** 2
     cost = RIDGE * (1 + AFAR * np.maximum(outside, 0) ** 2)
     normal = lines @ lines.transpose(0, 2, 1) + cost[:, :, None] * np.eye(len(carriers))
-    wanted = lines[:, :, IMAGES] + cost * own
-    fitted = np.linalg.solve(normal, wanted[..., None])
+    right = lines[:, :, IMAGES] + cost * own
+    fitted = np.linalg.solve(normal, right[..., None])
     power = ((fitted.transpose(0, 2, 1) @ lines) ** 2).sum(axis=(1, 2))
     return np.asarray(fitted[..., 0] / np.sqrt(power)[:, None])
 
 
 def _phasors(partials: Partials, contactors: Floats) -> Complex:
-    """Return a exp j(k·x + φ), (M, N)."""
+    """Return a exp j(k·x + φ) of each partial at each contactor, (M, N)."""
     phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
     return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
 
@@ -158,12 +198,23 @@ def _table(
 ) -> NDArray[np.complex64]:
     """Return what carriers play of a partial of unit shear at −`STOP_BAND` … `STOP_BAND` Hz.
 
+    Parameters
+    ----------
+    display : Display
+        Display to play on.
+    carriers : (P,) array of float
+        Frequencies of carriers [Hz].
+    frame_rate : float
+        Frame rate R [Hz].
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
+
     Returns
     -------
-    (L, C, F, P) complex ndarray
-        Share × roll-off × inverse response [V/m] per force and kind, every hertz. A lossy
-        response has a phase down to 0 Hz, where its sign would jump in a reversal: it fades out
-        below 10 Hz.
+    (L, C, F, P) array of complex
+        Share × roll-off × inverse response per force and kind, in steps of 1 Hz [V/m]. A lossy
+        response has a phase down to 0 Hz, whose sign would jump in a reversal; the imaginary part
+        is faded out below 10 Hz.
     """
     frequency = np.arange(-equalizer.STOP_BAND, equalizer.STOP_BAND + 1)
     response = display.responses(np.abs(frequency), sample_rate)
@@ -174,6 +225,7 @@ def _table(
 
 
 def _check(carriers: int, frame_rate: float, sample_rate: float) -> None:
+    """Raise InputError for rates or a number of carriers that the protocol does not allow."""
     if not 1 <= carriers <= MOST:
         raise InputError(f"carriers {carriers}: must be 1 … {MOST}")
     if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
@@ -185,16 +237,21 @@ def _check(carriers: int, frame_rate: float, sample_rate: float) -> None:
 
 
 class FrameLimiter:
-    """Turns frames down until their carriers together hold the limits, and slowly up again.
+    """Turns frames down until the sum of their carriers holds the limits, and slowly up again.
 
     Parameters
     ----------
-    display : whose limits
-    carriers, frame_rate : of the frames [Hz]
+    display : Display
+        Display whose limits to hold.
+    carriers : (P,) array of float
+        Frequencies of carriers [Hz].
+    frame_rate : float
+        Frame rate [Hz].
 
     Attributes
     ----------
-    limited_frames : frames that were turned down
+    limited_frames : int
+        Number of frames that were turned down.
     """
 
     def __init__(self, display: Display, carriers: Floats, frame_rate: float) -> None:
@@ -207,7 +264,7 @@ class FrameLimiter:
         self.limited_frames = 0
 
     def __call__(self, envelope: Complex) -> Complex:
-        """Return envelopes (N, P) [V] that hold the limits."""
+        """Return envelopes (N, P) [V] scaled to hold the limits."""
         over = (np.abs(envelope) @ self._limits).max(initial=0.0)
         self._held = max(1 - 1 / max(over, 1.0), self._held * self._let_go)
         if self._held < 1e-6:
@@ -221,26 +278,39 @@ class SpectrumRenderer:
 
     Parameters
     ----------
-    display, texture : what to render on, and what
-    carriers : P; fewer where a texture's band needs no more
-    frame_rate : R [Hz], of which the sample rate is a multiple
-    sample_rate : of the amplifier [Hz]
-    seed : of the surface's realization, as in `Renderer`
-    whole_band : have the carriers of any texture, so that several may be added
+    display : Display
+        Display to render for.
+    texture : Texture
+        Texture to render.
+    carriers : int
+        Largest number of carriers; a texture whose band needs fewer gets fewer.
+    frame_rate : float
+        Frame rate R, rounded so that the sample rate is a multiple of it [Hz].
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
+    seed : int
+        Seed of the surface's realization, as in `Renderer`.
+    whole_band : bool
+        Whether to use the carriers of the whole band, so that several textures can be added.
 
     Attributes
     ----------
-    carriers : (P,) frequencies [Hz], whole multiples of sample_rate/2³²
-    spacing : samples from frame to frame
-    sample : position of the next frame, from 0; may be set
-    limiter : the `FrameLimiter` that envelopes leave through
-    invalid_frames : frames whose finger was not finite or beyond reason; the last good place is
-        held, without force
+    carriers : (P,) array of float
+        Frequencies of the carriers, whole multiples of sample_rate/2³² [Hz].
+    spacing : int
+        Distance from frame to frame [samples].
+    sample : int
+        Position of the next frame, counted from 0; may be set [samples].
+    limiter : FrameLimiter
+        Limiter that the envelopes leave through.
+    invalid_frames : int
+        Number of frames for which the finger's data were not finite or out of range; the last valid
+        position is held, without force.
 
     Raises
     ------
     InputError
-        Where carriers or rates are beyond reason.
+        If the number of carriers or a rate is out of range.
     """
 
     def __init__(
@@ -276,27 +346,48 @@ class SpectrumRenderer:
         self.sample = self.invalid_frames = 0
 
     def frame(self, position: ArrayLike, velocity: ArrayLike, normal_force: float) -> Complex:
-        """Return the envelopes at the next frame's time.
+        """Compute the envelopes at the time of the next frame.
 
         Parameters
         ----------
-        position, velocity : (2,) of the finger then [m] and [m/s]
-        normal_force : then [N]
+        position : (2,) array_like of float
+            Position of the finger at that time [m].
+        velocity : (2,) array_like of float
+            Velocity of the finger at that time [m/s].
+        normal_force : float
+            Normal force at that time [N].
 
         Returns
         -------
-        (N, P) complex ndarray
-            Volts, contactors in the display's order.
+        (N, P) array of complex
+            Envelopes within the limits, contactors in the display's order [V].
         """
         return self.limiter(self.unlimited(position, velocity, normal_force))
 
     @property
     def limited_frames(self) -> int:
-        """Frames that were turned down."""
+        """Number of frames that were turned down."""
         return self.limiter.limited_frames
 
     def unlimited(self, position: ArrayLike, velocity: ArrayLike, normal_force: float) -> Complex:
-        """Return what `frame` does before its limits, for who adds several and limits the sum."""
+        """Compute the envelopes of the next frame before the limiter.
+
+        Callers that add the frames of several textures limit the sum.
+
+        Parameters
+        ----------
+        position : (2,) array_like of float
+            Position of the finger at the frame's time [m].
+        velocity : (2,) array_like of float
+            Velocity of the finger at that time [m/s].
+        normal_force : float
+            Normal force at that time [N].
+
+        Returns
+        -------
+        (N, P) array of complex
+            Envelopes, contactors in the display's order [V].
+        """
         place, v = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
         force = float(normal_force)
         if not np.abs([*place, *v, force]).max() < FARTHEST:
@@ -310,44 +401,44 @@ class SpectrumRenderer:
         return envelope
 
     def _carried(self, place: Floats, velocity: Floats, force: float) -> Complex:
-        """Return (N, P) sums of partials on carriers [V], carriers at phase 0."""
+        """Return the sums (N, P) [V] of partials on carriers, with all carriers at phase 0."""
         signed = self._waves.wave_vector @ velocity / (2 * np.pi)
         sign = np.where(signed < 0, -1.0, 1.0)
         turn = np.exp(1j * sign * (self._waves.wave_vector @ place)).astype(np.complex64)
         at = np.where(sign[:, None] < 0, self._at.conj(), self._at)
-        rise, even, odd, aside = self._rise(place, velocity)
-        sides = (0.0, aside, -aside) if aside else (0.0,)
+        rise, even, odd, offset = self._rise(place, velocity)
+        sides = (0.0, offset, -offset) if offset else (0.0,)
         table = [self._played(np.abs(signed) + side, force) for side in sides]
-        found = np.empty((at.shape[1], len(self.carriers)), np.complex128)
+        total = np.empty((at.shape[1], len(self.carriers)), np.complex128)
         bands = self._bands
         for kind, members in enumerate(self._kinds):
             waves = at[:, members].T * turn
             plain, *pair = [waves[:, :bands] @ played[kind, :bands] for played in table]
-            found[members] = plain
+            total[members] = plain
             if pair:
-                both, apart = pair[0] + pair[1] - 2 * plain, pair[0] - pair[1]
-                found[members] += even[members, None] * both + odd[members, None] * apart
-            found[members] *= rise[members, None]
-            found[members] += waves[:, bands:] @ table[0][kind, bands:]
-        return found * self._factor(velocity, force)[:, None]
+                both, difference = pair[0] + pair[1] - 2 * plain, pair[0] - pair[1]
+                total[members] += even[members, None] * both + odd[members, None] * difference
+            total[members] *= rise[members, None]
+            total[members] += waves[:, bands:] @ table[0][kind, bands:]
+        return total * self._factor(velocity, force)[:, None]
 
     def _played(self, frequency: Floats, force: float) -> NDArray[np.complex64]:
-        """Return (C, M, P) of the table at frequencies (M,) [Hz] and a force [N]."""
+        """Return (C, M, P) of the table at frequencies (M,) [Hz] and a normal force [N]."""
         last = self._table.shape[2] - 1
         held = np.clip(frequency + last // 2, 0, last - 1e-3)
         index = held.astype(np.intp)
         part = (held - index).astype(np.float32)[:, None]
         forces = self._display.load_forces
         load = float(np.interp(force, forces, np.arange(len(forces))))
-        found = np.zeros((self._table.shape[1], len(index), self._table.shape[3]), np.complex64)
+        played = np.zeros((self._table.shape[1], len(index), self._table.shape[3]), np.complex64)
         for k in {int(load), math.ceil(load)}:
             table = self._table[k]
-            here = table[:, index]
-            found += (here + (table[:, index + 1] - here) * part) * np.float32(1 - abs(load - k))
-        return found
+            lower = table[:, index]
+            played += (lower + (table[:, index + 1] - lower) * part) * np.float32(1 - abs(load - k))
+        return played
 
     def _factor(self, velocity: Floats, force: float) -> Floats:
-        """Return what multiplies each contactor (N,): laws, axis and polarity."""
+        """Return the factor of each contactor (N,): laws, axis and polarity."""
         law = self._law(np.array([velocity @ velocity]), np.array([force]))
         factor = law * self._display.polarity
         if self._display.projected:
@@ -355,13 +446,17 @@ class SpectrumRenderer:
         return np.asarray(factor)
 
     def _rise(self, place: Floats, velocity: Floats) -> tuple[Floats, Floats, Complex, float]:
-        """Return the envelope at each contactor, which multiplies what is no grating.
+        """Return the envelope at each contactor, which multiplies everything but gratings.
 
         Returns
         -------
-        rise : (N,) now
-        even, odd, aside : (N,), (N,) and [Hz]; it goes on as 1 + even (e₊ + e₋ − 2) +
-            odd (e₊ − e₋) with e± = exp(±2πj aside t), to first order in its logarithm
+        rise : (N,) array of float
+            Present value.
+        even, odd : (N,) array of float and of complex
+            Coefficients of its course over time, 1 + even (e₊ + e₋ − 2) + odd (e₊ − e₋) with e± =
+            exp(±2πj offset t), to first order in its logarithm.
+        offset : float
+            Frequency of its sidebands [Hz].
         """
         slow, signed = self._envelope, self._envelope.wave_vector @ velocity
         log = np.exp(1j * (slow.wave_vector @ place))[:, None] * self._at_envelope
@@ -372,15 +467,28 @@ class SpectrumRenderer:
         return rise, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
 
     def sensation_level(self, velocity: ArrayLike, normal_force: float) -> Floats:
-        """Return how far what each carrier plays is above detection, (P,) [dB].
+        """Compute how far what each carrier plays is above the detection threshold.
 
-        Where a link has room for few envelopes, those below 0 dB are the first to leave out: the
-        power of a sub-band's partials, each relative to the threshold at its own frequency.
+        The power of a sub-band's partials is summed, each relative to the threshold at its own
+        frequency. If a link has room for few envelopes, those below 0 dB are the first to leave
+        out.
+
+        Parameters
+        ----------
+        velocity : (2,) array_like of float
+            Velocity of the finger [m/s].
+        normal_force : float
+            Normal force [N].
+
+        Returns
+        -------
+        (P,) array of float
+            Sensation levels [dB].
         """
         v = np.asarray(velocity, np.float64)
         frequency = np.abs(self._waves.wave_vector @ v) / (2 * np.pi)
         law = float(self._law(np.array([v @ v]), np.array([normal_force]))[0])
-        felt = law * self._waves.amplitude / detection_threshold(frequency)
+        relative = law * self._waves.amplitude / detection_threshold(frequency)
         share = shares(frequency, self.carriers, self._rate)
-        power = (felt * equalizer.roll_off(frequency)) ** 2 @ share**2
+        power = (relative * equalizer.roll_off(frequency)) ** 2 @ share**2
         return np.asarray(10 * np.log10(np.maximum(power, 1e-12)))

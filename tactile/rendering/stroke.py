@@ -1,7 +1,7 @@
-"""The finger's way as a renderer reads it: where, how fast and how hard, sample by sample.
+"""Motion of the finger as a renderer needs it: position, velocity and force, sample by sample.
 
-Velocity is that of a parabola through each sample and those 4 and 8 before it, so that none later
-is needed. What cannot be is mended: an invalid sample holds the last good place, without force.
+Velocity is that of a parabola through each sample and those 4 and 8 before it, so that no later
+sample is needed. Invalid input is repaired: the last valid position is held, without force.
 """
 
 from dataclasses import dataclass
@@ -12,25 +12,32 @@ from numpy.typing import ArrayLike
 from tactile.arrays import Floats
 
 NODE = 8
-"""Samples between nodes of the roll-off, and behind each sample that give its velocity."""
+"""Samples between nodes of the roll-off, and span of the parabola that gives a sample's
+velocity."""
 HISTORY = 2 * NODE
+"""Samples that a stroke keeps of the velocity before its first sample."""
 STILL = 1e-4
-"""m/s; below it a projected direction fades out."""
+"""Speed below which the direction of a projected display fades out [m/s]."""
 FARTHEST = 1e3
-"""m and N from which on a sample is taken as invalid."""
+"""Magnitude from which on a sample is taken as invalid [m] and [N]."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Samples of a finger's way.
+    """Consecutive samples of a finger's motion.
 
     Attributes
     ----------
-    place : (3, S) x, y [m] and 1
-    velocity : (2, `HISTORY` + S) [m/s], from `HISTORY` before the first sample
-    squares : (`HISTORY` + S,) squared speed [m²/s²]
-    normal_force : (S,) [N]
-    start : position in the stream of the first
+    place : (3, S) array of float
+        Rows x and y [m], and 1.
+    velocity : (2, `HISTORY` + S) array of float
+        Velocity from `HISTORY` samples before the first sample on [m/s].
+    squares : (`HISTORY` + S,) array of float
+        Squared speed [m²/s²].
+    normal_force : (S,) array of float
+        Normal force [N].
+    start : int
+        Position of the first sample in the stream [samples].
     """
 
     place: Floats
@@ -41,25 +48,42 @@ class Stroke:
 
 
 class Motion:
-    """Turns places into strokes; the stream's first 9 samples give its first velocity together.
+    """Converts positions into strokes.
+
+    The first 9 samples of the stream determine its first velocity together.
 
     Parameters
     ----------
-    sample_rate : [Hz]
+    sample_rate : float
+        Sample rate [Hz].
 
     Attributes
     ----------
-    invalid_samples : samples that were not finite or beyond reason
+    invalid_samples : int
+        Number of samples that were not finite or out of range.
     """
 
     def __init__(self, sample_rate: float) -> None:
         self._sample_rate = sample_rate
         self._slopes: dict[tuple[int, bool], Floats] = {}
-        self._past, self._waiting = np.zeros((6, HISTORY)), np.zeros((6, 0))
+        self._past, self._pending = np.zeros((6, HISTORY)), np.zeros((6, 0))
         self._count = self.invalid_samples = 0
 
     def taken(self, position: ArrayLike, normal_force: ArrayLike) -> Floats:
-        """Return places (S, 2) [m] and forces (S,) [N] as rows (6, S), mended where need be."""
+        """Arrange positions and forces as rows for the next stroke, and repair invalid samples.
+
+        Parameters
+        ----------
+        position : (S, 2) array_like of float
+            Positions of the finger [m].
+        normal_force : (S,) array_like of float
+            Normal forces [N].
+
+        Returns
+        -------
+        (6, S) array of float
+            Rows x and y [m], 1, force [N], and two rows for the velocity.
+        """
         touch = np.zeros((6, len(np.asarray(position))))
         touch[:2], touch[2], touch[3] = np.transpose(position), 1.0, normal_force
         if not np.abs(touch).max(initial=0.0) < FARTHEST:
@@ -67,14 +91,14 @@ class Motion:
         return touch
 
     def __call__(self, touch: Floats) -> Stroke | None:
-        """Return the stroke of rows of `taken`; None while its first 9 samples are not complete.
+        """Return the stroke of the rows from `taken`; None until the first 9 samples are complete.
 
-        The first stroke is of all samples so far.
+        The first stroke consists of all samples so far.
         """
         begun = self._count > NODE
         self._count += touch.shape[1]
         if not begun:
-            touch = self._waiting = np.concatenate([self._waiting, touch], axis=1)
+            touch = self._pending = np.concatenate([self._pending, touch], axis=1)
             if self._count <= NODE:
                 return None
         past = self._past if begun else np.zeros((6, HISTORY))
@@ -88,10 +112,10 @@ class Motion:
         )  # fmt: skip
 
     def _slope(self, count: int, begun: bool) -> Floats:
-        """Return what turns places (2, `HISTORY` + S) into the velocity (2, S) of the new ones.
+        """Return the matrix that turns positions (2, `HISTORY` + S) into the new velocities (2, S).
 
-        It is that of a parabola through the last 8 samples of each; in the stream's first 8
-        samples that of the parabola through these.
+        The velocity of a sample is that of a parabola through it and the samples 4 and 8 before it;
+        the first 8 samples of the stream share the parabola through samples 0, 4 and 8.
         """
         if (count, begun) not in self._slopes:
             slope = np.zeros((HISTORY + count, count))
@@ -104,7 +128,7 @@ class Motion:
         return self._slopes[count, begun]
 
     def _mended(self, touch: Floats) -> Floats:
-        """Hold the last good position, and lift the finger, where a sample is invalid."""
+        """Hold the last valid position, and lift the finger, where a sample is invalid."""
         touch, last = touch.copy(), self._past[:, -1]
         for sample in touch.T:
             if not (np.abs(sample) < FARTHEST).all():

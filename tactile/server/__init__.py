@@ -1,5 +1,6 @@
-"""The server: clients over WebSocket and OSC, and the displays that they share.
+"""Server: clients over WebSocket and OSC, and the displays that they share.
 
-`server` opens the sockets, `connection` reads one client's messages, `host` knows all displays and
-`client` what one client may do with them. A process of `tactile.playback` plays each display.
+`server` opens the sockets, `connection` reads the messages of one client, `host` manages all
+displays, and `client` carries out what one client asks of them. A process of `tactile.playback`
+plays each display.
 """

@@ -1,8 +1,8 @@
-"""A program that the server runs beside itself: started, told, listened to, and ended for sure.
+"""Child process of the server, with which it exchanges orders and answers.
 
-Orders and answers are pickles over its standard streams. A thread writes and another reads, so
-that neither a large order nor a child that hangs holds up the event loop. Whatever becomes of the
-server, the child's input ends, and with it the child.
+Orders and answers are pickles on the standard streams of the child. One thread writes and another
+reads, so that neither a large order nor a child that hangs delays the event loop. When the server
+ends, for whatever reason, the input of the child ends, and the child with it.
 """
 
 import asyncio
@@ -19,26 +19,30 @@ from typing import Any, cast
 from tactile.errors import BusError
 
 PROGRAM = "import sys; sys.path[:] = {!r}; from {} import main; main()"
-"""With the server's path, so that the same tactile is found."""
+"""Program of the child; it gets the server's path, so that it imports the same tactile."""
 ORDERS = 4096
-"""That wait to be written at most."""
+"""Maximum number of orders that wait to be written."""
 
 
 class Child:
-    """A child process.
+    """Child process.
 
     Parameters
     ----------
-    module : whose ``main`` it runs
-    heard : called on the event loop with each answer, and with None when there are no more
-    inherited : descriptors that it is to have
+    module : str
+        Module whose ``main`` the child runs.
+    heard : callable
+        Function that is called on the event loop with each answer, and with None when the answers
+        end.
+    inherited : tuple of int
+        File descriptors that the child inherits.
     """
 
     def __init__(
         self, module: str, heard: Callable[[Any], None], inherited: tuple[int, ...] = ()
     ) -> None:
         self._loop = asyncio.get_running_loop()
-        self._heard = heard
+        self._on_answer = heard
         extra: dict[str, Any] = {"pass_fds": inherited} if os.name == "posix" else {}
         self._process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM.format(sys.path, module)],
@@ -55,21 +59,26 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the process runs."""
         return self._process.poll() is None
 
     def tell(self, order: object) -> None:
-        """Send an order, or bytes that are the pickle of one.
+        """Send an order.
+
+        Parameters
+        ----------
+        order : object
+            Order, or bytes that are the pickle of one.
 
         Raises
         ------
         BusError
-            Where it takes none any more.
+            If too many orders wait to be written.
         """
         data = order if isinstance(order, bytes) else pickle.dumps(order, protocol=5)
         try:
@@ -94,13 +103,19 @@ class Child:
                 message = pickle.load(stream)
             except (EOFError, OSError, ValueError, pickle.UnpicklingError):
                 message = None
-            with suppress(RuntimeError):  # the loop is closed
-                self._loop.call_soon_threadsafe(self._heard, message)
+            with suppress(RuntimeError):  # the event loop is closed
+                self._loop.call_soon_threadsafe(self._on_answer, message)
             if message is None:
                 return
 
     async def end(self, patience: float) -> None:
-        """Close its input and wait for its end; kill it after a while."""
+        """Close the child's input and wait for its end; kill it if it does not end in time.
+
+        Parameters
+        ----------
+        patience : float
+            Time to wait for the end [s].
+        """
         with suppress(queue.Full):
             self._orders.put_nowait(None)
         deadline = self._loop.time() + patience
@@ -109,7 +124,7 @@ class Child:
         self.kill()
 
     def kill(self) -> None:
-        """End it at once, and leave nothing of it."""
+        """Kill the process at once, and close its threads and pipes."""
         with suppress(OSError):
             self._process.kill()
         self._process.wait()

@@ -1,7 +1,7 @@
-"""One client as the host knows it: what its commands do, and what it holds.
+"""Client of the host: what its commands do, and what it holds.
 
-Names in a message choose among what there is; none reaches the file system. The rule of mixing and
-the roles are in `tactile.messages`.
+Names in a message select among what exists; none of them reaches the file system. The rule of
+mixing and the roles are described in `tactile.messages`.
 """
 
 import asyncio
@@ -38,57 +38,85 @@ if TYPE_CHECKING:
     from tactile.server.host import Host
 
 OUTBOX = 64
-"""Events and telemetry that wait for a client."""
+"""Maximum number of events and telemetry messages that wait for a client."""
 SILENT = "the program gave no sign of life; its waveforms and effects were faded"
+"""Detail of the event "silent"."""
 PLAY: frozenset[m.Role] = frozenset({"play"})
+"""Roles that allow playing."""
 ARM: frozenset[m.Role] = frozenset({"arm"})
+"""Roles that allow arming and clearing an e-stop."""
 NEEDED: dict[type, frozenset[m.Role]] = {
     **dict.fromkeys((m.Select, m.Play, m.StopPlaying, m.SetGain, m.Append, m.PlayEffect), PLAY),
     **dict.fromkeys((m.ArmDisplay, m.ClearEstop), ARM),
     m.DisarmDisplay: ARM | {"stop"},
 }
-"""Roles of which a client needs one for a command; whoever is let in may do all else."""
+"""Roles of which a client needs one for a command; all other commands are open to every client."""
 
 
 class Client:
-    """A connection, as the host knows it.
+    """Client of the host, whatever transport connects it.
+
+    Parameters
+    ----------
+    host : Host
+        Host that the client belongs to.
+    number : int
+        Number of the client, unique in the host.
+    name : str
+        Name of the program.
+    roles : frozenset of Role
+        What the client may do, as described in `tactile.messages`.
 
     Attributes
     ----------
-    outbox : events and telemetry for it; full, the oldest telemetry goes
-    roles : what it may do, as of `tactile.messages`
+    number : int
+        Number of the client.
+    name : str
+        Name of the program.
+    roles : frozenset of Role
+        What the client may do.
+    outbox : asyncio.Queue of EventMessage or TelemetryMessage
+        Messages for the client; if it is full, the oldest telemetry is dropped.
     """
 
     def __init__(self, host: "Host", number: int, name: str, *, roles: frozenset[m.Role]) -> None:
         self.number, self.name, self._host, self.roles = number, name, host, roles
         self._sounds_until = -math.inf
-        self._left = False
+        self._has_left = False
         self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
 
     def post(self, what: EventMessage | TelemetryMessage) -> None:
-        """Put something in the outbox, if there is room."""
+        """Put a message in the outbox, in place of the oldest telemetry if it is full.
+
+        Parameters
+        ----------
+        what : EventMessage or TelemetryMessage
+            Message for the client.
+        """
         if self.outbox.full():
-            kept = [self.outbox.get_nowait() for _ in range(self.outbox.qsize())]
-            oldest = next((k for k, one in enumerate(kept) if isinstance(one, TelemetryMessage)), 0)
-            for k, one in enumerate(kept):
+            queued = [self.outbox.get_nowait() for _ in range(self.outbox.qsize())]
+            oldest = next(
+                (k for k, item in enumerate(queued) if isinstance(item, TelemetryMessage)), 0
+            )
+            for k, item in enumerate(queued):
                 if k != oldest:
-                    self.outbox.put_nowait(one)
+                    self.outbox.put_nowait(item)
         self.outbox.put_nowait(what)
 
     @property
     def sounds(self) -> bool:
-        """Whether it has waveforms or effects that may still sound."""
+        """Whether the client has waveforms or effects that may still sound."""
         return loop_time() < self._sounds_until
 
     @property
     def holds_voltage(self) -> bool:
-        """Whether it armed a display whose high voltage is on."""
+        """Whether the client armed a display whose high voltage is on."""
         return any(self.number in playing.owners.clients for playing in self._host.playing.values())
 
     def quiet(self) -> None:
-        """Fade its waveforms and effects, since it gives no sign of life."""
+        """Fade the client's waveforms and effects, because it gives no sign of life."""
         self._sounds_until = -math.inf
         for playing in self._host.playing.values():
             if self.number in playing.parts:
@@ -96,23 +124,39 @@ class Client:
                 self.post(EventMessage(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
-        """Give up its share of high voltage, since it gives no sign of life."""
+        """Give up the client's share of high voltage, because it gives no sign of life."""
         for playing in self._host.playing.values():
             self._host.run(partial(playing.give_up, self.number))
 
     def close(self) -> None:
-        """Lift the finger, let all fade; idempotent. Only what makes safe is done from now on."""
-        self._left = True
+        """Lift the client's finger and fade what it plays; may be called repeatedly.
+
+        From then on, only requests that make displays safe are carried out.
+        """
+        self._has_left = True
         for task in self._telemetry.values():
             task.cancel()
         self._telemetry.clear()
         self._host.drop(self)
 
     def contact(self, message: Contact, arrival: float) -> Failure | None:
-        """Take where the finger is; ``arrival`` is on the monotonic clock [s]."""
+        """Take a contact.
+
+        Parameters
+        ----------
+        message : Contact
+            Message of the client.
+        arrival : float
+            Time of arrival on the monotonic clock [s].
+
+        Returns
+        -------
+        Failure or None
+            What is wrong with the contact.
+        """
         playing = self._host.playing.get(message.display)
         if playing is None:
-            return self._no_display(message.display)
+            return self._unknown_display(message.display)
         if not PLAY & self.roles:
             return self._refusal(message, PLAY)
         when = arrival
@@ -131,7 +175,18 @@ class Client:
         return None
 
     async def request(self, command: Command) -> Answer:
-        """Carry out a command; what is wrong with it is the answer."""
+        """Carry out a request.
+
+        Parameters
+        ----------
+        command : Command
+            Message of the client.
+
+        Returns
+        -------
+        Answer
+            Answer to the request, a `Failure` if it could not be carried out.
+        """
         try:
             return await self._answer(command)
         except BusError as error:
@@ -148,17 +203,17 @@ class Client:
             return Failure(code="malformed", message="hello was said already")
         playing = self._host.playing.get(command.display)
         if playing is None:
-            return self._no_display(command.display)
+            return self._unknown_display(command.display)
         if isinstance(command, Contact):
             return self.contact(command, loop_time()) or m.Done()
-        if self._left and not isinstance(command, m.DisarmDisplay):
+        if self._has_left and not isinstance(command, m.DisarmDisplay):
             return Failure(code="unavailable", message="the connection has ended")
         needed = NEEDED.get(type(command))
         if needed is not None and not needed & self.roles:
             return self._refusal(command, needed)
         return await self._ACTIONS[type(command)](self, playing, command)
 
-    def _no_display(self, name: str) -> Failure:
+    def _unknown_display(self, name: str) -> Failure:
         known = hint(name, list(self._host.playing))
         return Failure(
             code="unknown_display", message=f"no display {name!r}; {known}", field="display"
@@ -166,18 +221,18 @@ class Client:
 
     def _refusal(self, command: Command, needed: frozenset[m.Role]) -> Failure:
         """Return why a command is refused, and what would allow it."""
-        wanted = " or ".join(repr(role) for role in sorted(needed))
+        required = " or ".join(repr(role) for role in sorted(needed))
         has = ", ".join(repr(role) for role in sorted(self.roles)) or "none"
         return Failure(
             code="unauthorized",
-            message=f"{kind_of(command)} needs the role {wanted}, this connection has {has}; "
+            message=f"{kind_of(command)} needs the role {required}, this connection has {has}; "
             "its token gets roles from [[token]] in the configuration",
         )
 
     def _estop(self, command: m.EStop) -> Answer:
-        """Latch the e-stop; nothing here waits for anything."""
+        """Latch the e-stop, without waiting for anything."""
         if command.display is not None and command.display not in self._host.playing:
-            return self._no_display(command.display)
+            return self._unknown_display(command.display)
         reason = f"by the program {self.name!r}"
         return m.Done(
             estops={
@@ -187,7 +242,8 @@ class Client:
             }
         )
 
-    def _part(self, playing: Playing) -> ClientState:
+    def _state(self, playing: Playing) -> ClientState:
+        """Return the client's state on a display, which is created if there is none."""
         return playing.parts.setdefault(self.number, ClientState())
 
     async def _select(self, playing: Playing, command: m.Select) -> Answer:
@@ -205,38 +261,40 @@ class Client:
             return Failure(code="busy", message=str(error), field="layers")
         return m.Done()
 
-    async def _scaled(self, playing: Playing) -> Answer:
-        part = self._part(playing)
+    async def _send_scale(self, playing: Playing) -> Answer:
+        """Have playback apply the client's gain, and whether its textures sound."""
+        part = self._state(playing)
         await playing.ask(commands.Scale(self.number, part.gain, part.sounds))
         return m.Done()
 
     async def _play(self, playing: Playing, command: m.Play) -> Answer:
-        self._part(playing).sounds = True
-        return await self._scaled(playing)
+        self._state(playing).sounds = True
+        return await self._send_scale(playing)
 
     async def _stop(self, playing: Playing, command: m.StopPlaying) -> Answer:
-        self._part(playing).sounds = False
+        self._state(playing).sounds = False
         await playing.ask(commands.Silence(self.number))
-        return await self._scaled(playing)
+        return await self._send_scale(playing)
 
     async def _gain(self, playing: Playing, command: m.SetGain) -> Answer:
-        self._part(playing).gain = command.gain
-        return await self._scaled(playing)
+        self._state(playing).gain = command.gain
+        return await self._send_scale(playing)
 
-    def _cannot_wave(self, playing: Playing) -> Failure | None:
+    def _waveform_refusal(self, playing: Playing) -> Failure | None:
+        """Return why a display cannot play waveforms now, None if it can."""
         if playing.how.carriers:
             return Failure(
                 code="unsupported", field="display",
                 message="the link takes spectrum frames, which carry textures and no waveforms",
             )  # fmt: skip
         if playing.latch.holds:
-            return self._estopped(playing)
+            return self._estop_failure(playing)
         if playing.state == "armed":
             return None
         return Failure(code="not_armed", message="disarmed; arm it first", field="display")
 
     async def _append(self, playing: Playing, command: m.Append) -> Answer:
-        failure = self._cannot_wave(playing)
+        failure = self._waveform_refusal(playing)
         if failure is not None:
             return failure
         contactors = len(playing.display.contactors)
@@ -259,26 +317,26 @@ class Client:
                 )
         else:
             samples = np.array(command.samples, np.float32)
-        self._part(playing)
-        taken, waiting = await playing.ask(
+        self._state(playing)
+        consumed, queued = await playing.ask(
             commands.Wave(
                 self.number, np.float32(command.amplitude_um * 1e-6) * samples,
                 command.sample_rate_hz, command.contactors, command.append,
             )
         )  # fmt: skip
-        self._sounds_until = max(self._sounds_until, loop_time() + waiting + ENDING)
-        return m.AppendedReply(samples_consumed=int(taken), buffered_ms=1e3 * waiting)
+        self._sounds_until = max(self._sounds_until, loop_time() + queued + ENDING)
+        return m.AppendedReply(samples_consumed=int(consumed), buffered_ms=1e3 * queued)
 
     async def _effect(self, playing: Playing, command: m.PlayEffect) -> Answer:
-        failure = self._cannot_wave(playing)
+        failure = self._waveform_refusal(playing)
         if failure is not None:
             return failure
-        self._part(playing)
+        self._state(playing)
         curve = Curve(
             command.amplitude_um * 1e-6,
-            _rows([(p.time_ms, p.value) for p in command.amplitude], 2),
-            _rows([(p.time_ms, p.frequency_hz) for p in command.frequency], 2),
-            _rows([(t.time_ms, t.value, t.frequency_hz) for t in command.transients], 3),
+            _point_rows([(p.time_ms, p.value) for p in command.amplitude], 2),
+            _point_rows([(p.time_ms, p.frequency_hz) for p in command.frequency], 2),
+            _point_rows([(t.time_ms, t.value, t.frequency_hz) for t in command.transients], 3),
             command.stream,
         )
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
@@ -289,7 +347,8 @@ class Client:
         return m.Done()
 
     @staticmethod
-    def _estopped(playing: Playing) -> Failure:
+    def _estop_failure(playing: Playing) -> Failure:
+        """Return the failure of a request while an e-stop holds."""
         latch = playing.latch
         return Failure(
             code="estopped",
@@ -299,7 +358,7 @@ class Client:
 
     async def _arm(self, playing: Playing, command: m.ArmDisplay) -> Answer:
         if playing.latch.holds:
-            return self._estopped(playing)
+            return self._estop_failure(playing)
         await playing.arm(self.number)
         return m.Done()
 
@@ -360,15 +419,26 @@ class Client:
     }  # fmt: skip
 
 
-def _rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:
-    """Return points as an array, their times in seconds."""
+def _point_rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:
+    """Return points as an array, with their times converted from milliseconds to seconds."""
     rows = np.array(points, np.float64).reshape(-1, width)
     rows[:, 0] *= 1e-3
     return rows
 
 
 def snapshot(playing: Playing) -> TelemetryMessage:
-    """Return what a display does now."""
+    """Return the present state of a display.
+
+    Parameters
+    ----------
+    playing : Playing
+        The display.
+
+    Returns
+    -------
+    TelemetryMessage
+        State in the units of the API.
+    """
     r = playing.report
     return TelemetryMessage(
         display=playing.config.name,

@@ -1,6 +1,7 @@
-"""What `tactile serve` is told in a file: where it listens, how it logs, which displays it plays.
+"""Configuration file of `tactile serve`: listening, logging, and the displays that are played.
 
-Paths are relative to the file. Without one there is a simulated display on the loopback interface.
+Paths are relative to the file. Without a file, there is a simulated display on the loopback
+interface.
 """
 
 import ipaddress
@@ -18,15 +19,31 @@ from tactile.errors import InputError
 from tactile.messages import ALL_ROLES, Fraction, Name, Role
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
+"""TCP or UDP port; 0 means any free TCP port."""
 ORIGIN = r"^[a-z][a-z0-9+.-]*://[^\s/*,]+$"
+"""Pattern of the origin of a web page."""
 Origin = Annotated[str, Meta(pattern=ORIGIN, max_length=256)]
+"""Origin of a web page, such as "https://app.example"."""
 SHORTEST_TOKEN, LONGEST_TOKEN = 16, 256
-"""Characters; what `Hello` can hold, and what nobody guesses at a few hundred attempts a second."""
+"""Shortest and longest token [characters]: what nobody guesses at a few hundred attempts per
+second, and what `ClientHello` can hold."""
 MOST_TOKENS = 32
+"""Maximum number of ``[[token]]`` tables."""
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host names this machine and nothing else can reach it."""
+    """Check whether a host names this machine in such a way that no other machine can reach it.
+
+    Parameters
+    ----------
+    host : str
+        Host name or address.
+
+    Returns
+    -------
+    bool
+        Whether it is "localhost" or a loopback address.
+    """
     if host.lower() == "localhost":
         return True
     try:
@@ -36,12 +53,28 @@ def is_loopback(host: str) -> bool:
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where clients connect, and who may.
+    """Configuration of the server: where clients connect, and which of them may.
 
-    ``token_file`` holds a token that allows everything; it, or a `TokenConfig`, is needed where
-    others than this machine can connect. ``origins`` are the pages, as "https://app.example", whose
-    scripts may connect. ``socket`` is a Unix socket beside TCP, on Linux: None is the usual place,
-    "" is none; who may open it may do everything. That is this user, and those of ``socket_group``.
+    Attributes
+    ----------
+    host : str
+        Host name or address to listen at.
+    port : int
+        TCP port; 0 means any free one.
+    socket : str or None
+        Path of a Unix socket besides TCP, on Linux. None means the usual place, "" none. Who may
+        open it may do everything: this user, and the members of ``socket_group``.
+    socket_group : str or None
+        Group that may open the Unix socket.
+    token_file : str or None
+        File with a token that allows everything. It or a `TokenConfig` is required if other
+        machines can connect.
+    origins : tuple of str
+        Origins of the web pages whose scripts may connect, such as "https://app.example".
+    most_clients : int
+        Maximum number of clients.
+    messages_per_second : int
+        Maximum rate of messages of each client [1/s].
     """
 
     host: Annotated[str, Meta(min_length=1, max_length=253)] = "127.0.0.1"
@@ -55,9 +88,18 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TokenConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A token that clients may say, and what it allows.
+    """Token that clients may present, and what it allows.
 
-    It stands in a ``file``, or is a ``credential`` that systemd hands over under that name.
+    Exactly one of ``file`` and ``credential`` is given.
+
+    Attributes
+    ----------
+    file : str or None
+        File with the token.
+    credential : str or None
+        Name under which systemd passes the token to the daemon.
+    roles : tuple of Role
+        What the token allows; by default everything.
     """
 
     file: str | None = None
@@ -70,13 +112,29 @@ class TokenConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class OscConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """OSC over UDP, on the loopback interface only, where any program may send; 0 is off."""
+    """OSC over UDP, on the loopback interface only, where any program may send.
+
+    Attributes
+    ----------
+    port : int
+        UDP port; 0 disables OSC.
+    """
 
     port: Port = 0
 
 
 class LogConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is logged, as lines of text or of JSON, to standard error or a file."""
+    """Configuration of logging.
+
+    Attributes
+    ----------
+    level : str
+        Lowest level that is logged.
+    format : str
+        "text" or "json", one line per record either way.
+    file : str or None
+        File to append to; standard error if there is none.
+    """
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["text", "json"] = "text"
@@ -84,12 +142,32 @@ class LogConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A display that is played: its name for clients, its file, its device.
+    """Display that is played.
 
-    ``voltage_limit_v`` and ``gain`` may only lower what the display's file allows.
-    ``worn`` says that the finger stays on it while it touches nothing, so that waveforms play then
-    as well; else they play 34 dB down, since a bimorph in air rings up by as much.
-    ``arm_on_start`` arms it unasked, ``rearm`` again after its link or playback was lost.
+    Attributes
+    ----------
+    name : str
+        Name of the display for clients.
+    display : str
+        Name of a shipped display, or path of a display file.
+    device : str
+        URL of the device.
+    sample_rate_hz : float or None
+        Rate of the drive [Hz]; None lets the device choose.
+    voltage_limit_v : float or None
+        Voltage limit [V], which may only be lower than that of the display file.
+    gain : float
+        Factor of everything that is played, 0 to 1.
+    arm_on_start : bool
+        Whether to arm the display when the daemon starts, without a client.
+    rearm : bool
+        Whether to arm it again after its link or its playback was lost.
+    worn : bool
+        Whether the finger stays on the display while it touches nothing, so that waveforms play
+        then as well. Otherwise they play 34 dB lower then, because a bimorph in air resonates by as
+        much.
+    accept_unsafe_hold : bool
+        Whether to accept a device that may hold its last voltage when the host dies.
     """
 
     name: Name = "default"
@@ -105,7 +183,21 @@ class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The tables of a configuration file."""
+    """Tables of a configuration file.
+
+    Attributes
+    ----------
+    server : ServerConfig
+        Table ``[server]``.
+    token : tuple of TokenConfig
+        Tables ``[[token]]``.
+    osc : OscConfig
+        Table ``[osc]``.
+    log : LogConfig
+        Table ``[log]``.
+    display : tuple of DisplayConfig
+        Tables ``[[display]]``.
+    """
 
     server: ServerConfig = ServerConfig()
     token: Annotated[tuple[TokenConfig, ...], Meta(max_length=MOST_TOKENS)] = ()
@@ -129,39 +221,56 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class DaemonConfig(File, frozen=True, kw_only=True):
-    """A configuration, its paths absolute, and the file that it was read from."""
+    """Configuration with absolute paths.
+
+    Attributes
+    ----------
+    path : Path or None
+        File that it was read from.
+    """
 
     path: Path | None = None
 
 
 def load_config(path: Path | None) -> DaemonConfig:
-    """Return the configuration of a file, or the one without.
+    """Load a configuration file.
+
+    Parameters
+    ----------
+    path : Path or None
+        Path of the file; None gives the configuration without a file.
+
+    Returns
+    -------
+    DaemonConfig
+        The configuration.
 
     Raises
     ------
     InputError
-        Where it cannot be read or holds what does not fit: file, field, value, what is allowed.
+        If the file cannot be read or a value is invalid, with file, field, value and what is
+        allowed.
     """
     if path is None:
         return DaemonConfig()
-    read = files.read(path, File)
+    tables = files.read(path, File)
     folder = path.absolute().parent
     config = DaemonConfig(
         server=structs.replace(
-            read.server,
-            token_file=_beside(folder, read.server.token_file),
-            socket=_beside(folder, read.server.socket)
-            if read.server.socket
-            else read.server.socket,
+            tables.server,
+            token_file=_beside(folder, tables.server.token_file),
+            socket=_beside(folder, tables.server.socket)
+            if tables.server.socket
+            else tables.server.socket,
         ),
         token=tuple(
-            structs.replace(token, file=_beside(folder, token.file)) for token in read.token
+            structs.replace(token, file=_beside(folder, token.file)) for token in tables.token
         ),
-        osc=read.osc,
-        log=structs.replace(read.log, file=_beside(folder, read.log.file)),
+        osc=tables.osc,
+        log=structs.replace(tables.log, file=_beside(folder, tables.log.file)),
         display=tuple(
             structs.replace(display, display=_display(folder, display.display))
-            for display in read.display
+            for display in tables.display
         ),
         path=path.absolute(),
     )
@@ -170,22 +279,33 @@ def load_config(path: Path | None) -> DaemonConfig:
 
 
 def _beside(folder: Path, name: str | None) -> str | None:
+    """Return a path relative to a folder, if there is one."""
     return str(folder / name) if name else name
 
 
 def _display(folder: Path, name: str) -> str:
-    """Return the name of a shipped display as it is, of a file as its path."""
+    """Return the name of a shipped display unchanged, or the path of a display file."""
     named = Path(name).suffix != ".toml" and Path(name).parent == Path()
     return name if named else str(folder / name)
 
 
 def load_configured(config: DisplayConfig) -> Display:
-    """Return a display as the configuration allows it.
+    """Load a display with the limits of the configuration.
+
+    Parameters
+    ----------
+    config : DisplayConfig
+        Configuration of the display.
+
+    Returns
+    -------
+    Display
+        The display.
 
     Raises
     ------
     InputError
-        For a file that cannot be used, or a limit above the file's.
+        If the display file cannot be used, or the configured limit is above that of the file.
     """
     display = load_display(config.display)
     if config.voltage_limit_v is None:
@@ -200,28 +320,39 @@ def load_configured(config: DisplayConfig) -> Display:
 
 
 def read_tokens(config: DaemonConfig) -> list[tuple[bytes, frozenset[Role]]]:
-    """Return the tokens that clients may say, and what each allows.
+    """Read the tokens that clients may present.
+
+    Parameters
+    ----------
+    config : DaemonConfig
+        Configuration that names the tokens.
+
+    Returns
+    -------
+    list of (bytes, frozenset of Role)
+        Each token, and what it allows.
 
     Raises
     ------
     InputError
-        Where one cannot be read, others can read it, it could not be said or could be guessed.
+        If a token cannot be read, can be read by others, is too long for a `ClientHello`, or is
+        short enough to be guessed.
     """
-    found = []
+    tokens = []
     if config.server.token_file:
         name = config.server.token_file
-        found.append((_secret(f"server.token_file = {name!r}", Path(name)), ALL_ROLES))
+        tokens.append((_secret(f"server.token_file = {name!r}", Path(name)), ALL_ROLES))
     for i, token in enumerate(config.token):
         if token.file:
             content = _secret(f"token[{i}].file = {token.file!r}", Path(token.file))
         else:
             content = _credential(f"token[{i}].credential", str(token.credential))
-        found.append((content, frozenset(token.roles)))
-    return found
+        tokens.append((content, frozenset(token.roles)))
+    return tokens
 
 
 def _secret(field: str, path: Path) -> bytes:
-    """Return the token of a file that nobody but its owner may use."""
+    """Return the token in a file that only its owner may use."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
     except OSError as error:
@@ -232,7 +363,7 @@ def _secret(field: str, path: Path) -> bytes:
 
 
 def _credential(field: str, name: str) -> bytes:
-    """Return a token that systemd hands over; it sees to it that nobody else can read it."""
+    """Return a token that systemd passes on, which nobody else can read."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     if not folder:
         raise InputError(
@@ -243,6 +374,7 @@ def _credential(field: str, name: str) -> bytes:
 
 
 def _token(field: str, path: Path) -> bytes:
+    """Return the token in a file, whose length is checked."""
     try:
         token = files.read_text(path).strip()
     except InputError as error:

@@ -1,8 +1,9 @@
-"""The life of one WebSocket: `ClientHello`, then messages in and answers out.
+"""One WebSocket connection: `ClientHello`, then messages in and answers out.
 
-Contacts are handed on as they come, never behind anything. Requests are carried out one after the
-other beside them; an e-stop waits for none of them, and outlives the connection that asked for it.
-Whatever a client sends, or does not read, costs that client its connection and nobody else a block.
+Contacts are passed on as they come and never queue behind anything. Requests are carried out one
+after the other, independently of them. An e-stop waits for no other request, and outlives the
+connection that sent it. Whatever a client sends, or does not read, costs that client its
+connection, and no other client a block.
 """
 
 import asyncio
@@ -43,35 +44,62 @@ from tactile.server.tasks import watched
 log = logging.getLogger("tactile.server")
 
 HELLO_WITHIN = 2.0
+"""Time within which a client must send `ClientHello` [s]."""
 READ_WITHIN = 2.0
-"""s after which a client that does not read is dropped."""
+"""Time after which a client that does not read is disconnected [s]."""
 PENALTY = 0.2
-"""s between a wrong token and the answer."""
+"""Time from a wrong token to the answer [s]."""
 WRONG_TOKEN = "wrong token: must be one of server.token_file or [[token]] of the configuration"
+"""Message of the failure after a wrong token."""
 MOST_FAILURES = 100
-"""In a row."""
+"""Maximum number of failures in a row before a client is disconnected."""
 MOST_ANSWERS = 256
-"""That wait."""
+"""Maximum number of answers that wait to be sent."""
 
 
 class Close(NamedTuple):
-    """Why a connection ends; code 0 where the other side ended it."""
+    """Reason for which a connection ends.
+
+    Attributes
+    ----------
+    code : int
+        Close code of the WebSocket; 0 if the other side ended it.
+    reason : str
+        Reason in a few words.
+    """
 
     code: int
     reason: str
 
 
 GONE = Close(0, "gone")
+"""End by the other side."""
 SLOW = Close(4008, "does not read")
+"""End because the client does not read."""
 FLOOD = Close(4008, "nothing but failures")
+"""End after too many failures in a row."""
 TOO_LARGE = Close(1009, "too large")
+"""End after a message that was too large."""
 FULL = Close(4429, "too many clients")
+"""End because there is no free place."""
 ENDING = Close(1001, "the daemon ends")
+"""End because the daemon ends."""
 BROKEN = Close(1011, "the daemon failed")
+"""End after an internal failure of the daemon."""
 
 
 class Welcomed(NamedTuple):
-    """A client that may come in: what it said, what it may do, and who it is."""
+    """Client that is admitted.
+
+    Attributes
+    ----------
+    hello : ClientHello
+        Its first message.
+    roles : frozenset of Role
+        What it may do.
+    peer : PeerCredentials or None
+        User that it runs as, if that is known.
+    """
 
     hello: ClientHello
     roles: frozenset[Role]
@@ -79,12 +107,27 @@ class Welcomed(NamedTuple):
 
 
 class Site:
-    """What all connections share.
+    """State that all connections share.
 
     Parameters
     ----------
-    host, config, metrics, tokens : of the daemon
-    version : of this package
+    host : HostProtocol
+        Displays of the daemon.
+    config : ServerConfig
+        Configuration of the server.
+    metrics : Metrics
+        Metrics of the daemon.
+    tokens : Tokens
+        Tokens that admit clients.
+    version : str
+        Version of this package.
+
+    Attributes
+    ----------
+    places : Places of ServerConnection
+        Connections of admitted clients.
+    ending : bool
+        Whether the daemon ends.
     """
 
     def __init__(
@@ -102,18 +145,26 @@ class Site:
 
     @property
     def clients(self) -> int:
-        """How many clients there are."""
+        """Number of clients."""
         return len(self.places)
 
     def end(self) -> None:
-        """Tell all clients that the daemon ends, and let in no more."""
+        """Disconnect all clients because the daemon ends, and admit no more."""
         self.ending = True
         for connection in self.places:
             connection.end(ENDING)
 
 
 async def talk(socket: WebSocket, site: Site) -> None:
-    """Serve a WebSocket until it ends."""
+    """Serve a WebSocket until it ends.
+
+    Parameters
+    ----------
+    socket : WebSocket
+        WebSocket that is not accepted yet.
+    site : Site
+        What all connections share.
+    """
     protocol = next((p for p in socket.scope["subprotocols"] if p in ENCODINGS), None)
     await socket.accept(protocol)
     if protocol is None:
@@ -129,7 +180,17 @@ async def talk(socket: WebSocket, site: Site) -> None:
 
 
 class ServerConnection:
-    """A WebSocket that speaks one of our subprotocols."""
+    """WebSocket that speaks one of the subprotocols of this API.
+
+    Parameters
+    ----------
+    socket : WebSocket
+        WebSocket that was accepted.
+    site : Site
+        What all connections share.
+    encoding : Encoding
+        Encoding of the subprotocol.
+    """
 
     def __init__(self, socket: WebSocket, site: Site, encoding: Encoding) -> None:
         self._socket, self._site, self._encoding = socket, site, encoding
@@ -140,12 +201,20 @@ class ServerConnection:
         self._signs = SignsOfLife()
         self._failures = 0
         self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
-        self._works: list[asyncio.Task[None]] = []
+        self._parts: list[asyncio.Task[None]] = []
         self._client: ClientProtocol
         self._requests: Requests
 
     async def run(self) -> Close:
-        """Return why it ended; its client is closed then, and its place free."""
+        """Serve the connection until it ends.
+
+        Its client is closed then, and its place is free.
+
+        Returns
+        -------
+        Close
+            Reason of the end.
+        """
         if self._site.ending:
             return ENDING
         welcomed = await self._greet()
@@ -154,44 +223,44 @@ class ServerConnection:
         self._link.settle()
         self._traffic.clients.inc()
         try:
-            return await self._live(welcomed)
+            return await self._serve_client(welcomed)
         finally:
             self._site.places.leave(self)
             self._traffic.clients.dec()
             self._link.unsettle()
 
-    async def _live(self, welcomed: Welcomed) -> Close:
-        """Serve a client, until it has no more to do with the host."""
+    async def _serve_client(self, welcomed: Welcomed) -> Close:
+        """Serve an admitted client until the host has nothing left to do for it."""
         hello = welcomed.hello
         session = secrets.token_hex(4)
-        about = {"session": session, "client": hello.client}
-        who = {} if welcomed.peer is None else dict(welcomed.peer._asdict())
-        log.info("a client came", extra={"fields": about | who})
+        fields = {"session": session, "client": hello.client}
+        user = {} if welcomed.peer is None else dict(welcomed.peer._asdict())
+        log.info("a client came", extra={"fields": fields | user})
         self._client = self._site.host.connect(hello.client, roles=welcomed.roles)
-        self._requests = Requests(self._client, self._traffic, self._answer, self._break)
+        self._requests = Requests(self._client, self._traffic, self._answer, self._fail)
         try:
-            self._begin(self._receive())
-            self._begin(self._say(self._welcome(welcomed, session)))
+            self._start_part(self._receive())
+            self._start_part(self._send_all(self._welcome(welcomed, session)))
             ended = await self._ended
         finally:
             try:
-                self._client.close()  # before all else, which could fail
+                self._client.close()  # first, because everything else could fail
             finally:
                 await self._finish()
         reason = {"code": ended.code, "reason": ended.reason}
-        log.info("a client went", extra={"fields": about | reason})
+        log.info("a client went", extra={"fields": fields | reason})
         return ended
 
     async def _finish(self) -> None:
-        """End all that goes on for a client that was closed, within a bounded time."""
-        for task in self._works:
+        """End everything that goes on for a client that was closed, within a bounded time."""
+        for task in self._parts:
             task.cancel()
         await self._requests.finish()
 
     # Hello
 
     async def _greet(self) -> Welcomed | Close:
-        """Return the client, where it says `ClientHello` and is welcome; it has a place then."""
+        """Receive `ClientHello` and admit the client, which has a place then."""
         try:
             async with asyncio.timeout(HELLO_WITHIN):
                 message = await self._socket.receive()
@@ -207,9 +276,10 @@ class ServerConnection:
             first = "the first message must be a hello"
             failure = failed("hello_first", first, field="type", to=id_of(hello))
             return await self._refuse(Close(4400, "no hello"), failure)
-        return await self._judge(hello)
+        return await self._admit(hello)
 
-    async def _judge(self, hello: ClientHello) -> Welcomed | Close:
+    async def _admit(self, hello: ClientHello) -> Welcomed | Close:
+        """Admit or refuse a client by its token, its version and the free places."""
         roles, peer = await self._roles(hello.token)
         if roles is None:
             await asyncio.sleep(PENALTY)
@@ -222,25 +292,27 @@ class ServerConnection:
         if self._site.ending:
             return ENDING
         if not self._site.places.take(self, loop_time()):
-            text = self._crowded()
+            text = self._full_text()
             return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
         if self._site.places.is_reserved(self):
             roles = frozenset()
         return Welcomed(hello, roles, peer)
 
     async def _roles(self, said: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
-        """Return what a client may do by its token or as a user, None where it may not come in."""
+        """Return what a client may do by its token or user, None if it is refused, and its user."""
         tokens, socket = self._site.tokens, self._link.socket
         local = is_local(socket)
         if tokens and (said or not local):
             return tokens.roles(said), local_peer(socket) if local else None
         return await judge(socket)
 
-    def _crowded(self) -> str:
+    def _full_text(self) -> str:
+        """Return the explanation that all places are taken."""
         most = self._site.config.most_clients
         return f"there are {most} clients, as many as server.most_clients allows"
 
     async def _refuse(self, close: Close, failure: Failure) -> Close:
+        """Queue the failure of a client that is not admitted; return the close reason."""
         self._traffic.failure(failure.code)
         self._queue(failure)
         return close
@@ -258,13 +330,13 @@ class ServerConnection:
             messages_per_second=self._site.config.messages_per_second,
         )
 
-    # In
+    # Receiving
 
-    def _begin(self, work: Coroutine[Any, Any, Close]) -> None:
-        """Begin a part of the connection; whatever part ends first ends all of it."""
-        self._works.append(watched(asyncio.create_task(self._work(work)), self._break))
+    def _start_part(self, work: Coroutine[Any, Any, Close]) -> None:
+        """Start a part of the connection; the part that ends first ends the connection."""
+        self._parts.append(watched(asyncio.create_task(self._run_part(work)), self._fail))
 
-    async def _work(self, work: Coroutine[Any, Any, Close]) -> None:
+    async def _run_part(self, work: Coroutine[Any, Any, Close]) -> None:
         try:
             self.end(await work)
         except TimeoutError:
@@ -273,19 +345,31 @@ class ServerConnection:
             self.end(GONE)
 
     def end(self, close: Close) -> None:
-        """End the connection; the first reason counts."""
+        """End the connection; the first reason counts.
+
+        Parameters
+        ----------
+        close : Close
+            Reason of the end.
+        """
         if not self._ended.done():
             self._ended.set_result(close)
 
     def make_room(self) -> None:
-        """End, since a newer client takes its place."""
+        """End, because a newer client takes the place."""
         self.end(FULL)
 
-    def _break(self, error: BaseException) -> None:
+    def _fail(self, error: BaseException) -> None:
         self.end(BROKEN)
 
     def look(self, passed: float) -> None:
-        """Ask for a sign of life after some time [s], and do what its absence demands."""
+        """Ask for a sign of life when it is due, and act if there was none for too long.
+
+        Parameters
+        ----------
+        passed : float
+            Time since the last call [s].
+        """
         try:
             client = self._client
             at_stake = client.sounds or client.holds_voltage
@@ -298,7 +382,7 @@ class ServerConnection:
                 client.give_up()
         except Exception as error:
             log.exception("a client could not be watched")
-            self._break(error)
+            self._fail(error)
 
     async def _receive(self) -> Close:
         while True:
@@ -319,7 +403,7 @@ class ServerConnection:
         """Handle a message without waiting for anything."""
         within = self._bucket.take(arrival)
         if not within and read_estop(data, self._encoding) is None:
-            self._refuse_to_hurry(arrival)
+            self._drop_too_fast(arrival)
             return
         try:
             failure = self._handle(read(data, self._encoding), arrival)
@@ -330,8 +414,9 @@ class ServerConnection:
             self._answer(failure)
 
     def _handle(self, command: Command | Failure, arrival: float) -> Failure | None:
+        """Handle a decoded message; return what is wrong with it."""
         if not isinstance(command, EStop | Failure) and self._site.places.is_reserved(self):
-            text = f"{self._crowded()}; this connection may only e-stop"
+            text = f"{self._full_text()}; this connection may only e-stop"
             return failed("too_many_clients", text, to=id_of(command))
         if type(command) is Contact:
             failure = self._client.contact(command, arrival)
@@ -351,8 +436,8 @@ class ServerConnection:
             return failed("unsupported", "hello was said already", field="type", to=command.id)
         return self._requests.offer(command)
 
-    def _refuse_to_hurry(self, now: float) -> None:
-        """Drop a message of a client that sends too many, and say so once a second."""
+    def _drop_too_fast(self, now: float) -> None:
+        """Drop a message of a client that sends too many, and report that once per second."""
         self._traffic.drop("too_fast")
         if self._bucket.is_to_be_told(now):
             rate = self._site.config.messages_per_second
@@ -360,9 +445,10 @@ class ServerConnection:
             self._traffic.failure("too_fast")
             self._queue(failed("too_fast", text))
 
-    # Out
+    # Sending
 
     def _answer(self, answer: Answer) -> None:
+        """Queue an answer, and count failures in a row."""
         if isinstance(answer, Failure):
             self._traffic.failure(answer.code)
             self._failures += 1
@@ -373,15 +459,17 @@ class ServerConnection:
         self._queue(answer)
 
     def _queue(self, answer: Answer) -> None:
+        """Queue an answer; end the connection if the client does not read its answers."""
         try:
             self._answers.put_nowait(answer)
         except asyncio.QueueFull:
             self._traffic.drop("unread")
             self.end(SLOW)
 
-    async def _say(self, welcome: Welcome) -> Close:
+    async def _send_all(self, welcome: Welcome) -> Close:
+        """Send the welcome, then answers, events and telemetry as they come."""
         await self._send(welcome)
-        self._begin(self._pump(self._client.outbox))
+        self._start_part(self._pump(self._client.outbox))
         return await self._pump(self._answers)
 
     async def flush(self) -> None:
@@ -390,6 +478,7 @@ class ServerConnection:
             await self._send(self._answers.get_nowait())
 
     async def _pump(self, queue: "asyncio.Queue[Any]") -> Close:
+        """Send what is put in a queue."""
         while True:
             await self._send(await queue.get())
 
@@ -399,7 +488,7 @@ class ServerConnection:
         Raises
         ------
         TimeoutError, WebSocketDisconnect, RuntimeError
-            Where the client does not read, or is gone.
+            If the client does not read, or is gone.
         """
         data = self._encoding.encode(answer)
         async with asyncio.timeout(READ_WITHIN):

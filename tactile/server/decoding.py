@@ -1,6 +1,6 @@
-"""From bytes to a command, or to a `Failure` that says what is wrong, where, and what is allowed.
+"""Decoding of messages: bytes become a command, or a `Failure` that says what is wrong and where.
 
-Nothing raises here, whatever the bytes are.
+Nothing here raises, whatever the bytes are.
 """
 
 import re
@@ -24,20 +24,40 @@ from tactile.messages import (
 from tactile.server.rates import TokenBucket
 
 LONGEST_TEXT = 200
-"""Characters of a text in a failure."""
+"""Maximum length of a text in a failure [characters]."""
 PATH = re.compile(r"(?s)(.*?)(?: - at `(?:key` in `)?\$\.?([^`]*)`)?")
+"""Problem and path in an error of msgspec."""
 MISSING = re.compile(r"Object missing required field `(\w+)`")
+"""Error of msgspec about a missing field."""
 KINDS = [str(kind.__struct_config__.tag) for kind in get_args(Command)]
+"""Types of the messages that a client may send."""
 WRONG = (msgspec.MsgspecError, UnicodeError, RecursionError)
-"""What msgspec raises for bytes that hold no message."""
+"""Exceptions that msgspec raises for bytes that hold no message."""
 
 
 HINTS = TokenBucket(20)
-"""Of the whole daemon: a search for a similar name takes a millisecond."""
+"""Limit on the rate at which the whole daemon searches for similar names, as one search takes a
+millisecond."""
 
 
 class Encoding(NamedTuple):
-    """How messages are bytes, as the subprotocol says."""
+    """Encoding of messages, as chosen by the subprotocol.
+
+    Attributes
+    ----------
+    name : str
+        Name of the encoding.
+    kind : str
+        Kind of the WebSocket frames, "text" or "bytes".
+    decode : callable
+        Function from the contents of a frame to a command.
+    decode_estop : callable
+        Function from the contents of a frame to an e-stop.
+    decode_any : callable
+        Function from the contents of a frame to plain data.
+    encode : callable
+        Function from an answer to bytes.
+    """
 
     name: str
     kind: Literal["text", "bytes"]
@@ -65,16 +85,30 @@ ENCODINGS = {
         msgspec.msgpack.Encoder().encode,
     ),
 }
+"""Encodings by subprotocol."""
 
 
 def read(data: str | bytes, encoding: Encoding) -> Command | Failure:
-    """Return the command that a message holds, or what is wrong with it."""
+    """Decode a message.
+
+    Parameters
+    ----------
+    data : str or bytes
+        Contents of a WebSocket frame.
+    encoding : Encoding
+        Encoding of the connection.
+
+    Returns
+    -------
+    Command or Failure
+        The command, or what is wrong with the message.
+    """
     if isinstance(data, str) is not (encoding.kind == "text"):
-        found = "text" if isinstance(data, str) else "binary"
-        wanted = (
+        received = "text" if isinstance(data, str) else "binary"
+        required = (
             "text, as it is JSON" if encoding.kind == "text" else "binary, as it is MessagePack"
         )
-        return failed("malformed", f"a {found} message: must be {wanted}")
+        return failed("malformed", f"a {received} message: must be {required}")
     if is_too_large(data):
         return failed("too_large", f"must be at most {LARGEST_MESSAGE} bytes")
     try:
@@ -86,7 +120,20 @@ def read(data: str | bytes, encoding: Encoding) -> Command | Failure:
 
 
 def read_estop(data: str | bytes, encoding: Encoding) -> EStop | None:
-    """Return the e-stop that a message holds, if it does, without reading more than it must."""
+    """Decode a message if it is an e-stop, with as little work as possible.
+
+    Parameters
+    ----------
+    data : str or bytes
+        Contents of a WebSocket frame.
+    encoding : Encoding
+        Encoding of the connection.
+
+    Returns
+    -------
+    EStop or None
+        The e-stop; None for any other message.
+    """
     if isinstance(data, str) is not (encoding.kind == "text") or is_too_large(data):
         return None
     try:
@@ -96,21 +143,62 @@ def read_estop(data: str | bytes, encoding: Encoding) -> EStop | None:
 
 
 def hint(name: str, known: list[str]) -> str:
-    """Return which known name was meant, or which there are; no more often than `HINTS` allows."""
+    """Suggest a known name in place of an unknown one, no more often than `HINTS` allows.
+
+    Parameters
+    ----------
+    name : str
+        Unknown name.
+    known : list of str
+        Names that exist.
+
+    Returns
+    -------
+    str
+        Part of a message that names similar or all known names.
+    """
     if HINTS.take(MONOTONIC.now()):
         return nearest(name, known)
     return "similar names are looked for 20 times a second at most"
 
 
 def is_too_large(data: str | bytes) -> bool:
-    """Return whether a message is larger than one may be; a character has 1 to 4 bytes."""
+    """Check whether a message exceeds `LARGEST_MESSAGE`.
+
+    Parameters
+    ----------
+    data : str or bytes
+        Contents of a WebSocket frame; a character takes 1 to 4 bytes.
+
+    Returns
+    -------
+    bool
+        Whether it is too large.
+    """
     if isinstance(data, str) and 4 * len(data) > LARGEST_MESSAGE:
         return len(data.encode("utf-8", "surrogatepass")) > LARGEST_MESSAGE
     return len(data) > LARGEST_MESSAGE
 
 
 def failed(code: Code, message: str, *, field: str = "", to: int | None = None) -> Failure:
-    """Return a failure whose text is one line of bounded length, to the request with an id."""
+    """Create a failure whose text is one line of bounded length.
+
+    Parameters
+    ----------
+    code : Code
+        Kind of the failure.
+    message : str
+        Explanation.
+    field : str
+        Path of the offending field.
+    to : int, optional
+        Id of the request.
+
+    Returns
+    -------
+    Failure
+        The failure.
+    """
     line = " ".join(message.split())
     if len(line) > LONGEST_TEXT:
         line = line[: LONGEST_TEXT - 1] + "…"
@@ -118,29 +206,29 @@ def failed(code: Code, message: str, *, field: str = "", to: int | None = None) 
 
 
 def _invalid(data: str | bytes, encoding: Encoding, error: str) -> Failure:
-    """Tell what does not fit, as msgspec said it, with the value that stands there."""
-    found = PATH.fullmatch(error)
-    problem, field = (found[1], found[2] or "") if found else (error, "")
+    """Return a failure that says, by an error of msgspec, which field and value are invalid."""
+    match = PATH.fullmatch(error)
+    problem, field = (match[1], match[2] or "") if match else (error, "")
     if missing := MISSING.match(problem):
         field = f"{field}.{missing[1]}".removeprefix(".")
     try:
         content = encoding.decode_any(data)
-    except msgspec.ValidationError:  # a number that is none, somewhere in it
+    except msgspec.ValidationError:  # an invalid number somewhere in the message
         content = None
     except WRONG as worse:
         return failed("malformed", f"no {encoding.name}: {worse}")
-    asked = content.get("id") if isinstance(content, dict) else None
-    good = type(asked) is int and 0 <= asked <= 2**53
+    request_id = content.get("id") if isinstance(content, dict) else None
+    good = type(request_id) is int and 0 <= request_id <= 2**53
     code: Code = "unknown_type" if field == "type" and not missing else "invalid_field"
     if code == "unknown_type":
         said = str(content.get("type"))[:60] if isinstance(content, dict) else ""
         problem = f"no command; {hint(said, KINDS)}"
     text = f"{_shown(content, field)}{problem.replace('Expected', 'expected').replace('`', '')}"
-    return failed(code, text, field=field, to=asked if good else None)
+    return failed(code, text, field=field, to=request_id if good else None)
 
 
 def _shown(value: Any, field: str) -> str:
-    """Return "field = value: ", without a value that is none or not a plain one."""
+    """Return "field = value: ", or "field: " if the value is missing or not a plain one."""
     if not field:
         return ""
     for key in re.findall(r"[^.\[\]]+", field):

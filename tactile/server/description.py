@@ -1,4 +1,4 @@
-"""What clients are told of a display."""
+"""Description of a display for clients."""
 
 import math
 
@@ -11,15 +11,25 @@ from tactile.playback.commands import DeviceOpened
 def describe(
     name: str, display: Display, how: DeviceOpened, *, latency: float, latch: Latch
 ) -> DisplayDescription:
-    """Return what clients are told of a display that was opened.
+    """Describe an open display for clients.
 
     Parameters
     ----------
-    name : of the display, for clients
-    display : the display
-    how : how its device plays
-    latency : from a contact to the skin [s]
-    latch : its e-stop latch
+    name : str
+        Name of the display for clients.
+    display : Display
+        The display.
+    how : DeviceOpened
+        How its device plays.
+    latency : float
+        Latency from a contact to the skin [s].
+    latch : Latch
+        E-stop latch of the display.
+
+    Returns
+    -------
+    DisplayDescription
+        Description in the units of the API.
     """
     return DisplayDescription(
         name=name,

@@ -1,7 +1,7 @@
-"""The program that makes textures ready: drawing a surface takes a second that nobody may wait.
+"""Program that prepares textures, as realizing a surface takes a second that nobody may wait for.
 
-It answers each request with the pickle of the order that a playback process is to have, so that
-the server only hands it on.
+It answers each request with the pickle of the order for the playback process, so that the server
+only passes it on.
 """
 
 import os
@@ -19,11 +19,30 @@ from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 
 NICE = 10
+"""Niceness of the process, so that it yields to playback."""
 
 
 @dataclass(frozen=True)
 class DrawingRequest:
-    """A texture to be made ready for a display, under a number; frames where it takes them."""
+    """Request to prepare a texture for a display.
+
+    Attributes
+    ----------
+    number : int
+        Number of the request and of the texture.
+    display : Display
+        Display that the texture is for.
+    texture : str
+        Name or file of the texture.
+    seed : int
+        Seed of its realization.
+    sample_rate : float
+        Rate of the drive [Hz].
+    carriers : int
+        Number of carriers of a spectrum frame; 0 for a link that takes samples.
+    frame_rate : float
+        Rate of spectrum frames [Hz].
+    """
 
     number: int
     display: Display
@@ -36,7 +55,17 @@ class DrawingRequest:
 
 @dataclass(frozen=True)
 class Made:
-    """The answer: the pickle of (number, `Keep`), or why there is none."""
+    """Answer to a request.
+
+    Attributes
+    ----------
+    number : int
+        Number of the request.
+    order : bytes
+        Pickle of (number, `Keep`); empty after a failure.
+    failure : str
+        Reason why there is no texture; empty if there is one.
+    """
 
     number: int
     order: bytes = b""
@@ -44,12 +73,22 @@ class Made:
 
 
 def make(request: DrawingRequest) -> Texture:
-    """Return a texture made ready.
+    """Prepare a texture.
+
+    Parameters
+    ----------
+    request : DrawingRequest
+        What to prepare, and for what display.
+
+    Returns
+    -------
+    Texture
+        Texture for a link that takes samples, or for one that takes spectrum frames.
 
     Raises
     ------
     TactileError
-        Where its file cannot be used.
+        If the file of the texture cannot be used.
     """
     texture = load_texture(request.texture)
     if not request.carriers:
@@ -61,7 +100,7 @@ def make(request: DrawingRequest) -> Texture:
 
 
 def main() -> None:
-    """Make what is asked for on standard input."""
+    """Serve requests from standard input until it ends."""
     pipe: Any = os.fdopen(os.dup(0), "rb")
     out: Any = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -74,11 +113,11 @@ def main() -> None:
             sys.exit(0)
         try:
             order = request.number, Keep(request.number, make(request))
-            made = Made(request.number, pickle.dumps(order, protocol=5))
+            answer = Made(request.number, pickle.dumps(order, protocol=5))
         except (TactileError, OSError) as error:
-            made = Made(request.number, failure=str(error))
+            answer = Made(request.number, failure=str(error))
         try:
-            out.write(pickle.dumps(made, protocol=5))
+            out.write(pickle.dumps(answer, protocol=5))
             out.flush()
         except OSError:
             sys.exit(0)

@@ -1,4 +1,4 @@
-"""The server's end of the e-stop process: it starts it, and starts it again where it dies."""
+"""Supervision of the e-stop process by the server: it is started, and restarted if it dies."""
 
 import asyncio
 import logging
@@ -12,11 +12,11 @@ from tactile.server.tasks import watched
 log = logging.getLogger("tactile.server")
 
 READY_WITHIN = 20.0
-"""s in which the process must listen."""
+"""Time within which the process must listen [s]."""
 RETRY = 1.0
-"""s between attempts to start it."""
+"""Interval between attempts to start the process [s]."""
 ENDING = 1.0
-"""s that its end may take."""
+"""Time that the process may take to end [s]."""
 
 
 class EstopDesk:
@@ -24,36 +24,39 @@ class EstopDesk:
 
     Attributes
     ----------
-    address : of its socket, empty while it does not listen
+    address : str
+        Address of its socket; empty while it does not listen.
     """
 
     def __init__(self) -> None:
         self.address = ""
         self._child: Child | None = None
-        self._keeper: asyncio.Task[None] | None = None
+        self._supervisor: asyncio.Task[None] | None = None
 
     async def start(self, latches: Mapping[str, Latch]) -> None:
         """Listen for e-stops of displays, in place of those of an earlier call.
 
         Parameters
         ----------
-        latches : by the name of the display
+        latches : mapping of str to Latch
+            Latches by name of the display.
         """
         await self.close()
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._keeper = watched(asyncio.create_task(self._keep(dict(latches), ready)))
+        self._supervisor = watched(asyncio.create_task(self._supervise(dict(latches), ready)))
         await ready
 
-    async def _keep(self, latches: dict[str, Latch], ready: "asyncio.Future[None]") -> None:
+    async def _supervise(self, latches: dict[str, Latch], ready: "asyncio.Future[None]") -> None:
+        """Start the process, and start it again whenever it ends."""
         try:
             while True:
                 try:
-                    ended = await self._begin(latches)
+                    ended = await self._start_process(latches)
                     if not ready.done():
                         ready.set_result(None)
                     await ended.wait()
                     log.error("the e-stop process ended; it is started again")
-                except OSError as error:  # no descriptor or memory left: there may be some later
+                except OSError as error:  # no descriptor or memory left, which may change
                     log.error("the e-stop process cannot be started: %s", error)
                     if not ready.done():
                         ready.set_result(None)
@@ -63,8 +66,8 @@ class EstopDesk:
             if not ready.done():
                 ready.set_result(None)
 
-    async def _begin(self, latches: dict[str, Latch]) -> asyncio.Event:
-        """Start the process; return an event that is set when it has ended."""
+    async def _start_process(self, latches: dict[str, Latch]) -> asyncio.Event:
+        """Start the process, wait until it listens; return an event that is set when it ends."""
         answered, ended = asyncio.Event(), asyncio.Event()
 
         def receive(what: object) -> None:
@@ -91,10 +94,10 @@ class EstopDesk:
         return ended
 
     async def close(self) -> None:
-        """End the process; idempotent."""
-        if self._keeper is not None:
-            self._keeper.cancel()
-            await asyncio.gather(self._keeper, return_exceptions=True)
+        """End the process; may be called repeatedly."""
+        if self._supervisor is not None:
+            self._supervisor.cancel()
+            await asyncio.gather(self._supervisor, return_exceptions=True)
         if self._child is not None:
             await self._child.end(ENDING)
-        self.address, self._keeper, self._child = "", None, None
+        self.address, self._supervisor, self._child = "", None, None

@@ -1,4 +1,4 @@
-"""Whose finger it is that touches a display: one client's at a time."""
+"""Ownership of the finger on a display: it belongs to one client at a time."""
 
 import math
 
@@ -7,11 +7,12 @@ from tactile.playback.shared_memory import Touch
 
 
 class FingerOwnership:
-    """The finger on a display, which belongs to the client that touched first.
+    """Owner of the finger on a display: the client that touched first.
 
     Attributes
     ----------
-    client : number of the client that it belongs to; None while nobody touches
+    client : int or None
+        Number of the client that the finger belongs to; None while nobody touches.
     """
 
     def __init__(self) -> None:
@@ -20,12 +21,22 @@ class FingerOwnership:
         self._touch: Touch | None = None
 
     def take(self, client: int, touch: Touch) -> bool:
-        """Return whether a contact counts: the finger is the client's, or nobody's.
+        """Take a contact, if the finger belongs to its client or to nobody.
+
+        An owner that has been silent for longer than `SILENCE` loses the finger to the next client
+        that touches.
 
         Parameters
         ----------
-        client : number of the client that sent it
-        touch : the contact
+        client : int
+            Number of the client that sent the contact.
+        touch : Touch
+            The contact.
+
+        Returns
+        -------
+        bool
+            Whether the contact counts.
         """
         if client != self.client:
             silent = touch.arrival - self._last > SILENCE
@@ -36,7 +47,21 @@ class FingerOwnership:
         return True
 
     def lifted(self, client: int, now: float) -> Touch | None:
-        """Return the contact that lifts a client's finger at a time [s]; None if it has none."""
+        """Return the contact that lifts a client's finger.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        now : float
+            Time of the contact [s].
+
+        Returns
+        -------
+        Touch or None
+            Last contact of the client with a normal force of 0; None if the finger is not the
+            client's.
+        """
         if self.client != client or self._touch is None:
             return None
         return self._touch._replace(time=now, arrival=now, normal_force=0.0)

@@ -1,8 +1,8 @@
-"""The host: all displays, and what each client may do with them, whatever it is connected by.
+"""Host of all displays, and what each client may do with them, whatever transport connects it.
 
-A transport (WebSocket, OSC, or a program in the same process) hands decoded messages on to a
-`Client` and takes events from its ``outbox``. Names in a message choose among what there is; none
-reaches the file system. The rule of mixing is in `tactile.messages`.
+A transport (WebSocket, OSC, or a program in the same process) passes decoded messages to a `Client`
+and takes events from its ``outbox``. Names in a message select among what exists; none of them
+reaches the file system. The rule of mixing is described in `tactile.messages`.
 """
 
 import asyncio
@@ -28,44 +28,50 @@ from tactile.texture import descriptor
 log = logging.getLogger("tactile.host")
 
 BEAT = 25e-3
-"""Time between the heartbeats that playback waits for [s]."""
+"""Interval of the heartbeats that playback waits for [s]."""
 
 
 def shipped_textures() -> dict[str, m.TextureInfo]:
-    """Return what there is to select, by name; a file that cannot be used is only logged."""
-    found = {}
+    """Return the textures that can be selected; a file that cannot be used is only logged.
+
+    Returns
+    -------
+    dict of str to TextureInfo
+        Descriptions by name of the texture.
+    """
+    textures = {}
     for name in descriptor.textures():
         try:
-            about = descriptor.load(name).texture
+            header = descriptor.load(name).texture
         except InputError as error:
             log.error("%s", error)
             continue
-        found[name] = m.TextureInfo(
-            name=name, category=about.category, description=about.description,
-            provenance=about.provenance,
+        textures[name] = m.TextureInfo(
+            name=name, category=header.category, description=header.description,
+            provenance=header.provenance,
         )  # fmt: skip
-    return found
+    return textures
 
 
 async def _latches(
     configs: Sequence[DisplayConfig], left: dict[str, Latch], clock: Clock
 ) -> dict[DisplayConfig, Latch]:
-    """Return the latch of each display; those that are ``left`` are taken by device, and removed.
+    """Return the latch of each display, opened or, if its device is in ``left``, moved from there.
 
     Raises
     ------
     TactileError
-        Where one cannot be had; none is open then, and all is left as it was.
+        If a latch cannot be opened; those that were opened before it are closed again.
     """
     folder = state_folder()
     opened, handed = dict[DisplayConfig, Latch](), dict[DisplayConfig, Latch]()
     try:
-        for one in configs:
-            if one.device in left:
-                handed[one] = left.pop(one.device)
+        for config in configs:
+            if config.device in left:
+                handed[config] = left.pop(config.device)
             else:
-                open_latch = partial(Latch.open, one.device, folder, clock=clock)
-                opened[one] = await asyncio.to_thread(open_latch)
+                open_latch = partial(Latch.open, config.device, folder, clock=clock)
+                opened[config] = await asyncio.to_thread(open_latch)
     except BaseException:
         for latch in opened.values():
             latch.close()
@@ -78,8 +84,17 @@ class Host:
 
     Parameters
     ----------
-    config : which
-    clock : by which it waits for files; all else goes by the event loop's
+    config : DaemonConfig
+        Configuration of the displays.
+    clock : Clock
+        Clock for waiting for files; everything else uses the clock of the event loop.
+
+    Attributes
+    ----------
+    playing : dict of str to Playing
+        Displays by name, in the order of the configuration.
+    tasks : set of asyncio.Task
+        Tasks that nobody waits for.
     """
 
     def __init__(self, config: DaemonConfig, *, clock: Clock = MONOTONIC) -> None:
@@ -88,7 +103,7 @@ class Host:
         self._clients: dict[int, Client] = {}
         self._numbers = itertools.count(1)
         self._textures: dict[str, m.TextureInfo] = {}
-        self._beaten: dict[str, tuple[int, float]] = {}
+        self._last_progress: dict[str, tuple[int, float]] = {}
         self._closed = False
         self._desk = EstopDesk()
         self._beating: asyncio.Task[None] | None = None
@@ -101,7 +116,7 @@ class Host:
         Raises
         ------
         TactileError
-            Where one cannot be; none is open then.
+            If a display cannot be opened; none is open then.
         """
         self._textures = shipped_textures()
         self._workbench.begin()
@@ -111,8 +126,8 @@ class Host:
                 load_configured(config)
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
-                self.playing[config.name] = Playing(config, latch, self._workbench, self._tell)
-            await self._desk.start({name: one.latch for name, one in self.playing.items()})
+                self.playing[config.name] = Playing(config, latch, self._workbench, self._broadcast)
+            await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
             for playing in self.playing.values():
                 await playing.start()
@@ -128,9 +143,9 @@ class Host:
         await asyncio.to_thread(take_over)
 
     async def _beat(self) -> None:
-        """Give playback signs of life for as long as this event loop runs, and see to the latches.
+        """Send heartbeats to playback for as long as this event loop runs, and watch the latches.
 
-        Playback falls silent and disarms where they stay away: no program could stop it then.
+        Without heartbeats playback fades and disarms, because no program could stop it then.
         """
         while True:
             now = asyncio.get_running_loop().time()
@@ -143,13 +158,13 @@ class Host:
             await asyncio.sleep(BEAT)
 
     async def close(self) -> None:
-        """Fade out, disarm and end all of it; idempotent."""
+        """Fade out, disarm and end all displays; may be called repeatedly."""
         if self._closed:
             return
         self._closed = True
         for task in self.tasks:
             task.cancel()
-        await asyncio.gather(*(one.end() for one in self.playing.values()))
+        await asyncio.gather(*(playing.end() for playing in self.playing.values()))
         await asyncio.gather(self._desk.close(), self._workbench.close())
         if self._beating is not None:
             self._beating.cancel()
@@ -161,36 +176,36 @@ class Host:
     async def reload(self) -> None:
         """Read textures and configuration again.
 
-        Displays that are configured otherwise are opened anew, the others play on, with what is
-        selected made anew.
+        Displays whose configuration has changed are opened anew. The others play on, and the
+        textures that are selected on them are prepared anew.
 
         Raises
         ------
         TactileError
-            For a configuration that cannot be used; all stays as it was then. For a device that
-            cannot be opened; it is tried again and again.
+            If the configuration cannot be used, in which case nothing changes; or if a device
+            cannot be opened, which is then tried again and again.
         """
         config = self._config if self._config.path is None else load_config(self._config.path)
         before = {playing.config: playing for playing in self.playing.values()}
-        new = [one for one in config.display if one not in before]
-        for one in new:
-            load_configured(one)
-        textures = await asyncio.to_thread(shipped_textures)  # which takes longer than a heartbeat
-        after = {one.name: before.pop(one) for one in config.display if one in before}
+        new = [entry for entry in config.display if entry not in before]
+        for entry in new:
+            load_configured(entry)
+        textures = await asyncio.to_thread(shipped_textures)  # takes longer than a heartbeat
+        after = {entry.name: before.pop(entry) for entry in config.display if entry in before}
         left = {playing.config.device: playing.latch for playing in before.values()}
         latches = await _latches(new, left, self._clock)
         self._config, self._textures = config, textures
         await asyncio.gather(*(playing.end() for playing in before.values()))
-        for one, latch in latches.items():
-            after[one.name] = Playing(one, latch, self._workbench, self._tell)
-        self.playing = {one.name: after[one.name] for one in config.display}
+        for entry, latch in latches.items():
+            after[entry.name] = Playing(entry, latch, self._workbench, self._broadcast)
+        self.playing = {entry.name: after[entry.name] for entry in config.display}
         for playing in before.values():
             playing.close()
             if playing.latch not in latches.values():
                 playing.latch.close()
         if new or before:
-            await self._desk.start({name: one.latch for name, one in self.playing.items()})
-            await self._inherit(latches)  # after the last e-stop that the desk took before
+            await self._desk.start({name: entry.latch for name, entry in self.playing.items()})
+            await self._inherit(latches)  # after the last e-stop of the e-stop process before
         failures = []
         for playing in self.playing.values():
             begins = playing.child is None
@@ -200,40 +215,71 @@ class Host:
                 failures.append(str(error))
                 if begins:
                     playing.keep_open()
-            self._tell(EventMessage(display=playing.config.name, kind="textures"))
+            self._broadcast(EventMessage(display=playing.config.name, kind="textures"))
         if failures:
             raise BusError("; ".join(failures))
 
-    # What there is
+    # Displays, textures and clients
 
     @property
     def displays(self) -> tuple[m.DisplayDescription, ...]:
-        """Displays that there are to play on."""
+        """Displays that can be played on."""
         return tuple(playing.info for playing in self.playing.values())
 
     def textures(self) -> tuple[m.TextureInfo, ...]:
-        """Return what there is to select."""
+        """Return the textures that can be selected.
+
+        Returns
+        -------
+        tuple of TextureInfo
+            Descriptions of the textures.
+        """
         return tuple(self._textures.values())
 
     def connect(self, name: str, *, roles: frozenset[m.Role]) -> "Client":
-        """Return a new client, which may do what its roles allow."""
+        """Add a client.
+
+        Parameters
+        ----------
+        name : str
+            Name of the client.
+        roles : frozenset of Role
+            What the client may do.
+
+        Returns
+        -------
+        Client
+            The new client.
+        """
         client = Client(self, next(self._numbers), name, roles=roles)
         self._clients[client.number] = client
         return client
 
     def drop(self, client: "Client") -> None:
-        """Forget a client: its finger lifts, what it plays fades."""
+        """Remove a client: its finger is lifted, and what it plays fades.
+
+        Parameters
+        ----------
+        client : Client
+            Client that leaves; one that was removed before is ignored.
+        """
         if self._clients.pop(client.number, None) is not None and not self._closed:
             for playing in self.playing.values():
                 self.run(partial(playing.leave, client.number))
 
     def run(self, work: Callable[[], Awaitable[object]]) -> None:
-        """Have something done that nobody waits for; all displays are disarmed where it fails."""
+        """Run work in the background; all displays are disarmed if it fails unexpectedly.
+
+        Parameters
+        ----------
+        work : callable
+            Function that returns the awaitable to run. A `BusError` of it is only logged.
+        """
 
         async def done() -> None:
             try:
                 await work()
-            except BusError as error:  # playback is lost, and with it what was to be done
+            except BusError as error:  # playback is lost, so that there is nothing left to do
                 log.warning("%s", error)
 
         task = watched(asyncio.create_task(done()), self.degrade)
@@ -241,44 +287,74 @@ class Host:
         task.add_done_callback(self.tasks.discard)
 
     def degrade(self, error: BaseException) -> None:
-        """Disarm all displays after a failure that nobody expected."""
+        """Disarm all displays after an unexpected failure.
+
+        Parameters
+        ----------
+        error : BaseException
+            The failure.
+        """
         for playing in self.playing.values():
             if playing.owners.clients:
                 self.run(playing.disarm)
 
-    def _tell(self, event: EventMessage) -> None:
+    def _broadcast(self, event: EventMessage) -> None:
+        """Post an event to all clients."""
         for client in self._clients.values():
             client.post(event)
 
     def healthy(self) -> bool:
-        """Return whether every playback lives and gets on, and `tactile estop` reaches it."""
-        return self._lives() and bool(self._desk.address)
+        """Return whether every display plays and `tactile estop` reaches the daemon.
 
-    def _lives(self) -> bool:
+        Returns
+        -------
+        bool
+            Whether the daemon is healthy.
+        """
+        return self._is_alive() and bool(self._desk.address)
+
+    def _is_alive(self) -> bool:
+        """Return whether heartbeats are sent and every playback process is alive."""
         beats = self._beating is not None and not self._beating.done()
-        return beats and not self._closed and all(one.alive for one in self.playing.values())
+        return (
+            beats and not self._closed and all(playing.alive for playing in self.playing.values())
+        )
 
     def beat(self) -> bool:
-        """Return whether every playback got on since the last call: blocks, or reports at rest."""
-        before = self._beaten
-        self._beaten = {
+        """Return whether playback has made progress since the last call.
+
+        Progress of an armed display is a new block, that of any other a new report.
+
+        Returns
+        -------
+        bool
+            Whether every display has made progress.
+        """
+        before = self._last_progress
+        self._last_progress = {
             name: (r.blocks, r.time)
             for name, playing in self.playing.items()
             for r in [playing.report]
         }
-        return self._lives() and all(
+        return self._is_alive() and all(
             before.get(name) != now
             if self.playing[name].report.state != "armed"
             else before.get(name, (-1, 0.0))[0] != now[0]
-            for name, now in self._beaten.items()
+            for name, now in self._last_progress.items()
         )
 
     def figures(self) -> dict[str, dict[str, float]]:
-        """Return counters and states by display."""
-        found = {}
+        """Return counters and states for metrics.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            Values by name, for each display.
+        """
+        figures = {}
         for name, playing in self.playing.items():
             r = playing.report
-            found[name] = {f"{k}_total": float(v) for k, v in r.counters.items()} | {
+            figures[name] = {f"{k}_total": float(v) for k, v in r.counters.items()} | {
                 "armed": float(playing.state == "armed"),
                 "estopped": float(playing.latch.holds > 0),
                 "link_up": float(r.link == "up"),
@@ -286,4 +362,4 @@ class Host:
                 "playback_alive": float(playing.alive),
                 "latency_seconds": r.latency,
             }
-        return found
+        return figures

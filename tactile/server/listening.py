@@ -1,4 +1,4 @@
-"""Where the daemon listens: TCP, and on Linux a Unix socket that only its user can open."""
+"""Listening sockets of the daemon: TCP, and on Linux a Unix socket that only its user can open."""
 
 import asyncio
 import logging
@@ -24,21 +24,31 @@ from tactile.server.sockets import BoundedHttp, BoundedState, BoundedWebSocket, 
 log = logging.getLogger("tactile.server")
 
 PING_EVERY, PONG_WITHIN = 5.0, 5.0
+"""Interval of uvicorn's pings and time to answer one [s]."""
 LARGEST_READ = 2 * LARGEST_MESSAGE
-"""Bytes of a message that is still answered with what is wrong; a larger one is not read."""
+"""Largest message that is still answered by a failure [bytes]; a larger one is not read."""
 MOST_STRANGERS = 256
-"""Connections that did not say who they are."""
+"""Maximum number of connections that have not identified themselves."""
 AT_ONCE, WAITING = 4, 128
-"""Connections that are accepted before anything else gets its turn, and that wait for that."""
+"""Number of connections that are accepted in one turn of the event loop, and number that may
+wait."""
 CLOSE_WITHIN = 0.1
-"""s for connections to end, once all displays are at 0 V."""
+"""Time for connections to end, once all displays are at 0 V [s]."""
 
 TURNS = 3
-"""Turns of the event loop until a connection that was accepted is one that can be closed."""
+"""Number of turns of the event loop after which an accepted connection can be closed."""
 
 
 class Listener(uvicorn.Server):
-    """uvicorn with bounds, without its signal handlers: whoever runs us has theirs."""
+    """Server of uvicorn with limits and without signal handlers, as the program has its own.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        Application to serve.
+    site : Site
+        What all connections share.
+    """
 
     def __init__(self, app: ASGIApp, site: Site) -> None:
         super().__init__(
@@ -65,23 +75,41 @@ class Listener(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
+        """Capture no signals.
+
+        Yields
+        ------
+        None
+            Nothing.
+        """
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to accept `AT_ONCE` connections in a turn; more than those may wait."""
+        """Start accepting `AT_ONCE` connections in a turn; more than those may wait.
+
+        Parameters
+        ----------
+        sockets : list of socket, optional
+            Bound sockets.
+        """
         await super().startup(sockets)
-        for one in sockets or ():
-            one.listen(WAITING)  # asyncio has one number for both
+        for listening in sockets or ():
+            listening.listen(WAITING)  # asyncio has one parameter for both
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End all connections within a bounded time, whether or not the other side closes them."""
+        """End all connections within a bounded time, whether or not the other side closes them.
+
+        Parameters
+        ----------
+        sockets : list of socket, optional
+            Bound sockets.
+        """
         loop = asyncio.get_running_loop()
         for server in self.servers:
-            for one in server.sockets:
+            for listening in server.sockets:
                 with suppress(NotImplementedError):  # the event loop of Windows has no readers
-                    loop.remove_reader(one)
-        for _ in range(TURNS):  # asyncio forgets a connection that it has just accepted
+                    loop.remove_reader(listening)
+        for _ in range(TURNS):  # asyncio does not yet know a connection that it has just accepted
             await asyncio.sleep(0)
         for server in self.servers:
             server.close()
@@ -103,49 +131,74 @@ class Listener(uvicorn.Server):
 
 @contextmanager
 def bound_sockets(config: ServerConfig, *, guarded: bool) -> Iterator[list[socket.socket]]:
-    """Bind each address of the host, all with one port, and the Unix socket; close them at last.
+    """Bind each address of the host, all with one port, and the Unix socket; close them at the end.
+
+    Parameters
+    ----------
+    config : ServerConfig
+        Where to listen.
+    guarded : bool
+        Whether a token is required to connect.
+
+    Yields
+    ------
+    list of socket
+        Bound sockets, those of TCP first.
 
     Raises
     ------
     InputError
-        Where the host is none, the port or the socket is taken, or others could connect and need
-        no token.
+        If the host does not exist, the port or the socket is taken, or other machines could connect
+        without a token.
     """
     with ExitStack() as stack:
         sockets = listen(config, guarded=guarded)
-        for one in sockets:
-            stack.callback(one.close)
+        for bound in sockets:
+            stack.callback(bound.close)
         local = stack.enter_context(_listening_locally(config))
         yield sockets if local is None else [*sockets, local]
 
 
 def listen(config: ServerConfig, *, guarded: bool) -> list[socket.socket]:
-    """Return a bound socket for each address of the host; all have one port.
+    """Bind a socket to each address of the host, all with one port.
+
+    Parameters
+    ----------
+    config : ServerConfig
+        Where to listen.
+    guarded : bool
+        Whether a token is required to connect.
+
+    Returns
+    -------
+    list of socket
+        Bound TCP sockets.
 
     Raises
     ------
     InputError
-        Where the host is none, the port is taken, or others could connect and need no token.
+        If the host does not exist, the port is taken, or other machines could connect without a
+        token.
     """
     port, sockets = config.port, list[socket.socket]()
     try:
-        found = socket.getaddrinfo(config.host, port, type=socket.SOCK_STREAM)
-        for family, kind, protocol, _, address in dict.fromkeys(found):
+        addresses = socket.getaddrinfo(config.host, port, type=socket.SOCK_STREAM)
+        for family, kind, protocol, _, address in dict.fromkeys(addresses):
             if not guarded and not is_loopback(str(address[0])):
                 raise InputError(
                     f"server.host = {config.host!r}: is {address[0]}, which others can reach: "
                     "server.token_file must be given, or a [[token]]"
                 )
-            one = socket.socket(family, kind, protocol)  # with its protocol, for TCP_NODELAY
-            sockets.append(one)
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound = socket.socket(family, kind, protocol)  # with its protocol, for TCP_NODELAY
+            sockets.append(bound)
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if family == socket.AF_INET6:
-                one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-            one.bind((address[0], port, *address[2:]))
-            port = one.getsockname()[1]
+                bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            bound.bind((address[0], port, *address[2:]))
+            port = bound.getsockname()[1]
     except (OSError, InputError) as error:
-        for one in sockets:
-            one.close()
+        for bound in sockets:
+            bound.close()
         if isinstance(error, InputError):
             raise
         raise InputError(f"server: {config.host!r} port {port}: {error.strerror}") from error
@@ -154,7 +207,7 @@ def listen(config: ServerConfig, *, guarded: bool) -> list[socket.socket]:
 
 @contextmanager
 def _listening_locally(config: ServerConfig) -> Iterator[socket.socket | None]:
-    """Listen at the Unix socket; at its usual place only where that is possible."""
+    """Listen at the Unix socket; at its usual place only if that is possible."""
     if config.socket == "" or (config.socket is None and sys.platform != "linux"):
         yield None
         return
@@ -172,18 +225,30 @@ def _listening_locally(config: ServerConfig) -> Iterator[socket.socket | None]:
         yield local
     finally:
         local.close()
-        with suppress(OSError):  # it is gone already
+        with suppress(OSError):  # the socket was removed already
             if path.lstat().st_ino == made:
                 path.unlink()
 
 
 def listen_locally(path: Path, group: str | None = None) -> socket.socket:
-    """Return a bound Unix socket that only this user may open, or a group as well.
+    """Bind a Unix socket that only this user may open, and a group if there is one.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the socket; its folder is created if it does not exist.
+    group : str, optional
+        Group that may open the socket as well.
+
+    Returns
+    -------
+    socket
+        Bound socket.
 
     Raises
     ------
     InputError
-        Where somebody listens there already, something else is there, or it cannot be made.
+        If somebody listens there already, something else is there, or the socket cannot be created.
     """
     field = f"server.socket = {str(path)!r}"
     local = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

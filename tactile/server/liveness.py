@@ -1,7 +1,8 @@
-"""Whether a client lives, while something that it began sounds or holds high voltage.
+"""Detection of dead clients while something that they started sounds or holds high voltage.
 
-It is pinged every 50 ms then, and anything that it sends is a sign of life. Silence counts only
-while this event loop itself runs: a machine that stood still does not take its clients for dead.
+Such a client is pinged every 50 ms, and anything that it sends is a sign of life. Silence counts
+only while this event loop itself runs, so that a machine that stood still does not take its clients
+for dead.
 """
 
 import asyncio
@@ -12,17 +13,27 @@ from tactile.clock import loop_time
 from tactile.playback.silence import SilenceTimer
 
 TICK = 0.025
-"""s between two looks at all clients."""
+"""Interval between checks of all clients [s]."""
 PING_EVERY = 0.05
-"""s between pings to a client that has something at stake."""
+"""Interval between pings to a client that has something at stake [s]."""
 QUIET_AFTER = 0.15
-"""s of silence after which what a client plays fades."""
+"""Silence after which the waveforms and effects of a client are faded [s]."""
 GIVE_UP_AFTER = 0.5
-"""s of silence after which a client's high voltage is given up."""
+"""Silence after which a client loses its high voltage [s]."""
 
 
 class Due(NamedTuple):
-    """What is to be done about a client now."""
+    """Actions that are due for a client.
+
+    Attributes
+    ----------
+    ping : bool
+        Whether to ping the client.
+    quiet : bool
+        Whether to fade its waveforms and effects.
+    give_up : bool
+        Whether to take its share of high voltage away.
+    """
 
     ping: bool = False
     quiet: bool = False
@@ -30,7 +41,7 @@ class Due(NamedTuple):
 
 
 class SignsOfLife:
-    """Counts a client's silence, with the time passed in."""
+    """Measurement of a client's silence; the time is passed in."""
 
     def __init__(self) -> None:
         self._silence = SilenceTimer(longest_step=2 * TICK)
@@ -38,13 +49,21 @@ class SignsOfLife:
         self._received = -1
 
     def step(self, passed: float, received: int, *, at_stake: bool) -> Due:
-        """Return what is due after some time.
+        """Advance by some time and return what is due.
 
         Parameters
         ----------
-        passed : s since the last step; more than two ticks count as two
-        received : how often anything was received from the client, since it came
-        at_stake : whether it sounds or holds high voltage
+        passed : float
+            Time since the last step [s]; more than two ticks count as two.
+        received : int
+            How often anything was received from the client since it connected.
+        at_stake : bool
+            Whether the client sounds or holds high voltage.
+
+        Returns
+        -------
+        Due
+            Actions that are due now.
         """
         before = self._silence.seconds
         now = self._silence.look(passed, sign=received != self._received or not at_stake)
@@ -64,15 +83,27 @@ class SignsOfLife:
 
 
 class Watched(Protocol):
-    """Who is looked at, as `tactile.server.connection.ServerConnection`."""
+    """Object that is checked in each tick; `tactile.server.connection.ServerConnection` is one."""
 
     def look(self, passed: float) -> None:
-        """Do what is due after some time [s]; never raises."""
+        """Do what is due after some time; never raise.
+
+        Parameters
+        ----------
+        passed : float
+            Time since the last call [s].
+        """
         ...
 
 
 async def look_after(clients: Callable[[], Iterable[Watched]]) -> None:
-    """Look at all clients in each tick, for as long as this runs."""
+    """Check all clients in each tick, until cancelled.
+
+    Parameters
+    ----------
+    clients : callable
+        Function that returns the clients at present.
+    """
     before = loop_time()
     while True:
         await asyncio.sleep(TICK)

@@ -1,7 +1,7 @@
-"""Logs of the daemon: lines of text or of JSON, written by a thread that nobody waits for.
+"""Logging of the daemon: lines of text or JSON, written by a thread that nobody waits for.
 
-A full disk, a closed standard error or one that nobody reads costs lines, which are counted, and
-nothing else. Fields come as ``extra={"fields": {...}}``; no token is ever among them.
+A full disk, or a standard error that is closed or not read, costs lines, which are counted, and
+nothing else. Fields are passed as ``extra={"fields": {...}}``; they never contain a token.
 """
 
 import json
@@ -19,21 +19,32 @@ from tactile.errors import InputError
 from tactile.server.config import LogConfig
 
 MOST_WAITING = 1000
-"""Records."""
+"""Maximum number of records that wait to be written."""
 MOST_ALIKE = 10
-"""Records of one kind in a second; more are counted."""
+"""Maximum number of records of one kind per second; further ones are only counted."""
 PATIENCE = 1.0
-"""s that the end waits for the last lines."""
+"""Time that the end of the program waits for the last lines [s]."""
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, Any]:
-    """Return what a record holds besides its message."""
+    """Return what a record holds besides its message.
+
+    Parameters
+    ----------
+    record : logging.LogRecord
+        Any record.
+
+    Returns
+    -------
+    dict of str to Any
+        Fields by name.
+    """
     fields: dict[str, Any] = getattr(record, "fields", {})
     return fields
 
 
 class TextFormatter(logging.Formatter):
-    """``2025-11-21T20:25:00.123Z INFO server: client connected session=…``."""
+    """Formatter of lines ``2025-11-21T20:25:00.123Z INFO server: client connected session=…``."""
 
     converter = staticmethod(time.gmtime)
 
@@ -44,17 +55,39 @@ class TextFormatter(logging.Formatter):
         )
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
+        """Format a record.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            Any record.
+
+        Returns
+        -------
+        str
+            The line.
+        """
         record.short = record.name.rpartition(".")[2]
         record.rest = "".join(f" {key}={value!r}" for key, value in fields_of(record).items())
         return super().format(record)
 
 
 class JsonFormatter(TextFormatter):
-    """One JSON object in a line."""
+    """Formatter of one JSON object per line."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
+        """Format a record.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            Any record.
+
+        Returns
+        -------
+        str
+            The line.
+        """
         line = {
             "time": f"{self.formatTime(record, self.datefmt)}.{int(record.msecs):03d}Z",
             "level": record.levelname.lower(),
@@ -68,7 +101,20 @@ class JsonFormatter(TextFormatter):
 
 
 class Gate(QueueHandler):
-    """Hands records to the thread that writes, as long as there is room; counts what it drops."""
+    """Handler that queues records for the writing thread and counts those that it drops.
+
+    Parameters
+    ----------
+    waiting : queue.Queue
+        Queue of the writing thread.
+    clock : callable
+        Function that returns the time [s].
+
+    Attributes
+    ----------
+    dropped : int
+        Number of records that were dropped.
+    """
 
     def __init__(self, waiting: "queue.Queue[Any]", clock: Callable[[], float]) -> None:
         super().__init__(waiting)
@@ -76,7 +122,13 @@ class Gate(QueueHandler):
         self._clock, self._second, self._alike = clock, 0, dict[str, int]()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record, unless there were many of its kind in this second."""
+        """Queue a record, unless there were too many of its kind in this second.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            Any record.
+        """
         second = int(self._clock())
         if second != self._second:
             self._second, self._alike = second, {}
@@ -88,19 +140,46 @@ class Gate(QueueHandler):
             super().emit(record)
 
     def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
-        """Return the record as it is: the thread formats it."""
+        """Return the record unchanged, as the writing thread formats it.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            Any record.
+
+        Returns
+        -------
+        logging.LogRecord
+            The same record.
+        """
         return record
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 — logging's name
-        """Count what found no room."""
+        """Count a record for which the queue had no room.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            The record.
+        """
         self.dropped += 1
 
 
 class LineHandler(logging.Handler):
-    """Writes lines to a file descriptor, unbuffered; what cannot be written is counted.
+    """Handler that writes lines to a file descriptor, unbuffered, and counts those that fail.
 
     Only one thread writes. There is neither a lock nor a buffer that the end of the program would
-    wait for, should that thread wait for somebody who does not read.
+    wait for if that thread were waiting for somebody who does not read.
+
+    Parameters
+    ----------
+    descriptor : int
+        Descriptor of the file.
+
+    Attributes
+    ----------
+    failed : int
+        Number of lines that could not be written.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -110,7 +189,13 @@ class LineHandler(logging.Handler):
         self._descriptor = descriptor
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record."""
+        """Write a record.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            Any record.
+        """
         try:
             line = (self.format(record) + "\n").encode("utf-8", "backslashreplace")
             while line:
@@ -120,14 +205,22 @@ class LineHandler(logging.Handler):
 
 
 class LogWriter(QueueListener):
-    """The thread that writes."""
+    """Thread that writes the records of a queue.
+
+    Parameters
+    ----------
+    waiting : queue.Queue
+        Queue of records.
+    sink : logging.Handler
+        Handler that writes them.
+    """
 
     def __init__(self, waiting: "queue.Queue[Any]", sink: logging.Handler) -> None:
         super().__init__(waiting, sink)
         self._waiting = waiting
 
     def stop(self) -> None:
-        """Write what waits, but do not wait for who does not read."""
+        """Write the records that wait, but do not wait for a file that nobody reads."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -139,12 +232,19 @@ class LogWriter(QueueListener):
 
 
 class Logs:
-    """The daemon's logging while it runs; `close` puts back what was there before.
+    """Logging of the daemon while it runs; `close` restores the logging that was there before.
+
+    Parameters
+    ----------
+    config : LogConfig
+        What is logged, and where.
+    clock : callable
+        Function that returns the time [s].
 
     Raises
     ------
     InputError
-        Where the file cannot be opened.
+        If the file cannot be opened.
     """
 
     def __init__(self, config: LogConfig, *, clock: Callable[[], float] = MONOTONIC.now) -> None:
@@ -160,11 +260,11 @@ class Logs:
 
     @property
     def dropped(self) -> int:
-        """Records that were not written: too many, no room, or no disk."""
+        """Number of records that were not written: too many, no room, or no disk."""
         return self._gate.dropped + self._sink.failed
 
     def close(self) -> None:
-        """Write what waits, for a second at most. Idempotent."""
+        """Write the records that wait, for at most a second; may be called repeatedly."""
         if self._gate in self._root.handlers:
             self._root.handlers[:] = self._before[0]
             self._root.setLevel(self._before[1])
@@ -172,7 +272,7 @@ class Logs:
 
 
 def _descriptor(file: str | None) -> int:
-    """Return where to write: the end of a file, or standard error if there is one."""
+    """Open a file for appending and return its descriptor, or that of standard error if any."""
     if not file:
         if sys.stderr is None:
             return os.open(os.devnull, os.O_WRONLY)

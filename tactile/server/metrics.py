@@ -1,6 +1,7 @@
-"""What the daemon counts, for Prometheus: its displays, its clients, what they say, what is wrong.
+"""Metrics of the daemon for Prometheus: displays, clients, messages and failures.
 
-A display's counters are asked for when Prometheus asks; the rest is counted as it happens.
+The counters of displays are collected when Prometheus asks; everything else is counted as it
+happens.
 """
 
 import re
@@ -21,29 +22,55 @@ from prometheus_client.registry import Collector
 from tactile.messages import Code
 
 BUCKETS = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.5, 1.0)
-"""Of the time that a message takes [s]."""
+"""Buckets of the time that a message takes [s]."""
 
 
 class MetricsSource(Protocol):
-    """What knows how the displays are; `tactile.server.host.Host` is one."""
+    """Object that knows the state of the displays; `tactile.server.host.Host` is one."""
 
     def figures(self) -> dict[str, dict[str, float]]:
-        """Return for each display its counters by name."""
+        """Return the counters and states of each display.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            Values by name, for each display.
+        """
         ...
 
     def healthy(self) -> bool:
-        """Return whether all that should play plays."""
+        """Return whether everything that should play plays.
+
+        Returns
+        -------
+        bool
+            Whether the daemon is healthy.
+        """
         ...
 
 
 class Displays(Collector):
-    """The displays' counters and what the log lost, as they are when they are asked for."""
+    """Collector of the displays' counters and of the lost log lines, at the time of the request.
+
+    Parameters
+    ----------
+    source : MetricsSource
+        State of the displays.
+    dropped_logs : callable
+        Function that returns the number of log lines that were not written.
+    """
 
     def __init__(self, source: MetricsSource, dropped_logs: Callable[[], float]) -> None:
         self._source, self._dropped_logs = source, dropped_logs
 
     def collect(self) -> Iterator[Metric]:
-        """Yield one family for each name; what ends in "_total" counts, the rest are levels."""
+        """Yield one family for each name; names ending in "_total" are counters, the others gauges.
+
+        Yields
+        ------
+        Metric
+            Family with one value for each display.
+        """
         yield CounterMetricFamily(
             "tactile_log_dropped", "Log lines not written.", self._dropped_logs()
         )
@@ -62,7 +89,20 @@ class Displays(Collector):
 
 
 class Traffic:
-    """What comes in by one transport."""
+    """Counters of the messages of one transport.
+
+    Parameters
+    ----------
+    metrics : Metrics
+        Registry that the counters belong to.
+    transport : str
+        Name of the transport.
+
+    Attributes
+    ----------
+    clients : Gauge
+        Number of clients at present.
+    """
 
     def __init__(self, metrics: "Metrics", transport: str) -> None:
         self._metrics, self._transport = metrics, transport
@@ -70,7 +110,15 @@ class Traffic:
         self._messages: dict[str, tuple[Counter, Histogram]] = {}
 
     def message(self, kind: str, seconds: float) -> None:
-        """Count a message of a type and the time it took [s]."""
+        """Count a message and the time that it took.
+
+        Parameters
+        ----------
+        kind : str
+            Type of the message.
+        seconds : float
+            Time from the message to its answer [s].
+        """
         bound = self._messages.get(kind)
         if bound is None:
             labels = self._transport, kind
@@ -80,21 +128,44 @@ class Traffic:
         bound[1].observe(seconds)
 
     def failure(self, code: Code) -> None:
-        """Count what was answered by, or on OSC would be, a failure."""
+        """Count a message that was answered by a failure, or would have been over OSC.
+
+        Parameters
+        ----------
+        code : Code
+            Kind of the failure.
+        """
         self._metrics.failures.labels(self._transport, code).inc()
 
     def drop(self, reason: str, count: int = 1) -> None:
-        """Count what was not looked at, or not sent."""
+        """Count messages that were not processed, or not sent.
+
+        Parameters
+        ----------
+        reason : str
+            Reason why they were dropped.
+        count : int
+            Number of messages.
+        """
         self._metrics.dropped.labels(self._transport, reason).inc(count)
 
 
 class Metrics:
-    """All that is counted, in a registry of its own.
+    """All metrics, in a registry of their own.
 
     Parameters
     ----------
-    source : of the displays' counters
-    dropped_logs : how many lines of the log were not written
+    source : MetricsSource
+        State of the displays.
+    dropped_logs : callable
+        Function that returns the number of log lines that were not written.
+
+    Attributes
+    ----------
+    registry : CollectorRegistry
+        Registry of all metrics.
+    clients, messages, failures, dropped, strangers, seconds : Gauge, Counter or Histogram
+        Metrics with the labels of all transports, each described where it is created.
     """
 
     def __init__(
@@ -134,11 +205,28 @@ class Metrics:
         self.registry.register(Displays(source, dropped_logs))
 
     def of(self, transport: str) -> Traffic:
-        """Return what counts for a transport."""
+        """Return the counters of a transport.
+
+        Parameters
+        ----------
+        transport : str
+            Name of the transport.
+
+        Returns
+        -------
+        Traffic
+            The same object for each call.
+        """
         if transport not in self._traffic:
             self._traffic[transport] = Traffic(self, transport)
         return self._traffic[transport]
 
     def text(self) -> bytes:
-        """Return all of it, as Prometheus reads it."""
+        """Return all metrics in the text format of Prometheus.
+
+        Returns
+        -------
+        bytes
+            Contents of ``/metrics``.
+        """
         return generate_latest(self.registry)

@@ -2,13 +2,13 @@
 
 ``/tactile/contact x_mm y_mm normal_force_n [vx_mm_s vy_mm_s]``, ``/tactile/texture name``,
 ``/tactile/gain g``, ``/tactile/stop`` and ``/tactile/estop`` act on the first display,
-``/tactile/<display>/…`` on another. Bundles are carried out at once, whatever their time. Each
-sender is a client, until it is silent for 5 s. Nothing is answered, and nothing here can arm:
-there is no address for it, and these clients may not. An e-stop is carried out before all else,
-whoever sends it and however many or much others send.
+``/tactile/<display>/…`` on another one. Bundles are carried out at once, whatever their time tag.
+Each sender is a client until it has been silent for 5 s. Nothing is answered, and nothing here can
+arm: there is no address for it, and these clients lack the role. An e-stop is carried out before
+everything else, whoever sends it and however much others send.
 
-Packets are read here, of OSC 1.0 what these messages need: python-osc 1.10 never returns from a
-bundle whose element claims a negative size.
+Packets are parsed here, as far as these messages need OSC 1.0, because python-osc 1.10 never
+returns from a bundle with an element of negative size.
 """
 
 import asyncio
@@ -44,27 +44,33 @@ from tactile.server.tasks import watched
 log = logging.getLogger("tactile.osc")
 
 LARGEST_PACKET = 4096
+"""Largest size of a packet [bytes]."""
 MOST_VALUES = 8
+"""Maximum number of values of a message."""
 NUMBERS = {tag: struct.Struct(">" + code) for tag, code in zip("fdih", "fdiq", strict=True)}
+"""Format of a number by its OSC type tag."""
 WRONG = (ValueError, struct.error)
-"""What reading raises where a packet is no OSC."""
+"""Exceptions that parsing raises if a packet is not OSC."""
 BUNDLE, BUNDLE_HEAD = b"#bundle\0", 16
+"""Beginning of a bundle, and size of its header [bytes]."""
 ROLES: frozenset[Role] = frozenset({"play", "stop"})
-"""Of every sender."""
+"""Roles of every sender."""
 STOPS: frozenset[Role] = frozenset({"stop"})
-"""Of the client that carries out e-stops, whoever sends them."""
+"""Roles of the client that carries out the e-stops of all senders."""
 ROOM = 2**22
-"""Bytes that may wait to be read."""
+"""Size of the receive buffer of the socket [bytes]."""
 MOST_READ, MOST_USED = 512, 32
-"""Packets that are read, and used, before anything else gets its turn."""
+"""Numbers of packets that are read and that are processed before anything else gets its turn."""
 MOST_SENDERS = 16
+"""Maximum number of senders."""
 SILENCE = 5.0
-"""s after which a sender is forgotten."""
+"""Silence after which a sender is forgotten [s]."""
 FRESH = 0.05
-"""s for which the names of displays are not looked up again, whatever is asked for."""
+"""Time for which the names of displays are not looked up again, whatever name is asked for [s]."""
 YIELDS_AFTER = 1.0
-"""s of silence after which a sender makes room for a new one."""
+"""Silence after which a sender makes room for a new one [s]."""
 Address = tuple[Any, ...]
+"""Address of a sender."""
 
 
 def _contact(display: str, values: list[Any]) -> Contact:
@@ -99,15 +105,26 @@ VERBS: dict[str, Callable[[str, list[Any]], Command]] = {
     "stop": _stop,
     "estop": _estop,
 }
+"""Function that makes a command of a message's values, by the last part of its address."""
 
 
 def read_packet(data: bytes) -> list[tuple[str, list[Any]]]:
-    """Return address and values of each message of a packet.
+    """Parse a packet.
+
+    Parameters
+    ----------
+    data : bytes
+        The packet, a message or a bundle.
+
+    Returns
+    -------
+    list of (str, list)
+        Address and values of each message.
 
     Raises
     ------
     InputError
-        Where it is none.
+        If the packet is not OSC.
     """
     if len(data) > LARGEST_PACKET:
         raise InputError(f"{len(data)} bytes: at most {LARGEST_PACKET}")
@@ -118,20 +135,33 @@ def read_packet(data: bytes) -> list[tuple[str, list[Any]]]:
 
 
 def read_estops(data: bytes, first: str) -> list[EStop]:
-    """Return each e-stop of a packet, whatever else is in it; ``first`` names the first display."""
-    found: list[EStop] = []
+    """Find each e-stop in a packet, whatever else is in it.
+
+    Parameters
+    ----------
+    data : bytes
+        The packet, which need not be valid throughout.
+    first : str
+        Name of the first display.
+
+    Returns
+    -------
+    list of EStop
+        E-stops up to the first fault in the structure of the packet.
+    """
+    estops: list[EStop] = []
     if len(data) > LARGEST_PACKET or b"estop" not in data:
-        return found
-    with suppress(*WRONG):  # what follows a fault cannot be read
+        return estops
+    with suppress(*WRONG):  # nothing after a fault in the structure can be parsed
         for part in _parts(data):
             with suppress(*WRONG):
                 command = to_command(*_message(part), first)
-                found += [command] if isinstance(command, EStop) else []
-    return found
+                estops += [command] if isinstance(command, EStop) else []
+    return estops
 
 
 def _parts(data: bytes) -> Iterator[bytes]:
-    """Yield the messages of a packet, which is one or a bundle of packets."""
+    """Yield the messages of a packet, which is a message or a bundle of packets."""
     waiting = [data]
     while waiting:
         packet = waiting.pop()
@@ -169,7 +199,7 @@ def _message(data: bytes) -> tuple[str, list[Any]]:
 
 
 def _string(data: bytes, at: int) -> tuple[str, int]:
-    """Return a string and where what follows begins."""
+    """Return a string, and the offset of what follows it."""
     end = data.find(b"\0", at)
     if end < 0:
         raise ValueError("a string without end")
@@ -177,7 +207,22 @@ def _string(data: bytes, at: int) -> tuple[str, int]:
 
 
 def to_command(address: str, values: list[Any], first: str) -> Command | Failure:
-    """Return what a message asks, or what is wrong with it; ``first`` names the first display."""
+    """Translate a message to a command.
+
+    Parameters
+    ----------
+    address : str
+        Address of the message.
+    values : list
+        Values of the message.
+    first : str
+        Name of the first display, which an address without a display refers to.
+
+    Returns
+    -------
+    Command or Failure
+        The command, or what is wrong with the message.
+    """
     root, _, rest = address.removeprefix("/").partition("/")
     display, _, verb = rest.rpartition("/")
     if root != "tactile" or verb not in VERBS:
@@ -190,7 +235,19 @@ def to_command(address: str, values: list[Any], first: str) -> Command | Failure
 
 @dataclass
 class Sender:
-    """A client: where it sends from is all that is known of it."""
+    """Sender of packets, which is a client of the host.
+
+    Attributes
+    ----------
+    client : ClientProtocol
+        Client of the host.
+    requests : Requests
+        Requests of the client.
+    bucket : TokenBucket
+        Limit on its messages.
+    heard : float
+        Time of its latest packet [s].
+    """
 
     client: ClientProtocol
     requests: Requests
@@ -199,7 +256,19 @@ class Sender:
 
 
 class OscProtocol(asyncio.DatagramProtocol):
-    """Takes packets, and never raises."""
+    """Protocol that carries out the packets that arrive, and never raises.
+
+    Parameters
+    ----------
+    link : socket
+        Socket of the packets, non-blocking.
+    host : HostProtocol
+        Displays of the daemon.
+    metrics : Metrics
+        Metrics of the daemon.
+    messages_per_second : float
+        Maximum rate of messages of each sender [1/s].
+    """
 
     def __init__(
         self, link: socket.socket, host: HostProtocol, metrics: Metrics, messages_per_second: float
@@ -210,39 +279,47 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._ended: set[asyncio.Task[None]] = set()
         self._first, self._names, self._ask_again = "", set[str](), 0.0
         self._stopping = host.connect("osc e-stop", roles=STOPS)
-        self._stops = Requests(self._stopping, self._traffic, self._complain_of_estop)
+        self._stops = Requests(self._stopping, self._traffic, self._log_estop_failure)
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
-        """Carry out what a packet says, and those that wait behind it; e-stops first."""
+        """Carry out a packet and those that wait behind it, e-stops first.
+
+        Parameters
+        ----------
+        data : bytes
+            The packet.
+        addr : tuple
+            Address of its sender.
+        """
         now = loop_time()
         try:
             packets = [(data, addr), *self._waiting()]
             stops: dict[str | None, EStop] = {}
-            for one, _ in packets:
-                if b"estop" in one:
-                    found = read_estops(one, self._first_display(now))
-                    stops |= {one.display: one for one in found if self._is_known(one, now)}
+            for packet, _ in packets:
+                if b"estop" in packet:
+                    estops = read_estops(packet, self._first_display(now))
+                    stops |= {stop.display: stop for stop in estops if self._is_known(stop, now)}
             for stop in stops.values():
                 self._stops.offer(stop)
-            for one, sender in packets[:MOST_USED]:
-                self._use(one, sender, now)
+            for packet, sender in packets[:MOST_USED]:
+                self._process(packet, sender, now)
             if len(packets) > MOST_USED:
                 self._traffic.drop("too_fast", len(packets) - MOST_USED)
         except Exception:
             self._traffic.failure("internal")
             log.exception("a packet failed")
-        self._empty(self._stopping)
+        self._discard_outbox(self._stopping)
 
     def _waiting(self) -> Iterator[tuple[bytes, Address]]:
         """Read the packets that wait already."""
         for _ in range(MOST_READ - 1):
             try:
                 yield self._link.recvfrom(LARGEST_PACKET + 1)
-            except OSError:  # no more
+            except OSError:  # none is left
                 return
 
-    def _use(self, data: bytes, addr: Address, now: float) -> None:
-        """Carry out what a packet says besides e-stops."""
+    def _process(self, data: bytes, addr: Address, now: float) -> None:
+        """Carry out the messages of a packet, except e-stops."""
         sender = self._senders.get(addr)
         if sender is not None and not sender.bucket.take(now):
             self._traffic.drop("too_fast")
@@ -250,7 +327,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         try:
             messages = read_packet(data)
         except InputError as error:
-            self._complain(failed("malformed", str(error)), addr)
+            self._log_failure(failed("malformed", str(error)), addr)
             return
         commands = [to_command(*message, self._first_display(now)) for message in messages]
         commands = [command for command in commands if not isinstance(command, EStop)]
@@ -258,7 +335,7 @@ class OscProtocol(asyncio.DatagramProtocol):
             return
         sender = self._sender(addr, now)
         if sender is None:
-            self._complain(failed("too_many_clients", f"{MOST_SENDERS} send already"), addr)
+            self._log_failure(failed("too_many_clients", f"{MOST_SENDERS} send already"), addr)
             return
         self._carry_out(sender, commands[0], now, addr)
         for command in commands[1:]:
@@ -268,7 +345,13 @@ class OscProtocol(asyncio.DatagramProtocol):
                 self._traffic.drop("too_fast")
 
     def error_received(self, exc: Exception) -> None:
-        """Do nothing: nothing is sent that could come back."""
+        """Ignore an error, as nothing is sent that could fail.
+
+        Parameters
+        ----------
+        exc : Exception
+            The error.
+        """
 
     def _carry_out(
         self, sender: Sender, command: Command | Failure, now: float, addr: Address
@@ -281,32 +364,33 @@ class OscProtocol(asyncio.DatagramProtocol):
         else:
             failure = sender.requests.offer(command)
         if failure is not None:
-            self._complain(failure, addr)
-        self._empty(sender.client)
+            self._log_failure(failure, addr)
+        self._discard_outbox(sender.client)
 
     @staticmethod
-    def _empty(client: ClientProtocol) -> None:
-        """Throw away what is said to a client: nothing is sent back."""
+    def _discard_outbox(client: ClientProtocol) -> None:
+        """Discard the messages for a client, because nothing is sent back."""
         while not client.outbox.empty():
             client.outbox.get_nowait()
 
     def _first_display(self, now: float) -> str:
-        """Return the first display's name, looked up once a second."""
+        """Return the name of the first display, which is looked up once per second."""
         if now >= self._ask_again:
-            self._look_up(now)
+            self._refresh_names(now)
         return self._first
 
     def _is_known(self, stop: EStop, now: float) -> bool:
-        """Return whether there is a display to stop; a flood of made-up names costs little."""
+        """Return whether there is such a display; a flood of made-up names costs little."""
         if stop.display not in self._names and now >= self._ask_again - 1 + FRESH:
-            self._look_up(now)
+            self._refresh_names(now)
         return stop.display in self._names
 
-    def _look_up(self, now: float) -> None:
+    def _refresh_names(self, now: float) -> None:
         names = [display.name for display in self._host.displays]
         self._first, self._names, self._ask_again = names[0] if names else "", set(names), now + 1
 
     def _sender(self, addr: Address, now: float) -> Sender | None:
+        """Return the sender with an address, which is added if there is room."""
         sender = self._senders.pop(addr, None)
         if sender is None:
             if len(self._senders) >= MOST_SENDERS:
@@ -318,25 +402,27 @@ class OscProtocol(asyncio.DatagramProtocol):
 
             def answered(answer: Answer) -> None:
                 if isinstance(answer, Failure):
-                    self._complain(answer, addr)
+                    self._log_failure(answer, addr)
 
             requests = Requests(client, self._traffic, answered)
             sender = Sender(client, requests, TokenBucket(self._rate), now)
             self._traffic.clients.inc()
         sender.heard = now
-        self._senders[addr] = sender  # the last heard comes last
+        self._senders[addr] = sender  # ordered by the time of the latest packet
         return sender
 
-    def _complain_of_estop(self, answer: Answer) -> None:
+    def _log_estop_failure(self, answer: Answer) -> None:
         if isinstance(answer, Failure):
-            self._complain(answer, ("e-stop", 0))
+            self._log_failure(answer, ("e-stop", 0))
 
-    def _complain(self, failure: Failure, addr: Address) -> None:
+    def _log_failure(self, failure: Failure, addr: Address) -> None:
+        """Count and log a message that was not used."""
         self._traffic.failure(failure.code)
         fields = {"code": failure.code, "why": failure.message, "sender": f"{addr[0]}:{addr[1]}"}
         log.warning("an OSC message was not used", extra={"fields": fields})
 
     def _forget(self, addr: Address) -> None:
+        """Close the client of a sender."""
         sender = self._senders.pop(addr)
         self._traffic.clients.dec()
         sender.client.close()
@@ -345,7 +431,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         task.add_done_callback(self._ended.discard)
 
     async def forget_silent(self) -> None:
-        """Close the clients of those that are silent, for as long as this runs."""
+        """Close the clients of senders that have been silent, until cancelled."""
         while True:
             now = loop_time()
             for addr in [a for a, s in self._senders.items() if now - s.heard > SILENCE]:

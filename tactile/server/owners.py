@@ -1,20 +1,22 @@
-"""To whom the high voltage of a display belongs: those who armed it."""
+"""Ownership of the high voltage of a display: it belongs to those who armed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 CONFIGURATION = 0
-"""Stands for the configuration among the clients that armed; their numbers begin at 1."""
+"""Number that stands for the configuration among the clients that armed; their numbers begin
+at 1."""
 OWNERLESS = 0.5
-"""s after which high voltage that belongs to nobody is switched off."""
+"""Time after which high voltage that belongs to nobody is switched off [s]."""
 
 
 class Owners:
-    """The owners of high voltage.
+    """Owners of the high voltage of a display.
 
     Attributes
     ----------
-    clients : numbers of those who armed, and have neither left nor disarmed since
+    clients : set of int
+        Numbers of the clients that armed, and have neither left nor disarmed since.
     """
 
     def __init__(self) -> None:
@@ -24,7 +26,13 @@ class Owners:
 
     @contextmanager
     def arm(self) -> Iterator[None]:
-        """Keep owners while high voltage is not on yet."""
+        """Keep the owners, although high voltage is not on yet, while arming is under way.
+
+        Yields
+        ------
+        None
+            Nothing; arming takes place inside the ``with`` block.
+        """
         self._arms_under_way += 1
         try:
             yield
@@ -32,15 +40,23 @@ class Owners:
             self._arms_under_way -= 1
 
     def look(self, now: float, *, running: bool, armed: bool) -> bool:
-        """Return whether high voltage has belonged to nobody for too long.
+        """Check whether high voltage has belonged to nobody for too long.
 
-        Where playback disarmed by itself its owners lose it: they must arm anew.
+        If playback disarmed by itself, the owners lose the high voltage and must arm again.
 
         Parameters
         ----------
-        now : time of a clock that never steps [s]
-        running : whether playback is to run; a bus that arms again by itself runs on meanwhile
-        armed : whether the amplifier plays
+        now : float
+            Time of a monotonic clock [s].
+        running : bool
+            Whether playback is supposed to run; it still is while a bus arms again by itself.
+        armed : bool
+            Whether the amplifier plays.
+
+        Returns
+        -------
+        bool
+            Whether high voltage must be switched off.
         """
         if not (running or self._arms_under_way):
             self.clients.clear()

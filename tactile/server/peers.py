@@ -1,6 +1,6 @@
-"""Which user a connection of this machine comes from, as the kernel knows it, on Linux.
+"""User at the other end of a local connection, as the Linux kernel knows it.
 
-Over a Unix socket the kernel says so itself. Over TCP the user stands in the table of all
+For a Unix socket, the kernel reports the user itself. For TCP, the user is in the table of all
 connections, in the row whose own end is the peer's.
 """
 
@@ -16,31 +16,61 @@ from tactile.messages import ALL_ROLES, Role
 from tactile.server.config import is_loopback
 
 TABLES = {socket.AF_INET: Path("/proc/self/net/tcp"), socket.AF_INET6: Path("/proc/self/net/tcp6")}
+"""Tables of TCP connections by address family."""
 ESTABLISHED = b"01"
-"""State of a connection whose both ends are open; a closed end has no user and says 0."""
+"""State of a connection whose two ends are open; a closed end has no user and reports 0."""
 OTHERS: frozenset[Role] = frozenset({"watch", "stop"})
-"""Of another user, who says no token."""
+"""Roles of another user who presents no token."""
 
 
 class PeerCredentials(NamedTuple):
-    """Who is at the other end: user and, where it is known, process."""
+    """User at the other end of a connection.
+
+    Attributes
+    ----------
+    user : int
+        User id.
+    process : int or None
+        Process id, if it is known.
+    """
 
     user: int
     process: int | None = None
 
 
 def is_local(connection: socket.socket) -> bool:
-    """Return whether it is a Unix socket."""
+    """Check whether a connection is a Unix socket.
+
+    Parameters
+    ----------
+    connection : socket
+        Any stream socket.
+
+    Returns
+    -------
+    bool
+        Whether its address family is AF_UNIX.
+    """
     return connection.family == getattr(socket, "AF_UNIX", None)
 
 
 def local_peer(connection: socket.socket) -> PeerCredentials:
     """Return who connected to a Unix socket.
 
+    Parameters
+    ----------
+    connection : socket
+        Connected Unix socket.
+
+    Returns
+    -------
+    PeerCredentials
+        User and process.
+
     Raises
     ------
     OSError
-        Where the kernel does not say.
+        If the kernel does not report them.
     """
     layout = struct.Struct("3i")
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, layout.size)
@@ -49,14 +79,21 @@ def local_peer(connection: socket.socket) -> PeerCredentials:
 
 
 def user_in(table: bytes, peer: tuple[str, int], own: tuple[str, int]) -> int | None:
-    """Return the user of the peer's end of a TCP connection, or None where it is not there.
+    """Find the user of the peer's end of a TCP connection.
 
     Parameters
     ----------
-    table : as of /proc/self/net/tcp or tcp6
-    peer, own : address and port of each end
+    table : bytes
+        Contents of /proc/self/net/tcp or tcp6.
+    peer, own : tuple of str and int
+        Address and port of each end.
+
+    Returns
+    -------
+    int or None
+        User id; None if the connection is not in the table or not established.
     """
-    ends = b" %s %s " % (_written(*peer), _written(*own))
+    ends = b" %s %s " % (_kernel_form(*peer), _kernel_form(*own))
     at = table.find(ends)
     if at < 0:
         return None
@@ -65,7 +102,7 @@ def user_in(table: bytes, peer: tuple[str, int], own: tuple[str, int]) -> int | 
     return user if state == ESTABLISHED and inode else None
 
 
-def _written(address: str, port: int) -> bytes:
+def _kernel_form(address: str, port: int) -> bytes:
     """Return an end as the kernel writes it: words in the byte order of the machine."""
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     data = socket.inet_pton(family, address.partition("%")[0])
@@ -74,7 +111,18 @@ def _written(address: str, port: int) -> bytes:
 
 
 def tcp_peer(connection: socket.socket) -> PeerCredentials | None:
-    """Return who is at the other end of a TCP connection of this machine, if it can be told."""
+    """Return who is at the other end of a TCP connection of this machine.
+
+    Parameters
+    ----------
+    connection : socket
+        Connected TCP socket.
+
+    Returns
+    -------
+    PeerCredentials or None
+        The user; None if it cannot be determined.
+    """
     peer, own = connection.getpeername()[:2], connection.getsockname()[:2]
     try:
         user = user_in(TABLES[connection.family].read_bytes(), peer, own)
@@ -84,16 +132,38 @@ def tcp_peer(connection: socket.socket) -> PeerCredentials | None:
 
 
 def roles_of_user(peer: PeerCredentials | None) -> frozenset[Role]:
-    """Return what a user may do without a token, None being one that could not be told."""
+    """Return what a user may do without a token.
+
+    Parameters
+    ----------
+    peer : PeerCredentials or None
+        The user; None if it could not be determined.
+
+    Returns
+    -------
+    frozenset of Role
+        All roles for root and for the user of the daemon, `OTHERS` for everybody else.
+    """
     own = peer is not None and peer.user in (0, os.geteuid())
     return ALL_ROLES if own else OTHERS
 
 
 async def judge(connection: socket.socket) -> tuple[frozenset[Role], PeerCredentials | None]:
-    """Return what a peer may do that says no token where none is configured, and who it is."""
+    """Return what a peer may do that presents no token, where none is configured, and who it is.
+
+    Parameters
+    ----------
+    connection : socket
+        Connection of the peer.
+
+    Returns
+    -------
+    tuple of frozenset of Role and PeerCredentials or None
+        Roles, and the user if it is known.
+    """
     if not sys.platform.startswith("linux"):
         return ALL_ROLES, None
-    if is_local(connection):  # who may open it was decided by its mode
+    if is_local(connection):  # the mode of the socket decided who may open it
         return ALL_ROLES, local_peer(connection)
     if not is_loopback(connection.getpeername()[0]):
         return OTHERS, None

@@ -1,22 +1,22 @@
-"""Who is in: as many clients as may be, and besides them a few that may do nothing but e-stop.
+"""Admission of clients: a maximum number of them, and a few more that may do nothing but e-stop.
 
-So a program that has only that to do gets in, however many others are there.
+A program that only wants to trigger an e-stop is therefore admitted, however many others are there.
 """
 
 from collections.abc import Iterator
 from typing import Generic, Protocol, TypeVar
 
 RESERVED = 4
-"""Places of clients that may only e-stop."""
+"""Number of additional places for clients that may only e-stop."""
 CHANCE = 0.2
-"""s that such a client has for its e-stop before a newer one may take its place."""
+"""Time that such a client has for its e-stop before a newer one may take its place [s]."""
 
 
 class Guest(Protocol):
-    """Who takes a place; `tactile.server.connection.Connection` is one."""
+    """Object that takes a place; `tactile.server.connection.ServerConnection` is one."""
 
     def make_room(self) -> None:
-        """End, since a newer one takes the place."""
+        """End, because a newer guest takes the place."""
         ...
 
 
@@ -24,11 +24,17 @@ G = TypeVar("G", bound=Guest)
 
 
 class Places(Generic[G]):
-    """The places of a daemon.
+    """Places of a daemon.
 
     Parameters
     ----------
-    most : clients, besides the reserved places
+    most : int
+        Maximum number of clients besides the reserved places.
+
+    Attributes
+    ----------
+    most : int
+        Maximum number of clients besides the reserved places.
     """
 
     def __init__(self, most: int) -> None:
@@ -37,20 +43,44 @@ class Places(Generic[G]):
         self._reserved: dict[G, float] = {}
 
     def __len__(self) -> int:
-        """Return how many places are taken."""
+        """Return the number of places that are taken."""
         return len(self._full) + len(self._reserved)
 
     def __iter__(self) -> Iterator[G]:
-        """Return all that are in."""
+        """Iterate over all guests."""
         yield from self._full
         yield from self._reserved
 
     def is_reserved(self, guest: G) -> bool:
-        """Return whether a guest has one of the reserved places."""
+        """Check whether a guest has one of the reserved places.
+
+        Parameters
+        ----------
+        guest : Guest
+            Any guest.
+
+        Returns
+        -------
+        bool
+            Whether the guest may only e-stop.
+        """
         return guest in self._reserved
 
     def take(self, guest: G, now: float) -> bool:
-        """Give a guest a place at a time [s]; return whether there was one."""
+        """Give a guest a place, a reserved one if all others are taken.
+
+        Parameters
+        ----------
+        guest : Guest
+            New guest.
+        now : float
+            Time [s].
+
+        Returns
+        -------
+        bool
+            Whether there was a place.
+        """
         if len(self._full) < self.most:
             self._full.add(guest)
             return True
@@ -64,6 +94,12 @@ class Places(Generic[G]):
         return True
 
     def leave(self, guest: G) -> None:
-        """Free the place of a guest; one that has none is ignored."""
+        """Free the place of a guest; one that has none is ignored.
+
+        Parameters
+        ----------
+        guest : Guest
+            Guest that leaves.
+        """
         self._full.discard(guest)
         self._reserved.pop(guest, None)

@@ -1,10 +1,11 @@
-"""One display as the server sees it: its playback process, textures made ready, whose finger it is.
+"""One display in the server: its playback process, its textures, and the owner of its finger.
 
-Playback that dies is started again, with back-off, and told what its clients had; it is armed again
-only where the configuration says so. What an amplifier does meanwhile is its own watchdog's part.
+A playback process that dies is started again, with back-off, and told what its clients had. It is
+armed again only if the configuration says so. What an amplifier does meanwhile is left to its own
+watchdog.
 
-High voltage belongs to those who armed: `Playing.owners` holds their numbers. An e-stop is written
-to the latch, which playback watches, and waits for nothing.
+High voltage belongs to the clients that armed: `Playing.owners` holds their numbers. An e-stop is
+written to the latch, which playback watches, and waits for nothing.
 """
 
 import asyncio
@@ -31,31 +32,54 @@ from tactile.server.workbench import Workbench
 log = logging.getLogger("tactile.playback")
 
 OPENING = 40.0
-"""s in which a device must be open; an audio card may take 20."""
+"""Time within which a device must open [s]; an audio card may take 20 s."""
 ANSWER = 5.0
-"""s in which an order is done; to start a bus takes 2."""
+"""Time within which an order must be carried out [s]; starting a bus takes 2 s."""
 ENDING = 1.0
-"""s that fading and disarming take at most."""
+"""Maximum time for fading and disarming [s]."""
 FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
+"""Shortest and longest pause before playback is started again [s]."""
 STILL = 4.0
-"""s without a report after which playback hangs."""
-REARMED = ("serial:", "can:", "i2c:")
-"""Devices whose link may arm again by itself."""
+"""Time without a report after which playback is considered to hang [s]."""
 SERVER = 0
-"""The client for whom the server itself has textures made anew."""
+"""Number of the client in whose place the server itself has textures prepared anew."""
 
 
 def hangs(now: float, reported: float, opened: float) -> bool:
-    """Return whether playback hangs: long after it was opened, and no report for long [s].
+    """Decide whether a playback process hangs: neither opened nor heard of for longer than `STILL`.
 
-    One that was opened a moment ago may not have reported yet.
+    A process that has just opened its device may not have reported yet.
+
+    Parameters
+    ----------
+    now : float
+        Present time [s].
+    reported : float
+        Time of the latest report [s].
+    opened : float
+        Time at which the device was opened [s].
+
+    Returns
+    -------
+    bool
+        Whether the process hangs.
     """
     return now - max(reported, opened) > STILL
 
 
 @dataclass
 class ClientState:
-    """What a client has on a display."""
+    """State of a client on a display.
+
+    Attributes
+    ----------
+    layers : tuple of (int, float)
+        Number and gain of each selected texture.
+    gain : float
+        Factor of everything that the client plays.
+    sounds : bool
+        Whether its textures sound.
+    """
 
     layers: tuple[tuple[int, float], ...] = ()
     gain: float = 1.0
@@ -63,14 +87,41 @@ class ClientState:
 
 
 class Playing:
-    """A display that is played.
+    """Display that is played by a process.
 
     Parameters
     ----------
-    config : of the display
-    latch : its e-stop latch, which outlives it
-    workbench : makes textures ready
-    tell : called with each `EventMessage`
+    config : DisplayConfig
+        Configuration of the display.
+    latch : Latch
+        E-stop latch of the display, which outlives this object.
+    workbench : Workbench
+        Where textures are prepared.
+    tell : callable
+        Function that is called with each `EventMessage`.
+
+    Attributes
+    ----------
+    config : DisplayConfig
+        Configuration of the display.
+    display : Display
+        The display, with the limits of the configuration.
+    latch : Latch
+        E-stop latch of the display.
+    memory : Shared
+        Memory that is shared with the playback process.
+    how : DeviceOpened
+        How the device plays.
+    parts : dict of int to ClientState
+        States of the clients, by number.
+    finger : FingerOwnership
+        Owner of the finger.
+    owners : Owners
+        Owners of the high voltage.
+    lost : bool
+        Whether playback does not run: its device is not open yet, or its process died.
+    failure : str
+        Reason why playback could not be started again; empty if it runs.
     """
 
     def __init__(
@@ -89,9 +140,9 @@ class Playing:
         self.finger = FingerOwnership()
         self.lost = True
         self.failure = ""
-        self._tell = tell
+        self._post = tell
         self._child: Child | None = None
-        self._asked: dict[int, asyncio.Future[tuple[float, ...]]] = {}
+        self._pending: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
         self._opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
@@ -101,18 +152,18 @@ class Playing:
         )  # fmt: skip
         self.owners = Owners()
         self._estops = 0
-        self._keeper: asyncio.Task[None] | None = None
+        self._supervisor: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
 
-    # The process
+    # Process
 
     async def start(self) -> None:
-        """Open the device, and arm it where the configuration says so and no e-stop holds.
+        """Open the device, and arm it if the configuration says so and no e-stop holds.
 
         Raises
         ------
         BusError
-            Where it cannot be opened.
+            If the device cannot be opened.
         """
         await self._open()
         name = self.config.name
@@ -126,27 +177,26 @@ class Playing:
         self.keep_open()
 
     def keep_open(self) -> None:
-        """See to it from now on that it is open."""
-        self._keeper = watched(asyncio.create_task(self._keep()))
+        """Start supervision: from now on, playback is started again whenever it is lost."""
+        self._supervisor = watched(asyncio.create_task(self._supervise()))
 
     async def _open(self) -> None:
+        """Start a playback process and wait until it has opened the device."""
         config, loop = self.config, asyncio.get_running_loop()
         shared = self.memory.descriptor, self.latch.descriptor
-        inherited = tuple(one for one in shared if one is not None)
+        inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
         self._opened = loop.create_future()
 
-        def heard(what: Any) -> None:
-            if self._child is child:  # and not one that was killed before it
-                self._heard(what)
+        def on_message(what: Any) -> None:
+            if self._child is child:  # ignore a process that was killed
+                self._receive(what)
 
-        child = self._child = Child("tactile.playback.process", heard, inherited)
-        url = config.device
-        if config.rearm and url.startswith(REARMED) and "rearm=" not in url:
-            url += ("&" if "?" in url else "?") + "rearm=true"
+        child = self._child = Child("tactile.playback.process", on_message, inherited)
         child.tell(
             Setup(
-                self.display, url, config.sample_rate_hz, config.accept_unsafe_hold,
-                config.gain, config.worn, self.memory.handle, self.latch.handle,
+                self.display, config.device, config.rearm, config.sample_rate_hz,
+                config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
+                self.latch.handle,
             )
         )  # fmt: skip
         try:
@@ -162,42 +212,44 @@ class Playing:
             log.warning("%s: %s", config.name, refused)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
 
-    def _heard(self, what: Any) -> None:
+    def _receive(self, what: Any) -> None:
+        """Take a message of the process; None means that the process has ended."""
         if isinstance(what, DeviceOpened):
             if self._opened is not None and not self._opened.done():
                 self._opened.set_result(what)
         elif isinstance(what, Answer):
-            future = self._asked.pop(what.number, None)
+            future = self._pending.pop(what.number, None)
             if future is not None and not future.done():
                 if what.failure:
                     future.set_exception(BusError(what.failure))
                 else:
                     future.set_result(what.value)
         elif isinstance(what, News):
-            self._say(what.kind, what.detail)
+            self._announce(what.kind, what.detail)
         else:
-            self._gone()
+            self._process_ended()
 
-    def _gone(self) -> None:
-        """See that the process is no more, and that nobody waits for it."""
+    def _process_ended(self) -> None:
+        """Fail everything that waits for the process, and announce that it is lost."""
         if self._opened is not None and not self._opened.done():
             self._opened.set_result(
                 DeviceOpened(why_not="playback ended while it opened the device")
             )
-        for future in self._asked.values():
+        for future in self._pending.values():
             if not future.done():
                 future.set_exception(BusError("playback was lost"))
-        self._asked.clear()
+        self._pending.clear()
         if not self.lost and not self._ended.is_set():
             self.lost = True
-            self._say("lost", "playback died; it is started again")
+            self._announce("lost", "playback died; it is started again")
 
-    def _say(self, kind: str, detail: str, *, estop: int = 0) -> None:
+    def _announce(self, kind: str, detail: str, *, estop: int = 0) -> None:
+        """Log an event and pass it on to the clients."""
         log.info("%s: %s %s", self.config.name, kind, detail)
-        self._tell(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
+        self._post(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
 
-    async def _keep(self) -> None:
-        """Start playback again, whenever it dies or hangs."""
+    async def _supervise(self) -> None:
+        """Start playback again whenever it dies or hangs."""
         retry = FIRST_RETRY
         while not self._ended.is_set():
             await asyncio.sleep(0.1)
@@ -205,13 +257,13 @@ class Playing:
             if self._child is not None and not self.lost and hangs(now, reported, self._since):
                 log.error("%s: playback hangs", self.config.name)
                 self._child.kill()
-                self._gone()
+                self._process_ended()
             if not self.lost:
                 retry = FIRST_RETRY
                 continue
             try:
-                await self._again()
-            except Exception as error:  # whatever it was: a display is never given up in silence
+                await self._restart()
+            except Exception as error:  # of any kind: a display must never be given up silently
                 self.failure = str(error) or type(error).__name__
                 self.lost = True
                 expected = isinstance(error, BusError | OSError)
@@ -222,8 +274,8 @@ class Playing:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, LONGEST_RETRY)
 
-    async def _again(self) -> None:
-        """Open once more, tell what clients had, and arm for those that had, if it may."""
+    async def _restart(self) -> None:
+        """Open the device again, restore what clients had, and arm for the owners if allowed."""
         if self._child is not None:
             self._child.kill()
         if not self.config.rearm:
@@ -237,36 +289,48 @@ class Playing:
             if self.owners.clients and not self.latch.holds:
                 await self.ask(commands.StartBus())
             else:
-                self._say("disarmed", "playback is back, and disarmed")
+                self._announce("disarmed", "playback is back, and disarmed")
 
     async def end(self) -> None:
-        """Fade out, disarm, end the process; an e-stop is latched until `close`."""
+        """Fade out, disarm, and end the process; an e-stop can be latched until `close`."""
         self._ended.set()
-        if self._keeper is not None:
-            self._keeper.cancel()
+        if self._supervisor is not None:
+            self._supervisor.cancel()
         if self._child is not None:
             await self._child.end(ENDING)
 
     def close(self) -> None:
-        """Let go of what was shared with the process, after its end."""
+        """Release the memory that was shared with the process, after its end."""
         self.memory.close()
 
-    # What it is told
+    # Orders
 
     async def ask(self, order: Order, *, within: float = ANSWER) -> tuple[float, ...]:
-        """Have an order obeyed.
+        """Send an order to playback and wait for its answer.
+
+        Parameters
+        ----------
+        order : Order
+            What playback is to do.
+        within : float
+            Time to wait for the answer [s].
+
+        Returns
+        -------
+        tuple of float
+            Values of the answer, which depend on the order.
 
         Raises
         ------
         BusError
-            Where it cannot be, with the reason.
+            If the order cannot be carried out, with the reason.
         """
         if self._child is None or self.lost:
             raise BusError(self.failure or "playback was lost")
         self._number += 1
         number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
-        self._asked[number] = future
+        self._pending[number] = future
         self._child.tell((number, order))
         try:
             async with asyncio.timeout(within):
@@ -274,17 +338,22 @@ class Playing:
         except TimeoutError:
             raise BusError(f"playback did not answer in {within:g} s") from None
         finally:
-            self._asked.pop(number, None)
+            self._pending.pop(number, None)
 
     # High voltage
 
     async def arm(self, client: int) -> None:
-        """Arm for a client, to whom high voltage belongs from now on.
+        """Arm for a client, which owns high voltage from then on.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
 
         Raises
         ------
         BusError
-            Where the amplifier does not start, or an e-stop holds.
+            If the amplifier does not start, or an e-stop holds.
         """
         self.owners.clients.add(client)
         with self.owners.arm():
@@ -295,24 +364,29 @@ class Playing:
                 raise
 
     async def disarm(self) -> None:
-        """Fade out, and switch high voltage off, whoever it belongs to.
+        """Fade out and switch high voltage off, whoever owns it.
 
         Raises
         ------
         BusError
-            Where playback does not answer.
+            If playback does not answer.
         """
         self.owners.clients.clear()
         if not self.lost:
             await self.ask(commands.StopBus())
 
     async def give_up(self, client: int) -> None:
-        """Take away a client's share of high voltage; switch it off where nobody else has one.
+        """Take away a client's share of high voltage; switch it off if nobody else has one.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
 
         Raises
         ------
         BusError
-            Where playback does not answer.
+            If playback does not answer.
         """
         if client in self.owners.clients:
             self.owners.clients.discard(client)
@@ -320,47 +394,70 @@ class Playing:
                 await self.disarm()
 
     def estop(self, reason: str) -> int:
-        """Latch an e-stop, which playback watches; wait for nothing.
+        """Latch an e-stop, which playback watches, without waiting for anything.
 
         Parameters
         ----------
-        reason : who asked for it, in one line
+        reason : str
+            Who asked for it, in one line.
 
         Returns
         -------
         int
-            The number of the e-stop, which a clear must name.
+            Number of the e-stop, which a clear must name.
         """
         self.owners.clients.clear()
         return self.latch.trip(reason)
 
     def notice_estop(self) -> bool:
-        """Tell clients of an e-stop that was not told yet; return whether there was one."""
+        """Announce an e-stop that has not been announced yet.
+
+        Returns
+        -------
+        bool
+            Whether there was one.
+        """
         number = self.latch.number
         if number == self._estops:
             return False
         self._estops = number
         if self.latch.holds:
             self.owners.clients.clear()
-            self._say("estopped", self.latch.reason, estop=number)
+            self._announce("estopped", self.latch.reason, estop=number)
         return True
 
     async def clear(self, estop: int) -> None:
-        """End the e-stop with a number; nothing to do where it was ended before.
+        """End the e-stop with a number; do nothing if no e-stop holds.
+
+        Parameters
+        ----------
+        estop : int
+            Number of the e-stop.
 
         Raises
         ------
         BusError
-            Where the device refuses it, or a newer e-stop holds.
+            If the device refuses it, or a newer e-stop holds.
         """
         if not self.latch.holds:
             return
         await self.ask(commands.ClearDevice(estop))
         self.latch.clear(estop)
-        self._say("cleared", f"e-stop {estop} was cleared", estop=estop)
+        self._announce("cleared", f"e-stop {estop} was cleared", estop=estop)
 
     def is_ownerless(self, now: float) -> bool:
-        """Return whether high voltage has belonged to nobody for too long; ``now`` in s."""
+        """Check whether high voltage has belonged to nobody for too long.
+
+        Parameters
+        ----------
+        now : float
+            Time of the event loop [s].
+
+        Returns
+        -------
+        bool
+            Whether high voltage must be switched off.
+        """
         running = self.lost or self.report.running
         return self.owners.look(now, running=running, armed=self.state == "armed")
 
@@ -370,46 +467,73 @@ class Playing:
         await self.disarm()
 
     async def save_latch(self) -> None:
-        """Have the latch on the disk, so that it outlives the machine's power."""
+        """Write the latch to the disk, so that it survives a power failure; a failure is logged."""
         try:
             await asyncio.to_thread(self.latch.save)
         except (OSError, ValueError) as error:
             log.error("%s: the e-stop latch was not saved: %s", self.config.name, error)
 
     async def select(self, client: int, layers: Sequence[Layer]) -> None:
-        """Have a client's textures made ready, and play them.
+        """Prepare a client's textures and play them.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        layers : sequence of Layer
+            Textures to superimpose.
 
         Raises
         ------
         TooManyDrawingsError
-            Where the client waits for as many textures as it may.
+            If the client waits for as many textures as it may.
         BusError
-            Where one cannot be made ready, or there is no room for it.
+            If a texture cannot be prepared, or there is no room for it.
         """
         part = self.parts.setdefault(client, ClientState())
         with self._shelf.held() as held:
-            chosen = []
+            selection = []
             for layer in layers:
                 number = await self.texture(client, layer.texture, layer.seed)
                 held.add(number)
-                chosen.append((number, layer.gain))
-            part.layers = tuple(chosen)
+                selection.append((number, layer.gain))
+            part.layers = tuple(selection)
         await self.ask(commands.SelectTextures(client, part.layers))
 
     async def texture(self, client: int, name: str, seed: int) -> int:
-        """Return the number of a texture that is ready.
+        """Return the number of a texture, once it is ready.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client that waits.
+        name : str
+            Name of the texture.
+        seed : int
+            Seed of its realization.
+
+        Returns
+        -------
+        int
+            Number of the texture in playback.
 
         Raises
         ------
         TooManyDrawingsError
-            Where the client waits for as many as it may.
+            If the client waits for as many textures as it may.
         BusError
-            Where it cannot be made ready, or there is no room for it.
+            If the texture cannot be prepared, or there is no room for it.
         """
         return await self._shelf.texture(client, (name, seed), self.how)
 
     def cancel_drawings(self, client: int) -> None:
-        """Make no more ready for a client that has left, but for what others wait for too."""
+        """Stop preparing textures for a client that has left, unless others wait for them too.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
         self._shelf.leave(client)
 
     def _keep_texture(self, order: bytes) -> None:
@@ -424,7 +548,7 @@ class Playing:
         return {n for part in self.parts.values() for n, _ in part.layers}
 
     async def renew(self) -> None:
-        """Have what is selected made anew, from files that may have changed, and play that."""
+        """Prepare the selected textures anew, as their files may have changed, and play them."""
         old, self._shelf.ready = self._shelf.ready, {}
         numbers, selected = dict[int, int](), self._selected()
         with self._shelf.held() as held:
@@ -443,12 +567,26 @@ class Playing:
             await self._drop_texture(n)
 
     def touch(self, client: int, touch: Touch) -> None:
-        """Take a contact, where the finger is the client's, or nobody's."""
+        """Take a contact, if the finger belongs to its client or to nobody.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        touch : Touch
+            The contact.
+        """
         if self.finger.take(client, touch):
             self.memory.write_contact(touch)
 
     async def leave(self, client: int) -> None:
-        """Lift a client's finger, and let what it plays fade."""
+        """Lift a client's finger, fade what it plays, and give up its high voltage.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
         self.cancel_drawings(client)
         lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
@@ -461,35 +599,35 @@ class Playing:
     async def _forget(self, client: int) -> None:
         await self.ask(commands.Forget(client))
 
-    # How it stands
+    # State
 
     @property
     def report(self) -> PlaybackReport:
-        """The latest of playback."""
+        """Latest report of playback."""
         return self.memory.report()
 
     @property
     def state(self) -> Literal["disarmed", "armed", "estopped", "lost"]:
-        """How it stands: as playback reports of its amplifier, unless an e-stop holds."""
+        """State of the display: "estopped" while an e-stop holds, else what playback reports."""
         if self.lost:
             return "lost"
         return "estopped" if self.latch.holds else self.report.state
 
     @property
     def alive(self) -> bool:
-        """Whether playback lives and gets on."""
+        """Whether the playback process runs and reports."""
         if self.lost or self._child is None or not self._child.alive:
             return False
         return self._loop.time() - self.report.time < STILL
 
     @property
     def child(self) -> Child | None:
-        """The process."""
+        """Playback process."""
         return self._child
 
     @property
     def info(self) -> DisplayDescription:
-        """What clients are told."""
+        """Description of the display for clients."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
         latency = self.report.latency or self.how.latency + renders
         return describe(self.config.name, self.display, self.how, latency=latency, latch=self.latch)

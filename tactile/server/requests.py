@@ -1,4 +1,4 @@
-"""What every transport does with messages: requests in order, e-stop first."""
+"""Requests of a client, as every transport handles them: in order, e-stops first."""
 
 import asyncio
 import logging
@@ -30,56 +30,86 @@ from tactile.server.tasks import watched
 log = logging.getLogger("tactile.server")
 
 FINISH_WITHIN = 1.0
-"""s that what makes safe may take after its client is gone."""
+"""Time in which what makes displays safe must be done after its client has left [s]."""
 MOST_REQUESTS = 32
-"""Of a client, that wait."""
+"""Maximum number of requests that one client may have queued."""
 
 
 class ClientProtocol(Protocol):
-    """A connection as the host knows it; `tactile.server.client.Client` is one."""
+    """Client as transports use it; `tactile.server.client.Client` is one.
+
+    Attributes
+    ----------
+    outbox : asyncio.Queue of EventMessage or TelemetryMessage
+        Messages for the client that no request asked for.
+    """
 
     outbox: "asyncio.Queue[EventMessage | TelemetryMessage]"
 
     @property
     def sounds(self) -> bool:
-        """Whether it has waveforms or effects that may still sound."""
+        """Whether the client has waveforms or effects that may still sound."""
         ...
 
     @property
     def holds_voltage(self) -> bool:
-        """Whether it armed a display whose high voltage is on."""
+        """Whether the client armed a display whose high voltage is on."""
         ...
 
     def contact(self, message: Contact, arrival: float) -> Failure | None:
-        """Take where the finger is; ``arrival`` is on the monotonic clock [s]."""
+        """Take a contact.
+
+        Parameters
+        ----------
+        message : Contact
+            Message of the client.
+        arrival : float
+            Time of arrival on the monotonic clock [s].
+
+        Returns
+        -------
+        Failure or None
+            What is wrong with the contact.
+        """
         ...
 
     async def request(self, command: Command) -> Answer:
-        """Carry out a command; what is wrong with it is the answer."""
+        """Carry out a request.
+
+        Parameters
+        ----------
+        command : Command
+            Message of the client.
+
+        Returns
+        -------
+        Answer
+            Answer to the request, a `Failure` if it could not be carried out.
+        """
         ...
 
     def quiet(self) -> None:
-        """Fade its waveforms and effects, since it gives no sign of life."""
+        """Fade the client's waveforms and effects, because it gives no sign of life."""
         ...
 
     def give_up(self) -> None:
-        """Give up its share of high voltage, since it gives no sign of life."""
+        """Give up the client's share of high voltage, because it gives no sign of life."""
         ...
 
     def close(self) -> None:
-        """Lift the finger, fade what sounds. Idempotent."""
+        """Lift the finger and fade what sounds; may be called repeatedly."""
         ...
 
 
 class HostProtocol(MetricsSource, Protocol):
-    """All displays and who plays on them; `tactile.server.host.Host` is one."""
+    """All displays and their clients, as servers use them; `tactile.server.host.Host` is one."""
 
     async def start(self) -> None:
-        """Open what plays."""
+        """Open all displays."""
         ...
 
     async def close(self) -> None:
-        """Fade, disarm, end. Idempotent."""
+        """Fade out, disarm and end all displays; may be called repeatedly."""
         ...
 
     async def reload(self) -> None:
@@ -88,37 +118,78 @@ class HostProtocol(MetricsSource, Protocol):
 
     @property
     def displays(self) -> tuple[DisplayDescription, ...]:
-        """What there is to play on."""
+        """Displays that can be played on."""
         ...
 
     def connect(self, name: str, *, roles: frozenset[Role]) -> ClientProtocol:
-        """Return a new client, which may do what its roles allow."""
+        """Add a client.
+
+        Parameters
+        ----------
+        name : str
+            Name of the client.
+        roles : frozenset of Role
+            What the client may do.
+
+        Returns
+        -------
+        ClientProtocol
+            The new client.
+        """
         ...
 
     def beat(self) -> bool:
-        """Return whether playback got on since the last call."""
+        """Return whether playback has made progress since the last call.
+
+        Returns
+        -------
+        bool
+            False if a playback process hangs or has died.
+        """
         ...
 
     def degrade(self, error: BaseException) -> None:
-        """Disarm all displays after a failure that nobody expected."""
+        """Disarm all displays after an unexpected failure.
+
+        Parameters
+        ----------
+        error : BaseException
+            The failure.
+        """
         ...
 
 
 def id_of(message: ApiMessage) -> int | None:
-    """Return the id of a request; a `Contact` has none."""
-    found: int | None = getattr(message, "id", None)
-    return found
-
-
-class Requests:
-    """The requests of one client, carried out one after the other, beside its contacts.
+    """Return the id of a message.
 
     Parameters
     ----------
-    client : who asks
-    traffic : counts them
-    answered : is given each answer
-    broke : called where carrying out ends by an exception, so that no more can be done
+    message : ApiMessage
+        Any message.
+
+    Returns
+    -------
+    int or None
+        Id of the request or reply; None without one, as in a `Contact`.
+    """
+    number: int | None = getattr(message, "id", None)
+    return number
+
+
+class Requests:
+    """Requests of one client, carried out one after the other, independently of its contacts.
+
+    Parameters
+    ----------
+    client : ClientProtocol
+        Client that sends the requests.
+    traffic : Traffic
+        Counters of the transport.
+    answered : callable
+        Function that is called with each answer.
+    broke : callable, optional
+        Function that is called if an exception ends the processing, so that nothing more can be
+        done.
     """
 
     def __init__(
@@ -130,15 +201,26 @@ class Requests:
     ) -> None:
         self._client, self._traffic, self._answered = client, traffic, answered
         self._waiting: list[Command] = []
-        """Those that wait and, first, the one that is carried out."""
-        self._new = asyncio.Event()
+        # The first is the request that is being carried out, the others wait.
+        self._arrived = asyncio.Event()
         self._ended = False
         self._broke = broke
         self._urgent: set[asyncio.Task[None]] = set()
         self._worker = watched(asyncio.create_task(self._work()), broke)
 
     def offer(self, command: Command) -> Failure | None:
-        """Take a request; an e-stop is carried out at once."""
+        """Queue a request; an e-stop is carried out at once.
+
+        Parameters
+        ----------
+        command : Command
+            Message of the client.
+
+        Returns
+        -------
+        Failure or None
+            A `Failure` if too many requests are queued.
+        """
         queue = self._urgent if isinstance(command, EStop) else self._waiting
         if len(queue) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
@@ -148,19 +230,20 @@ class Requests:
             task.add_done_callback(self._urgent.discard)
         else:
             self._waiting.append(command)
-            self._new.set()
+            self._arrived.set()
         return None
 
     async def _work(self) -> None:
-        while not self._ended:  # also where a cancellation was swallowed
+        while not self._ended:  # ends the loop even if a request swallowed the cancellation
             if self._waiting:
                 await self._carry_out(self._waiting[0])
                 del self._waiting[0]
             else:
-                self._new.clear()
-                await self._new.wait()
+                self._arrived.clear()
+                await self._arrived.wait()
 
     async def _carry_out(self, command: Command) -> None:
+        """Carry out a request and pass on its answer."""
         started = loop_time()
         try:
             answer = await self._client.request(command)
@@ -175,12 +258,12 @@ class Requests:
     async def finish(self) -> None:
         """End within `FINISH_WITHIN`; each e-stop and each disarm is still carried out.
 
-        All else is dropped, also what is being carried out: it must neither arm for a client that
-        is gone nor keep a disarm waiting. What does not end by then is left to itself.
+        Everything else is dropped, including the request that is being carried out: it must neither
+        arm for a client that has left nor delay a disarm. What has not ended by then is abandoned.
         """
         self._ended = True
         self._worker.cancel()
-        self._new.set()
+        self._arrived.set()
         disarms = [command for command in self._waiting if isinstance(command, DisarmDisplay)]
         tasks = {*self._urgent, watched(asyncio.create_task(self._carry_out_each(disarms)))}
         try:

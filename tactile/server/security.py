@@ -1,8 +1,9 @@
-"""Who may speak to the daemon: no web page, under whatever name, that was not invited.
+"""Admission of programs and web pages: no page that was not invited, under whatever name.
 
-A page in a browser can send requests to this machine. It cannot leave out `Origin` where it opens a
-WebSocket, nor `Sec-Fetch-Site` in a current browser, nor choose `Host`: a name that was rebound to
-127.0.0.1 stands there as itself. Programs send no `Origin`; they say the token, where there is one.
+A page in a browser can send requests to this machine. It cannot omit `Origin` when it opens a
+WebSocket, nor `Sec-Fetch-Site` in a current browser, and it cannot choose `Host`: a name that was
+rebound to 127.0.0.1 appears there as itself. Programs send no `Origin`; they present a token, if
+there is one.
 """
 
 import hashlib
@@ -21,84 +22,122 @@ from tactile.server.config import ORIGIN, ServerConfig
 log = logging.getLogger("tactile.server")
 
 OWN_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
+"""Names of this machine that a `Host` header may always hold."""
 ANY = frozenset({"0.0.0.0", "[::]"})
-"""All addresses of this machine, to listen at; a name of none."""
+"""Addresses that stand for all addresses of this machine when listening, but name none of them."""
 UNINVITED = "Origin is not invited; the daemon's log says how to invite it"
+"""Reason to refuse a page that was not invited."""
 NO_FIGURES = 'Authorization: Bearer must hold a token whose roles include "watch"'
+"""Reason to refuse a request for metrics."""
 MOST_ORIGINS = 100
-"""That are remembered, each of which is logged once."""
+"""Maximum number of origins that are remembered; each is logged once."""
 Headers = Iterable[tuple[bytes, bytes]]
+"""Names and values of HTTP headers."""
 
 
 class Tokens:
-    """All tokens that let in, and what each allows; none of them can be read back.
+    """Tokens that admit clients, and what each allows; none of them can be read back.
 
     Parameters
     ----------
-    tokens : with their roles; where there are none, none is asked for
+    tokens : iterable of (bytes, frozenset of Role)
+        Tokens with their roles; if there are none, clients need none.
     """
 
     def __init__(self, tokens: Iterable[tuple[bytes, frozenset[Role]]] = ()) -> None:
         self._digests = [(hashlib.sha256(token).digest(), roles) for token, roles in tokens]
 
     def __bool__(self) -> bool:
-        """Return whether there is any."""
+        """Return whether there is any token."""
         return bool(self._digests)
 
     def roles(self, said: str) -> frozenset[Role] | None:
-        """Return what a token allows, None for a wrong one.
+        """Return what a token allows.
 
-        The time does not tell how much of it is right, nor which of the tokens it is like.
+        The time that it takes reveals neither how much of the token is right nor which one it
+        resembles.
+
+        Parameters
+        ----------
+        said : str
+            Token that a client presents.
+
+        Returns
+        -------
+        frozenset of Role or None
+            Roles of the token; None if it is wrong.
         """
         digest = hashlib.sha256(said.encode("utf-8", "replace")).digest()
-        same = [hmac.compare_digest(digest, one) for one, _ in self._digests]
+        same = [hmac.compare_digest(digest, known) for known, _ in self._digests]
         return self._digests[same.index(True)][1] if any(same) else None
 
 
 def host_name(header: str) -> str:
-    """Return the host of a `Host` header in lower case, without its port."""
+    """Extract the host of a `Host` header.
+
+    Parameters
+    ----------
+    header : str
+        Value of the header.
+
+    Returns
+    -------
+    str
+        Host in lower case, without its port.
+    """
     host, colon, port = header.lower().rpartition(":")
     return host if colon and port.isdecimal() and port.isascii() else header.lower()
 
 
 def refusal(headers: Headers, config: ServerConfig, address: str | None) -> str:
-    """Return why a request is refused, or "".
+    """Decide whether a request is refused.
 
     Parameters
     ----------
-    headers : names in lower case
-    config : who is invited
-    address : of this machine, to which the request came
+    headers : iterable of (bytes, bytes)
+        Headers of the request, with their names in lower case.
+    config : ServerConfig
+        Configuration with the origins that are invited.
+    address : str or None
+        Address of this machine to which the request came; None for a Unix socket.
+
+    Returns
+    -------
+    str
+        Reason of the refusal; empty if the request is admitted.
     """
-    found: dict[str, list[str]] = {"host": [], "origin": [], "sec-fetch-site": []}
+    values: dict[str, list[str]] = {"host": [], "origin": [], "sec-fetch-site": []}
     for name, value in headers:
-        found.get(name.decode("latin-1"), []).append(value.decode("latin-1"))
-    hosts = [host_name(host) for host in found["host"]]
-    own = {*OWN_NAMES, *(_written(host) for host in (config.host, address) if host)}
+        values.get(name.decode("latin-1"), []).append(value.decode("latin-1"))
+    hosts = [host_name(host) for host in values["host"]]
+    own = {*OWN_NAMES, *(_host_form(host) for host in (config.host, address) if host)}
     if len(hosts) != 1 or hosts[0] not in own - ANY:
         return "Host is not one of this server"
-    origins = found["origin"]
+    origins = values["origin"]
     if len(origins) > 1 or not set(origins) <= set(config.origins):
         return UNINVITED
-    if not origins and not set(found["sec-fetch-site"]) <= {"none", "same-origin"}:
+    if not origins and not set(values["sec-fetch-site"]) <= {"none", "same-origin"}:
         return "Sec-Fetch-Site is another site"
     return ""
 
 
-def _written(host: str) -> str:
-    """Return a host as it stands in `Host`."""
+def _host_form(host: str) -> str:
+    """Return a host in the form that it has in a `Host` header."""
     host = host.removeprefix("::ffff:")
     return f"[{host.lower()}]" if ":" in host else host.lower()
 
 
 class Door:
-    """Lets a request in to the application, or answers 403; WebSockets are refused unopened.
+    """ASGI middleware that admits requests, or answers 401 or 403 even to a WebSocket.
 
     Parameters
     ----------
-    app : what is behind it
-    config : who is invited
-    tokens : one of which must be said for figures
+    app : ASGIApp
+        Application behind the door.
+    config : ServerConfig
+        Configuration with the origins that are invited.
+    tokens : Tokens
+        Tokens, one of which is required for metrics.
     """
 
     def __init__(self, app: ASGIApp, config: ServerConfig, tokens: Tokens) -> None:
@@ -113,24 +152,27 @@ class Door:
             reason = refusal(scope["headers"], self._config, address)
             if reason is UNINVITED:
                 self._log_origin(scope["headers"])
-            if not reason and not self._knows(scope):
+            if not reason and not self._may_read(scope):
                 reason, status = NO_FIGURES, 401
         if not reason:
             await self._app(scope, receive, send)
         else:
             await PlainTextResponse(reason + "\n", status)(scope, receive, send)
 
-    def _knows(self, scope: Scope) -> bool:
-        """Return whether who asks for figures may watch; a WebSocket's `Hello` has its token."""
+    def _may_read(self, scope: Scope) -> bool:
+        """Return whether a request is not for metrics, or its token allows reading them.
+
+        A WebSocket presents its token in `ClientHello`.
+        """
         if scope["type"] != "http" or scope["path"] != "/metrics":
             return True
         if not self._tokens or not scope.get("client"):
             return True
-        said = dict(scope["headers"]).get(b"authorization", b"").decode("latin-1")
-        return "watch" in (self._tokens.roles(said.removeprefix("Bearer ").strip()) or ())
+        header = dict(scope["headers"]).get(b"authorization", b"").decode("latin-1")
+        return "watch" in (self._tokens.roles(header.removeprefix("Bearer ").strip()) or ())
 
     def _log_origin(self, headers: Headers) -> None:
-        """Log an origin that is not invited, once, with the line that would invite it."""
+        """Log an origin that is not invited, once, with the setting that would invite it."""
         for name, value in headers:
             origin = value.decode("latin-1")[:256]
             if name != b"origin" or origin in self._logged or len(self._logged) >= MOST_ORIGINS:

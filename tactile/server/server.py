@@ -1,7 +1,8 @@
-"""The daemon: a WebSocket at ``/v1``, its schema, health and figures over HTTP, OSC beside it.
+"""Daemon: a WebSocket at ``/v1``; schema, health and metrics over HTTP; OSC besides.
 
-Order at the end: nobody is let in and everybody is told, the displays fade and are disarmed, and
-only then are connections cut. `serve` is the process, `running` the same inside another program.
+At the end, nobody is admitted any more and all clients are told, then the displays fade and are
+disarmed, and only then are connections cut. `serve` is the process, `running` the same inside
+another program.
 """
 
 import asyncio
@@ -39,18 +40,23 @@ from tactile.server.tasks import watched
 log = logging.getLogger("tactile.server")
 
 LOOPBACK = "127.0.0.1"
+"""Loopback address."""
 
 
 @dataclass(frozen=True)
 class Server:
-    """A daemon that runs.
+    """Running daemon.
 
     Attributes
     ----------
-    url : for `tactile.connect`
-    port : TCP port
-    site : what its connections share, the host among it
-    serving : ends where listening failed
+    url : str
+        URL for `tactile.connect`.
+    port : int
+        TCP port.
+    site : Site
+        What its connections share, including the host.
+    serving : asyncio.Task
+        Task that ends if listening fails.
     """
 
     url: str
@@ -60,18 +66,29 @@ class Server:
 
     @property
     def host(self) -> HostProtocol:
-        """All displays and who plays on them."""
+        """All displays and their clients."""
         return self.site.host
 
     @property
     def metrics(self) -> Metrics:
-        """All that is counted."""
+        """All metrics of the daemon."""
         return self.site.metrics
 
 
 def application(site: Site) -> ASGIApp:
-    """Return all that is served, behind the door."""
-    described = json.dumps(messages.schema()).encode()
+    """Create the application with all routes, behind the door.
+
+    Parameters
+    ----------
+    site : Site
+        What all connections share.
+
+    Returns
+    -------
+    ASGIApp
+        Application for `Listener`.
+    """
+    schema_json = json.dumps(messages.schema()).encode()
 
     async def connect(socket: WebSocket) -> None:
         await talk(socket, site)
@@ -89,7 +106,7 @@ def application(site: Site) -> ASGIApp:
         return Response(site.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
 
     async def shape(request: Request) -> Response:
-        return Response(described, media_type="application/schema+json")
+        return Response(schema_json, media_type="application/schema+json")
 
     app = Starlette(
         routes=[
@@ -106,12 +123,12 @@ def application(site: Site) -> ASGIApp:
 
 @asynccontextmanager
 async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
-    """Listen for OSC, where it is wanted.
+    """Listen for OSC, if the configuration says so.
 
     Raises
     ------
     InputError
-        Where the port is taken.
+        If the port is taken.
     """
     if not config.osc.port:
         yield
@@ -156,18 +173,26 @@ async def running(
     host: HostProtocol | None = None,
     dropped_logs: Callable[[], float] = lambda: 0,
 ) -> AsyncIterator[Server]:
-    """Run the daemon in this event loop; port 0 takes one that is free.
+    """Run the daemon in this event loop; port 0 takes a free one.
 
     Parameters
     ----------
-    config : as of `load_config`
-    host : what to serve; that of the configuration, unless given
-    dropped_logs : how many lines of the log were not written
+    config : DaemonConfig
+        Configuration, as returned by `load_config`.
+    host : HostProtocol, optional
+        What to serve; by default, the host of the configuration.
+    dropped_logs : callable
+        Function that returns the number of log lines that were not written.
+
+    Yields
+    ------
+    Server
+        The running daemon, which ends with the ``with`` block.
 
     Raises
     ------
     InputError
-        Where it cannot listen.
+        If the daemon cannot listen.
     """
     tokens = Tokens(read_tokens(config))
     host = _host(config) if host is None else host
@@ -193,7 +218,7 @@ async def running(
 
 @asynccontextmanager
 async def _looking_after(site: Site) -> AsyncIterator[None]:
-    """See whether the clients live; without that nothing may stay armed."""
+    """Watch whether the clients are alive; if that fails, all displays are disarmed."""
     task = watched(asyncio.create_task(look_after(lambda: site.places)), site.host.degrade)
     try:
         yield
@@ -211,10 +236,17 @@ def _url(listening: socket.socket) -> str:
 def serve(config: DaemonConfig, ready: Callable[[Server], None] | None = None) -> None:
     """Run the daemon until SIGINT or SIGTERM; SIGHUP reads textures and configuration again.
 
+    Parameters
+    ----------
+    config : DaemonConfig
+        Configuration, as returned by `load_config`.
+    ready : callable, optional
+        Function that is called with the running `Server`.
+
     Raises
     ------
     TactileError
-        Where it cannot begin.
+        If the daemon cannot start.
     """
     logs = Logs(config.log)
     try:
@@ -228,10 +260,10 @@ async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], Non
 
     def stop() -> None:
         end.set()
-        for number in (signal.SIGINT, signal.SIGTERM):  # the next one ends it at once
+        for number in (signal.SIGINT, signal.SIGTERM):  # the next signal ends the daemon at once
             loop.remove_signal_handler(number)
 
-    with suppress(NotImplementedError):  # where there are no such signals
+    with suppress(NotImplementedError):  # on systems without such signals
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, stop)
     async with running(config, dropped_logs=lambda: logs.dropped) as server:
@@ -253,14 +285,25 @@ async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], Non
 
 
 class Reloading:
-    """Reads textures and configuration again, one after the other; a mistake is logged."""
+    """Reloads of textures and configuration, one after the other; a mistake is only logged.
+
+    Parameters
+    ----------
+    host : HostProtocol
+        Host to reload.
+
+    Attributes
+    ----------
+    tasks : set of asyncio.Task
+        Reloads under way.
+    """
 
     def __init__(self, host: HostProtocol) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
         self._host, self._lock = host, asyncio.Lock()
 
     def begin(self) -> None:
-        """Begin to reload."""
+        """Start a reload in the background."""
         task = asyncio.create_task(self._reload())
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)

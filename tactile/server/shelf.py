@@ -1,6 +1,7 @@
-"""The textures of one display that are ready in its playback, and those that are made ready.
+"""Textures of one display: those ready in its playback, and those that are being prepared.
 
-Those that are selected stay; of the others those go first that nobody has selected for longest.
+Textures that are selected stay. Of the others, those go first that have not been selected for
+longest.
 """
 
 import asyncio
@@ -15,22 +16,32 @@ from tactile.playback.commands import DeviceOpened
 from tactile.server.workbench import Workbench
 
 MOST_TEXTURES = 16
-"""That are kept ready for one display; more only where they are selected."""
+"""Maximum number of textures kept ready for one display; exceeded only by those that are
+selected."""
 LARGEST_TEXTURES = 512
-"""MiB of textures that are ready for one display, at 16 each: playback's memory, and locked."""
+"""Maximum total size of the textures that are ready for one display [MiB], as playback holds them
+in locked memory; one takes up to about 16 MiB."""
 MOST_DRAWINGS = 4
-"""Textures that a client waits for at a time: as many as it may select."""
+"""Maximum number of textures that a client waits for at a time: as many as it may select."""
 
 Key = tuple[str, int]
-"""A texture's name, and the seed of its realization."""
+"""Name of a texture and seed of its realization."""
 
 
 class TooManyDrawingsError(BusError):
-    """A client waits for as many textures as it may."""
+    """A client already waits for as many textures as it may."""
 
 
 class Ready(NamedTuple):
-    """A texture that is ready: its number, and its size [bytes]."""
+    """Texture that is ready.
+
+    Attributes
+    ----------
+    number : int
+        Number of the texture.
+    size : int
+        Size of the texture [bytes].
+    """
 
     number: int
     size: int
@@ -38,22 +49,41 @@ class Ready(NamedTuple):
 
 @dataclass
 class Making:
-    """A texture that is made ready: the clients that wait for it, and the task."""
+    """Texture that is being prepared.
+
+    Attributes
+    ----------
+    clients : set of int
+        Numbers of the clients that wait for it.
+    task : asyncio.Task of int
+        Task that returns the number of the texture.
+    """
 
     clients: set[int]
     task: asyncio.Task[int]
 
 
 class Shelf:
-    """The textures of a display.
+    """Textures of a display.
 
     Parameters
     ----------
-    display : for which they are
-    workbench : where they are made ready
-    keep : called with the order for playback to keep one, which it may refuse with a `BusError`
-    drop : called with the number of one that is to go
-    selected : called for the numbers of those that clients have selected
+    display : Display
+        Display that the textures are for.
+    workbench : Workbench
+        Where textures are prepared.
+    keep : callable
+        Function that passes playback the order to keep a texture, which it may refuse by a
+        `BusError`.
+    drop : callable
+        Coroutine function that drops the texture with a number from playback.
+    selected : callable
+        Function that returns the numbers of the textures that clients have selected.
+
+    Attributes
+    ----------
+    ready : dict of Key to Ready
+        Textures that are ready, those selected last at the end.
     """
 
     def __init__(
@@ -73,7 +103,13 @@ class Shelf:
 
     @contextmanager
     def held(self) -> Iterator[set[int]]:
-        """Hold textures whose numbers are added, until they have been selected."""
+        """Hold textures from being dropped until they have been selected.
+
+        Yields
+        ------
+        set of int
+            Set to which the numbers of the textures are to be added.
+        """
         token, numbers = object(), set[int]()
         self._held[token] = numbers
         try:
@@ -82,17 +118,31 @@ class Shelf:
             del self._held[token]
 
     async def texture(self, client: int, key: Key, how: DeviceOpened) -> int:
-        """Return the number of a texture that is ready, for a display that plays so.
+        """Return the number of a texture, once it is ready.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client that waits.
+        key : Key
+            Name and seed of the texture.
+        how : DeviceOpened
+            How the device of the display plays.
+
+        Returns
+        -------
+        int
+            Number of the texture in playback.
 
         Raises
         ------
         TooManyDrawingsError
-            Where the client waits for as many as it may.
+            If the client waits for as many textures as it may.
         BusError
-            Where it cannot be made ready, or there is no room for it.
+            If the texture cannot be prepared, or there is no room for it.
         """
         if key in self.ready:
-            self.ready[key] = self.ready.pop(key)  # the latest is the last to go
+            self.ready[key] = self.ready.pop(key)  # used last, dropped last
             return self.ready[key].number
         making = self._making.get(key)
         if making is None or not making.clients:
@@ -104,7 +154,7 @@ class Shelf:
         return number
 
     def _begin(self, client: int, key: Key, how: DeviceOpened) -> Making:
-        """Have a texture made ready, once for all who wait for it."""
+        """Start preparing a texture, once for all clients that wait for it."""
         waits = sum(client in making.clients for making in self._making.values())
         if waits >= MOST_DRAWINGS:
             raise TooManyDrawingsError(
@@ -112,13 +162,13 @@ class Shelf:
                 "select again when they are"
             )
         clients = {client}
-        task = asyncio.create_task(self._made(key, how, clients))
+        task = asyncio.create_task(self._prepare(key, how, clients))
         task.add_done_callback(_take_exception)
         self._making[key] = Making(clients, task)
         return self._making[key]
 
-    async def _made(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
-        """Return the number of a texture made ready, as long as there are clients that wait."""
+    async def _prepare(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
+        """Prepare a texture for as long as clients wait for it; return its number."""
         try:
             number, order = await self._workbench.make(self._display, *key, how, clients)
             await self._make_room(key[0], len(order))
@@ -131,17 +181,23 @@ class Shelf:
         return number
 
     def leave(self, client: int) -> None:
-        """Let a client that has left wait for nothing; what others wait for is still made."""
+        """Remove a client that has left from all waits; what others wait for is still prepared.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
         for making in self._making.values():
             making.clients.discard(client)
 
     async def _make_room(self, name: str, size: int) -> None:
-        """Let textures go, until there is room for one more.
+        """Drop textures until there is room for one more.
 
         Raises
         ------
         BusError
-            Where those that are selected leave none.
+            If the selected textures leave no room.
         """
         used, largest = self._selected().union(*self._held.values()), LARGEST_TEXTURES * 2**20
         spare = [key for key, ready in self.ready.items() if ready.number not in used]
@@ -153,12 +209,12 @@ class Shelf:
                 "that somebody has selected already, or take others away first"
             )
         while spare and (total > largest or len(self.ready) >= MOST_TEXTURES):
-            gone = self.ready.pop(spare.pop(0))
-            total -= gone.size
-            await self._drop(gone.number)
+            dropped = self.ready.pop(spare.pop(0))
+            total -= dropped.size
+            await self._drop(dropped.number)
 
 
 def _take_exception(task: asyncio.Task[int]) -> None:
-    """Take what a task failed of, also where all who waited for it have left."""
+    """Retrieve the exception of a task, even if all who waited for it have left."""
     if not task.cancelled():
         task.exception()

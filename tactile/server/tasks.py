@@ -1,4 +1,4 @@
-"""Background tasks whose failure is logged and acted upon, never left in silence."""
+"""Background tasks whose failures are logged and acted upon."""
 
 import asyncio
 import logging
@@ -13,22 +13,30 @@ T = TypeVar("T")
 def watched(
     task: asyncio.Task[T], on_failure: Callable[[BaseException], object] | None = None
 ) -> asyncio.Task[T]:
-    """Return the task, which is watched from now on: an exception that ends it is logged.
+    """Watch a task, so that an exception that ends it is logged.
 
-    A cancellation is no failure.
+    A cancellation is not a failure.
 
     Parameters
     ----------
-    task : what runs in the background
-    on_failure : called once with the exception, after it was logged
+    task : asyncio.Task
+        Task that runs in the background.
+    on_failure : callable, optional
+        Function that is called once with the exception, after it was logged.
+
+    Returns
+    -------
+    asyncio.Task
+        The same task.
     """
-    task.add_done_callback(partial(_judge, on_failure))
+    task.add_done_callback(partial(_report_failure, on_failure))
     return task
 
 
-def _judge(
+def _report_failure(
     on_failure: Callable[[BaseException], object] | None, task: asyncio.Task[object]
 ) -> None:
+    """Log the exception of a task that has ended, and pass it on."""
     error = None if task.cancelled() else task.exception()
     if error is None:
         return

@@ -1,4 +1,4 @@
-"""What systemd is told: that the daemon is ready, that it lives, that it ends."""
+"""Notifications to systemd: that the daemon is ready, that it is alive, and that it ends."""
 
 import asyncio
 import os
@@ -8,7 +8,15 @@ from contextlib import suppress
 
 
 def notify(state: str) -> None:
-    """Tell systemd, as sd_notify(3); do nothing where nobody asks, never block and never raise."""
+    """Notify systemd as sd_notify(3) does; never block and never raise.
+
+    Nothing happens if systemd did not start the daemon.
+
+    Parameters
+    ----------
+    state : str
+        Assignment such as "READY=1".
+    """
     path = os.environ.get("NOTIFY_SOCKET", "")
     if not path.startswith(("/", "@")):
         return
@@ -18,14 +26,26 @@ def notify(state: str) -> None:
 
 
 def interval() -> float | None:
-    """Return how often systemd is to be told that we live [s]: twice as often as it asks."""
-    asked = os.environ.get("WATCHDOG_USEC", "")
-    meant = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-    return int(asked) * 0.5e-6 if asked.isdecimal() and int(asked) and meant else None
+    """Return the interval at which systemd is to be told that the daemon is alive.
+
+    Returns
+    -------
+    float or None
+        Half the interval that systemd demands [s]; None if it demands nothing of this process.
+    """
+    micros = os.environ.get("WATCHDOG_USEC", "")
+    addressed = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+    return int(micros) * 0.5e-6 if micros.isdecimal() and int(micros) and addressed else None
 
 
 async def keep_alive(beat: Callable[[], bool]) -> None:
-    """Tell systemd that we live for as long as ``beat`` is true."""
+    """Tell systemd that the daemon is alive, for as long as it is.
+
+    Parameters
+    ----------
+    beat : callable
+        Function that returns whether the daemon has made progress since its last call.
+    """
     pause = interval()
     while pause is not None:
         if beat():

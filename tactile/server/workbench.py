@@ -1,7 +1,7 @@
-"""Where textures are made ready: one after the other, in a process that nobody has to wait for.
+"""Queue of textures to prepare, one after the other, in a process that nobody waits for.
 
-Clients take turns, so that many drawings of one hold up another's by one at most for each client
-that waits. A drawing that nobody waits for any more is left out at its turn.
+Clients take turns, so that many textures of one client delay those of another by one at most for
+each client that waits. A texture that nobody waits for any more is skipped at its turn.
 """
 
 import asyncio
@@ -15,14 +15,24 @@ from tactile.server import drawing
 from tactile.server.children import Child
 
 LONGEST = 40.0
-"""s that a drawing may take; a large display's takes some."""
+"""Maximum time to prepare a texture [s]; those of large displays take longest."""
 ENDING = 1.0
-"""s that the process may take to end."""
+"""Time that the process may take to end [s]."""
 
 
 @dataclass
 class Job:
-    """A drawing that waits or is made, and the clients that wait for it."""
+    """Texture that waits or is being prepared, and the clients that wait for it.
+
+    Attributes
+    ----------
+    request : DrawingRequest
+        What to prepare.
+    clients : set of int
+        Numbers of the clients that wait.
+    order : asyncio.Future of bytes
+        Pickle of the order for playback.
+    """
 
     request: drawing.DrawingRequest
     clients: set[int]
@@ -30,30 +40,42 @@ class Job:
 
 
 class Workbench:
-    """Makes textures ready, in a process of its own."""
+    """Preparation of textures in a process of its own."""
 
     def __init__(self) -> None:
         self._child: Child | None = None
         self._waiting: dict[int, deque[Job]] = {}
         self._job: Job | None = None
-        self._limit: asyncio.TimerHandle | None = None
+        self._timeout: asyncio.TimerHandle | None = None
         self._number = 0
 
     async def make(
         self, display: Display, texture: str, seed: int, how: DeviceOpened, clients: set[int]
     ) -> tuple[int, bytes]:
-        """Return a texture's number, and the order for playback to keep it.
+        """Prepare a texture.
 
         Parameters
         ----------
-        display, how : for what it is made, and how that plays
-        texture, seed : its name, and the seed of its realization
-        clients : who waits for it; where they have all left it is given up at its turn
+        display : Display
+            Display that the texture is for.
+        texture : str
+            Name of the texture.
+        seed : int
+            Seed of its realization.
+        how : DeviceOpened
+            How the device of the display plays.
+        clients : set of int
+            Numbers of the clients that wait; if all have left, the texture is skipped at its turn.
+
+        Returns
+        -------
+        tuple of int and bytes
+            Number of the texture, and the pickle of the order for playback to keep it.
 
         Raises
         ------
         BusError
-            Where it cannot be made, or nobody waits for it any more.
+            If the texture cannot be prepared, or nobody waits for it any more.
         """
         self._number += 1
         request = drawing.DrawingRequest(
@@ -61,17 +83,17 @@ class Workbench:
         )
         job = Job(request, clients, asyncio.get_running_loop().create_future())
         self._waiting.setdefault(min(clients, default=0), deque()).append(job)
-        self._hand_on()
+        self._start_next()
         return request.number, await job.order
 
-    def _hand_on(self) -> None:
-        """Hand the next drawing to the process, if it has none: clients take turns."""
+    def _start_next(self) -> None:
+        """Pass the next texture to the process if it is idle; clients take turns."""
         while self._job is None and self._waiting:
             client = next(iter(self._waiting))
             jobs = self._waiting.pop(client)
             job = jobs.popleft()
             if jobs:
-                self._waiting[client] = jobs  # at the end
+                self._waiting[client] = jobs  # the client is the last in turn now
             if job.order.done():
                 continue
             if not job.clients:
@@ -85,21 +107,22 @@ class Workbench:
                 job.order.set_exception(BusError(f"no texture can be made ready: {error}"))
                 continue
             self._job = job
-            self._limit = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
+            self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
 
-    def _heard(self, what: drawing.Made | None) -> None:
-        """Take an answer, or that the process has ended."""
+    def _receive(self, what: drawing.Made | None) -> None:
+        """Take an answer of the process, or None if the process has ended."""
         if what is None:
             self._kill()
             self._finish("the process that makes textures ready has ended")
         elif self._job is not None and what.number == self._job.request.number:
             self._finish(what.failure, what.order)
-        self._hand_on()
+        self._start_next()
 
     def _finish(self, failure: str, order: bytes = b"") -> None:
+        """Complete the present job with an order, or with a failure."""
         job, self._job = self._job, None
-        if self._limit is not None:
-            self._limit.cancel()
+        if self._timeout is not None:
+            self._timeout.cancel()
         if job is None or job.order.done():
             return
         if not failure and not job.clients:
@@ -110,35 +133,35 @@ class Workbench:
             job.order.set_result(order)
 
     def _give_up(self, job: Job) -> None:
-        """Give up a drawing whose process hangs."""
+        """Give up a texture whose process hangs."""
         self._kill()
         self._finish(f"texture {job.request.texture} was not ready after {LONGEST:g} s")
-        self._hand_on()
+        self._start_next()
 
     def _kill(self) -> None:
-        """End the process, and leave no thread or pipe of it; the next drawing starts another."""
+        """Kill the process with its threads and pipes; the next texture starts another."""
         child, self._child = self._child, None
         if child is not None:
             child.kill()
 
     def begin(self) -> None:
-        """Start the process, so that it is there when the first texture is wanted."""
+        """Start the process, so that it is ready when the first texture is requested."""
         if self._child is not None:
             return
 
-        def heard(what: drawing.Made | None) -> None:
-            if self._child is child:  # and not one that was given up
-                self._heard(what)
+        def on_answer(what: drawing.Made | None) -> None:
+            if self._child is child:  # ignore a process that was given up
+                self._receive(what)
 
-        child = self._child = Child("tactile.server.drawing", heard)
+        child = self._child = Child("tactile.server.drawing", on_answer)
 
     async def close(self) -> None:
-        """End it; what waits for a drawing fails."""
+        """End the process; requests that wait fail."""
         child, self._child = self._child, None
         for jobs in self._waiting.values():
             for job in jobs:
                 job.clients.clear()
         self._finish("the server ends")
-        self._hand_on()
+        self._start_next()
         if child is not None:
             await child.end(ENDING)

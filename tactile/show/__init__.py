@@ -1,5 +1,5 @@
-"""What people look at: a live picture in a terminal, still pictures of textures, and plots.
+"""Visualization: a live picture in a terminal, still pictures of textures, and plots.
 
-`live` is the picture while something plays, `views` the arrays of a still picture of a texture,
-which `still` draws in a terminal and `plots` to files.
+`live` draws the picture during playback. `views` computes the arrays of a still picture of a
+texture, which `still` draws in a terminal and `plots` writes to files.
 """

@@ -1,14 +1,14 @@
-"""The live picture in a terminal: tactile image, drive, one contactor's shear, status.
+"""Live picture in a terminal: tactile image, drive, shear of one contactor, and status.
 
 `LivePicture` takes what is played; ``rich.live.Live(picture, refresh_per_second=15)`` draws it.
-Every contactor is a rectangle of characters at its place, seen from above with y upward: the
+Every contactor is a rectangle of characters at its place, seen from above with y upward. The
 smallest pitch along x and along y makes a cell, so that contactors of an irregular layout stay
-apart. Where the terminal is too small, a cell is the mean of its contactors. Colored cells are
-drawn with half blocks, two to a character; without color a cell fills with height instead.
+apart. If the terminal is too small, a cell is the mean of its contactors. Colored cells are drawn
+with half blocks, two to a character; without color a cell is filled to a height instead.
 
-Friction stretches the skin under all contactors alike, by more than most textures move it, and one
-color all over would be all that is seen. The image is therefore of what changes along the way: each
-contactor's mean over the last `WAY` is taken off. The trace has the whole.
+Friction stretches the skin under all contactors alike, by more than most textures move it, so that
+the image would be all of one color. The image therefore shows what changes along the path: the mean
+of each contactor over the last `WAY` is subtracted. The trace shows the whole shear.
 """
 
 import itertools
@@ -29,33 +29,43 @@ from tactile.display.display import Display
 from tactile.show.trace import TraceBins, braille
 
 Indices = NDArray[np.intp]
+"""Array of indices."""
 Line = list[Segment]
+"""Line of a picture, as styled pieces of text."""
 
 DECAY = 2.0
-"""Seconds in which the image's scale falls to 1/e once the contactors move less."""
+"""Time in which the image's scale falls to 1/e once the contactors move less [s]."""
 WAY = 5e-3
-"""m of the finger's way after which a mean has forgotten all but 1/e (assumed): waves of 4 mm, the
-longest that bands describe, keep 99 % of their height; stretch is gone after a few ways."""
+"""Path of the finger over which the mean forgets all but 1/e (assumed) [m]. Waves of 4 mm, the
+longest that bands describe, keep 99 % of their height; stretch is gone after a few times this
+path."""
 SMALLEST_SCALE = 0.1
-"""µm; what skin feels at best (250 Hz), so that less is not made to look like much."""
+"""Smallest end of a scale, the lowest detection threshold (250 Hz), so that less does not look like
+much [µm]."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-"""Ends that a scale may have, times powers of ten."""
+"""Ends that a scale may have, times a power of ten."""
 TALLEST, LOWEST_SIDE, TRACE_LINES = 39, 18, 6
-"""Lines of the whole, of drive with trace, and of the trace with its frame."""
+"""Lines of the whole picture at most, of drive with trace at least, and of the trace with its
+frame."""
 TWO_COLUMNS, ONE_LINE = 64, 100
-"""Characters from which drive and trace stand beside the image, and the status in one line."""
+"""Widths from which drive and trace stand beside the image, and the status takes one line
+[characters]."""
 LARGEST_CELL, SMALLEST_LEGEND = 14, 30
-"""Characters."""
+"""Largest width of a cell, and smallest width of the legend [characters]."""
 SMALLEST_BAR, SMALLEST_FIELD, ROW_LABEL, ROW_PEAK = 4, 11, 6, 6
-"""Characters of a bar with a space, of a label with its bar, and around a row of bars."""
+"""Smallest width of a bar with a space, and of a label with its bar; widths of label and value of a
+row of bars [characters]."""
 NEAR = 1e-6
-"""Of the limit: rounding that a bar at the limit may have."""
+"""Rounding error that a bar at the limit may have, as a fraction of the limit."""
 
 LEVELS = 65
+"""Number of colors of the palette."""
 DIVERGING = "#083096 #2166d2 #5496ec #a0c8f6 #f2f2f2 #fabca2 #f07456 #d8282c #a80016"
 """Colors from the most negative shear to the most positive, evenly spaced."""
 HEIGHTS = " ▁▂▃▄▅▆▇█"
+"""Characters that are filled from below, by eighths."""
 PARTS = " ▏▎▍▌▋▊▉"
+"""Characters that are filled from the left, by eighths."""
 
 LABEL = FRAME = Style.parse("bright_black")
 VALUE = TITLE = Style.parse("bold")
@@ -64,14 +74,25 @@ ALARM = Style.parse("bold bright_red")
 TRACE = Style.parse("bright_cyan")
 TRACK = Style.parse("on #303030")
 CALM, WARM, FULL = (Style.parse(f"{c} on #303030") for c in ("#2bb5a0", "#e6a817", "#e5383b"))
-"""Of a bar below 80 % of the limit, above it, and at the limit."""
+"""Styles of a bar below 80 % of the limit, above it, and at the limit."""
 
 
 def pitch(places: Floats) -> tuple[float, float]:
-    """Return the smallest distances along x and along y [m] of contactors at places (N, 2) [m].
+    """Compute the smallest distances of contactors along x and along y.
 
     Each pair counts for the axis along which it is farther apart, so that no two contactors are
-    closer than the pitch along both. A single line has one pitch, a single contactor 1 mm.
+    closer than the pitch along both. A single line has one pitch for both axes, a single contactor
+    1 mm.
+
+    Parameters
+    ----------
+    places : (N, 2) array of float
+        Places of the contactors [m].
+
+    Returns
+    -------
+    tuple of 2 floats
+        Pitch along x and along y [m].
     """
     gap = np.abs(places[:, None] - places)
     beside = gap[..., 0] >= gap[..., 1]
@@ -85,7 +106,7 @@ def pitch(places: Floats) -> tuple[float, float]:
 
 
 def _rows(places: Floats) -> list[tuple[str, Indices]]:
-    """Return y [mm] and the contactors of each row from the top, those from left to right."""
+    """Return y [mm] and the contactors of each row from the top, each row from left to right."""
     number = np.rint((places[:, 1].max() - places[:, 1]) / pitch(places)[1])
     order = np.lexsort((places[:, 0], number))
     rows = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
@@ -98,11 +119,16 @@ class Raster:
 
     Attributes
     ----------
-    group : (N,) the cell of each contactor
-    size : (G,) how many contactors each cell stands for
-    member : (rows, columns) the cell at a pixel, −1 for none; the top row first
-    depth : (rows, columns) how many pixels of its cell are below a pixel
-    height : pixels of a cell from bottom to top
+    group : (N,) array of int
+        Cell of each contactor.
+    size : (G,) array of int
+        Number of contactors that each cell stands for.
+    member : (rows, columns) array of int
+        Cell at each pixel, −1 for none; the top row is the first.
+    depth : (rows, columns) array of int
+        Number of pixels of the same cell below each pixel.
+    height : int
+        Height of a cell [pixels].
     """
 
     group: Indices
@@ -112,14 +138,39 @@ class Raster:
     height: int
 
     def mean(self, values: Floats) -> Floats:
-        """Return (G,) means over the contactors of each cell."""
+        """Average over the contactors of each cell.
+
+        Parameters
+        ----------
+        values : (N,) array of float
+            Value of each contactor.
+
+        Returns
+        -------
+        (G,) array of float
+            Mean of each cell.
+        """
         return np.asarray(np.bincount(self.group, values) / self.size)
 
 
 def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> Raster:
-    """Place contactors at (N, 2) [m] in ``columns`` × ``rows`` pixels, as large as they fit.
+    """Place contactors in a raster, as large as they fit.
 
-    ``aspect`` is the height of a pixel over its width.
+    Parameters
+    ----------
+    places : (N, 2) array of float
+        Places of the contactors [m].
+    columns : int
+        Largest number of pixels across.
+    rows : int
+        Largest number of pixels down.
+    aspect : float
+        Height of a pixel over its width.
+
+    Returns
+    -------
+    Raster
+        Cells of the contactors.
     """
     unit = np.array(pitch(places))
     low = places.min(axis=0)
@@ -147,7 +198,13 @@ def rasterize(places: Floats, columns: int, rows: int, aspect: float = 1.0) -> R
 
 @lru_cache(maxsize=1)
 def palette() -> tuple[Color, ...]:
-    """Return the colors of `LEVELS` shears from the most negative to the most positive."""
+    """Return the colors of `LEVELS` shears from the most negative to the most positive.
+
+    Returns
+    -------
+    tuple of Color
+        Colors, evenly spaced in shear.
+    """
     colors = [Color.parse(color).get_truecolor() for color in DIVERGING.split()]
     stops = np.linspace(0, LEVELS - 1, len(colors))
     table = [np.interp(np.arange(LEVELS), stops, side) for side in np.transpose(colors)]
@@ -156,7 +213,7 @@ def palette() -> tuple[Color, ...]:
 
 @lru_cache(maxsize=(LEVELS + 1) ** 2)
 def _half_blocks(top: int, bottom: int) -> tuple[str, Style]:
-    """Return what draws two pixels in one character: levels from 1 up, 0 for none."""
+    """Return character and style of two pixels, upper and lower: levels from 1 up, 0 for none."""
     upper, lower = (palette()[k - 1] if k else None for k in (top, bottom))
     if upper is None:
         return (" ", Style.null()) if lower is None else ("▄", Style(color=lower))
@@ -166,12 +223,25 @@ def _half_blocks(top: int, bottom: int) -> tuple[str, Style]:
 
 
 def color_lines(raster: Raster, part: Floats) -> list[Line]:
-    """Draw a cell's shear, −1 … 1 of the scale (G,), as its color."""
+    """Draw the shear of cells as their color.
+
+    Parameters
+    ----------
+    raster : Raster
+        Cells to draw.
+    part : (G,) array of float
+        Shear of each cell as a part of the scale, −1 … 1.
+
+    Returns
+    -------
+    list of Line
+        Lines of the picture.
+    """
     level = np.rint((np.clip(part, -1, 1) + 1) / 2 * (LEVELS - 1)).astype(np.intp)
-    shown = np.where(raster.member < 0, 0, level[raster.member] + 1)
-    shown = np.pad(shown, ((0, len(shown) % 2), (0, 0)))
+    codes = np.where(raster.member < 0, 0, level[raster.member] + 1)
+    codes = np.pad(codes, ((0, len(codes) % 2), (0, 0)))
     lines: list[Line] = []
-    pairs = shown[0::2] * (LEVELS + 1) + shown[1::2]
+    pairs = codes[0::2] * (LEVELS + 1) + codes[1::2]
     for k, pair in enumerate(pairs):
         if k and np.array_equal(pair, pairs[k - 1]):
             lines.append(lines[-1])
@@ -184,14 +254,27 @@ def color_lines(raster: Raster, part: Floats) -> list[Line]:
 
 
 def height_lines(raster: Raster, part: Floats) -> list[Line]:
-    """Draw a cell's shear, −1 … 1 of the scale (G,), as the height to which it is filled."""
+    """Draw the shear of cells as the height to which they are filled.
+
+    Parameters
+    ----------
+    raster : Raster
+        Cells to draw.
+    part : (G,) array of float
+        Shear of each cell as a part of the scale, −1 … 1.
+
+    Returns
+    -------
+    list of Line
+        Lines of the picture.
+    """
     eighths = np.rint((np.clip(part, -1, 1) + 1) / 2 * (8 * raster.height - 1)) + 1
     fill = np.clip(eighths[raster.member] - 8 * raster.depth, 0, 8) * (raster.member >= 0)
     return [[Segment("".join(HEIGHTS[k] for k in row))] for row in fill.astype(np.intp).tolist()]
 
 
 def _bar(part: float, width: int, color: bool) -> Line:
-    """Draw a part, 0 … 1, of a bar and a space in ``width`` characters; only at 1 is it full."""
+    """Draw a part, 0 … 1, as a bar and a space in ``width`` characters; it is full only at 1."""
     width, part = width - 1, min(part + NEAR, 1.0) if part > 0 else 0.0
     eighths = int(part * 8 * width)
     whole, rest = divmod(max(eighths, int(part > 0)), 8)
@@ -205,17 +288,17 @@ def _bar(part: float, width: int, color: bool) -> Line:
 def _flow(
     peaks: list[tuple[str, float]], limit: float, width: int, lines: int, color: bool
 ) -> list[Line]:
-    """Return labels with bars and values [V], down the columns."""
+    """Return labels with bars and values [V], arranged in columns."""
     columns = -(-len(peaks) // lines)
     each, label = width // columns, max(len(name) for name, _ in peaks) + 1
-    told = ROW_PEAK if each >= 2 * SMALLEST_FIELD else 0
+    value_width = ROW_PEAK if each >= 2 * SMALLEST_FIELD else 0
     bars: list[Line] = [[] for _ in range(-(-len(peaks) // columns))]
     for k, (name, volt) in enumerate(peaks):
         line = bars[k % len(bars)]
         line.append(Segment(f"{name:>{label - 1}} ", LABEL))
-        line.extend(_bar(volt / limit, each - label - told, color))
-        if told:
-            line.append(Segment(f"{volt:{told - 3}.0f} V ", VALUE))
+        line.extend(_bar(volt / limit, each - label - value_width, color))
+        if value_width:
+            line.append(Segment(f"{volt:{value_width - 3}.0f} V ", VALUE))
     return bars
 
 
@@ -231,14 +314,25 @@ def _panel(title: str, body: list[Line], width: int, height: int) -> list[Line]:
 
 
 def nice(value: float) -> float:
-    """Return the next round number from ``value`` up."""
+    """Round up to the next round number.
+
+    Parameters
+    ----------
+    value : float
+        Number to round, above 0.
+
+    Returns
+    -------
+    float
+        Smallest of `STEPS`, times a power of ten, that is not below the value.
+    """
     power = 10.0 ** math.floor(math.log10(value))
     return next((s * power for s in STEPS if s * power >= value * (1 - 1e-9)), 10 * power)
 
 
 @dataclass(frozen=True)
 class _State:
-    """What the last update said, in the units that are shown."""
+    """Content of the last update, in the units that are drawn."""
 
     time_s: float
     place_mm: tuple[float, float]
@@ -252,22 +346,39 @@ class _State:
 
 
 class LivePicture:
-    """What a display plays, as a picture in a terminal.
+    """Picture of what a display plays, for a terminal.
 
     Parameters
     ----------
-    display : the array that plays
-    texture : name of what is played
-    width : characters to use at most; those of the terminal for None
-    sample_rate : of the blocks given to `update` [Hz]
+    display : Display
+        Display that plays.
+    texture : str
+        Name of what is played.
+    width : int or None
+        Largest width of the picture; that of the terminal for None [characters].
+    sample_rate : float
+        Sample rate of the blocks given to `update` [Hz].
 
     Attributes
     ----------
-    texture : name of what is played; may be changed
-    contactor : whose shear is traced, the one nearest to the middle
-    rows : y [mm] and the contactors of each row, from the top
-    trace : the last second of that contactor
-    state : what the last update said
+    texture : str
+        Name of what is played; may be changed.
+    name : str
+        Name of the display.
+    places : (N, 2) array of float
+        Places of the contactors [m].
+    limit : float
+        Voltage limit of the drive [V].
+    width : int or None
+        Largest width of the picture [characters].
+    contactor : int
+        Contactor whose shear is traced, the one nearest to the middle.
+    rows : list of (str, array of int)
+        y [mm] and the contactors of each row, from the top.
+    trace : TraceBins
+        Shear of that contactor in the last second [µm].
+    state : _State
+        Content of the last update.
     """
 
     def __init__(
@@ -294,17 +405,24 @@ class LivePicture:
         drive: ArrayLike,
         limited_samples: int,
     ) -> None:
-        """Take what was played since the last update.
+        """Add what was played since the last update.
 
         Parameters
         ----------
-        time_s : of the last sample [s]; where it steps back the trace begins anew
-        position : (2,) of the finger [m]
-        speed : of the finger [m/s]
-        normal_force : of the finger [N]
-        shear : (S, N) [m]; the image shows the last sample, less the mean over the way before
-        drive : (S, N) [V]
-        limited_samples : how many samples the limiter has turned down so far
+        time_s : float
+            Time of the last sample; if it steps back, the trace starts anew [s].
+        position : (2,) sequence of float
+            Position of the finger [m].
+        speed : float
+            Speed of the finger [m/s].
+        normal_force : float
+            Normal force of the finger [N].
+        shear : (S, N) array_like of float
+            Shear; the image shows the last sample, less the mean over the path before [m].
+        drive : (S, N) array_like of float
+            Drive [V].
+        limited_samples : int
+            Number of samples that the limiter has turned down so far.
         """
         moved = np.nan_to_num(np.asarray(shear, np.float64), posinf=0.0, neginf=0.0) * 1e6
         volts = np.nan_to_num(np.asarray(drive, np.float64))
@@ -315,8 +433,8 @@ class LivePicture:
             stretch = np.zeros_like(stretch)
         if len(moved):
             image, peaks = moved[-1] - stretch, np.abs(volts).max(axis=0)
-            kept = math.exp(-abs(speed) * len(moved) * self._step / WAY)
-            stretch = kept * stretch + (1 - kept) * moved.mean(axis=0)
+            remaining = math.exp(-abs(speed) * len(moved) * self._step / WAY)
+            stretch = remaining * stretch + (1 - remaining) * moved.mean(axis=0)
             self.trace.add(moved[:, self.contactor], time_s, self._step)
         self.state = _State(
             time_s,
@@ -334,7 +452,22 @@ class LivePicture:
         return Frame(self)
 
     def raster(self, columns: int, lines: int, color: bool) -> Raster:
-        """Return the contactors' cells in so many characters and lines."""
+        """Return the raster of the contactors for a size.
+
+        Parameters
+        ----------
+        columns : int
+            Width [characters].
+        lines : int
+            Height [lines].
+        color : bool
+            Whether cells are drawn in color, with two pixels to a character.
+
+        Returns
+        -------
+        Raster
+            Cells of the contactors.
+        """
         key = columns, lines, color
         if key not in self._rasters:
             rows, aspect = (2 * lines, 1.0) if color else (lines, 2.0)
@@ -343,7 +476,13 @@ class LivePicture:
 
 
 class Frame:
-    """A `LivePicture` as it is now, laid out for the console that it is drawn on."""
+    """Present state of a `LivePicture`, laid out for the console that it is drawn on.
+
+    Parameters
+    ----------
+    picture : LivePicture
+        Picture to draw.
+    """
 
     def __init__(self, picture: LivePicture) -> None:
         self._picture, self._state = picture, picture.state
@@ -357,7 +496,7 @@ class Frame:
             yield Segment.line()
 
     def _lines(self, width: int, height: int, color: bool) -> list[Line]:
-        """Return the picture's lines."""
+        """Return the lines of the picture."""
         status = self._status(width)
         room, wide = max(height - 1 - len(status), 6), width >= TWO_COLUMNS
         most = (width * 9 // 20 if wide else width) - 4
@@ -393,7 +532,7 @@ class Frame:
         return [*([margin, *line] for line in cells), [], legend]
 
     def _side(self, width: int, height: int, color: bool) -> list[Line]:
-        """Return drive above trace."""
+        """Return the panels of drive and trace, one above the other."""
         inner, room = width - 4, height - 4
         title, bars = self._drive(inner, max(room - TRACE_LINES, 1), color)
         trace = self._trace(inner, max(room - len(bars), 2))
@@ -404,7 +543,7 @@ class Frame:
         ]
 
     def _drive(self, width: int, lines: int, color: bool) -> tuple[str, list[Line]]:
-        """Return the title and the bars of the drive: each contactor's, or each row's."""
+        """Return title and bars of the drive: one bar per contactor, or per row."""
         rows, limit = self._picture.rows, self._picture.limit
         most, full = max(len(row) for _, row in rows), f"full bar {limit:g} V"
         each = (width - ROW_LABEL - ROW_PEAK) // most
@@ -425,7 +564,7 @@ class Frame:
         return f"drive by {title}, {full}", _flow(peaks, limit, width, lines, color)
 
     def _groups(self, most: int) -> tuple[str, list[tuple[str, float]]]:
-        """Return what the bars stand for, and at most so many labels and peaks [V]."""
+        """Return what the bars stand for, and at most ``most`` labels and peaks [V]."""
         volts, rows = self._state.drive_v, self._picture.rows
         if len(volts) <= most:
             return "contactor", [(str(k), float(volt)) for k, volt in enumerate(volts)]
@@ -450,7 +589,7 @@ class Frame:
         return [*curve, [Segment(axis, LABEL)]]
 
     def _status(self, width: int) -> list[Line]:
-        """Return one line of values, two where the terminal is narrow."""
+        """Return one line of values, or two in a narrow terminal."""
         s, limit = self._state, self._picture.limit
         x, y = s.place_mm
         drive = float(s.drive_v.max(initial=0.0))

@@ -1,7 +1,8 @@
-"""A texture in a terminal: its surface in half blocks, its spectrum as bars against what is felt.
+"""Picture of a texture in a terminal: its surface, and its spectrum against the threshold.
 
-`TextureScreen` is printed with ``rich``, over ssh as well. Each pixel of the surface is the mean of
-its place. Bars are logarithmic; each has a mark where its third octave begins to be felt.
+`TextureScreen` is printed with ``rich``, which works over ssh as well. Each pixel of the surface is
+the mean of its area. Bars are logarithmic, and each has a mark at the threshold of its third
+octave.
 """
 
 import itertools
@@ -33,22 +34,31 @@ from tactile.show.live import (
 from tactile.show.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
 
 COLUMNS = (40, 24, 12)
-"""Characters that a surface may be wide; each divides its pixels, as half of it does."""
+"""Widths that a surface may have [characters]; each divides the number of its pixels, as half of it
+does."""
 BESIDE = 84
-"""Characters from which the spectrum stands beside the surface."""
+"""Width from which the spectrum stands beside the surface [characters]."""
 BAR_LEVELS = (0.01, 100.0)
-"""µm from one end of a bar to the other, unless something is stronger."""
+"""Ends of a bar [µm], unless something is stronger."""
 NAMED, TOLD = 7, 20
-"""Characters before and behind a bar."""
+"""Widths before and behind a bar [characters]."""
 LONGEST_BAR = 60
+"""Largest width of a bar [characters]."""
 MARK = "│"
+"""Character that marks the threshold on a bar."""
 FELT, HIDDEN = Style.parse("#2bb5a0"), Style.parse("#7a8ca5")
-"""Of the bar of a third octave that is felt, and of one that is not."""
+"""Styles of the bar of a third octave that is felt, and of one that is not."""
 
 
 @dataclass(frozen=True)
 class TextureScreen:
-    """A view of a texture, laid out for the console that it is printed on."""
+    """View of a texture, laid out for the console that it is printed on.
+
+    Attributes
+    ----------
+    view : View
+        View to draw.
+    """
 
     view: View
 
@@ -60,7 +70,22 @@ class TextureScreen:
 
 
 def screen_lines(view: View, width: int, *, color: bool) -> list[Line]:
-    """Return the lines of a texture's picture, at most ``width`` characters each."""
+    """Draw a texture.
+
+    Parameters
+    ----------
+    view : View
+        View to draw.
+    width : int
+        Largest width [characters].
+    color : bool
+        Whether to draw the surface in color.
+
+    Returns
+    -------
+    list of Line
+        Lines of the picture.
+    """
     columns = next((c for c in COLUMNS if c <= width), COLUMNS[-1])
     left = [
         [Segment(f"surface, {SIDE * 1e3:g} × {SIDE * 1e3:g} mm, stroke →", TITLE)],
@@ -75,13 +100,28 @@ def screen_lines(view: View, width: int, *, color: bool) -> list[Line]:
         body = [[*Segment.adjust_line_length(a, columns + 3), *b] for a, b in pairs]
     about = view.texture.descriptor.texture.description
     name = f" {view.display.name} · {view.texture.name}"
-    told = [[Segment(line, LABEL)] for line in facts(view, max(width - 10, 20))]
+    fact_lines = [[Segment(line, LABEL)] for line in facts(view, max(width - 10, 20))]
     lines = [[Segment(" tactile ", BADGE), Segment(name, TITLE)], [Segment(about)], [], *body, []]
-    return [Segment.adjust_line_length(line, width, pad=False) for line in [*lines, *told]]
+    return [Segment.adjust_line_length(line, width, pad=False) for line in [*lines, *fact_lines]]
 
 
 def surface_lines(surface: Floats, columns: int, *, color: bool) -> list[Line]:
-    """Draw displacement (P, P) [m], y upward, in so many characters, above its scale."""
+    """Draw the displacement of a surface above its scale.
+
+    Parameters
+    ----------
+    surface : (P, P) array of float
+        Displacement as y by x, both ascending [m].
+    columns : int
+        Width, a divisor of P [characters].
+    color : bool
+        Whether to draw in color.
+
+    Returns
+    -------
+    list of Line
+        Lines of the picture, y upward.
+    """
     rows = columns if color else columns // 2
     cells = surface[::-1].reshape(rows, PIXELS // rows, columns, PIXELS // columns).mean((1, 3))
     micro = cells.ravel() * 1e6
@@ -102,7 +142,20 @@ def surface_lines(surface: Floats, columns: int, *, color: bool) -> list[Line]:
 
 
 def spectrum_lines(view: View, width: int) -> list[Line]:
-    """Draw each third octave as a bar [µm], logarithmic, with a mark where it is felt from."""
+    """Draw each third octave as a logarithmic bar, with a mark at its threshold.
+
+    Parameters
+    ----------
+    view : View
+        View to draw.
+    width : int
+        Largest width [characters].
+
+    Returns
+    -------
+    list of Line
+        Lines of the picture.
+    """
     s, shown = view.spectrum, shown_bands(view.spectrum)
     low = BAR_LEVELS[0]
     high = max(BAR_LEVELS[1], nice(float(s.total.max(initial=1e-9)) * 1e6))
@@ -115,12 +168,12 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
         excess = s.excess_db[band]
         style = FELT if excess >= 0 else HIDDEN
         part, mark = (math.log(max(v / low, 1.0)) / math.log(high / low) for v in (micro, least))
-        told = f" {micro:7.2f} µm " + (f"{excess:+4.0f} dB" if excess > -100 else "")
+        label = f" {micro:7.2f} µm " + (f"{excess:+4.0f} dB" if excess > -100 else "")
         lines.append(
             [
                 Segment(f"{float(f'{CENTER[band]:.3g}'):6g} ", LABEL),
                 *marked_bar(part, mark, length, style),
-                Segment(told.replace("-", "−"), VALUE if excess >= 0 else LABEL),
+                Segment(label.replace("-", "−"), VALUE if excess >= 0 else LABEL),
             ]
         )
     if not len(shown):
@@ -129,7 +182,24 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
 
 
 def marked_bar(part: float, mark: float, length: int, style: Style) -> Line:
-    """Draw a part, 0 … 1, of a bar of so many characters, and a mark at another part of it."""
+    """Draw a bar with a mark.
+
+    Parameters
+    ----------
+    part : float
+        Part of the bar that is filled, 0 … 1.
+    mark : float
+        Part of the bar at which the mark is.
+    length : int
+        Width of the bar [characters].
+    style : Style
+        Style of the bar.
+
+    Returns
+    -------
+    Line
+        Bar with its mark.
+    """
     whole, rest = divmod(round(min(part, 1.0) * 8 * length), 8)
     bar = ("█" * whole + PARTS[rest] * (rest > 0)).ljust(length)[:length]
     at = min(int(mark * length), length - 1)
@@ -137,15 +207,30 @@ def marked_bar(part: float, mark: float, length: int, style: Style) -> Line:
 
 
 def grating_lines(frequency: Floats, micro: Floats, width: int) -> list[Line]:
-    """Tell the strongest harmonics of gratings, as many as fit a line."""
+    """List the strongest harmonics of gratings, as many as fit in a line.
+
+    Parameters
+    ----------
+    frequency : (H,) array of float
+        Frequencies [Hz].
+    micro : (H,) array of float
+        Peaks [µm].
+    width : int
+        Largest width [characters].
+
+    Returns
+    -------
+    list of Line
+        One line, or none without gratings.
+    """
     if not len(frequency):
         return []
-    told = "gratings"
+    text = "gratings"
     for k in np.argsort(-micro):
-        more = (
-            f"{told}{':' if told == 'gratings' else ','} {micro[k]:.2g} µm at {frequency[k]:.3g} Hz"
+        longer = (
+            f"{text}{':' if text == 'gratings' else ','} {micro[k]:.2g} µm at {frequency[k]:.3g} Hz"
         )
-        if len(more) > width:
+        if len(longer) > width:
             break
-        told = more
-    return [[Segment(told, LABEL)]]
+        text = longer
+    return [[Segment(text, LABEL)]]

@@ -1,10 +1,12 @@
-"""What there is to see of a texture: a piece of its surface, its spectrum, a stroke on a display.
+"""Contents of a still picture of a texture: part of its surface, its spectrum, and a stroke.
 
-Strokes go along x, as the shipped displays shear and as a texture's bands hold. The surface is
-told in full; what a display plays of it ends at 1 kHz and is what `tactile.render` commands.
+Strokes go along x, the direction in which the shipped displays shear and for which a texture's
+bands hold. The surface is shown in full; what a display plays of it ends at 1 kHz and is what
+`tactile.render` commands.
 
-A third octave is told as the peak of the sinusoid that has its power, √2 times its rms, so that it
-stands beside a grating's harmonics, the detection threshold and what full drive attains.
+The level of a third octave is given as the peak of the sinusoid that has its power, √2 times its
+rms, so that it is comparable to a grating's harmonics, the detection threshold and what full drive
+attains.
 """
 
 import textwrap
@@ -31,31 +33,43 @@ from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Surface, Texture, without_friction
 
 BANDS = 34
-"""Third octaves from 1 Hz to 2 kHz."""
+"""Number of third octaves, from 1 Hz to 2 kHz."""
 CENTER = 10 ** (np.arange(BANDS) / 10)
+"""Centers of the third octaves, base ten (IEC 61260-1) [Hz]."""
 EDGES = third_octaves(CENTER)
-"""Hz; centers and edges of base ten (IEC 61260-1)."""
+"""Edges of the third octaves, base ten (IEC 61260-1) [Hz]."""
 NORMAL_FORCE = 0.5
-"""N."""
+"""Normal force of strokes, unless another is given [N]."""
 SIDE, PIXELS = 8e-3, 240
-"""m and pixels of a piece of surface: 4 pixels to the shortest wave of the bands, 0.125 mm."""
+"""Side of a surface patch [m] and its number of pixels: 4 pixels to the shortest wave of the bands,
+0.125 mm."""
 TILE_SIDE, TILE_PIXELS = 6e-3, 180
-"""The same of a tile, one of many."""
+"""Side of a surface patch of one tile among many [m], and its number of pixels."""
 SWEPT = 1.5
-"""How far a stroke goes, in lengths of the row of contactors that it is shown on."""
+"""Length of a stroke, relative to the row of contactors that it is shown on."""
 SAMPLE_RATE = 8000.0
+"""Sample rate of strokes [Hz]."""
 COLUMNS = 3000
-"""Instants of a stroke that are kept at most."""
+"""Largest number of instants of a stroke that are kept."""
 SETTLED = 16
-"""Samples of a stroke's start that are left out, until the finger's velocity is known."""
+"""Samples at the start of a stroke that are left out, until the finger's velocity is known."""
 SLOWEST = 0.1
-"""Hz; a grating that sounds below it is not crossed but followed."""
+"""Frequency below which a grating is taken as followed, not crossed [Hz]."""
 
 
 def just_felt(frequency: Floats) -> Floats:
-    """Return the peak of motion along the skin that is just felt at frequencies (...) [Hz], [m].
+    """Compute the peak of tangential motion that is just felt.
 
-    Infinite beyond 1 kHz, where no display plays and nothing normally is felt.
+    Parameters
+    ----------
+    frequency : (...) array of float
+        Frequencies [Hz].
+
+    Returns
+    -------
+    (...) array of float
+        Peak displacement [m]; infinite beyond 1 kHz, where no display plays and normally nothing is
+        felt.
     """
     inside = frequency <= PASS_BAND * (1 + 1e-9)
     return np.where(inside, detection_threshold(frequency), np.inf)
@@ -63,13 +77,18 @@ def just_felt(frequency: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class StrokeSpectrum:
-    """What a stroke along x does to the skin at one place.
+    """Effect of a stroke along x on the skin at one place.
 
     Attributes
     ----------
-    waves : (34,) peak of each third octave of the stochastic part [m]
-    events : (34,) the same of the sparse events, in the mean over surfaces [m]
-    grating_frequency, grating_peak : (H,) of each harmonic [Hz] and [m]
+    waves : (34,) array of float
+        Peak of each third octave of the stochastic part [m].
+    events : (34,) array of float
+        Peak of each third octave of the sparse events, as a mean over surfaces [m].
+    grating_frequency : (H,) array of float
+        Frequency of each harmonic of the gratings [Hz].
+    grating_peak : (H,) array of float
+        Peak of each harmonic [m].
     """
 
     waves: Floats
@@ -79,28 +98,36 @@ class StrokeSpectrum:
 
     @cached_property
     def total(self) -> Floats:
-        """Peak of each third octave with all that is in it, (34,) [m]."""
+        """Peak of each third octave with all parts of the texture, (34,) [m]."""
         gratings = _by_band(self.grating_frequency, self.grating_peak**2)
         return np.sqrt(self.waves**2 + self.events**2 + gratings)
 
     @cached_property
     def excess_db(self) -> Floats:
-        """Of each third octave above the detection threshold, (34,); −inf beyond 1 kHz."""
+        """Level of each third octave relative to the detection threshold, (34,) [dB].
+
+        It is −inf beyond 1 kHz.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(20 * np.log10(self.total / just_felt(CENTER)))
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A stroke as the contactors of one row are commanded to move, friction left out.
+    """Stroke as it is commanded to the contactors of one row, without friction.
 
     Attributes
     ----------
-    time : (S,) [s]
-    position : (S,) of the finger along x [m]
-    contactor : (K,) their numbers, from the least x to the greatest
-    place : (K, 2) where they stand under the finger [m]
-    shear : (K, S) [m]
+    time : (S,) array of float
+        Times [s].
+    position : (S,) array of float
+        Position of the finger along x [m].
+    contactor : (K,) array of int
+        Numbers of the contactors, in ascending order of x.
+    place : (K, 2) array of float
+        Places of these contactors [m].
+    shear : (K, S) array of float
+        Commanded shear [m].
     """
 
     time: Floats
@@ -112,16 +139,29 @@ class Sweep:
 
 @dataclass(frozen=True)
 class View:
-    """All of a texture on a display at one speed.
+    """Everything about a texture on a display at one speed.
 
     Attributes
     ----------
-    texture, display, speed, normal_force : of which; speed [m/s] and force [N]
-    surface : (P, P) displacement [m] over `SIDE` × `SIDE` about the origin, y by x, both ascending
-    spectrum : at this speed and force
-    frequency, attainable : (F,) [Hz] and peak [m] of a sinusoid at the voltage limit, on the
-        contactor that moves least, under the finger of the display's table nearest in force
-    sweep : a stroke
+    texture : Texture
+        Texture that is shown.
+    display : Display
+        Display that plays it.
+    speed : float
+        Speed of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+    surface : (P, P) array of float
+        Displacement over `SIDE` × `SIDE` about the origin, as y by x, both ascending [m].
+    spectrum : StrokeSpectrum
+        Spectrum at this speed and force.
+    frequency : (F,) array of float
+        Frequencies of ``attainable`` [Hz].
+    attainable : (F,) array of float
+        Peak of a sinusoid at the voltage limit on the contactor that moves least, for the finger of
+        the display's table that is nearest in force [m].
+    sweep : Sweep
+        Stroke at this speed and force.
     """
 
     texture: Texture
@@ -136,19 +176,33 @@ class View:
 
     @property
     def rms(self) -> float:
-        """Of the displacement at this speed and force, beyond 1 kHz included [m]."""
+        """Root mean square of the displacement at this speed and force [m].
+
+        It includes what is beyond 1 kHz.
+        """
         return texture_rms(self.texture, self.speed, self.normal_force)
 
 
 def view_texture(
     texture: Texture, display: Display, *, speed: float, normal_force: float = NORMAL_FORCE
 ) -> View:
-    """Return what there is to see of a texture on a display.
+    """Compute the view of a texture on a display.
 
     Parameters
     ----------
-    texture, display : which
-    speed, normal_force : of the finger [m/s] and [N]
+    texture : Texture
+        Texture to show.
+    display : Display
+        Display to play it.
+    speed : float
+        Speed of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+
+    Returns
+    -------
+    View
+        Surface, spectrum, reach and stroke.
     """
     renderer = Renderer(display, without_friction(texture), sample_rate=SAMPLE_RATE)
     finger = int(np.argmin(np.abs(np.asarray(display.load_forces) - normal_force)))
@@ -164,14 +218,20 @@ def view_texture(
 
 @dataclass(frozen=True)
 class Tile:
-    """What there is to see of one texture among many.
+    """Summary of one texture among many.
 
     Attributes
     ----------
-    name, category : of the texture
-    rms : of its displacement [m]
-    surface : (P, P) displacement [m] over `TILE_SIDE` × `TILE_SIDE`, y by x
-    spectrum : of a stroke along x
+    name : str
+        Name of the texture.
+    category : str
+        Category of the texture.
+    rms : float
+        Root mean square of its displacement [m].
+    surface : (P, P) array of float
+        Displacement over `TILE_SIDE` × `TILE_SIDE`, as y by x [m].
+    spectrum : StrokeSpectrum
+        Spectrum of a stroke along x.
     """
 
     name: str
@@ -182,12 +242,22 @@ class Tile:
 
 
 def names_of(category: str | None) -> list[str]:
-    """Return the names of the shipped textures of a category, or of all.
+    """Return the names of the shipped textures of a category.
+
+    Parameters
+    ----------
+    category : str or None
+        Category; None for all textures.
+
+    Returns
+    -------
+    list of str
+        Names of the textures.
 
     Raises
     ------
     InputError
-        Where none is of that category, with the nearest.
+        If no texture is of that category; the message names the nearest one.
     """
     names = descriptors.textures()
     if category is None:
@@ -200,7 +270,20 @@ def names_of(category: str | None) -> list[str]:
 
 
 def tile(texture: Texture, *, speed: float) -> Tile:
-    """Return what there is to see of one texture among many, at a speed [m/s]."""
+    """Compute the summary of one texture among many.
+
+    Parameters
+    ----------
+    texture : Texture
+        Texture to show.
+    speed : float
+        Speed of the finger [m/s].
+
+    Returns
+    -------
+    Tile
+        Surface, level and spectrum.
+    """
     return Tile(
         texture.name,
         texture.descriptor.texture.category,
@@ -211,11 +294,25 @@ def tile(texture: Texture, *, speed: float) -> Tile:
 
 
 def texture_rms(texture: Texture, speed: float, normal_force: float) -> float:
-    """Return the root mean square of the displacement at a speed [m/s] and a force [N], [m].
+    """Compute the root mean square of a texture's displacement.
 
-    Of the realized waves and gratings, what lies below the lowest band and ``contact_length_mm``
-    included, and of events; `tactile.texture.amplitudes.strength_of` is what a descriptor says at
-    its reference, without either.
+    It is that of the realized waves and gratings and of events, and it includes what lies below the
+    lowest band and the effect of ``contact_length_mm``; `tactile.texture.amplitudes.strength_of` is
+    what a descriptor states at its reference, without either.
+
+    Parameters
+    ----------
+    texture : Texture
+        Realized texture.
+    speed : float
+        Speed of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+
+    Returns
+    -------
+    float
+        Displacement [m rms].
     """
     waves = float(np.sum(texture.partials.amplitude**2)) / 2
     events = sum(mean_square(kind) for kind in _kinds(texture))
@@ -230,13 +327,25 @@ def surface_patch(
     side: float = SIDE,
     pixels: int = PIXELS,
 ) -> Floats:
-    """Return the displacement [m] over a square about the origin, (pixels, pixels) as y by x.
+    """Compute the displacement over a square about the origin, at the centers of its pixels.
 
     Parameters
     ----------
-    texture : realized with seed 0
-    speed, normal_force : for the laws [m/s] and [N]
-    side : of the square [m]; values are those at the pixels' middles
+    texture : Texture
+        Texture to show, realized with seed 0.
+    speed : float
+        Speed of the finger, for the law of speed [m/s].
+    normal_force : float
+        Normal force, for the law of force [N].
+    side : float
+        Side of the square [m].
+    pixels : int
+        Number of pixels along a side.
+
+    Returns
+    -------
+    (pixels, pixels) array of float
+        Displacement as y by x [m].
     """
     surface = texture.realize()
     place = pixel_places(side, pixels)
@@ -252,19 +361,32 @@ def surface_patch(
 
 
 def pixel_places(side: float, pixels: int) -> Floats:
-    """Return where the middles of a patch's pixels are along either axis, (pixels,) [m]."""
+    """Compute the centers of a patch's pixels along either axis.
+
+    Parameters
+    ----------
+    side : float
+        Side of the patch [m].
+    pixels : int
+        Number of pixels along a side.
+
+    Returns
+    -------
+    (pixels,) array of float
+        Coordinates, symmetric about 0 [m].
+    """
     return np.asarray(((np.arange(pixels) + 0.5) / pixels - 0.5) * side)
 
 
 def _waves_on(partials: Partials, place: Floats) -> Floats:
-    """Return Σ a cos(k·p + φ) [m] on a square grid: a product of two matrices, y by x."""
+    """Return Σ a cos(k·p + φ) [m] on a square grid as y by x, as a product of two matrices."""
     along_x, along_y = np.exp(1j * partials.wave_vector.T[:, None, :] * place[:, None])
     phasor = partials.amplitude * np.exp(1j * partials.phase)
     return np.asarray(((along_y * phasor) @ along_x.T).real)
 
 
 def _events_on(surface: Surface, kinds: tuple[Events, ...], place: Floats) -> Floats:
-    """Return the sparse events [m] on a square grid, y by x."""
+    """Return the sparse events [m] on a square grid, as y by x."""
     y, x = np.meshgrid(place, place, indexing="ij")
     field = EventField(surface, kinds, np.zeros((1, 2)))
     return field.at(np.stack([x.ravel(), y.ravel()]))[:, 0].reshape(x.shape).astype(np.float64)
@@ -273,14 +395,23 @@ def _events_on(surface: Surface, kinds: tuple[Events, ...], place: Floats) -> Fl
 def texture_spectrum(
     texture: Texture, *, speed: float, normal_force: float = NORMAL_FORCE
 ) -> StrokeSpectrum:
-    """Return what a stroke along x does to the skin at one place, per third octave.
+    """Compute the effect of a stroke along x on the skin at one place, per third octave.
 
-    Partials keep their frequencies: that the slow envelope widens each by its own is left out.
+    Partials keep their frequencies: the broadening of each by the slow envelope is left out.
 
     Parameters
     ----------
-    texture : which
-    speed, normal_force : of the finger [m/s] and [N]
+    texture : Texture
+        Texture to show.
+    speed : float
+        Speed of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+
+    Returns
+    -------
+    StrokeSpectrum
+        Peaks of waves, events and gratings.
     """
     factor = law_factor(texture, speed, normal_force)
     drawn, count = texture.partials, len(texture.amplitude)
@@ -296,18 +427,19 @@ def texture_spectrum(
 
 
 def _kinds(texture: Texture) -> tuple[Events, ...]:
+    """Return the kinds of sparse events of a texture."""
     return texture.descriptor.events
 
 
 def _by_band(frequency: Floats, power: Floats) -> Floats:
-    """Return the sums of what lies in each third octave, (34,)."""
+    """Return the sums of power in each third octave, (34,)."""
     return np.histogram(frequency, EDGES, weights=power)[0]
 
 
 def _gratings(texture: Texture, speed: float) -> tuple[Floats, Floats]:
     """Return frequency [Hz] and peak [m] of each harmonic that a stroke along x crosses.
 
-    One that wavers (``jitter``) is told at its mean frequency with all of its power.
+    A grating that wavers (``jitter``) is listed at its mean frequency with all of its power.
     """
     length = texture.laws.contact_length_mm
     sides = [np.zeros((2, 0))]
@@ -318,6 +450,7 @@ def _gratings(texture: Texture, speed: float) -> tuple[Floats, Floats]:
 
 
 def _harmonics(part: Periodic, speed: float, contact_length_mm: float) -> Floats:
+    """Return frequencies [Hz] and peaks [m] of the harmonics of a grating, (2, H)."""
     per_mm = np.arange(1, len(part.harmonics_um) + 1) / part.wavelength_mm
     passed = 1 / np.hypot(1, 2 * np.pi * per_mm * contact_length_mm)
     frequency = speed * 1e3 * per_mm * abs(np.cos(np.radians(part.direction_deg)))
@@ -325,7 +458,7 @@ def _harmonics(part: Periodic, speed: float, contact_length_mm: float) -> Floats
 
 
 def _sweep(renderer: Renderer, display: Display, speed: float, normal_force: float) -> Sweep:
-    """Play a stroke along x that ends a little after a place has passed under the whole row."""
+    """Render a stroke along x that ends soon after a place has passed under the whole row."""
     row = middle_row(display.contactors)
     x = display.contactors[row, 0]
     way = max(SWEPT * float(np.ptp(x)), SIDE)
@@ -342,10 +475,20 @@ def _sweep(renderer: Renderer, display: Display, speed: float, normal_force: flo
 
 
 def middle_row(places: Floats) -> NDArray[np.intp]:
-    """Return the contactors of the row along x nearest to the middle, from left to right.
+    """Find the contactors of the row along x that is nearest to the middle.
 
-    Of several rows the longest; contactors at (N, 2) [m] are of one row where their y differs by
-    less than 0.1 mm.
+    The longest rows are preferred. Contactors belong to one row if their y differ by less than
+    0.1 mm.
+
+    Parameters
+    ----------
+    places : (N, 2) array of float
+        Places of the contactors [m].
+
+    Returns
+    -------
+    (K,) array of int
+        Numbers of the contactors, from left to right.
     """
     middle = (places[:, 1].min() + places[:, 1].max()) / 2
     rows = [np.flatnonzero(np.abs(places[:, 1] - y) < 1e-4) for y in np.unique(places[:, 1])]
@@ -354,30 +497,53 @@ def middle_row(places: Floats) -> NDArray[np.intp]:
 
 
 def facts(view: View, width: int) -> list[str]:
-    """Return strength, kind, friction and source in two lines, the last cut to a width."""
+    """Describe a texture in two lines: strength, kind and friction, and source.
+
+    Parameters
+    ----------
+    view : View
+        View of the texture.
+    width : int
+        Largest width of the text of the source [characters].
+
+    Returns
+    -------
+    list of str
+        Two lines.
+    """
     d = view.texture.descriptor
-    told = [
+    values = [
         f"{view.rms * 1e6:.2f} µm rms at {view.speed * 1e3:g} mm/s and {view.normal_force:g} N",
         d.texture.category,
         d.texture.provenance,
     ]
     if d.friction is not None:
-        told.append(
+        values.append(
             f"friction {d.friction.static_coefficient:g} at rest, "
             f"{d.friction.kinetic_coefficient:g} sliding"
         )
     source = textwrap.shorten(d.texture.source, width, placeholder=" …")
-    return ["  ·  ".join(told), f"source: {source}"]
+    return ["  ·  ".join(values), f"source: {source}"]
 
 
 def view_figures(view: View) -> dict[str, object]:
-    """Return what a view shows as plain figures, for machines.
+    """Return the contents of a view as plain figures, for programs.
 
-    Third octaves are those of `shown_bands`, told in micrometers peak.
+    The third octaves are those of `shown_bands`; their levels are peaks.
+
+    Parameters
+    ----------
+    view : View
+        View of the texture.
+
+    Returns
+    -------
+    dict of str to object
+        Figures, with the unit at the end of each name.
     """
     s, about = view.spectrum, view.texture.descriptor.texture
-    shown = shown_bands(s)
-    center = CENTER[shown]
+    bands = shown_bands(s)
+    center = CENTER[bands]
     friction = view.texture.descriptor.friction
     return {
         "name": view.texture.name,
@@ -393,20 +559,31 @@ def view_figures(view: View) -> dict[str, object]:
         "static_friction": None if friction is None else friction.static_coefficient,
         "kinetic_friction": None if friction is None else friction.kinetic_coefficient,
         "third_octave_hz": [round(float(f), 2) for f in center],
-        "third_octave_um": (s.total[shown] * 1e6).tolist(),
+        "third_octave_um": (s.total[bands] * 1e6).tolist(),
         "threshold_um": (just_felt(center) * 1e6).tolist(),
         "attainable_um": (np.interp(center, view.frequency, view.attainable) * 1e6).tolist(),
-        "felt_hz": [round(float(f), 2) for f in center[s.excess_db[shown] >= 0]],
+        "felt_hz": [round(float(f), 2) for f in center[s.excess_db[bands] >= 0]],
         "grating_hz": s.grating_frequency.tolist(),
         "grating_um": (s.grating_peak * 1e6).tolist(),
     }
 
 
 def shown_bands(spectrum: StrokeSpectrum) -> NDArray[np.intp]:
-    """Return the third octaves up to 1 kHz between the outermost within 40 dB of what is felt most.
+    """Select the third octaves that a spectrum shows.
 
-    What counts is how far each is above the detection threshold, or below it.
+    These are the ones up to 1 kHz between the outermost that are within 40 dB of the highest level
+    relative to the detection threshold.
+
+    Parameters
+    ----------
+    spectrum : StrokeSpectrum
+        Spectrum to show.
+
+    Returns
+    -------
+    (K,) array of int
+        Indices of consecutive third octaves.
     """
-    told = np.flatnonzero(spectrum.excess_db >= spectrum.excess_db.max() - 40)
-    known = np.isfinite(spectrum.excess_db[told]).any()
-    return np.arange(told[0], told[-1] + 1) if known else told[:0]
+    strong = np.flatnonzero(spectrum.excess_db >= spectrum.excess_db.max() - 40)
+    known = np.isfinite(spectrum.excess_db[strong]).any()
+    return np.arange(strong[0], strong[-1] + 1) if known else strong[:0]

@@ -1,9 +1,10 @@
-"""What a texture asks of the skin in a steady stroke, in closed form: a spectrum of lines.
+"""Spectrum of the shear that a texture commands in a steady stroke, in closed form as lines.
 
-A plane wave of wave vector k sounds at |k·v|/2π with half its squared amplitude as power, times the
+A plane wave of wave vector k sounds at |k·v|/2π. Its power is half its squared amplitude, times the
 square of the laws of speed and force, rolled off above 1 kHz. The envelope exp(g − ⟨g²⟩), of mean
-square one, leaves exp(−var g) of that power in its place and puts the rest into sidebands at the
-frequencies of g's waves (their first order, which takes the little of the higher ones as well).
+square 1, leaves exp(−var g) of that power at the wave's frequency and moves the rest into sidebands
+at the frequencies of g's waves (the first order, which here takes the small power of the higher
+ones as well).
 
 Sparse events have the expected spectrum of `tactile.texture.event_power`.
 """
@@ -20,29 +21,57 @@ from tactile.texture.event_power import power_below
 from tactile.texture.surface import Partials, Texture
 
 EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 400))
-"""Hz between which the events' power is told as one line."""
+"""Edges of the frequency intervals in which the power of events is combined into one line [Hz]."""
 
 
 @dataclass(frozen=True)
 class LineSpectrum:
-    """A spectrum.
+    """Power spectrum of discrete lines.
 
     Attributes
     ----------
-    frequency : (K,) [Hz], not ascending
-    power : (K,) mean square [m²] of each line
+    frequency : (K,) array of float
+        Frequencies, in any order [Hz].
+    power : (K,) array of float
+        Mean square of each line [m²].
     """
 
     frequency: Floats
     power: Floats
 
     def times(self, factor: Floats | float) -> "LineSpectrum":
-        """Return it with its displacement multiplied."""
+        """Return the spectrum of a scaled displacement.
+
+        Parameters
+        ----------
+        factor : (K,) array of float or float
+            Factor on the displacement.
+
+        Returns
+        -------
+        LineSpectrum
+            Spectrum with its powers times the square of the factor.
+        """
         return LineSpectrum(self.frequency, self.power * np.square(factor))
 
 
 def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
-    """Return what the laws multiply displacement by at a speed [m/s] and a force [N]."""
+    """Compute the factor of a texture's laws on displacement.
+
+    Parameters
+    ----------
+    texture : Texture
+        Texture with the laws.
+    speed : float
+        Speed of the finger [m/s].
+    normal_force : float
+        Normal force [N].
+
+    Returns
+    -------
+    float
+        Factor on displacement.
+    """
     law = Law(texture.descriptor)
     return float(law(np.array([speed**2]), np.array([normal_force]))[0])
 
@@ -50,19 +79,26 @@ def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
 def commanded_lines(
     texture: Texture, *, speed: float, normal_force: float, angle: float = 0.0, seed: int = 0
 ) -> LineSpectrum:
-    """Return the spectrum of shear that a texture commands in a straight stroke.
+    """Compute the spectrum of the shear that a texture commands in a straight stroke.
 
     Parameters
     ----------
-    texture : whose
-    speed, normal_force, angle : of the stroke [m/s], [N] and from the x axis [rad]
-    seed : of the surface's realization; it changes the envelope's share only
+    texture : Texture
+        Texture to play.
+    speed : float
+        Speed of the stroke [m/s].
+    normal_force : float
+        Normal force [N].
+    angle : float
+        Direction of the stroke, measured from the x axis [rad].
+    seed : int
+        Seed of the surface's realization; it changes only the part of the envelope.
 
     Returns
     -------
-    Lines
-        Of what `Renderer` commands at every contactor, before what a display can do; without the
-        cosine of a display that projects.
+    LineSpectrum
+        Lines that `Renderer` commands at every contactor, before the limits of a display and
+        without the cosine of a display that projects.
     """
     surface = texture.realize(seed)
     velocity = speed * np.array([np.cos(angle), np.sin(angle)])
@@ -76,28 +112,28 @@ def commanded_lines(
 
 
 def _lines(waves: Partials, velocity: Floats) -> LineSpectrum:
-    """Return the lines of waves, signed in frequency."""
+    """Return the lines of waves, with signed frequencies."""
     signed = waves.wave_vector @ velocity / (2 * np.pi)
     return LineSpectrum(signed, (waves.amplitude * roll_off(signed)) ** 2 / 2)
 
 
 def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> LineSpectrum:
-    """Return the waves' lines with the sidebands that the envelope makes, signed in frequency."""
+    """Return the lines of waves with the envelope's sidebands, with signed frequencies."""
     plain = _lines(waves, velocity)
     if not len(envelope.amplitude):
         return plain
     variance = envelope.amplitude**2 / 2
-    kept = np.exp(-variance.sum())
-    aside = envelope.wave_vector @ velocity / (2 * np.pi)
-    share = (1 - kept) * variance / variance.sum() / 2
-    moved = np.concatenate([[0.0], aside, -aside])
-    weight = np.concatenate([[kept], share, share])
+    remaining = np.exp(-variance.sum())
+    offset = envelope.wave_vector @ velocity / (2 * np.pi)
+    share = (1 - remaining) * variance / variance.sum() / 2
+    moved = np.concatenate([[0.0], offset, -offset])
+    weight = np.concatenate([[remaining], share, share])
     return LineSpectrum(
         np.add.outer(plain.frequency, moved).ravel(), np.multiply.outer(plain.power, weight).ravel()
     )
 
 
 def _event_lines(kind: Events, speed: float, angle: float) -> LineSpectrum:
-    """Return one kind's expected spectrum; events are not rolled off."""
+    """Return the expected spectrum of one kind of events, which are not rolled off."""
     below = power_below(kind, 2 * np.pi * EVENT_EDGES / speed, angle)
     return LineSpectrum((EVENT_EDGES[1:] + EVENT_EDGES[:-1]) / 2, np.diff(below))

@@ -1,15 +1,16 @@
-"""How strong a texture is on a display: felt level, drive, and the gain that the limits allow.
+"""Strength of a texture on a display: sensation level, drive, and the gain that the limits allow.
 
-Levels come in closed form from the texture's lines (`commanded`) and what the display makes of
-them: the inverse filter in use times the response of amplifier and loaded bimorph. What the limits
-take is measured instead, in a trial: short strokes at `PLACES` places, for a texture's envelope and
-the beating of its waves vary over centimeters. They are rendered so faintly that no limit is near;
-all before the limiter is linear, so that this drive, scaled, is that of any gain.
+Levels are computed in closed form from the texture's lines (`commanded`) and what the display makes
+of them: the inverse filter in use times the response of amplifier and loaded bimorph. What the
+limits take is measured instead, in a trial of short strokes at `PLACES` places, because a texture's
+envelope and the beating of its waves vary over centimeters. The strokes are rendered so faintly
+that no limit is near. Everything before the limiter is linear, so that this drive, scaled, is that
+of any gain.
 
-A limiter that touches one sample is seconds in letting go (`limiter.RELEASE`), so that "at most
-1e-4 of samples" means not at all in any stroke of some seconds. `automatic_gain` therefore lets the
+A limiter that acts on one sample takes seconds to recover (`limiter.RELEASE`), so that "at most
+1e-4 of samples" would mean none in any stroke of some seconds. `automatic_gain` therefore lets the
 trial's highest drive come up to `HEADROOM` below the limit. No finite trial knows the highest peak
-of an endless stroke: beyond it the limiter turns down, gently and rarely.
+of an endless stroke: above it the limiter reduces the drive, gently and rarely.
 """
 
 from collections.abc import Sequence
@@ -31,39 +32,46 @@ from tactile.texture import perception
 from tactile.texture.surface import GOLDEN, Texture, without_friction
 
 PLACES = 32
-"""Where a trial strokes, spread over `SPREAD`."""
+"""Number of places at which a trial strokes, spread over `SPREAD`."""
 STROKED = 0.25
-"""s of each stroke of a trial."""
+"""Duration of each stroke of a trial [s]."""
 SETTLING = 0.02
-"""s before each that are left out: the finger has jumped there, and the filter fills."""
+"""Time before each stroke of a trial that is left out, because the finger has jumped there and the
+filter fills [s]."""
 SPREAD = 10.0
-"""m in x and y, many times the longest wave of an envelope or a beat."""
+"""Extent of a trial's places in x and y, many times the longest wave of an envelope or a beat
+[m]."""
 TAPER = 5e-3
-"""s in which one place's drive gives way to the next's."""
+"""Time over which the drive of one place changes over to that of the next [s]."""
 HEADROOM = 10 ** (-3.5 / 20)
-"""By which half a minute's highest drive may be above a trial's: bursts are rare and high. Measured
-at 80 mm/s on calf, suede, ABS and oak, 24 contactors: −0.5 … 3.1 dB above it."""
+"""Gain that leaves room for the highest drive of half a minute above that of a trial: bursts are
+rare and high. Measured at 80 mm/s on calf, suede, ABS and oak, 24 contactors: −0.5 … 3.1 dB above
+it."""
 FAINT = 1e-3
-"""Gain of the trial."""
+"""Gain of a trial."""
 GRID = 5.0
+"""Spacing of the frequencies of a display's reach [Hz]."""
 HIGHEST = 4000.0
-"""Hz between and up to which a display's reach is told."""
+"""Highest frequency of a display's reach [Hz]."""
 
 
 @dataclass(frozen=True)
 class SteadyStroke:
-    """A steady stroke in a straight line.
+    """Stroke in a straight line at constant speed and force.
 
     Attributes
     ----------
-    speed : [m/s]
-    normal_force : [N]
-    angle : of the motion, from the x axis [rad]
+    speed : float
+        Speed [m/s].
+    normal_force : float
+        Normal force [N].
+    angle : float
+        Direction of motion, measured from the x axis [rad].
 
     Raises
     ------
     InputError
-        Where nothing would move, or nothing be touched.
+        If nothing would move, nothing would be touched, or a value is too large.
     """
 
     speed: float = 0.08
@@ -84,11 +92,22 @@ class SteadyStroke:
 
     @property
     def direction(self) -> Floats:
-        """Unit vector (2,) of the motion."""
+        """Unit vector (2,) along the motion."""
         return np.array([np.cos(self.angle), np.sin(self.angle)])
 
     def lines(self, texture: Texture) -> LineSpectrum:
-        """Return what a texture commands in it."""
+        """Compute the spectrum that a texture commands in this stroke.
+
+        Parameters
+        ----------
+        texture : Texture
+            Texture to play.
+
+        Returns
+        -------
+        LineSpectrum
+            Lines of commanded shear.
+        """
         return commanded_lines(
             texture, speed=self.speed, normal_force=self.normal_force, angle=self.angle
         )
@@ -96,17 +115,22 @@ class SteadyStroke:
 
 @dataclass(frozen=True)
 class Reach:
-    """What a display makes of commanded shear, per kind of contactor, at one normal force.
+    """Response of a display to commanded shear, per kind of contactor, at one normal force.
 
     Attributes
     ----------
-    frequency : (F,) [Hz], ascending
-    gain : (C, F) drive per commanded shear [V/m]
-    transfer : (C, F) shear that comes of it, per commanded shear: one where the inverse is not
-        bounded
-    attainable : (C, F) peak shear [m] of a sinusoid at the voltage and slew limits
-    share : (C,) mean square over all contactors of what of the shear each plays, by kind: where it
-        is projected on the motion, its cosine
+    frequency : (F,) array of float
+        Frequencies, ascending [Hz].
+    gain : (C, F) array of float
+        Drive per commanded shear [V/m].
+    transfer : (C, F) array of float
+        Delivered per commanded shear: 1 where the inverse is not bounded.
+    attainable : (C, F) array of float
+        Peak shear of a sinusoid at the voltage and slew limits [m].
+    share : (C,) array of float
+        Contribution of each kind to the mean square over all contactors: the number of its
+        contactors, weighted by the squared cosine of the motion where shear is projected, relative
+        to the number of all.
     """
 
     frequency: Floats
@@ -116,40 +140,93 @@ class Reach:
     share: Floats
 
     def delivered(self, lines: LineSpectrum) -> LineSpectrum:
-        """Return the spectrum that the skin gets below the limits, mean over contactors."""
+        """Compute the spectrum that the skin receives below the limits, as a mean over contactors.
+
+        Parameters
+        ----------
+        lines : LineSpectrum
+            Commanded shear.
+
+        Returns
+        -------
+        LineSpectrum
+            Delivered shear.
+        """
         square = self.share @ self.transfer**2
         at = np.interp(lines.frequency, self.frequency, square, right=0.0)
         return LineSpectrum(lines.frequency, lines.power * at)
 
     def drive_rms(self, lines: LineSpectrum) -> float:
-        """Return the drive below the limits, over all contactors [V]."""
+        """Compute the drive below the limits, over all contactors.
+
+        Parameters
+        ----------
+        lines : LineSpectrum
+            Commanded shear.
+
+        Returns
+        -------
+        float
+            Drive [V rms].
+        """
         return float(np.sqrt(self.cost(lines.frequency) @ lines.power))
 
     def cost(self, frequency: Floats) -> Floats:
-        """Return the mean square of drive per mean square of shear at frequencies [V²/m²]."""
+        """Compute the mean square drive per mean square shear.
+
+        Parameters
+        ----------
+        frequency : (...) array of float
+            Frequencies [Hz].
+
+        Returns
+        -------
+        (...) array of float
+            Cost of shear [V²/m²].
+        """
         square = self.share @ self.gain**2
         return np.asarray(np.interp(frequency, self.frequency, square, right=0.0))
 
     def least_attainable(self, frequency: Floats) -> Floats:
-        """Return the peak shear [m] that every contactor attains, at frequencies [Hz]."""
+        """Compute the peak shear that every contactor attains.
+
+        Parameters
+        ----------
+        frequency : (...) array of float
+            Frequencies [Hz].
+
+        Returns
+        -------
+        (...) array of float
+            Peak shear [m].
+        """
         return np.asarray(np.interp(frequency, self.frequency, self.attainable.min(axis=0)))
 
 
 def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -> Reach:
-    """Return what a display makes of shear in a stroke.
+    """Compute the response of a display to commanded shear in a stroke.
 
     Parameters
     ----------
-    display, stroke : what is played on, and how it is touched
-    sample_rate : of the drive [Hz]
+    display : Display
+        Display to play on.
+    stroke : SteadyStroke
+        Stroke of the finger.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Returns
+    -------
+    Reach
+        Response at the stroke's normal force, up to `HIGHEST` or half the sample rate.
     """
     frequency = np.arange(0.0, min(HIGHEST, sample_rate / 2) + GRID / 2, GRID)
-    here = replace(display, load=display.load_at(stroke.normal_force))
-    response = np.abs(here.responses(frequency, sample_rate)[0])
+    loaded = replace(display, load=display.load_at(stroke.normal_force))
+    response = np.abs(loaded.responses(frequency, sample_rate)[0])
     inverse = Renderer(display, None, sample_rate=sample_rate).filter
     place = np.interp(stroke.normal_force, display.load_forces, np.arange(len(inverse.taps)))
-    near = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
-    taps = inverse.mix @ np.tensordot(near, inverse.taps, axes=1)
+    weight = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
+    taps = inverse.mix @ np.tensordot(weight, inverse.taps, axes=1)
     turns = np.exp(-2j * np.pi / sample_rate * np.outer(np.arange(taps.shape[1]), frequency))
     gain = np.abs(taps @ turns)
     steepest = 2 * sample_rate * np.sin(np.pi * np.minimum(frequency / sample_rate, 0.5))
@@ -163,14 +240,27 @@ def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -
 
 
 def amplified(texture: Texture, gain: float) -> Texture:
-    """Return a texture with all of its displacement multiplied.
+    """Return a texture with all of its displacement multiplied by a gain.
 
-    The levels in its descriptor's ``[stochastic]`` stay what they were; its waves have the gain.
+    The levels in its descriptor's ``[stochastic]`` stay unchanged; the realized waves have the
+    gain.
+
+    Parameters
+    ----------
+    texture : Texture
+        Texture to change.
+    gain : float
+        Factor on displacement, at least 0.
+
+    Returns
+    -------
+    Texture
+        Texture with scaled waves, harmonics and events.
 
     Raises
     ------
     InputError
-        Where the gain is negative or no number.
+        If the gain is negative or not finite.
     """
     if not 0 <= gain < np.inf:
         raise InputError(f"gain {gain:g}: must be a number from 0")
@@ -188,14 +278,18 @@ def amplified(texture: Texture, gain: float) -> Texture:
 
 @dataclass(frozen=True)
 class Trial:
-    """The drive of short strokes at gain 1, without limits.
+    """Drive of short strokes at gain 1, without limits.
 
     Attributes
     ----------
-    display : on which
-    drive : (K, S, N) of K strokes, without friction [V]
-    sample_rate : [Hz]
-    room : of the voltage limit, what friction leaves
+    display : Display
+        Display that plays.
+    drive : (K, S, N) array of float
+        Drive of K strokes, without friction [V].
+    sample_rate : float
+        Sample rate [Hz].
+    room : float
+        Part of the voltage limit that friction leaves free.
     """
 
     display: Display
@@ -205,22 +299,22 @@ class Trial:
 
     @property
     def rms(self) -> float:
-        """Over all contactors [V]."""
+        """Root mean square of the drive over all contactors [V]."""
         return float(np.sqrt(np.mean(self.drive**2)))
 
     @property
     def peak(self) -> float:
-        """Over all contactors [V]."""
+        """Peak of the drive over all contactors [V]."""
         return float(np.abs(self.drive).max())
 
     @property
     def step(self) -> float:
-        """Largest change from sample to sample [V]."""
+        """Largest change of the drive from sample to sample [V]."""
         return float(np.abs(np.diff(self.drive, axis=1)).max())
 
     @property
     def largest_gain(self) -> tuple[float, str]:
-        """The gain at which a limit is met, and the limit's name; infinite for no drive."""
+        """Gain at which a limit is reached, and the limit's name; very large without drive."""
         limits = self.display.limits
         slewing = "slew" if self.display.slew >= limits.slew else "current"
         by_voltage = self.room * limits.voltage / max(self.peak, 1e-30)
@@ -228,7 +322,20 @@ class Trial:
         return (by_voltage, "voltage") if by_voltage <= by_slew else (by_slew, slewing)
 
     def limited(self, gain: float) -> tuple[float, float]:
-        """Return the share of samples that the limiter turns down, and what is left of the rms."""
+        """Measure how much the limiter takes at a gain.
+
+        Parameters
+        ----------
+        gain : float
+            Gain of the texture.
+
+        Returns
+        -------
+        share : float
+            Part of the samples that the limiter turns down.
+        remaining : float
+            Part of the rms that is left.
+        """
         places, count, channels = self.drive.shape
         limiter = Limiter(
             self.room * self.display.limits.voltage, self.display.slew / self.sample_rate,
@@ -236,19 +343,35 @@ class Trial:
         )  # fmt: skip
         from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / self.sample_rate
         taper = np.sin(np.pi / 2 * np.minimum(from_end / TAPER, 1)) ** 2
-        wanted = gain * (self.drive * taper[:, None]).reshape(-1, channels)
-        rest = np.zeros((limiter.delay, channels))
-        played = limiter(np.concatenate([wanted, rest]))[limiter.delay :]
-        kept = np.sqrt(np.mean(played**2) / max(float(np.mean(wanted**2)), 1e-30))
-        return min(limiter.limited_samples / (places * count), 1.0), float(min(kept, 1.0))
+        target = gain * (self.drive * taper[:, None]).reshape(-1, channels)
+        padding = np.zeros((limiter.delay, channels))
+        played = limiter(np.concatenate([target, padding]))[limiter.delay :]
+        remaining = np.sqrt(np.mean(played**2) / max(float(np.mean(target**2)), 1e-30))
+        return min(limiter.limited_samples / (places * count), 1.0), float(min(remaining, 1.0))
 
 
 def trial(
     display: Display, texture: Texture, stroke: SteadyStroke, sample_rate: float = 8000.0
 ) -> Trial:
-    """Render short strokes far below the limits, and return their drive at gain 1.
+    """Render short strokes far below the limits.
 
-    Friction, which is bent to keep to its share of the drive, has that share kept free.
+    Friction, which is bounded to its share of the drive, is left out, and that share is kept free.
+
+    Parameters
+    ----------
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+    stroke : SteadyStroke
+        Speed, force and direction of the strokes.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Returns
+    -------
+    Trial
+        Drive at gain 1.
     """
     faint = amplified(without_friction(texture), FAINT)
     renderer = Renderer(display, faint, sample_rate=sample_rate)
@@ -264,15 +387,22 @@ def trial(
 
 @dataclass(frozen=True)
 class Gain:
-    """A gain, and what it comes to.
+    """Gain with its consequences.
 
     Attributes
     ----------
-    value : to multiply a texture by (`amplified`, or `Renderer.play`)
-    limit : what forbids more: "voltage", "slew", "current", or "level" for one that was asked for
-    level : of the channel that feels most [dB SL]
-    channel : that one
-    drive_rms, drive_peak : over all contactors [V]
+    value : float
+        Factor to multiply a texture by (`amplified`, or `Renderer.play`).
+    limit : str
+        What forbids more: "voltage", "slew", "current", or "level" for a level that was requested.
+    level : float
+        Level of the channel that feels most [dB SL].
+    channel : str
+        Name of that channel.
+    drive_rms : float
+        Drive over all contactors [V rms].
+    drive_peak : float
+        Peak drive over all contactors [V].
     """
 
     value: float
@@ -284,7 +414,7 @@ class Gain:
 
     @property
     def crest(self) -> float:
-        """Peak over rms of the drive."""
+        """Crest factor of the drive, peak over rms."""
         return self.drive_peak / max(self.drive_rms, 1e-30)
 
 
@@ -294,17 +424,32 @@ class Strength:
 
     Attributes
     ----------
-    gain : that it is played at
-    frequency : (B,) centers of the third octaves [Hz]
-    commanded, attained : (B,) rms shear [m], asked for and played
-    attainable : (B,) peak shear [m] of a sinusoid at the limits, of every contactor
-    threshold : (B,) peak shear [m] that is just felt
-    level : (B,) of what is played [dB SL]
-    channels : level that each channel feels [dB SL]
-    drive_rms, drive_peak : over all contactors [V], without the limiter
-    predicted_rms : [V] the same in closed form
-    limited_share : of the samples, how many the limiter turns down
-    automatic : what `automatic_gain` finds; None where there is nothing to play
+    gain : float
+        Gain at which the texture is played.
+    frequency : (B,) array of float
+        Centers of the third octaves [Hz].
+    commanded : (B,) array of float
+        Commanded shear [m rms].
+    attained : (B,) array of float
+        Played shear [m rms].
+    attainable : (B,) array of float
+        Peak shear of a sinusoid at the limits, attained by every contactor [m].
+    threshold : (B,) array of float
+        Peak shear that is just felt [m].
+    level : (B,) array of float
+        Level of the played shear [dB SL].
+    channels : dict of str to float
+        Level that each channel feels [dB SL].
+    drive_rms : float
+        Drive over all contactors, without the limiter [V rms].
+    drive_peak : float
+        Peak drive over all contactors, without the limiter [V].
+    predicted_rms : float
+        Drive over all contactors in closed form [V rms].
+    limited_share : float
+        Part of the samples that the limiter turns down.
+    automatic : Gain or None
+        Result of `automatic_gain`; None if there is nothing to play.
     """
 
     gain: float
@@ -323,61 +468,67 @@ class Strength:
 
     @property
     def lost_db(self) -> Floats:
-        """(B,) by which what is played is below what is asked for, by limiter and response [dB]."""
-        asked = np.maximum(self.commanded, 1e-30)
-        return np.asarray(-20 * np.log10(np.maximum(self.attained, 1e-30) / asked))
+        """Loss (B,) of played relative to commanded shear, by limiter and response [dB]."""
+        commanded = np.maximum(self.commanded, 1e-30)
+        return np.asarray(-20 * np.log10(np.maximum(self.attained, 1e-30) / commanded))
 
     @property
     def channel(self) -> str:
-        """The one that feels most."""
+        """Name of the channel that feels most."""
         return perception.strongest_channel(self.channels)
 
     @property
     def felt_by(self) -> tuple[str, ...]:
-        """The channels above threshold; one alone is excited selectively."""
+        """Names of the channels above threshold; a single one is excited selectively."""
         return tuple(name for name, level in self.channels.items() if level > 0)
 
 
 def texture_strength(
     display: Display, texture: Texture, stroke: SteadyStroke | None = None, *, gain: float = 1.0
 ) -> Strength:
-    """Return what a texture delivers above threshold on a display.
+    """Compute what a texture delivers above threshold on a display.
 
     Parameters
     ----------
-    display, texture : what is played on, and what
-    stroke : of the finger; by default 80 mm/s at 0.5 N along x
-    gain : of the texture
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+    stroke : SteadyStroke, optional
+        Stroke of the finger, by default 80 mm/s at 0.5 N along x.
+    gain : float
+        Gain of the texture.
 
     Returns
     -------
     Strength
-        Mean over the contactors in power; the limiter's part as measured in a trial, where it
-        turns all bands down alike.
+        Levels and drive, as means over the contactors in power. The effect of the limiter is that
+        measured in a trial, where it reduces all bands alike.
     """
     stroke = stroke or SteadyStroke()
     lines, able = stroke.lines(texture), reach(display, stroke)
-    tried = trial(display, texture, stroke)
-    share, kept = tried.limited(gain)
-    asked, played = lines.times(gain), able.delivered(lines).times(gain * kept)
+    measured = trial(display, texture, stroke)
+    share, remaining = measured.limited(gain)
+    commanded, played = lines.times(gain), able.delivered(lines).times(gain * remaining)
     return Strength(
         gain=gain,
         frequency=perception.CENTERS,
-        commanded=_band_rms(asked),
+        commanded=_band_rms(commanded),
         attained=_band_rms(played),
         attainable=able.least_attainable(perception.CENTERS),
         threshold=perception.detection_threshold(perception.CENTERS),
         level=perception.band_sensation(played.frequency, played.power),
         channels=perception.channel_sensation(played.frequency, played.power),
-        drive_rms=gain * tried.rms,
-        drive_peak=gain * tried.peak,
-        predicted_rms=able.drive_rms(asked),
+        drive_rms=gain * measured.rms,
+        drive_peak=gain * measured.peak,
+        predicted_rms=able.drive_rms(commanded),
         limited_share=share,
-        automatic=_largest(tried, able.delivered(lines), None),
+        automatic=_largest(measured, able.delivered(lines), None),
     )
 
 
 def _band_rms(lines: LineSpectrum) -> Floats:
+    """Return the rms shear in each third octave, (B,) [m]."""
     count = len(perception.CENTERS)
     power = np.bincount(perception.band_of(lines.frequency), lines.power, count + 1)
     return np.asarray(np.sqrt(power[:count]))
@@ -390,25 +541,36 @@ def automatic_gain(
     *,
     level: float | None = None,
 ) -> Gain:
-    """Return the largest gain that a display's limits leave untouched.
+    """Compute the largest gain that the limits of a display leave unchanged.
 
     Parameters
     ----------
-    display, texture, stroke : as of `texture_strength`
-    level : the level to reach instead, if that takes less [dB SL]; met from below, for where a band
-        crosses its threshold and begins to count the level steps, by 0.04 dB at 20 dB SL
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+    stroke : SteadyStroke, optional
+        Stroke of the finger, by default 80 mm/s at 0.5 N along x.
+    level : float, optional
+        Level to reach instead, if that takes less gain [dB SL]. It is met from below: the level
+        steps where a band crosses its threshold and begins to count, by 0.04 dB at 20 dB SL.
+
+    Returns
+    -------
+    Gain
+        Gain with its level and drive.
 
     Raises
     ------
     InputError
-        Where nothing is to be felt in this stroke at any gain.
+        If nothing can be felt in this stroke at any gain.
     """
     stroke = stroke or SteadyStroke()
     delivered = reach(display, stroke).delivered(stroke.lines(texture))
-    found = _largest(trial(display, texture, stroke), delivered, level)
-    if found is None:
+    gain = _largest(trial(display, texture, stroke), delivered, level)
+    if gain is None:
         raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
-    return found
+    return gain
 
 
 def _largest(tried: Trial, delivered: LineSpectrum, level: float | None) -> Gain | None:
@@ -436,7 +598,7 @@ def _levels(bands: dict[str, Floats], gain: float) -> tuple[str, float]:
 
 
 def _reaching(bands: dict[str, Floats], level: float, highest: float) -> float:
-    """Return the gain at which a level is reached: it grows with the gain, to 1e-9 dB."""
+    """Return the gain at which a level is reached, by bisection to 1e-9 dB."""
     low, high = highest * 1e-6, highest
     for _ in range(64):
         middle = np.sqrt(low * high)
@@ -450,9 +612,12 @@ class EqualGains:
 
     Attributes
     ----------
-    gains : of each display, in their order
-    level : that all reach [dB SL]
-    weakest : name of the display that allows no more
+    gains : tuple of Gain
+        Gain of each display, in their order.
+    level : float
+        Level that all displays reach [dB SL].
+    weakest : str
+        Name of the display that allows no more.
     """
 
     gains: tuple[Gain, ...]
@@ -463,22 +628,36 @@ class EqualGains:
 def equal_gain(
     displays: Sequence[Display], texture: Texture, stroke: SteadyStroke | None = None
 ) -> EqualGains:
-    """Return the gains with which a texture has the same level on several displays.
+    """Compute the gains with which a texture has the same level on several displays.
 
-    It is the highest that the weakest of them reaches within its limits.
+    The level is the highest that the weakest display reaches within its limits.
+
+    Parameters
+    ----------
+    displays : sequence of Display
+        Displays to play on.
+    texture : Texture
+        Texture to play.
+    stroke : SteadyStroke, optional
+        Stroke of the finger, by default 80 mm/s at 0.5 N along x.
+
+    Returns
+    -------
+    EqualGains
+        Gain of each display, and the common level.
 
     Raises
     ------
     InputError
-        Where there is no display, or one has nothing to play.
+        If there is no display, or one has nothing to play.
     """
     if not displays:
         raise InputError("equal_gain: needs at least one display")
-    alone = [automatic_gain(display, texture, stroke) for display in displays]
-    least = int(np.argmin([gain.level for gain in alone]))
-    level = alone[least].level
+    largest = [automatic_gain(display, texture, stroke) for display in displays]
+    least = int(np.argmin([gain.level for gain in largest]))
+    level = largest[least].level
     gains = [
         gain if i == least else automatic_gain(displays[i], texture, stroke, level=level)
-        for i, gain in enumerate(alone)
+        for i, gain in enumerate(largest)
     ]
     return EqualGains(tuple(gains), level, displays[least].name)

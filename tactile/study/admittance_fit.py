@@ -1,9 +1,9 @@
-"""Material constants of a bimorph from what was measured of it, electrically or at its tip.
+"""Fit of a bimorph's material constants to electrical and mechanical measurements.
 
-The paper adjusts quality factors, capacitance and coupling by hand until the model lies on the
-measured admittances. Here that is the start, and the least misfit of all measurements together is
-what is found. Constants that the measurements cannot tell of stay as they were, and are named.
-Source of the model: Hofmann & Twiefel 2014 (see `tactile.actuator`).
+The paper adjusts quality factors, capacitance and coupling by hand until the model meets the
+measured admittances. Here a search provides the start, and the misfit of all measurements together
+is minimized. Constants that the measurements say nothing about stay as they were, and are named in
+a note. Source of the model: Hofmann & Twiefel 2014 (see `tactile.actuator`).
 """
 
 import math
@@ -38,28 +38,29 @@ CONSTANTS = {
     "loss_tangent": ("piezo", "loss_tangent", 1.0),
     "s11e_um2_per_n": ("piezo", "s11E", 1e-12),
 }
-"""Constants that can be fitted: of which material, their name there, and their unit in SI."""
+"""Constants that can be fitted: their material, their name there, and their unit in SI."""
 ADJUSTED = tuple(name for name in CONSTANTS if name != "s11e_um2_per_n")
-"""Those that the paper adjusts; s11E would shift the resonance."""
+"""Constants that the paper adjusts; s11E is not one, as it would shift the resonance."""
 ELECTRICAL = ("eps33t_relative", "loss_tangent")
-"""Those that motion says nothing of."""
+"""Constants that motion says nothing about."""
 REACH = 30.0
 """Factor by which a constant may leave its start."""
 SEARCHED = 2.0
-"""Factor by which s11E may."""
+"""Factor by which s11E may leave its start."""
 RANGES = {"loss_tangent": (1e-5, 1.0), "quality_factor": (1.0, 1e6)}
-"""Where a start lies at the least and at the most, for it has a logarithm."""
+"""Lowest and highest start of constants, which need to have a logarithm."""
 TRIED = 41
-"""Values of s11E that are tried for a start: resonances 1.7 % apart."""
+"""Number of starts of s11E that are tried: their resonances are 1.7 % apart."""
 TRIED_QUALITY = (1 / 3, 1.0, 3.0)
+"""Factors on the quality factors that are tried as starts."""
 LARGEST_COUPLING = 0.95
-"""Of k31² = d31²/(s11E eps33T), which must remain below 1 while constants are sought."""
+"""Largest k31² = d31²/(s11E eps33T) during the fit, as it must remain below 1."""
 TURNED = 120.0
-"""Degrees between start and measurement above which the latter is reversed."""
+"""Phase between start and measurement above which the measurement counts as reversed [°]."""
 SHIFTED = 0.01
-"""Difference of resonance, model from measurement, that is called out."""
+"""Relative difference of the model's resonance from the measured one that gives a note."""
 MODEL_BAND = (10.0, 20000.0)
-"""Hz where the first resonance is looked for."""
+"""Band in which the first resonance is sought [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,17 @@ class BimorphFit:
 
     Attributes
     ----------
-    bimorph : with the fitted constants
-    constants : those that were fitted, named as in `CONSTANTS`
-    derived : coupling_un_m_per_v, the size of K [µN m/V], and capacitance_nf of both layers with
-        bending blocked, clamped segment included [nF]; the latter with an admittance only
-    comparisons : with each measurement
-    notes : sentences on what is not identifiable, and on a misfit that is not noise
+    bimorph : Bimorph
+        Design with the fitted constants.
+    constants : tuple of Constant
+        Fitted constants, named as in `CONSTANTS`.
+    derived : tuple of Constant
+        coupling_un_m_per_v, the magnitude of K [µN m/V], and capacitance_nf of both layers with
+        bending blocked, clamped segment included [nF]; the latter only with a measured admittance.
+    comparisons : tuple of Comparison
+        Comparison with each measurement.
+    notes : tuple of str
+        Sentences on constants that are not identifiable, and on a misfit that is not noise.
     """
 
     bimorph: Bimorph
@@ -84,13 +90,13 @@ class BimorphFit:
 
     @property
     def told(self) -> tuple[Constant, ...]:
-        """All constants, those derived last."""
+        """Constants to report: those that were fitted, then those derived from them."""
         return self.constants + self.derived
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What is to be fitted to what."""
+    """A fit: the bimorph at the start, the measurements with their loads, and what to fit."""
 
     bimorph: Bimorph
     measured: tuple[tuple[Measurement, FingerLoad], ...]
@@ -98,45 +104,50 @@ class _Task:
 
     @property
     def start(self) -> Floats:
+        """Logarithms (p,) of the constants at the start."""
         return np.log([abs(_value(self.bimorph, name)) for name in self.names])
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest logarithms (p,)."""
         reach = np.log([SEARCHED if name.startswith("s11e") else REACH for name in self.names])
         return self.start - reach, self.start + reach
 
     def with_logs(self, logs: Floats) -> Bimorph:
-        """Return the bimorph, or bimorphs, of logarithms (..., p)."""
-        told: dict[str, dict[str, Any]] = {"piezo": {}, "shim": {}}
+        """Return the bimorph, or bimorphs, for logarithms of constants (..., p)."""
+        values: dict[str, dict[str, Any]] = {"piezo": {}, "shim": {}}
         for k, name in enumerate(self.names):
             part, key, unit = CONSTANTS[name]
-            told[part][key] = np.exp(logs[..., k]) * unit
-        piezo = {"d31": np.abs(self.bimorph.piezo.d31)} | told["piezo"]
+            values[part][key] = np.exp(logs[..., k]) * unit
+        piezo = {"d31": np.abs(self.bimorph.piezo.d31)} | values["piezo"]
         stiff, electric = (piezo.get(n, getattr(self.bimorph.piezo, n)) for n in ("s11E", "eps33T"))
         size = np.minimum(piezo["d31"], np.sqrt(LARGEST_COUPLING * stiff * electric))
         piezo["d31"] = np.copysign(size, self.bimorph.piezo.d31)
         return replace(
             self.bimorph,
             piezo=replace(self.bimorph.piezo, **piezo),
-            shim=replace(self.bimorph.shim, **told["shim"]),
+            shim=replace(self.bimorph.shim, **values["shim"]),
         )
 
     def model(self, logs: Floats) -> Complex:
-        """Return all responses, one after the other, of logarithms (N, p)."""
+        """Return all responses, one after the other, for logarithms of constants (N, p)."""
         return self.response(self.with_logs(logs))
 
     def response(self, bimorph: Bimorph) -> Complex:
-        found = [
+        """Return all responses of a bimorph, one after the other."""
+        responses = [
             getattr(tip_response(bimorph, load, m.frequency), m.kind) for m, load in self.measured
         ]
-        return np.concatenate(found, axis=-1)
+        return np.concatenate(responses, axis=-1)
 
     @property
     def value(self) -> Complex:
+        """All measured responses, one after the other."""
         return np.concatenate([m.value for m, _ in self.measured])
 
     @property
     def groups(self) -> list[slice]:
+        """Slices of the measurements within all points."""
         ends = np.cumsum([len(m.frequency) for m, _ in self.measured]).tolist()
         return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
@@ -154,29 +165,32 @@ def fit_bimorph(
     *,
     names: Sequence[str] = ADJUSTED,
 ) -> BimorphFit:
-    """Fit material constants of a bimorph to all that was measured of it.
+    """Fit material constants of a bimorph to all its measurements.
 
     Parameters
     ----------
-    bimorph : one design, the start
-    measured : electrical admittance, or velocity, displacement or force of the tip, and the load
-        that was on the tip then (`FingerLoad.none` in air)
-    names : of the constants, of `CONSTANTS`
+    bimorph : Bimorph
+        One design, at which the fit starts.
+    measured : sequence of (Measurement, FingerLoad)
+        Electrical admittance, or velocity, displacement or force of the tip, each with the load on
+        the tip (`FingerLoad.none` in air).
+    names : sequence of str
+        Names of `CONSTANTS` to fit.
 
     Returns
     -------
     BimorphFit
+        Fitted design with intervals, comparisons and notes.
 
     Raises
     ------
     InputError
-        Without a measurement, with too few points or a reversed response, or with an unknown name
-        or a start from which a constant cannot be fitted.
+        If there is no measurement, there are too few points, a response is reversed, a name is
+        unknown, or no constant can be fitted.
 
-    Notes
-    -----
-    Each measurement has its own noise, found from what is left over. Intervals hold for noise that
-    is independent from point to point, of a bimorph whose other constants are known.
+    Notes ----- Each measurement has its own noise, which is estimated from the residuals. The
+    intervals hold for noise that is independent from point to point, and for a bimorph whose other
+    constants are known.
     """
     task = _checked(bimorph, measured, names)
     fit = fit_logs(task.model, task.value, _searched(task), task.bounds, task.groups)
@@ -204,7 +218,7 @@ def fit_bimorph(
 
 
 def _of_numbers(bimorph: Bimorph) -> Bimorph:
-    """Return a bimorph with plain numbers for arrays without an axis."""
+    """Return a bimorph with plain numbers instead of arrays without an axis."""
     numbers = {
         part: {
             field.name: float(getattr(getattr(bimorph, part), field.name))
@@ -222,31 +236,32 @@ def _of_numbers(bimorph: Bimorph) -> Bimorph:
 def _checked(
     bimorph: Bimorph, measured: Sequence[tuple[Measurement, FingerLoad]], names: Sequence[str]
 ) -> _Task:
+    """Return the fit of those constants that the measurements determine, or raise InputError."""
     for name in names:
         if name not in CONSTANTS:
             raise InputError(f"no constant {name!r}; {nearest(name, list(CONSTANTS))}")
     if not measured:
         raise InputError("needs an electrical admittance or a response of the tip, or both")
     electrical = any(m.kind == "admittance" for m, _ in measured)
-    told = tuple(name for name in dict.fromkeys(names) if electrical or name not in ELECTRICAL)
-    if not told:
+    fitted = tuple(name for name in dict.fromkeys(names) if electrical or name not in ELECTRICAL)
+    if not fitted:
         raise InputError(f"{', '.join(names)}: only an electrical admittance tells of them")
     points = sum(len(m.frequency) for m, _ in measured)
-    if points <= len(told):
+    if points <= len(fitted):
         files = ", ".join(m.name for m, _ in measured)
         raise InputError(
-            f"{files}: {points} points for {len(told)} constants; needs more than {len(told)}"
+            f"{files}: {points} points for {len(fitted)} constants; needs more than {len(fitted)}"
         )
-    return _Task(bimorph, tuple(measured), told)
+    return _Task(bimorph, tuple(measured), fitted)
 
 
 def _searched(task: _Task) -> Floats:
-    """Return the best of some starts, s11E and the quality factors scaled.
+    """Return the best of some starts, which differ in s11E and the quality factors.
 
     Raises
     ------
     InputError
-        Where a response of the tip is reversed against it.
+        If a measured response is reversed against the best start.
     """
     stiff = np.array([float(name.startswith("s11e")) for name in task.names])
     lossy = np.array([float(name.endswith("quality")) for name in task.names])
@@ -267,6 +282,7 @@ def _searched(task: _Task) -> Floats:
 
 
 def _comparisons(task: _Task, fit: LogFit) -> tuple[Comparison, ...]:
+    """Return the comparison of each measurement with the fit."""
     started = task.response(task.bimorph)
     size, turn = response_spread(task.model, fit)
     return tuple(
@@ -276,16 +292,16 @@ def _comparisons(task: _Task, fit: LogFit) -> tuple[Comparison, ...]:
 
 
 def _activity(m: Measurement, value: Complex) -> Floats:
-    """Return what peaks at a resonance: speed, or conductance over frequency."""
+    """Return a quantity that peaks at a resonance: speed, or conductance over frequency."""
     if m.kind == "admittance":
         return np.asarray(value.real / m.frequency)
     return np.abs(value) * (1.0 if m.kind == "velocity" else m.frequency)
 
 
 def _derived(task: _Task, fit: LogFit) -> tuple[Constant, ...]:
-    """Return coupling and capacitance, with the intervals that those of the constants make."""
+    """Return coupling and capacitance, with intervals propagated from those of the constants."""
 
-    def both(logs: Floats) -> Floats:
+    def log_sizes(logs: Floats) -> Floats:
         bimorph = task.with_logs(logs)
         whole = np.asarray(bimorph.length) + bimorph.clamped_length
         sizes = coupling(bimorph), capacitance(bimorph, whole)
@@ -293,31 +309,33 @@ def _derived(task: _Task, fit: LogFit) -> tuple[Constant, ...]:
         return np.log([np.broadcast_to(np.abs(size), shape) for size in sizes]).T
 
     def model(logs: Floats) -> Complex:
-        return both(logs).astype(np.complex128)
+        return log_sizes(logs).astype(np.complex128)
 
     slope = model_slope(model, fit.logs).real
     half = fit.half_width * np.sqrt(np.einsum("pf,pq,qf->f", slope, fit.covariance, slope))
-    before, after = both(task.start[None])[0], both(fit.logs[None])[0]
-    found = []
-    told = {"coupling_un_m_per_v": 1e6, "capacitance_nf": 1e9}
+    before, after = log_sizes(task.start[None])[0], log_sizes(fit.logs[None])[0]
+    results = []
+    units = {"coupling_un_m_per_v": 1e6, "capacitance_nf": 1e9}
     electrical = any(m.kind == "admittance" for m, _ in task.measured)
-    for k, (name, scale) in enumerate(told.items() if electrical else [*told.items()][:1]):
+    for k, (name, scale) in enumerate(units.items() if electrical else [*units.items()][:1]):
         ends = interval(float(after[k]), float(half[k]))
         values = (math.exp(before[k]), math.exp(after[k]), *ends)
-        found.append(Constant(name, *(value * scale for value in values)))
-    return tuple(found)
+        results.append(Constant(name, *(value * scale for value in values)))
+    return tuple(results)
 
 
 def _about_task(task: _Task, names: Sequence[str]) -> list[str]:
-    """Return sentences about what was not fitted."""
-    left = [name for name in names if name not in task.names]
-    if not left:
+    """Return notes on constants that were not fitted."""
+    omitted = [name for name in names if name not in task.names]
+    if not omitted:
         return []
-    return [f"{' and '.join(left)} stay as they were: motion does not tell of them, only current"]
+    return [
+        f"{' and '.join(omitted)} stay as they were: motion does not tell of them, only current"
+    ]
 
 
 def _about_bounds(task: _Task, fit: LogFit) -> list[str]:
-    """Return sentences about constants that went as far as they may."""
+    """Return notes on constants that reached a bound."""
     low, high = task.bounds
     at_end = np.minimum(fit.logs - low, high - fit.logs) < 1e-3
     return [
@@ -330,7 +348,7 @@ def _about_bounds(task: _Task, fit: LogFit) -> list[str]:
 def _about_resonance(
     comparison: Comparison, fitted: Bimorph, load: FingerLoad, names: Sequence[str]
 ) -> list[str]:
-    """Return sentences about a resonance that is not in the band, or not where the model's is."""
+    """Return notes on a resonance outside the band, or away from that of the model."""
     m = comparison.measurement
     low, high = float(m.frequency[0]), float(m.frequency[-1])
     frequency = np.geomspace(*MODEL_BAND, 4000)

@@ -1,8 +1,8 @@
-"""A study as it is asked in words: ``length_mm=8:30:0.5``, ``load=low,high``.
+"""Studies as they are requested in text: ``length_mm=8:30:0.5``, ``load=low,high``.
 
-Values are a range ``start:stop:step``, its stop included where a step meets it, or a list with
-commas. A band is ``low:high``. What is left out is the paper's question: the smallest displacement
-of the tip in 0–1000 Hz.
+Values are a range ``start:stop:step``, which includes its stop if a step meets it, or a list
+separated by commas. A band is ``low:high``. What is left out is taken from the paper's question:
+the smallest displacement of the tip in 0–1000 Hz.
 """
 
 import math
@@ -23,29 +23,46 @@ from tactile.study.scenarios import draw_scenarios
 from tactile.study.sweep import Study
 
 CRITERION, BAND = "smallest_displacement", (0.0, 1000.0)
-"""Of the paper; taken where nothing is asked."""
+"""Criterion and band [Hz] of the paper, used where none are given."""
 FREQUENCIES = 201
-"""In the band, evenly, where none are told: every 5 Hz to 1 kHz."""
+"""Default number of frequencies, evenly spaced over the band: every 5 Hz up to 1 kHz."""
 MOST_VALUES = 10**8
-"""Of an axis."""
+"""Largest number of values of an axis."""
 NORMAL_FORCE = 0.5
-"""N at which a display's table of fingers is read."""
+"""Normal force at which a display's table of fingers is read [N]."""
 DIGITS = 9
-"""Decimals kept of a range, so that 8:30:0.1 has 8.3 and not 8.300000000000001."""
+"""Number of decimals kept of a range, so that 8:30:0.1 has 8.3 and not 8.300000000000001."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """A question in words.
+    """A study as it is requested in text.
 
     Attributes
     ----------
-    axes, fixed : "name=values"
-    frequency, band : values in Hz; None for the paper's, or evenly over the band
-    criteria, keep : names of `CRITERIA` and `RESPONSES`
-    scenarios, seed : how many are drawn, 0 for none, and from which seed; of tolerances alone
-        where the finger is told
-    voltage, current, amplitude : limits [V, mA] and what a drive is asked for [µm]
+    axes : iterable of str
+        Axes, each as "name=values".
+    fixed : iterable of str
+        Fixed values, each as "name=value".
+    frequency : str or None
+        Frequencies [Hz]; None for those of the paper, or evenly spaced over the band.
+    band : str or None
+        Band [Hz] as "low:high".
+    criteria : tuple of str
+        Names of `CRITERIA`.
+    keep : tuple of str
+        Names of `RESPONSES` to keep.
+    scenarios : int
+        Number of scenarios to draw, 0 for none. They are of tolerances alone if the finger is
+        given.
+    seed : int
+        Seed of the scenarios.
+    voltage : float or None
+        Limit of the drive [V]; that of the base if None.
+    current : float or None
+        Limit of the amplifier's current [mA]; that of the base if None.
+    amplitude : float
+        Flat shear that a drive has to produce [µm].
     """
 
     axes: Iterable[str]
@@ -63,7 +80,21 @@ class Words:
 
 @dataclass(frozen=True)
 class StudyBase:
-    """What nobody varies: a bender, the fingers there are, which is meant, and limits."""
+    """Defaults of a study: a bender, the available fingers, those meant by default, and limits.
+
+    Attributes
+    ----------
+    base : Bimorph
+        Design that supplies everything that is neither varied nor fixed.
+    fingers : dict of str to FingerLoad
+        Finger loads by name.
+    meant : tuple of str
+        Names of the loads that are meant if none is given.
+    voltage : float
+        Limit of the drive [V].
+    current : float
+        Limit of the amplifier's current for one channel [A].
+    """
 
     base: Bimorph = field(default_factory=Bimorph)
     fingers: dict[str, FingerLoad] = field(default_factory=lambda: dict(FINGERS))
@@ -73,12 +104,23 @@ class StudyBase:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the finger is one that somebody told, and not the paper's two."""
+        """Whether the default load is that of a display, rather than the paper's two fingers."""
         return self.meant == ("display",)
 
 
 def start_from(display: Display) -> StudyBase:
-    """Return a display's bender, its finger as the load "display", and its limits."""
+    """Return the defaults of a study on a display.
+
+    Parameters
+    ----------
+    display : Display
+        Display that supplies the bender, the finger load "display" and the limits.
+
+    Returns
+    -------
+    StudyBase
+        Defaults.
+    """
     return StudyBase(
         display.bimorph,
         {**FINGERS, "display": display.load_at(NORMAL_FORCE)},
@@ -89,16 +131,31 @@ def start_from(display: Display) -> StudyBase:
 
 
 def ask(words: Words, start: StudyBase | None = None) -> Study:
-    """Return the study that words ask for.
+    """Return the study that a request describes.
+
+    Parameters
+    ----------
+    words : Words
+        Request.
+    start : StudyBase, optional
+        Defaults of what the request leaves out.
+
+    Returns
+    -------
+    Study
+        Study to be solved.
 
     Raises
     ------
     InputError
-        For words that cannot be read, and what cannot be asked; see `Study`.
+        If a text cannot be read, or the study is not possible; see `Study`.
     """
     start = start or StudyBase()
-    axes = _assigned(words.axes, start)
-    fixed = {name: _one(name, values) for name, values in _assigned(words.fixed, start).items()}
+    axes = _parse_assignments(words.axes, start)
+    fixed = {
+        name: _single(name, values)
+        for name, values in _parse_assignments(words.fixed, start).items()
+    }
     scenarios = None
     has_finger = bool({"load", "firmness"} & (set(axes) | set(fixed)))
     if not has_finger and (start.is_measured or not words.scenarios):
@@ -128,50 +185,92 @@ def ask(words: Words, start: StudyBase | None = None) -> Study:
     )
 
 
-def _assigned(texts: Iterable[str], start: StudyBase) -> dict[str, NDArray[Any]]:
-    """Return values by name from "name=values", each name once."""
-    found: dict[str, NDArray[Any]] = {}
+def assignments(texts: Iterable[str], example: str) -> dict[str, str]:
+    """Split texts of the form ``name=value``.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        Texts to split.
+    example : str
+        Text that would do, for the error message.
+
+    Returns
+    -------
+    dict of str to str
+        Value of each name.
+
+    Raises
+    ------
+    InputError
+        If a text has no "=", or a name is given twice.
+    """
+    values: dict[str, str] = {}
     for text in texts:
-        name, equals, values = text.partition("=")
+        name, equals, value = text.partition("=")
         if not equals:
-            raise InputError(f"{text!r}: reads as name=values, as length_mm=8:30:0.5")
-        if name in found:
-            raise InputError(f"{name}: given twice")
-        found[name] = parse_values(name, values, is_named=name in names_of(start.fingers))
-    return found
+            raise InputError(f"{text!r}: must be name=value, for example {example}")
+        if name in values:
+            raise InputError(f"{name}: is given twice")
+        values[name] = value
+    return values
 
 
-def _one(name: str, values: NDArray[Any]) -> Any:
+def _parse_assignments(texts: Iterable[str], start: StudyBase) -> dict[str, NDArray[Any]]:
+    """Return values by name from texts "name=values", each name once."""
+    names = names_of(start.fingers)
+    return {
+        name: parse_values(name, values, is_named=name in names)
+        for name, values in assignments(texts, "length_mm=8:30:0.5").items()
+    }
+
+
+def _single(name: str, values: NDArray[Any]) -> Any:
+    """Return the only value of an array, or raise InputError."""
     if values.size != 1:
         raise InputError(f"{name}: is fixed to one value, not {values.size}; or make it an axis")
     return values.item()
 
 
 def _band(words: Words, *, is_paper: bool) -> tuple[float, float] | None:
+    """Return the band of a request, or None."""
     if words.band is None:
         return BAND if is_paper and words.frequency is None else None
-    low, colon, high = words.band.partition(":")
-    if not colon:
-        raise InputError(f"band = {words.band!r}: reads as low:high in Hz, as 10:1000")
-    return _number("band", low), _number("band", high)
+    return parse_span("band", words.band, "in Hz, for example 10:1000")
 
 
 def _frequency(words: Words, band: tuple[float, float] | None) -> NDArray[np.float64]:
+    """Return the frequencies of a request, with the ends of the band added."""
     if words.frequency is not None:
-        told = np.asarray(parse_values("frequency_hz", words.frequency, is_named=False))
-        if band is None or np.sum((told >= band[0]) & (told <= band[1])) < 2:
-            return told
-        return np.union1d(told, band)
+        frequencies = np.asarray(parse_values("frequency_hz", words.frequency, is_named=False))
+        if band is None or np.sum((frequencies >= band[0]) & (frequencies <= band[1])) < 2:
+            return frequencies
+        return np.union1d(frequencies, band)
     return np.empty(0) if band is None else np.linspace(*band, FREQUENCIES)
 
 
 def parse_values(name: str, text: str, *, is_named: bool) -> NDArray[Any]:
-    """Return the values that a text says: a range, a list, or names.
+    """Parse a range, a list of numbers or a list of names.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter, for messages.
+    text : str
+        Range "start:stop:step", or values separated by commas.
+    is_named : bool
+        Whether the values are names.
+
+    Returns
+    -------
+    (N,) array of float or of str
+        Values.
 
     Raises
     ------
     InputError
-        Where it cannot be read, is empty, has a step that does not ascend, or a value twice.
+        If the text cannot be read, is empty, has a step that is not above 0, has too many values,
+        or has one twice.
     """
     if ":" in text and not is_named:
         return _range(name, text)
@@ -180,14 +279,15 @@ def parse_values(name: str, text: str, *, is_named: bool) -> NDArray[Any]:
         raise InputError(f"{name}: the axis is empty; give at least one value")
     if len(set(words)) < len(words):
         raise InputError(f"{name} = {text}: has a value twice")
-    return np.array(words if is_named else [_number(name, word) for word in words])
+    return np.array(words if is_named else [parse_number(name, word) for word in words])
 
 
 def _range(name: str, text: str) -> NDArray[np.float64]:
+    """Return the numbers of a range "start:stop:step"."""
     parts = text.split(":")
     if len(parts) != 3:
         raise InputError(f"{name} = {text}: a range reads as start:stop:step")
-    start, stop, step = (_number(name, part) for part in parts)
+    start, stop, step = (parse_number(name, part) for part in parts)
     if not step > 0:
         raise InputError(f"{name} = {text}: step {step:g}: must be above 0")
     if stop < start:
@@ -199,7 +299,54 @@ def _range(name: str, text: str) -> NDArray[np.float64]:
     return np.asarray(np.round(start + step * np.arange(count), DIGITS))
 
 
-def _number(name: str, text: str) -> float:
+def parse_span(name: str, text: str, hint: str) -> tuple[float, float]:
+    """Read a text of the form ``low:high``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the value, for the error message.
+    text : str
+        Text to read.
+    hint : str
+        What would do, for the error message.
+
+    Returns
+    -------
+    tuple of float
+        The two numbers, in any order.
+
+    Raises
+    ------
+    InputError
+        If it is not two finite numbers.
+    """
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise InputError(f"{name} = {text}: must be low:high, {hint}")
+    return parse_number(name, low), parse_number(name, high)
+
+
+def parse_number(name: str, text: str) -> float:
+    """Read a finite number.
+
+    Parameters
+    ----------
+    name : str
+        Name of the value, for the error message.
+    text : str
+        Text to read.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    InputError
+        If it is not a finite number.
+    """
     try:
         number = float(text)
     except ValueError:

@@ -1,11 +1,11 @@
-"""The store of a study that is being solved: Zarr, block by block, resumable.
+"""Zarr store of a study that is being solved: written block by block, and resumable.
 
-A block's values come first and its mark last, each file of it written beside its place and renamed,
-and the store itself appears with its axes complete; so whenever the process ends, what is marked is
-whole, and what is not is solved again. Several processes may write, as no two blocks share a file
-and the values of one are the same whoever solves it; whose store appears first is kept. The
-attribute ``question`` is a hash
-of all that the numbers depend on: a store of another question is refused.
+The values of a block are written first and its mark last, each file beside its place and then
+renamed, and the store itself appears with its axes complete. Whenever the process ends, blocks that
+are marked are therefore complete, and all others are solved again. Several processes may write to
+one store, because no two blocks share a file and the values of a block are the same whoever solves
+it; of two stores made at once, the one that appears first is used. The attribute ``question`` is a
+hash of all that the numbers depend on: a store with another hash is refused.
 """
 
 import hashlib
@@ -25,23 +25,44 @@ from tactile.study.storing import MARKS, check_store, readable, write_zarr
 from tactile.study.sweep import Block, Study, blocks, frame, provenance, variables
 
 BLOCK_POINTS = 2**18
-"""Designs × frequencies of a block: half a second of work, 4 MiB of each response."""
+"""Number of designs × frequencies of a block: half a second of work, 4 MiB of each response."""
 LARGEST = 1_000_000
-"""Blocks of a study: six days of one core."""
+"""Largest number of blocks of a study: six days of one core."""
 
 
 def block_designs(study: Study) -> int:
-    """Return how many designs a block has at most."""
+    """Return the largest number of designs of a block.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be cut into blocks.
+
+    Returns
+    -------
+    int
+        Number of designs, at least 1.
+    """
     return max(1, BLOCK_POINTS // max(1, np.size(study.frequency)))
 
 
 def study_blocks(study: Study) -> list[Block]:
     """Return the blocks of a study, in order.
 
+    Parameters
+    ----------
+    study : Study
+        Study to be cut into blocks.
+
+    Returns
+    -------
+    list of Block
+        Slices of each axis.
+
     Raises
     ------
     InputError
-        Where there are more than `LARGEST`.
+        If there are more than `LARGEST` blocks.
     """
     cut = blocks(study.shape, block_designs(study))
     first = next(blocks(study.shape, block_designs(study)))
@@ -56,23 +77,34 @@ def study_blocks(study: Study) -> list[Block]:
 
 
 def _counts(study: Study, first: Block) -> tuple[int, ...]:
-    """Return how many blocks there are along each axis."""
+    """Return the number of blocks along each axis."""
     return tuple(-(-size // part.stop) for size, part in zip(study.shape, first, strict=True))
 
 
 def question(study: Study) -> str:
-    """Return a hash of all that the numbers of a study depend on, tactile's version included."""
-    told = {
+    """Return a hash of all that the numbers of a study depend on, including tactile's version.
+
+    Parameters
+    ----------
+    study : Study
+        Study to identify.
+
+    Returns
+    -------
+    str
+        SHA-256 hash in hexadecimal digits.
+    """
+    inputs = {
         "study": _plain(study),
         "dimensions": study.dimensions,
         "block": block_designs(study),
         "source": provenance(study)["source"],
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: arrays by their bytes, keys in order."""
+    """Return a value that JSON can represent: arrays by a hash of their bytes, keys in order."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if hasattr(value, "items"):
@@ -90,18 +122,25 @@ def _plain(value: Any) -> Any:
 
 
 class BlockStore:
-    """A store on the disk, made or found.
+    """Zarr store of a study, created or opened.
 
     Parameters
     ----------
-    study : whose store it is
-    path : ends in ``.zarr``
+    study : Study
+        Study whose values are stored.
+    path : str or Path
+        Path of the store; ends in ``.zarr``.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the store.
 
     Raises
     ------
     InputError
-        Where something else is there, or the store of another study, or it cannot be read; and
-        where the study has too many blocks.
+        If the path holds something else or the store of another study, cannot be read or written,
+        or the study has too many blocks.
     """
 
     def __init__(self, study: Study, path: str | Path) -> None:
@@ -117,12 +156,26 @@ class BlockStore:
             self._marks = self._group[MARKS]
 
     def pending(self) -> Iterator[Block]:
-        """Yield the blocks that are not stored, in order."""
+        """Yield the blocks that are not stored yet, in order.
+
+        Yields
+        ------
+        Block
+            Slices of each axis.
+        """
         marks = self._marks[...].ravel()
         yield from (b for b, is_stored in zip(self._blocks, marks, strict=True) if not is_stored)
 
     def put(self, block: Block, found: dict[str, NDArray[Any]]) -> None:
-        """Store the values of a block, then mark it."""
+        """Store the values of a block, then mark it as stored.
+
+        Parameters
+        ----------
+        block : Block
+            Slices of each axis.
+        found : dict of str to ndarray
+            Values of the block by variable.
+        """
         for name, values in found.items():
             self._group[name][block] = values
         place = tuple(
@@ -132,13 +185,14 @@ class BlockStore:
 
 
 def _open(path: Path, mode: Literal["r", "r+"]) -> Any:
+    """Open a Zarr group."""
     import zarr
 
     return zarr.open_group(path, mode=mode, use_consolidated=False)
 
 
 def _check_question(study: Study, path: Path) -> None:
-    """Raise InputError where a store is not of this study."""
+    """Raise InputError if a store belongs to another study."""
     with readable(path):
         known = dict(_open(path, "r").attrs)
     source = provenance(study)["source"]
@@ -157,9 +211,9 @@ def _check_question(study: Study, path: Path) -> None:
 
 
 def _make(study: Study, parts: list[Block], path: Path) -> None:
-    """Make an empty store, unless another run has made one meanwhile, which is left."""
-    with tempfile.TemporaryDirectory(".new", f".{path.name}.", path.parent) as aside:
-        new = Path(aside) / path.name
+    """Create an empty store, unless another run has created one meanwhile."""
+    with tempfile.TemporaryDirectory(".new", f".{path.name}.", path.parent) as folder:
+        new = Path(folder) / path.name
         _fill(study, parts, new)
         try:
             new.rename(path)
@@ -169,7 +223,7 @@ def _make(study: Study, parts: list[Block], path: Path) -> None:
 
 
 def _fill(study: Study, parts: list[Block], path: Path) -> None:
-    """Write axes and attributes, variables of NaN, and marks of no block."""
+    """Write axes and attributes, variables filled with NaN, and the marks of no block."""
     data = frame(study)
     data.attrs |= {"question": question(study), "variables": " ".join(variables(study))}
     chunks = tuple(part.stop for part in parts[0])

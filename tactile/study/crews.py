@@ -1,8 +1,8 @@
-"""Who solves the parts of a study: this process, a pool of processes, or a Dask cluster.
+"""Crews that solve the parts of a study: this process, a pool of processes, or a Dask cluster.
 
-A part is a study by itself (the values of one block), so that a worker needs nothing but it, and
-whoever solves it, with one BLAS thread, finds the same bits. A crew whose worker dies goes on with
-those that remain; where none does it raises `CrewLostError`.
+A part is a study by itself (the values of one block), so that a worker needs nothing else. Whoever
+solves it does so with one BLAS thread, and finds the same bits. If a worker dies, the crew goes on
+with those that remain; if none is left it raises `CrewLostError`.
 """
 
 import asyncio
@@ -35,28 +35,43 @@ from tactile.study.scenarios import Scenarios
 from tactile.study.sweep import Block, Study, solve_block
 
 Found = dict[str, NDArray[Any]]
+"""Values of a part by variable."""
 
 PACKAGE = "tactile-display"
+"""Name of the distribution whose version all workers must share."""
 CONNECT_S = 5.0
-"""Within which a scheduler must answer."""
+"""Time within which a scheduler must answer [s]."""
 WORKERS_S = 5.0
-"""Within which it must have a worker."""
+"""Time within which a scheduler must have a worker [s]."""
 COUNTED_S = 5.0
-"""Between looks at how many threads a cluster has."""
+"""Interval between counts of a cluster's threads [s]."""
 LOST_S = 15.0
-"""After which a cluster without workers is given up; a nanny starts a new one in less."""
+"""Time after which a cluster without workers is given up; a nanny starts a new one in less [s]."""
 RESTARTS = 3
-"""New pools that a run may start while no part succeeds."""
+"""Number of new pools that a run may start while no part succeeds."""
 RETRIES = 3
-"""Of a part on a cluster."""
+"""Number of retries of a part on a cluster."""
 
 
 class CrewLostError(Exception):
-    """No worker is left; says why."""
+    """No worker is left; the message gives the reason."""
 
 
 def part_of(study: Study, block: Block) -> Study:
-    """Return the study of one block alone."""
+    """Return the study of one block alone.
+
+    Parameters
+    ----------
+    study : Study
+        Study that the block belongs to.
+    block : Block
+        Slice of each axis.
+
+    Returns
+    -------
+    Study
+        Study with the values of the block.
+    """
     along = dict(zip(study.dimensions, block, strict=True))
     axes = {name: values[along[name]] for name, values in study.axes.items()}  # type: ignore[index]
     drawn = study.scenarios
@@ -70,18 +85,40 @@ def part_of(study: Study, block: Block) -> Study:
 
 
 def solve_part(part: Study) -> Found:
-    """Solve a whole study on one thread."""
+    """Solve a whole study on one thread.
+
+    Parameters
+    ----------
+    part : Study
+        Study of one block.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Values by variable.
+    """
     with threadpool_limits(1):
         return solve_block(part, tuple(slice(0, size) for size in part.shape))
 
 
 class OwnCrew:
-    """The process that asks."""
+    """Crew that consists of the calling process."""
 
     size = 1
 
     def submit(self, part: Study) -> "Future[Found]":
-        """Solve a part at once."""
+        """Solve a part at once.
+
+        Parameters
+        ----------
+        part : Study
+            Study of one block.
+
+        Returns
+        -------
+        Future
+            Finished future of the values.
+        """
         future: Future[Found] = Future()
         future.set_result(solve_part(part))
         return future
@@ -90,18 +127,37 @@ class OwnCrew:
         """Note that a part is solved."""
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
-        """Raise where the crew cannot go on after what a part met."""
+        """Raise the error of a part.
+
+        Parameters
+        ----------
+        future : Future
+            Future of the part.
+        error : BaseException
+            Error of the part.
+        """
         raise error
 
     def watch(self) -> None:
-        """Raise where nobody is left."""
+        """Raise if no worker is left, which cannot happen here."""
 
     def close(self) -> None:
-        """End at once."""
+        """Do nothing, as there is nothing to end."""
 
 
 class PoolCrew:
-    """Processes of this machine, started afresh where one of them dies."""
+    """Processes of this machine, which are started again if one of them dies.
+
+    Parameters
+    ----------
+    workers : int
+        Number of processes.
+
+    Attributes
+    ----------
+    size : int
+        Number of processes.
+    """
 
     def __init__(self, workers: int) -> None:
         self.size = workers
@@ -113,7 +169,23 @@ class PoolCrew:
         return ProcessPoolExecutor(self.size, get_context("spawn"), _begin_worker)
 
     def submit(self, part: Study) -> "Future[Found]":
-        """Have a part solved."""
+        """Queue a part for the pool.
+
+        Parameters
+        ----------
+        part : Study
+            Study of one block.
+
+        Returns
+        -------
+        Future
+            Future of the values.
+
+        Raises
+        ------
+        CrewLostError
+            If several pools died one after another.
+        """
         try:
             future = self._pool.submit(solve_part, part)
         except BrokenExecutor:
@@ -123,18 +195,31 @@ class PoolCrew:
         return future
 
     def succeed(self) -> None:
-        """Note that a part is solved: new pools may be started again."""
+        """Note that a part is solved, so that new pools may be started again."""
         self._restarts = 0
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
-        """Start a new pool where a worker died; raise any other error."""
+        """Start a new pool if a worker died; raise any other error.
+
+        Parameters
+        ----------
+        future : Future
+            Future of the part.
+        error : BaseException
+            Error of the part.
+
+        Raises
+        ------
+        CrewLostError
+            If several pools died one after another.
+        """
         if not isinstance(error, BrokenExecutor | CancelledError):
             raise error
         if self._origin[future] is self._pool:
             self._restart()
 
     def _restart(self) -> None:
-        """Start a new pool, unless the last ones died at once."""
+        """Start a new pool, unless several pools died while no part succeeded."""
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._restarts += 1
         if self._restarts > RESTARTS:
@@ -144,15 +229,15 @@ class PoolCrew:
         self._pool = self._start()
 
     def watch(self) -> None:
-        """Leave it to the pool, which tells at once."""
+        """Do nothing, because a pool reports dead workers at once."""
 
     def close(self) -> None:
-        """End at once; what is being solved is lost."""
+        """End the pool after the parts that are being solved; queued parts are dropped."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and end when it does, however that happens."""
+    """Ignore Ctrl-C, which the parent handles, and end the worker whenever the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def follow() -> None:
@@ -165,7 +250,24 @@ def _begin_worker() -> None:
 
 
 class ClusterCrew:
-    """A Dask cluster; its scheduler gives a dead worker's parts to those that remain."""
+    """Dask cluster, whose scheduler gives the parts of a dead worker to those that remain.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as tcp://host:8786.
+
+    Attributes
+    ----------
+    address : str
+        Address of the scheduler.
+
+    Raises
+    ------
+    InputError
+        If `distributed` is missing, no scheduler answers, it has no workers, or a worker has
+        another version of tactile.
+    """
 
     def __init__(self, address: str) -> None:
         with study_extra("a cluster"):
@@ -181,40 +283,64 @@ class ClusterCrew:
             raise
 
     def _count(self) -> int:
-        """Return how many threads there are now; raise where the scheduler is gone."""
-        gone = f"the scheduler at {self.address} is gone"
+        """Return the present number of threads; raise CrewLostError if the scheduler is gone."""
+        message = f"the scheduler at {self.address} is gone"
         if self._client.status != "running":
-            raise CrewLostError(gone)
+            raise CrewLostError(message)
         try:
             self._threads: int = sum(self._client.nthreads().values())
         except OSError as error:
-            raise CrewLostError(gone) from error
+            raise CrewLostError(message) from error
         self._counted = MONOTONIC.now()
         return self._threads
 
     @property
     def size(self) -> int:
-        """How many threads there are, or were a moment ago; at least one, which may come yet."""
+        """Number of threads, at most `COUNTED_S` old; at least one, which may be yet to come."""
         if MONOTONIC.now() - self._counted > COUNTED_S:
             self._count()
         return max(1, self._threads)
 
     def submit(self, part: Study) -> "Future[Found]":
-        """Have a part solved.
+        """Send a part to the cluster.
 
-        Not by the executor of `distributed`, which gives a part up, with an error of its own, where
-        the worker leaves in the moment after its result has come.
+        The executor of `distributed` is not used, because it gives a part up, with an error of its
+        own, if the worker leaves just after its result has arrived.
+
+        Parameters
+        ----------
+        part : Study
+            Study of one block.
+
+        Returns
+        -------
+        Future
+            Future of the values.
         """
         task = self._client.submit(solve_part, part, pure=False, retries=RETRIES)
         result = self._client.gather(task, asynchronous=True)
         return asyncio.run_coroutine_threadsafe(result, self._client.loop.asyncio_loop)
 
     def succeed(self) -> None:
-        """Note that a part is solved, so that somebody is there."""
+        """Note that a part is solved, so that there are workers."""
         self._missed = None
 
     def explain(self, future: "Future[Found]", error: BaseException) -> None:
-        """Raise that the crew is lost where the cluster failed, and any other error as it is."""
+        """Raise CrewLostError if the cluster failed, and any other error as it is.
+
+        Parameters
+        ----------
+        future : Future
+            Future of the part.
+        error : BaseException
+            Error of the part.
+
+        Raises
+        ------
+        CrewLostError
+            If the scheduler is gone, a part killed several workers, or a worker has another
+            tactile.
+        """
         with study_extra("a cluster"):
             from distributed.comm.core import CommClosedError
             from distributed.scheduler import KilledWorker
@@ -228,7 +354,13 @@ class ClusterCrew:
         raise error
 
     def watch(self) -> None:
-        """Raise where the scheduler is gone, or has had no worker for a while."""
+        """Check that the scheduler is there and has had a worker recently.
+
+        Raises
+        ------
+        CrewLostError
+            If the scheduler is gone, or has had no worker for `LOST_S`.
+        """
         if self._count():
             self._missed = None
         elif self._missed is None:
@@ -237,7 +369,7 @@ class ClusterCrew:
             raise CrewLostError(f"the scheduler at {self.address} has lost all its workers")
 
     def close(self) -> None:
-        """Let go of the cluster; parts that are being solved are dropped."""
+        """Disconnect from the cluster; parts that are being solved are dropped."""
         with _quiet():
             self._client.close()
 
@@ -246,8 +378,8 @@ def _connect(distributed: Any, address: str) -> Any:
     """Return a client of a scheduler that has a worker."""
     where = f"--scheduler {address}"
     try:
-        with _quiet(), ThreadPoolExecutor(1) as aside:
-            kind = aside.submit(asyncio.run, _kind_of(distributed, address)).result()
+        with _quiet(), ThreadPoolExecutor(1) as executor:
+            kind = executor.submit(asyncio.run, _kind_of(distributed, address)).result()
             client = (
                 distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
                 if kind == "Scheduler"
@@ -273,13 +405,13 @@ def _connect(distributed: Any, address: str) -> Any:
 
 
 async def _kind_of(distributed: Any, address: str) -> str:
-    """Return what says that it is at an address; a client that fails would be long about it."""
+    """Return the type of the Dask node at an address, sooner than a failing client would."""
     async with distributed.rpc(address) as peer, asyncio.timeout(CONNECT_S):
         return str((await peer.identity())["type"])
 
 
 def _check_versions(client: Any) -> None:
-    """Raise InputError where a worker has no tactile or another one."""
+    """Raise InputError if a worker has no tactile or another version of it."""
     ours = version(PACKAGE)
     for worker, theirs in client.run(version, PACKAGE, on_error="return").items():
         if theirs != ours:
@@ -292,8 +424,9 @@ def _check_versions(client: Any) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what is logged of a connection that fails or ends from the terminal."""
-    noisy = ("distributed", "tornado", "asyncio")  # each of their loggers has a level of its own
+    """Suppress log messages about a connection that fails or ends."""
+    # Each of their loggers has a level of its own, so that it does not suffice to set the roots'.
+    noisy = ("distributed", "tornado", "asyncio")
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
     logs = [logging.getLogger(name) for name in names]
     levels = [log.level for log in logs]

@@ -1,4 +1,4 @@
-"""Libraries that studies alone need: imported where they are used, and missed in one line."""
+"""Optional libraries that only studies need; they are imported where they are used."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,11 +6,28 @@ from contextlib import contextmanager
 from tactile.errors import InputError
 
 EXTRA = "pip install 'tactile-display[study]'"
+"""Command that installs the libraries."""
 
 
 @contextmanager
 def study_extra(what: str) -> Iterator[None]:
-    """Turn the lack of a library into one line that says what would do."""
+    """Turn the error of a missing library into one line that names the command to install it.
+
+    Parameters
+    ----------
+    what : str
+        Purpose of the library, for the message.
+
+    Yields
+    ------
+    None
+        Nothing; the block imports the library.
+
+    Raises
+    ------
+    InputError
+        If the block raises ImportError.
+    """
     try:
         yield
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Figures of a design: what a bimorph gives under a finger."""
+"""Figures of merit of a bimorph under a finger."""
 
 import numpy as np
 
@@ -9,34 +9,38 @@ from tactile.study.criteria import Conditions, Solved, numbers_of
 from tactile.study.parameters import Specimen
 
 BAND = (10.0, 1000.0)
-"""Hz in which shear is to be flat."""
+"""Band in which the shear is to be flat [Hz]."""
 TOLD = {
     "smallest_um_per_v": "smallest_displacement",
     "shaping_db": "shaping",
     "attainable_um": "attainable",
     "blocked_force_mn_per_v": "blocked_force",
 }
-"""Criteria by what they are called here."""
+"""Criteria by the names that the figures have here."""
 
 
 def response_figures(
     bimorph: Bimorph, loads: dict[str, FingerLoad], voltage: float
 ) -> dict[str, dict[str, float]]:
-    """Return the figures of one design under several fingers.
+    """Compute the figures of merit of one design under several fingers.
 
     Parameters
     ----------
-    bimorph : one design
-    loads : by name
-    voltage : the drive's limit [V]
+    bimorph : Bimorph
+        One design.
+    loads : dict of str to FingerLoad
+        Finger loads by name.
+    voltage : float
+        Limit of the drive [V].
 
     Returns
     -------
-    dict of dict
-        By load: static displacement per volt [µm/V], the frequency of the largest below 5 kHz [Hz],
-        and from 10 Hz to 1 kHz what `tactile.study.criteria` says: the smallest displacement per
-        volt [µm/V], the shaping [dB] that a flat response needs, the shear [µm] that is attainable
-        everywhere at the limits of drive and field; and the blocked force [mN/V].
+    dict of str to dict of str to float
+        Figures by load and name: the static displacement per volt [µm/V], the frequency of the
+        largest displacement below 5 kHz [Hz], and for 10 Hz to 1 kHz, as `tactile.study.criteria`
+        defines them, the smallest displacement per volt [µm/V], the shaping that a flat response
+        needs [dB], and the shear that is attainable everywhere at the limits of drive and field
+        [µm]; also the static blocked force [mN/V].
     """
     frequency = np.arange(0.0, 5001.0)
     band = frequency[(frequency >= BAND[0]) & (frequency <= BAND[1])]
@@ -47,10 +51,10 @@ def response_figures(
         solved = Solved(
             Specimen(bimorph=bimorph, load=load), tip_response(bimorph, load, band), conditions
         )
-        found = numbers_of(TOLD.values(), solved)
+        values = numbers_of(TOLD.values(), solved)
         figures[name] = {
             "static_um_per_v": float(size[0]) * 1e6,
             "peak_hz": float(frequency[size.argmax()]),
-            **{name: float(found[criterion]) for name, criterion in TOLD.items()},
+            **{name: float(values[criterion]) for name, criterion in TOLD.items()},
         }
     return figures

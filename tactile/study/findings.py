@@ -1,8 +1,8 @@
-"""What a study says, in a few figures: the best designs, good ranges, and what fingers share.
+"""Summary of a study in a few figures: the best designs, good ranges, and what fingers share.
 
-All of it is read from the data set, so that a stored study says the same again. Where scenarios
-were drawn, a design counts by what all but the worst 5 % of them reach: Weibull's quantile, of
-which few draws are right on average.
+Everything is computed from the data set, so that a stored study gives the same summary again. Where
+scenarios were drawn, a design counts by what all but the worst 5 % of them reach. This is Weibull's
+quantile, which is right on average even for few draws.
 """
 
 import itertools
@@ -22,40 +22,44 @@ if TYPE_CHECKING:
 WORST = 0.05
 """Share of scenarios that a design may fail."""
 MOST_RANGES = 24
-"""Beyond which ranges are told of the best of the other axes alone."""
+"""Number of ranges above which only those at the best values of the other axes are given."""
 FINGER, SCENARIO, FREQUENCY = "load", "scenario", "frequency_hz"
-"""Axes that have a meaning of their own."""
+"""Names of the axes that have a meaning of their own."""
 
 Figures = dict[str, Any]
+"""Summary as plain data, by name."""
 
 
 def summarize(data: "xarray.Dataset", *, share: float = SHARE) -> Figures:
-    """Return what a study says, as plain data.
+    """Summarize a study as plain data.
 
     Parameters
     ----------
-    data : of `solve_study` or `load_study`
-    share : of the best that is good enough
+    data : xarray.Dataset
+        Data set of `solve_study` or `load_study`.
+    share : float
+        Share of the best value that is good enough, above 0 and below 1.
 
     Returns
     -------
     dict
-        ``designs``, ``axes`` (values of each), ``best`` (criterion, unit, value, at, for which
-        finger), ``ranges`` (criterion, along, at, low, high, best, value, is_cut), ``overlaps``
-        (criterion, along, at, low, high; null where there is none), ``spans`` (criterion, unit,
-        low, high) of what is neither good nor bad, and ``figures``, all criteria of the first best
+        ``designs`` and ``scenarios`` (their numbers), ``axes`` (values of each), ``share``,
+        ``best`` (criterion, unit, value, at, and the finger that it holds for), ``ranges``
+        (criterion, unit, along, at, low, high, best, value, is_cut), ``overlaps`` (criterion,
+        along, at, low, high; None where there is none), ``spans`` (criterion, unit, low, high) of
+        criteria that are neither good nor bad, and ``figures``, all criteria at the first best
         design.
 
     Raises
     ------
     InputError
-        Where it is too large to be looked through in memory, or the share is not between 0 and 1.
+        If the data set is too large to be summarized in memory, or the share is out of range.
     """
     check_share(share)
     judged = {str(n): v for n, v in data.data_vars.items() if v.attrs.get("criterion") in CRITERIA}
     if sum(v.size for v in judged.values()) * 8 > LARGEST:
         raise InputError("the study is too large to be summed up in memory; open it with xarray")
-    found: Figures = {
+    summary: Figures = {
         "designs": int(np.prod([data.sizes[name] for name in _axes(data)], dtype=float)),
         "scenarios": data.sizes.get(SCENARIO, 0),
         "axes": {name: data[name].values.tolist() for name in _axes(data)},
@@ -68,14 +72,14 @@ def summarize(data: "xarray.Dataset", *, share: float = SHARE) -> Figures:
     }
     attained = {name: reached(v) for name, v in judged.items()}
     for values in attained.values():
-        found["best"] += _best(values)
+        summary["best"] += _best(values)
         ranges = list(_ranges(values, share))
-        found["ranges"] += [_told(values, at, one) for at, one in ranges]
-        found["overlaps"] += _overlaps(values, ranges)
-        found["spans"] += _span(values)
-    if found["best"]:
-        first = found["best"][0]["at"]
-        found["figures"] = {
+        summary["ranges"] += [_range_entry(values, at, one) for at, one in ranges]
+        summary["overlaps"] += _overlaps(values, ranges)
+        summary["spans"] += _span(values)
+    if summary["best"]:
+        first = summary["best"][0]["at"]
+        summary["figures"] = {
             name: {
                 "value": float(v.sel(first)),
                 "unit": v.attrs["units"],
@@ -83,34 +87,70 @@ def summarize(data: "xarray.Dataset", *, share: float = SHARE) -> Figures:
             }
             for name, v in attained.items()
         }
-    return found
+    return summary
 
 
 def _span(values: "xarray.DataArray") -> list[Figures]:
-    """Return from where to where a criterion goes of which neither more nor less is better."""
+    """Return the lowest and highest value of a criterion that is neither good nor bad."""
     if sign_of(values) or not bool(values.notnull().any()):
         return []
-    told = {"criterion": values.attrs["criterion"], "unit": values.attrs["units"]}
-    return [told | {"low": float(values.min()), "high": float(values.max())}]
+    labels = {"criterion": values.attrs["criterion"], "unit": values.attrs["units"]}
+    return [labels | {"low": float(values.min()), "high": float(values.max())}]
 
 
 def _axes(data: "xarray.Dataset | xarray.DataArray") -> list[str]:
+    """Return the axes other than frequency and scenarios."""
     return [str(d) for d in data.dims if d not in (SCENARIO, FREQUENCY)]
 
 
 def number_axes(values: "xarray.DataArray | xarray.Dataset") -> list[str]:
-    """Return the axes of two or more numbers, frequency and scenarios apart."""
+    """Return the axes of two or more numbers, other than frequency and scenarios.
+
+    Parameters
+    ----------
+    values : xarray.DataArray or xarray.Dataset
+        Values with axes.
+
+    Returns
+    -------
+    list of str
+        Names of the axes.
+    """
     return [d for d in _axes(values) if values.sizes[d] > 1 and values[d].dtype.kind in "fiu"]
 
 
 def sign_of(values: "xarray.DataArray") -> int:
-    """Return 1 where more is better, −1 where less is, 0 where neither is known to be."""
+    """Return whether more or less of a variable is better.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Variable of a study.
+
+    Returns
+    -------
+    int
+        1 if more is better, −1 if less is, 0 if neither is or it is no criterion.
+    """
     criterion = CRITERIA.get(str(values.attrs.get("criterion", "")))
     return 0 if criterion is None else criterion.sign
 
 
 def range_of(values: "xarray.DataArray", share: float) -> Range:
-    """Return what of its one axis is within a share of a criterion's best; see `within`."""
+    """Return the range of an axis in which a criterion is within a share of its best; see `within`.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values of a criterion along a single axis.
+    share : float
+        Share of the best value that is good enough.
+
+    Returns
+    -------
+    Range
+        Range around the best.
+    """
     (axis,) = values.dims
     return within(
         values[axis].values,
@@ -122,17 +162,29 @@ def range_of(values: "xarray.DataArray", share: float) -> Range:
 
 
 def reached(values: "xarray.DataArray") -> "xarray.DataArray":
-    """Return what all but the worst scenarios reach; the median of what is neither good nor bad."""
+    """Return what all but the worst scenarios reach.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values of a criterion.
+
+    Returns
+    -------
+    xarray.DataArray
+        Quantile over the scenarios; the median of a criterion that is neither good nor bad. Without
+        scenarios, the values as they are.
+    """
     values = values.load()
     if SCENARIO not in values.dims:
         return values
     share = {1: WORST, -1: 1 - WORST, 0: 0.5}[sign_of(values)]
-    found = values.quantile(share, SCENARIO, method="weibull", keep_attrs=True, skipna=False)
-    return found.drop_vars("quantile")
+    quantile = values.quantile(share, SCENARIO, method="weibull", keep_attrs=True, skipna=False)
+    return quantile.drop_vars("quantile")
 
 
 def _best(values: "xarray.DataArray") -> list[Figures]:
-    """Return the best design for each finger, and the one that suits all of them best."""
+    """Return the best design for each finger, and the one that suits all fingers best."""
     sign = sign_of(values)
     if not sign or not bool(np.isfinite(values).any()):
         return []
@@ -142,16 +194,27 @@ def _best(values: "xarray.DataArray") -> list[Figures]:
         if len(cases) > 1:
             cases.append(("all", agreed(values)))
     return [
-        _best_of(one, finger, 1 if finger == "all" else sign)
-        for finger, one in cases
-        if bool(np.isfinite(one).any())
+        _best_of(case, finger, 1 if finger == "all" else sign)
+        for finger, case in cases
+        if bool(np.isfinite(case).any())
     ]
 
 
 def agreed(values: "xarray.DataArray") -> "xarray.DataArray":
-    """Return how much of its own best each design leaves the finger that it suits least [%].
+    """Return the share of its own best that each design leaves the finger that it suits least.
 
-    Fingers are far apart, so that the smallest of all would be that of the stiffest one alone.
+    The criterion's own smallest value over the fingers would be that of the stiffest finger alone,
+    since fingers are far apart.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values of a criterion with an axis of fingers.
+
+    Returns
+    -------
+    xarray.DataArray
+        Smallest share over the fingers [%].
     """
     size = values.copy(data=shares(values.values, sign=sign_of(values), in_db=in_decibels(values)))
     rest = [d for d in size.dims if d != FINGER]
@@ -160,11 +223,23 @@ def agreed(values: "xarray.DataArray") -> "xarray.DataArray":
 
 
 def in_decibels(values: "xarray.DataArray") -> bool:
-    """Tell whether a criterion is a level, of which differences matter and not ratios."""
+    """Tell whether a criterion is a level, of which differences and not ratios matter.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values of a criterion.
+
+    Returns
+    -------
+    bool
+        Whether the unit is dB.
+    """
     return bool(values.attrs.get("units") == "dB")
 
 
 def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figures:
+    """Return the best design among the values for one finger."""
     place = np.unravel_index(np.nanargmax(values.values * sign), values.shape)
     at = {str(d): values[d].values[i].item() for d, i in zip(values.dims, place, strict=True)}
     if finger not in (None, "all"):
@@ -178,15 +253,15 @@ def _best_of(values: "xarray.DataArray", finger: str | None, sign: int) -> Figur
     }
 
 
-def _along(values: "xarray.DataArray") -> str | None:
-    """Return the first axis of two or more ascending numbers."""
+def _range_axis(values: "xarray.DataArray") -> str | None:
+    """Return the first axis of two or more ascending numbers, or None."""
     ascending = (d for d in number_axes(values) if np.all(np.diff(values[d].values) > 0))
     return next(ascending, None)
 
 
 def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures, Range]]:
-    """Yield the range along the first axis of numbers, for each of what the other axes say."""
-    along = _along(values)
+    """Yield the range along the first axis of numbers at each combination of the other axes."""
+    along = _range_axis(values)
     if along is None or not sign_of(values):
         return
     others = [name for name in _axes(values) if name != along]
@@ -205,11 +280,12 @@ def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures,
             yield at, range_of(line, share)
 
 
-def _told(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:
+def _range_entry(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:
+    """Return a range as plain data."""
     return {
         "criterion": values.attrs["criterion"],
         "unit": values.attrs["units"],
-        "along": _along(values),
+        "along": _range_axis(values),
         "at": at,
         "low": one.low,
         "high": one.high,
@@ -220,20 +296,20 @@ def _told(values: "xarray.DataArray", at: Figures, one: Range) -> Figures:
 
 
 def _overlaps(values: "xarray.DataArray", ranges: list[tuple[Figures, Range]]) -> Iterator[Figures]:
-    """Yield what the ranges of all fingers share, for each of what the other axes say."""
+    """Yield the overlap of all fingers' ranges at each combination of the other axes."""
     if FINGER not in values.dims or values.sizes[FINGER] < 2:
         return
     groups: dict[tuple[Any, ...], list[Range]] = {}
-    for at, one in ranges:
+    for at, each in ranges:
         rest = tuple((name, value) for name, value in at.items() if name != FINGER)
-        groups.setdefault(rest, []).append(one)
+        groups.setdefault(rest, []).append(each)
     for rest, several in groups.items():
         if len(several) == values.sizes[FINGER]:
             shared = overlap(several)
             low, high = (None, None) if shared is None else shared
             yield {
                 "criterion": values.attrs["criterion"],
-                "along": _along(values),
+                "along": _range_axis(values),
                 "at": dict(rest),
                 "low": low,
                 "high": high,

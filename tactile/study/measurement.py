@@ -1,8 +1,8 @@
-"""A measurement of a bimorph: a complex response over frequency, read from a CSV file.
+"""Measurement of a bimorph: a complex response over frequency, read from a CSV file.
 
-The columns are those of a display's measured responses, frequency_hz, magnitude, phase_deg, unit;
-the unit says what was measured. Unlike there, any band will do. A volt is one at the bimorph's
-electrodes, and phase is that of exp(+jωt): what comes late has a negative one.
+The columns are those of a display's measured responses: frequency_hz, magnitude, phase_deg, unit.
+The unit says what was measured. In contrast to a display's responses, any band is accepted. A volt
+is one at the bimorph's electrodes, and phase is that of exp(+jωt): a delay has a negative phase.
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,11 @@ from tactile.errors import InputError
 from tactile.files import Row, nearest, numbers, read_columns
 
 Floats: TypeAlias = NDArray[np.float64]
+"""Array of real numbers."""
 Complex: TypeAlias = NDArray[np.complex128]
+"""Array of complex numbers."""
 Kind: TypeAlias = Literal["displacement", "velocity", "force", "admittance"]
+"""Kind of measurement."""
 
 UNITS: dict[str, tuple[Kind, float]] = {
     "m/V": ("displacement", 1.0),
@@ -36,20 +39,24 @@ UNITS: dict[str, tuple[Kind, float]] = {
     "uS": ("admittance", 1e-6),
     "nS": ("admittance", 1e-9),
 }
-"""What a unit measures, and its size in SI; µ may be written for u."""
+"""Kind of measurement and size in SI of each unit; µ may be written instead of u."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A response that was measured.
+    """A measured response.
 
     Attributes
     ----------
-    name : of the file
-    kind : "displacement" [m/V], "velocity" [m/(s V)] or "force" into the skin [N/V], each of the
-        tip along the skin, or the electrical "admittance" [S]
-    frequency : (F,) ascending, above zero [Hz]
-    value : (F,) complex, nowhere zero [SI]
+    name : str
+        Name of the file.
+    kind : str
+        "displacement" [m/V], "velocity" [m/(s V)] or "force" into the skin [N/V], each of the tip
+        along the skin, or the electrical "admittance" [S].
+    frequency : (F,) array of float
+        Ascending frequencies, above zero [Hz].
+    value : (F,) array of complex
+        Response, nowhere zero [SI].
     """
 
     name: str
@@ -59,17 +66,27 @@ class Measurement:
 
 
 def load_measurement(path: str | Path, *kinds: Kind) -> Measurement:
-    """Read a measurement: a CSV of frequency_hz, magnitude, phase_deg, unit.
+    """Read a measurement from a CSV file with frequency_hz, magnitude, phase_deg and unit.
 
     Parameters
     ----------
-    path : of the file
-    kinds : that will do; any, where none are named
+    path : str or Path
+        Path of the file.
+    *kinds : str
+        Accepted kinds of measurement; all if none are given.
+
+    Returns
+    -------
+    Measurement
+        Measured response.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: file, line, value and what is allowed.
+    NotFoundError
+        If the file does not exist.
+    InputError
+        If the file is not a measurement of an accepted kind. The message has one line: file, line,
+        value and what is allowed.
     """
     path = Path(path)
     rows = read_columns(path, COLUMNS)
@@ -94,22 +111,23 @@ def load_measurement(path: str | Path, *kinds: Kind) -> Measurement:
 
 
 def _unit(path: Path, row: Row) -> tuple[Kind, float]:
-    told = row.cells[3] or ""
-    plain = told.strip().replace("\u00b5", "u").replace("\u03bc", "u")
+    """Return kind and size of a row's unit, or raise InputError."""
+    text = row.cells[3] or ""
+    plain = text.strip().replace("\u00b5", "u").replace("\u03bc", "u")
     if plain not in UNITS:
         raise InputError(
-            f"{path}: line {row.line}: unit = {told!r}: unknown; {nearest(plain, list(UNITS))}"
+            f"{path}: line {row.line}: unit = {text!r}: unknown; {nearest(plain, list(UNITS))}"
         )
     return UNITS[plain]
 
 
 def _check_points(path: Path, rows: list[Row], table: Floats) -> None:
-    """Refuse what is no response: frequencies that do not ascend, magnitudes of zero."""
-    before = 0.0
+    """Raise InputError if frequencies do not ascend or a magnitude is not above zero."""
+    last = 0.0
     for row, (frequency, magnitude, _) in zip(rows, table.tolist(), strict=True):
-        if frequency <= before:
+        if frequency <= last:
             raise InputError(
-                f"{path}: line {row.line}: frequency_hz = {frequency:g}: must be above {before:g}, "
+                f"{path}: line {row.line}: frequency_hz = {frequency:g}: must be above {last:g}, "
                 "frequencies ascend from above 0"
             )
         if magnitude <= 0:
@@ -117,4 +135,4 @@ def _check_points(path: Path, rows: list[Row], table: Floats) -> None:
                 f"{path}: line {row.line}: magnitude = {magnitude:g}: must be above 0; "
                 "a sign belongs into phase_deg, as 180"
             )
-        before = frequency
+        last = frequency

@@ -1,12 +1,14 @@
-"""The best designs within bounds: what none beats in everything that is asked for at once.
+"""Optimization of a design within bounds: the designs that no other dominates.
 
-A `Task` names what may vary (bounds), what is wanted (one to three criteria; their sign says
-whether more or less is better) and what must hold (limits on criteria). With scenarios every design
-meets all fingers and tolerances, and counts for what a share of them attains at least: with 0.9
-the quantile of 10 % where more is better, of 90 % where less is; a limit holds for as many.
+A `Task` names what may vary (bounds), the objectives (one to three criteria, whose sign says
+whether more or less is better) and the constraints (limits on criteria). With scenarios, every
+design is judged with all fingers and tolerances, and counts for what a given share of them attains
+at least: with 0.9, the quantile of 10 % where more is better and of 90 % where less is. A
+constraint has to hold for the same share.
 
-`find_designs` solves it with a library's optimizers (`tactile.study.searching`), a whole population
-at a time, into a labeled array along ``design``; `tactile.study.recommending` picks one.
+`find_designs` solves a task with the optimizers of a library (`tactile.study.searching`), a whole
+population at a time, and returns a labeled array along ``design``.
+`tactile.study.recommending` picks one of them.
 """
 
 import json
@@ -33,40 +35,56 @@ if TYPE_CHECKING:
     import xarray
 
 Progress = Callable[[int, int], None]
-"""Is told how many generations of how many are done."""
+"""Callback that receives the number of finished generations and the number of all."""
 
 FREQUENCIES = 32
-"""Over a band, evenly, where nobody says which; `find_designs` measures what they miss."""
+"""Default number of frequencies, evenly spaced over the band; `find_designs` measures the error."""
 FINER = 4
-"""Times as many frequencies, between those of the search, judge what it found once more."""
+"""Factor by which the frequency grid is refined to judge the resulting designs once more."""
 MOST_OBJECTIVES = 3
-"""NSGA-II sorts by dominance, which among more objectives hardly ranks anything."""
+"""Largest number of objectives.
+
+NSGA-II sorts by dominance, which hardly ranks anything among more objectives.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What is to be found.
+    """An optimization problem.
 
     Attributes
     ----------
-    bounds : lowest and highest value of each number that may vary, in the unit of its name
-    objectives : one to three names of `CRITERIA`
-    fixed : values of further parameters
-    limits : lowest and highest value of criteria, in their units; infinite where there is none
-    conditions : band and limits of drive
-    frequency : ascending (F,) [Hz]; `FREQUENCIES` of them over the band by default
-    scenarios : fingers and tolerances, or None for the one that is fixed
-    unseen : more of them, which judge once more what was found by the others; or None
-    share : of the scenarios that attain at least what a design counts for
-    fingers : what ``load`` may name
-    base : what nobody varies
-    seed : same seed, same designs
+    bounds : mapping of str to (float, float)
+        Lowest and highest value of each number that may vary, in the unit of its name.
+    objectives : tuple of str
+        One to three names of `CRITERIA`.
+    fixed : mapping of str to object
+        Values of further parameters.
+    limits : mapping of str to (float, float)
+        Lowest and highest value of criteria, in their units; infinite where there is none.
+    conditions : Conditions
+        Band, and limits of the drive.
+    frequency : (F,) array of float
+        Ascending frequencies [Hz]; by default `FREQUENCIES` of them over the band.
+    scenarios : Scenarios or None
+        Fingers and tolerances, or None for the one finger that is fixed.
+    unseen : Scenarios or None
+        Further scenarios, in which the designs that were found with the others are judged once
+        more.
+    share : float
+        Share of the scenarios that attain at least what a design counts for.
+    fingers : mapping of str to FingerLoad
+        Finger loads that the parameter ``load`` may name.
+    base : Bimorph
+        Design that supplies everything that is neither varied nor fixed.
+    seed : int
+        Seed of the search. The same seed gives the same designs.
 
     Raises
     ------
     InputError
-        For bounds that are reversed, infinite or outside the parameter's own; for what is given
-        twice or unknown, and where a bender within the bounds cannot be built.
+        If bounds are reversed, infinite or outside the parameter's own limits, something is given
+        twice or unknown, or a bender within the bounds cannot be built.
     """
 
     bounds: Mapping[str, tuple[float, float]]
@@ -84,7 +102,7 @@ class Task:
 
     def __post_init__(self) -> None:
         _check_bounds(self)
-        _check_wishes(self)
+        _check_objectives(self)
         frequency = np.asarray(self.frequency, np.float64)
         band = self.conditions.band
         if band is not None and any(CRITERIA[name].needs_band for name in self.criteria):
@@ -97,21 +115,32 @@ class Task:
 
     @property
     def criteria(self) -> tuple[str, ...]:
-        """Objectives, then what else is limited."""
+        """Names of the objectives, followed by those of the other constrained criteria."""
         return tuple(dict.fromkeys((*self.objectives, *self.limits)))
 
     @property
     def variables(self) -> list[str]:
-        """Names of what the objectives are judged by, in the data set."""
+        """Names of the variables of the data set that the objectives are judged by."""
         return [self.judged_by(name) for name in self.objectives]
 
     def judged_by(self, criterion: str) -> str:
-        """Return the name of what a criterion is judged by, in the data set."""
+        """Return the name of the variable of the data set that a criterion is judged by.
+
+        Parameters
+        ----------
+        criterion : str
+            Name of `CRITERIA`.
+
+        Returns
+        -------
+        str
+            Name of the variable, with the prefix ``robust_`` if the task has scenarios.
+        """
         return variable(criterion) if self.scenarios is None else f"robust_{variable(criterion)}"
 
 
 def _check_bounds(task: Task) -> None:
-    """Raise InputError for bounds between which nothing can be sought."""
+    """Raise InputError for bounds within which no search is possible."""
     if not task.bounds:
         raise InputError("nothing may vary: give bounds, as length_mm=8:40")
     for name, (low, high) in task.bounds.items():
@@ -133,8 +162,8 @@ def _check_bounds(task: Task) -> None:
         )
 
 
-def _check_wishes(task: Task) -> None:
-    """Raise InputError for objectives and limits that cannot be asked for."""
+def _check_objectives(task: Task) -> None:
+    """Raise InputError for objectives and constraints that are not possible."""
     if not 1 <= len(task.objectives) <= MOST_OBJECTIVES:
         raise InputError(
             f"{len(task.objectives)} objectives: must be 1 … {MOST_OBJECTIVES}; "
@@ -162,7 +191,20 @@ def _check_wishes(task: Task) -> None:
 
 
 def corners(task: Task) -> Study:
-    """Return a study of the ends of all bounds: what can be asked there, can be in between."""
+    """Return the study of the ends of all bounds.
+
+    What is valid at the ends of all bounds is valid in between, so that this study checks a task.
+
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+
+    Returns
+    -------
+    Study
+        Study with one axis of two values for each parameter that may vary.
+    """
     return Study(
         axes={name: np.array(ends, np.float64) for name, ends in task.bounds.items()},
         frequency=task.frequency,
@@ -180,12 +222,15 @@ def judge(task: Task, designs: Floats) -> dict[str, Floats]:
 
     Parameters
     ----------
-    designs : (N, D) values of the numbers that have bounds, in their order and units
+    task : Task
+        Optimization problem.
+    designs : (N, D) array of float
+        Values of the numbers that have bounds, in their order and units.
 
     Returns
     -------
-    dict of ndarray
-        (N, S) of each criterion, in its unit; S is 1 without scenarios. NaN where it has none.
+    dict of str to (N, S) array of float
+        Values of each criterion in its unit; S is 1 without scenarios. NaN where there is no value.
     """
     count = 1 if task.scenarios is None else task.scenarios.count
     size = max(1, PIECE_POINTS // (count * max(1, np.size(task.frequency))))
@@ -195,44 +240,72 @@ def judge(task: Task, designs: Floats) -> dict[str, Floats]:
         for name, value in values_of(study, tuple(slice(0, n) for n in study.shape)).items()
         if name not in task.bounds
     }
-    found = {name: np.empty((len(designs), count)) for name in task.criteria}
+    results = {name: np.empty((len(designs), count)) for name in task.criteria}
     for at in range(0, len(designs), size):
         part = slice(at, at + size)
         for name, values in _judge_piece(task, common, designs[part]).items():
-            found[name][part] = values
-    return found
+            results[name][part] = values
+    return results
 
 
 def _judge_piece(task: Task, common: dict[str, Any], designs: Floats) -> dict[str, Floats]:
-    """Return what `judge` does, of designs (N, D) that are solved at once."""
+    """Judge designs (N, D) that are solved at once; see `judge`."""
     values = dict(common)
     factors = {} if task.scenarios is None else task.scenarios.factors
     for name, column in zip(task.bounds, designs.T, strict=True):
         values[name] = column[:, None] * np.asarray(factors.get(name, 1.0))
-    made = specimen(values, base=task.base, fingers=task.fingers)
-    response = response_of(made, task.frequency)
-    solved = Solved(made, response, task.conditions)
+    specimens = specimen(values, base=task.base, fingers=task.fingers)
+    response = response_of(specimens, task.frequency)
+    solved = Solved(specimens, response, task.conditions)
     return numbers_of(task.criteria, solved)
 
 
 def attained(values: Floats, share: float, sign: int) -> Floats:
-    """Return (N,) what a share of the scenarios attains at least, of (N, S).
+    """Compute the value that a share of the scenarios attains at least.
 
-    Where more is better (``sign`` 1) it is the quantile 1 − share, else the quantile ``share``.
+    Where more is better (``sign`` 1) this is the quantile 1 − share, otherwise the quantile
+    ``share``.
+
+    Parameters
+    ----------
+    values : (N, S) array of float
+        Values of a criterion for N designs in S scenarios.
+    share : float
+        Share of the scenarios, above 0 and below 1.
+    sign : int
+        1 where more is better, otherwise −1.
+
+    Returns
+    -------
+    (N,) array of float
+        Attained values, in the unit of the criterion.
     """
-    held = np.clip(values, -LARGE, LARGE)
-    wanted = 1 - share if sign > 0 else share
-    return np.asarray(np.quantile(held, wanted, axis=-1, method="weibull"))
+    clipped = np.clip(values, -LARGE, LARGE)
+    quantile = 1 - share if sign > 0 else share
+    return np.asarray(np.quantile(clipped, quantile, axis=-1, method="weibull"))
 
 
 def scores(task: Task, designs: Floats) -> tuple[Floats, Floats]:
-    """Return what an optimizer lowers (N, O), and by what share limits are missed (N, 2 L).
+    """Score designs for an optimizer that minimizes.
 
-    Limits come as lowest and highest; what is at most 0 is met.
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+    designs : (N, D) array of float
+        Values of the numbers that have bounds, in their order and units.
+
+    Returns
+    -------
+    lowered : (N, O) array of float
+        Objectives, with their sign changed so that less is better.
+    missed : (N, 2 L) array of float
+        Relative violation of each constraint, its lowest value before its highest; at most 0 where
+        the constraint is met.
     """
-    found = judge(task, designs)
+    results = judge(task, designs)
     lowered = [
-        -CRITERIA[name].sign * attained(found[name], task.share, CRITERIA[name].sign)
+        -CRITERIA[name].sign * attained(results[name], task.share, CRITERIA[name].sign)
         for name in task.objectives
     ]
     missed = []
@@ -240,7 +313,7 @@ def scores(task: Task, designs: Floats) -> tuple[Floats, Floats]:
         for sign, end in zip((1, -1), ends, strict=True):
             over = np.full(len(designs), -1.0)
             if math.isfinite(end):
-                reached = attained(found[name], task.share, sign)
+                reached = attained(results[name], task.share, sign)
                 over = sign * (end - reached) / (abs(end) or 1.0)
             missed.append(over)
     columns = np.stack([*lowered, *missed], axis=-1)
@@ -249,47 +322,51 @@ def scores(task: Task, designs: Floats) -> tuple[Floats, Floats]:
 
 
 def find_designs(task: Task, progress: Progress = lambda done, total: None) -> "xarray.Dataset":
-    """Find the designs that none beats in all objectives, or the best of a single one.
+    """Find the designs that no other dominates, or the best design for a single objective.
 
     Parameters
     ----------
-    task : what is to be found
-    progress : is told of each generation
+    task : Task
+        Optimization problem.
+    progress : callable
+        Called with the number of finished generations and the number of all.
 
     Returns
     -------
     xarray.Dataset
-        Along ``design``, the best of the first objective first: values of the parameters, and each
-        criterion twice with scenarios: of the middle finger and parts as drawn, and as
-        ``robust_…`` what the share attains. Along ``generation`` the ``hypervolume`` of what was
-        found so far (share of the box between best and worst of the front, a tenth wider), or the
-        ``best`` of a single objective. Attributes: how it came to be, ``objectives``, the number of
-        ``evaluations``, and ``sampling_error``: the largest relative change of an objective or
-        limited criterion when four times as many frequencies judge the same designs. With
-        ``unseen`` scenarios also ``unseen_loss``: the largest share by which one of them is worse
-        there, since what was found is the best for the fingers that the search saw.
+        Along ``design``, the best in the first objective first: values of the parameters and of
+        each criterion. With scenarios each criterion is there twice: for the middle finger and
+        nominal parts, and as ``robust_…`` what the share attains. Along ``generation``: the
+        ``hypervolume`` of the designs found so far (share of the box between best and worst of the
+        front, a tenth wider), or the ``best`` value of a single objective. Attributes: the
+        provenance, ``objectives``, the number of ``evaluations``, and ``sampling_error``, the
+        largest relative change of an objective or constrained criterion when the same designs are
+        judged at four times as many frequencies. With ``unseen`` scenarios also ``unseen_loss``,
+        the largest share by which one of these is worse there; a loss is to be expected, since the
+        designs are the best for the fingers of the search.
 
     Raises
     ------
     InputError
-        Where no design meets the limits (with the nearest), or a library is missing.
+        If no design meets the constraints (the message gives the nearest), no design has finite
+        values, or a library is missing.
     """
     low, high = np.array(list(task.bounds.values()), np.float64).T
     seek = find_best if len(task.objectives) == 1 else find_front
     search = seek(lambda x: scores(task, x), low, high, task.seed, progress)
     lowered, missed = scores(task, search.designs)
     if np.any(missed > 0):
-        raise InputError(_unmet(task, search.designs[0], missed[0]))
-    kept = np.all(np.abs(lowered) < LARGE, axis=1)
-    if not kept.any():
+        raise InputError(_unmet_message(task, search.designs[0], missed[0]))
+    finite = np.all(np.abs(lowered) < LARGE, axis=1)
+    if not finite.any():
         raise InputError(f"{task.objectives[0]}: has no finite value found within the bounds")
-    designs, lowered = search.designs[kept], lowered[kept]
+    designs, lowered = search.designs[finite], lowered[finite]
     order = np.lexsort(lowered.T[::-1])
     return _labeled(task, search, designs[order], lowered[order])
 
 
-def _unmet(task: Task, design: Floats, missed: Floats) -> str:
-    """Return the line that says which limit the nearest design misses, and by how much."""
+def _unmet_message(task: Task, design: Floats, missed: Floats) -> str:
+    """Return a message on the constraint that the nearest design misses, and by how much."""
     worst = int(missed.argmax())
     name = list(task.limits)[worst // 2]
     sign, mark = ((1, "≥"), (-1, "≤"))[worst % 2]
@@ -304,39 +381,85 @@ def _unmet(task: Task, design: Floats, missed: Floats) -> str:
 
 
 def finer(task: Task) -> Task:
-    """Return the task with `FINER` steps of frequency for each."""
+    """Return the task on a grid of `FINER` frequency steps for each one.
+
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+
+    Returns
+    -------
+    Task
+        Same problem at more frequencies.
+    """
     f = np.asarray(task.frequency)
     steps = np.arange(FINER * (f.size - 1) + 1) / FINER
     return replace(task, frequency=np.interp(steps, np.arange(f.size), f))
 
 
 def sampling_error(task: Task, designs: Floats) -> float:
-    """Return the largest relative change of what designs count for on `finer` frequencies."""
+    """Compute the largest relative change of criteria on the frequency grid of `finer`.
+
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+    designs : (N, D) array of float
+        Designs to judge.
+
+    Returns
+    -------
+    float
+        Relative change; 0 without frequencies.
+    """
     if not np.size(task.frequency):
         return 0.0
-    few, many = _counted(task, designs), _counted(finer(task), designs)
+    few, many = _attained_values(task, designs), _attained_values(finer(task), designs)
     return max(
-        float((np.abs(few[name] - b) / np.maximum(np.abs(b), _least(b))).max())
+        float((np.abs(few[name] - b) / np.maximum(np.abs(b), _smallest_scale(b))).max())
         for name, b in many.items()
     )
 
 
 def unseen_loss(task: Task, unseen: Scenarios, designs: Floats) -> float:
-    """Return by what share designs count for less, at most, in scenarios that had no part in it."""
-    seen, other = _counted(task, designs), _counted(replace(task, scenarios=unseen), designs)
+    """Compute by what share designs are worse, at most, in scenarios that the search did not use.
+
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+    unseen : Scenarios
+        Scenarios that the search did not use.
+    designs : (N, D) array of float
+        Designs to judge.
+
+    Returns
+    -------
+    float
+        Largest relative loss of a criterion; negative if all are better.
+    """
+    seen, other = (
+        _attained_values(task, designs),
+        _attained_values(replace(task, scenarios=unseen), designs),
+    )
     return max(
-        float((_sign(task, name) * (a - other[name]) / np.maximum(np.abs(a), _least(a))).max())
+        float(
+            (
+                _sign(task, name) * (a - other[name]) / np.maximum(np.abs(a), _smallest_scale(a))
+            ).max()
+        )
         for name, a in seen.items()
     )
 
 
-def _least(values: Floats) -> float:
-    """Return what a change is measured by at least: a thousandth of the largest."""
+def _smallest_scale(values: Floats) -> float:
+    """Return the smallest scale of a relative change: a thousandth of the largest value, or 1."""
     return 1e-3 * float(np.abs(values).max()) or 1.0
 
 
-def _counted(task: Task, designs: Floats) -> dict[str, Floats]:
-    """Return what designs (N, D) count for (N,), of each criterion."""
+def _attained_values(task: Task, designs: Floats) -> dict[str, Floats]:
+    """Return the attained values (N,) of each criterion for designs (N, D)."""
     return {
         name: attained(values, task.share, _sign(task, name))
         for name, values in judge(task, designs).items()
@@ -344,13 +467,24 @@ def _counted(task: Task, designs: Floats) -> dict[str, Floats]:
 
 
 def _sign(task: Task, name: str) -> int:
-    """Return 1 where more of a criterion is better, or has a lowest value; else −1."""
+    """Return the sign of a criterion; of a neutral one, 1 if it has a lowest value, else −1."""
     low = task.limits.get(name, (-math.inf, math.inf))[0]
     return CRITERIA[name].sign or (1 if low > -math.inf else -1)
 
 
 def middle(task: Task) -> Task:
-    """Return the task without scenarios: the middle of what they draw, parts as they are drawn."""
+    """Return the task without scenarios: the median of the drawn values, and nominal parts.
+
+    Parameters
+    ----------
+    task : Task
+        Optimization problem.
+
+    Returns
+    -------
+    Task
+        Problem with the medians of the drawn values as fixed values.
+    """
     if task.scenarios is None:
         return task
     drawn = {name: float(np.median(array)) for name, array in task.scenarios.values.items()}
@@ -358,7 +492,7 @@ def middle(task: Task) -> Task:
 
 
 def _labeled(task: Task, search: Search, designs: Floats, lowered: Floats) -> "xarray.Dataset":
-    """Return designs (N, D) and what they are judged by, with labels and how they came to be."""
+    """Return designs (N, D) and their criteria as a data set with labels and provenance."""
     import xarray
 
     data = xarray.Dataset(attrs=_provenance(task, search, designs))
@@ -368,10 +502,10 @@ def _labeled(task: Task, search: Search, designs: Floats, lowered: Floats) -> "x
             {name: ("design", column, {"units": p.unit, "long_name": p.means})}
         )
     for name, values in judge(middle(task), designs).items():
-        data[variable(name)] = ("design", values[:, 0], _told(name))
+        data[variable(name)] = ("design", values[:, 0], _labels_of(name))
     if task.scenarios is not None:
-        for name, values in _counted(task, designs).items():
-            labels = _told(name) | {
+        for name, values in _attained_values(task, designs).items():
+            labels = _labels_of(name) | {
                 "long_name": f"{CRITERIA[name].means}, which {task.share:.0%} attain"
             }
             data[task.judged_by(name)] = ("design", values, labels)
@@ -387,18 +521,19 @@ def _labeled(task: Task, search: Search, designs: Floats, lowered: Floats) -> "x
     return data
 
 
-def _told(name: str) -> dict[str, str]:
+def _labels_of(name: str) -> dict[str, str]:
+    """Return the attributes of a criterion's variable."""
     c = CRITERIA[name]
     return {"units": c.unit, "long_name": c.means, "criterion": name}
 
 
 def _provenance(task: Task, search: Search, designs: Floats) -> dict[str, Any]:
-    """Return how the designs came to be, as attributes."""
+    """Return the provenance of the designs as attributes."""
     limits = {
         name: [None if math.isinf(end) else end for end in ends]
         for name, ends in task.limits.items()
     }
-    found = {
+    attributes = {
         **provenance(corners(task)),
         "title": f"Bimorph with the best {' and '.join(task.objectives)}",
         "bounds": json.dumps({name: list(ends) for name, ends in task.bounds.items()}),
@@ -411,10 +546,10 @@ def _provenance(task: Task, search: Search, designs: Floats) -> dict[str, Any]:
         "sampling_error": sampling_error(task, designs),
     }
     if task.scenarios is not None:
-        found |= {"scenarios": task.scenarios.count, "share": task.share}
-        drawn = {**task.scenarios.values, **task.scenarios.factors}
-        spread = {name: [float(np.mean(x)), float(np.std(x))] for name, x in drawn.items()}
-        found["drawn"] = json.dumps(spread)
+        attributes |= {"scenarios": task.scenarios.count, "share": task.share}
+        sampled = {**task.scenarios.values, **task.scenarios.factors}
+        spread = {name: [float(np.mean(x)), float(np.std(x))] for name, x in sampled.items()}
+        attributes["drawn"] = json.dumps(spread)
     if task.unseen is not None:
-        found["unseen_loss"] = unseen_loss(task, task.unseen, designs)
-    return found
+        attributes["unseen_loss"] = unseen_loss(task, task.unseen, designs)
+    return attributes

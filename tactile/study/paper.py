@@ -1,12 +1,13 @@
-"""The paper that this project began with: its studies, and its claims beside what we find.
+"""The paper that this project began with: its studies, and its claims next to our results.
 
 V. Hofmann and J. Twiefel, "Optimization of a Piezoelectric Bending Actuator for a Tactile Virtual
 Reality Display", Energy Harvesting and Systems 2 (2015) 177-185, doi 10.1515/ehs-2014-0055.
 
 The paper's figure of parameters is not available as text, so the default design is a surrogate, and
 one number of it, the shim's height of 0.20 mm, was chosen to meet the paper's ranges of length.
-Hence every claim is of one of three kinds (`KINDS`), and `claims` adds the honest check: the shim's
-height is chosen anew from what the paper says of one finger, and the other finger is predicted.
+Every claim is therefore of one of three kinds (`KINDS`), and `claims` adds a validation: the
+shim's height is chosen again from what the paper says of one finger, and the other finger is
+predicted.
 """
 
 from collections.abc import Callable
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
     import xarray
 
 Kind = Literal["fit", "check", "record"]
+"""Kind of a claim; see `KINDS`."""
 
 REFERENCE = (
     "V. Hofmann and J. Twiefel, Optimization of a Piezoelectric Bending Actuator for a Tactile "
     "Virtual Reality Display, Energy Harvesting and Systems 2 (2015) 177-185, "
     "doi 10.1515/ehs-2014-0055"
 )
+"""Citation of the paper."""
 KINDS: dict[Kind, str] = {
     "fit": "The paper states it, and one number of the surrogate, the shim's height of 0.20 mm, "
     "was chosen to meet it: agreement shows that the model can say so, not that it must.",
@@ -44,27 +47,39 @@ KINDS: dict[Kind, str] = {
     "record": "A figure of our surrogate design, for all we know not in the paper: it guards the "
     "design against unnoticed change, and says nothing of the paper.",
 }
+"""Meaning of each kind of claim."""
 FINGERS = ("low", "high")
+"""Names of the paper's two fingers."""
 BAND = (0.0, 1000.0)
-"""Hz."""
+"""Band of the paper's study of length [Hz]."""
 STATED = {"low": (18.0, 27.0), "high": (10.0, 20.0)}
-"""mm between which the paper finds good lengths."""
+"""Shortest and longest good length that the paper states for each finger [mm]."""
 SMALLEST = "smallest_displacement_um_per_v"
+"""Variable of the smallest displacement in the band."""
 SHEAR = "displacement_um_per_v"
+"""Variable of the tip's displacement."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A number beside what we find.
+    """A claimed number next to our result.
 
     Attributes
     ----------
-    statement : what is claimed
-    unit : of the numbers
-    stated, found : numbers
-    limit : by how much they may differ
-    by : who states it
-    kind : see `KINDS`
+    statement : str
+        Claim in words.
+    unit : str
+        Unit of the numbers.
+    stated : float
+        Claimed number.
+    found : float
+        Our result.
+    limit : float
+        Largest permitted difference.
+    by : str
+        Source of the claim: "paper" or "our design page".
+    kind : str
+        Kind of the claim; see `KINDS`.
     """
 
     statement: str
@@ -77,12 +92,12 @@ class Claim:
 
     @property
     def difference(self) -> float:
-        """Found less stated."""
+        """Our result minus the claimed number."""
         return self.found - self.stated
 
     @property
     def is_met(self) -> bool:
-        """Whether they differ by no more than the limit."""
+        """Whether the difference is within the limit."""
         return abs(self.difference) <= self.limit
 
 
@@ -92,11 +107,18 @@ class PaperFigure:
 
     Attributes
     ----------
-    name : of its files
-    title, caption : for the report
-    study : that gives its data
-    variable : of that data, drawn
-    is_map : whether it is drawn over length and frequency
+    name : str
+        Name of its files.
+    title : str
+        Title in the report.
+    caption : str
+        Caption in the report.
+    study : callable
+        Function that returns the `Study` of its data.
+    variable : str
+        Variable of the data that is drawn.
+    is_map : bool
+        Whether it is drawn over length and frequency.
     """
 
     name: str
@@ -108,21 +130,51 @@ class PaperFigure:
 
 
 def in_air() -> Study:
-    """Return the study of both admittances with a free tip."""
+    """Return the study of the mechanical and the electrical admittance with a free tip.
+
+    Returns
+    -------
+    Study
+        Study with a grid of frequencies that is refined around both resonances.
+    """
     near = [np.linspace(f - 60, f + 60, 241) for f in (930, 5783)]
     frequency = np.unique(np.concatenate([np.geomspace(10, 8e3, 800), *near]))
     return Study(axes={"load": ["none"]}, frequency=frequency, responses=("velocity", "admittance"))
 
 
 def under_finger(finger: str) -> Study:
-    """Return the study of the response under a finger."""
+    """Return the study of the response under a finger.
+
+    Parameters
+    ----------
+    finger : str
+        Name of the finger load.
+
+    Returns
+    -------
+    Study
+        Study of the displacement.
+    """
     return Study(
         axes={"load": [finger]}, frequency=np.geomspace(10, 8e3, 800), responses=("displacement",)
     )
 
 
 def over_length(*fingers: str) -> Study:
-    """Return the study of the free length under fingers; no loaded resonance is narrower."""
+    """Return the study of the free length under some fingers.
+
+    Steps of 10 Hz suffice, because no loaded resonance is narrower.
+
+    Parameters
+    ----------
+    *fingers : str
+        Names of the finger loads.
+
+    Returns
+    -------
+    Study
+        Study of the displacement over load, length and frequency.
+    """
     return Study(
         axes={"load": list(fingers), "length_mm": np.arange(50, 451) / 10},
         frequency=np.arange(0.0, 1001.0, 10.0),
@@ -174,10 +226,22 @@ FIGURES: tuple[PaperFigure, ...] = (
         for finger, (low, high) in STATED.items()
     ),
 )
+"""Figures of the paper."""
 
 
 def good_lengths(data: "xarray.Dataset") -> dict[str, Range]:
-    """Return the range of good lengths [mm] under each finger of a study over length."""
+    """Compute the range of good lengths under each finger.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study over load and length.
+
+    Returns
+    -------
+    dict of str to Range
+        Range of the free length by finger [mm].
+    """
     return {
         str(finger): range_of(data[SMALLEST].sel(load=finger), SHARE)
         for finger in data["load"].values
@@ -185,35 +249,42 @@ def good_lengths(data: "xarray.Dataset") -> dict[str, Range]:
 
 
 def claims() -> list[Claim]:
-    """Return every claim beside what the default design gives; takes about a second."""
+    """Compute the result for every claim with the default design; takes about a second.
+
+    Returns
+    -------
+    list of Claim
+        Claims on lengths, predictions and the figures of the default design.
+    """
     return [*_claims_of_length(), *_claims_of_prediction(), *_records()]
 
 
 def _claims_of_length() -> list[Claim]:
-    """Return what the shim's height was chosen to meet."""
-    found = good_lengths(solve_study(over_length(*FINGERS)))
-    made = [
-        _of_end(f"good lengths under the {finger} finger, {end}", stated, value, "fit")
+    """Return the claims that the shim's height was chosen to meet."""
+    ranges = good_lengths(solve_study(over_length(*FINGERS)))
+    results = [
+        _length_claim(f"good lengths under the {finger} finger, {end}", stated, value, "fit")
         for finger in FINGERS
         for end, stated, value in zip(
-            ("shortest", "longest"), STATED[finger], _ends(found[finger]), strict=True
+            ("shortest", "longest"), STATED[finger], _ends(ranges[finger]), strict=True
         )
     ]
-    _, longest = overlap(list(found.values())) or (np.nan, np.nan)
-    made.append(_of_end("longest bender that suits both fingers", 20.0, longest, "fit"))
-    return made
+    _, longest = overlap(list(ranges.values())) or (np.nan, np.nan)
+    results.append(_length_claim("longest bender that suits both fingers", 20.0, longest, "fit"))
+    return results
 
 
 def _ends(good: Range) -> tuple[float, float]:
     return good.low, good.high
 
 
-def _of_end(statement: str, stated: float, found: float, kind: Kind) -> Claim:
+def _length_claim(statement: str, stated: float, found: float, kind: Kind) -> Claim:
+    """Return a claim on an end of a range of length."""
     return Claim(statement, "mm", stated, found, 1.0, "paper", kind)
 
 
 def _claims_of_prediction() -> list[Claim]:
-    """Return what the paper says of one finger, the shim chosen from the other alone."""
+    """Return the claims on one finger, the shim's height chosen from the other finger alone."""
     heights = np.arange(4, 42, 2) / 100
     study = Study(
         axes={
@@ -223,26 +294,26 @@ def _claims_of_prediction() -> list[Claim]:
         conditions=Conditions(band=BAND),
     )  # fmt: skip
     data = solve_study(study)
-    found = [good_lengths(data.isel(shim_height_mm=k)) for k in range(heights.size)]
-    made = []
-    for known, asked in (FINGERS, FINGERS[::-1]):
-        miss = [np.hypot(*np.subtract(_ends(f[known]), STATED[known])) for f in found]
+    ranges = [good_lengths(data.isel(shim_height_mm=k)) for k in range(heights.size)]
+    results = []
+    for known, other in (FINGERS, FINGERS[::-1]):
+        miss = [np.hypot(*np.subtract(_ends(f[known]), STATED[known])) for f in ranges]
         best = int(np.argmin(miss))
         for end, stated, value in zip(
-            ("shortest", "longest"), STATED[asked], _ends(found[best][asked]), strict=True
+            ("shortest", "longest"), STATED[other], _ends(ranges[best][other]), strict=True
         ):
-            words = (
-                f"good lengths under the {asked} finger, {end}, with the shim's height chosen from "
+            statement = (
+                f"good lengths under the {other} finger, {end}, with the shim's height chosen from "
                 f"the {known} finger alone ({heights[best]:.2f} mm)"
             )
-            made.append(_of_end(words, stated, value, "check"))
-    shorter = sum(f["high"].best < f["low"].best for f in found) / len(found) * 100
-    words = "shims of 0.04 … 0.40 mm whose best length is shorter under the high finger"
-    return [*made, Claim(words, "%", 100.0, shorter, 0.0, "paper", "check")]
+            results.append(_length_claim(statement, stated, value, "check"))
+    shorter = sum(f["high"].best < f["low"].best for f in ranges) / len(ranges) * 100
+    statement = "shims of 0.04 … 0.40 mm whose best length is shorter under the high finger"
+    return [*results, Claim(statement, "%", 100.0, shorter, 0.0, "paper", "check")]
 
 
 def _records() -> list[Claim]:
-    """Return the figures of the default design."""
+    """Return the figures of the default design as claims."""
     loads = {"load": ["none", *FINGERS]}
     size = _sizes(loads)
     changed = partial(_change, size, loads)
@@ -281,43 +352,44 @@ def _records() -> list[Claim]:
 
 
 def _responses(axes: dict[str, Any], frequency: Floats, **fixed: float) -> NDArray[np.complex128]:
-    """Return shear per volt [µm/V], loads in the rows."""
+    """Return the displacement per volt, with one row for each load [µm/V]."""
     study = Study(axes=axes, frequency=frequency, fixed=fixed, responses=("displacement",))
     return np.asarray(solve_study(study)[SHEAR].values)
 
 
 def _sizes(axes: dict[str, Any], **fixed: float) -> Floats:
+    """Return the magnitude of the displacement per volt over 0 … 1000 Hz [µm/V]."""
     return np.abs(_responses(axes, np.arange(0.0, 1001.0, 10.0), **fixed))
 
 
 def _change(size: Floats, axes: dict[str, Any], **fixed: float) -> Floats:
-    """Return in dB what a change of the design does under both fingers."""
+    """Return the level that a change of the design adds under both fingers [dB]."""
     return np.asarray(20 * np.log10(_sizes(axes, **fixed)[1:] / size[1:]))
 
 
 def _peak(near: float) -> float:
-    """Return where the free tip moves most, within 20 Hz [Hz]."""
+    """Return the frequency within 20 Hz of ``near`` at which the free tip moves most [Hz]."""
     sweep = np.arange(near - 20, near + 20, 0.1)
     return float(sweep[np.argmax(np.abs(_responses({"load": ["none"]}, sweep)))])
 
 
 def _free_capacitance() -> float:
-    """Return the slow capacitance of the free bender [nF], from its admittance."""
+    """Return the low-frequency capacitance of the free bender, from its admittance [nF]."""
     study = Study(axes={"load": ["none"]}, frequency=[1.0], responses=("admittance",))
     siemens = complex(solve_study(study)["admittance_us"].values.item()) * 1e-6
     return siemens.imag / (2 * np.pi) * 1e9
 
 
 def _held_capacitance() -> float:
-    """Return the capacitance that cannot bend, clamped part included [nF]."""
+    """Return the capacitance with bending blocked, including the clamped part [nF]."""
     b = Bimorph()
     return float(np.real(capacitance(b, np.add(b.length, b.clamped_length)))) * 1e9
 
 
 def _wrong_sign() -> float:
-    """Return how far the response is off [dB] if the finger pulled along instead of pushing back.
+    """Return the largest error of the response if the finger pulled instead of pushing back [dB].
 
-    With r = free/loaded = 1 + C S, of the tip's compliance C and the load's stiffness S, the wrong
+    With r = free/loaded = 1 + C S, for the tip's compliance C and the load's stiffness S, the wrong
     sign gives free/(1 − C S) = loaded · r/(2 − r).
     """
     axes = {"load": ["none", *FINGERS]}

@@ -1,13 +1,13 @@
-"""What may be varied in a design, by name and unit, and the designs that a choice of it makes.
+"""Parameters of a design, by name and unit, and the designs that their values describe.
 
 A parameter's name ends in its unit (``length_mm``), as in a display's file. Numbers have limits
-within which a bender can be made or the model holds (assumed, wide); names (``load``, ``piezo``,
-``shim``, ``wiring``) come from the libraries. Values may be arrays that broadcast: one element a
-design.
+within which a bender can be made or the model holds (assumed, wide). Names (``load``, ``piezo``,
+``shim``, ``wiring``) refer to the libraries of materials and fingers. Values may be arrays that
+broadcast, with one element for each design.
 
-``firmness`` makes a finger between and around the paper's two: each constant c of the load is
-c_low^(1 − φ) c_high^φ, so that φ = 0 is the low finger, 1 the high one, and a normal distribution
-of φ a log-normal one of every constant (assumed; two fingers are all that is published).
+``firmness`` describes a finger between and around the paper's two: each constant c of the load is
+c_low^(1 − φ) c_high^φ, so that φ = 0 is the low finger and φ = 1 the high one. A normal
+distribution of φ makes every constant log-normal (assumed; two fingers are all that is published).
 """
 
 from collections.abc import Mapping
@@ -30,14 +30,27 @@ Values = Mapping[str, ArrayLike]
 
 @dataclass(frozen=True)
 class DesignParameter:
-    """A number of a design.
+    """A numeric parameter of a design.
 
     Attributes
     ----------
-    unit, means : for labels
-    low, high : limits, in that unit
-    to_si : from a value in that unit, and back by ``from_si``
-    part, constant : where it belongs: "bimorph", "piezo" or "shim", or "" for the specimen itself
+    unit : str
+        Unit, for labels.
+    means : str
+        Meaning, for labels.
+    low : float
+        Lowest value, in the unit of the name.
+    high : float
+        Highest value, in the unit of the name.
+    part : str
+        Object that the parameter belongs to: "bimorph", "piezo", "shim", or "" for the specimen
+        itself.
+    constant : str
+        Name of the constant in that object.
+    scale : float
+        Size of the unit in SI.
+    inverse : bool
+        Whether the constant is the inverse of the parameter, as compliance is of a modulus.
     """
 
     unit: str
@@ -50,12 +63,34 @@ class DesignParameter:
     inverse: bool = False
 
     def to_si(self, value: ArrayLike) -> Floats:
-        """Return what the model takes; a modulus becomes a compliance."""
+        """Convert a value to what the model takes; a modulus becomes a compliance.
+
+        Parameters
+        ----------
+        value : array_like
+            Value in the unit of the name.
+
+        Returns
+        -------
+        ndarray of float
+            Value of the constant [SI].
+        """
         scaled = np.asarray(value, np.float64) * self.scale
         return 1 / scaled if self.inverse else scaled
 
     def from_si(self, value: Real) -> Floats:
-        """Return the value in the unit of the name."""
+        """Convert a constant of the model to the unit of the name.
+
+        Parameters
+        ----------
+        value : float or ndarray of float
+            Value of the constant [SI].
+
+        Returns
+        -------
+        ndarray of float
+            Value in the unit of the name.
+        """
         number = np.asarray(value, np.float64)
         return (1 / number if self.inverse else number) / self.scale
 
@@ -107,30 +142,38 @@ PARAMETERS: dict[str, DesignParameter] = {
     ),
     "firmness": DesignParameter("1", "finger from low (0) to high (1)", -4, 5, "", "firmness"),
 }
+"""Numeric parameters by name."""
 NAMED = {
     "load": "finger that loads the tip",
     "piezo": "piezoceramic",
     "shim": "material of the shim",
     "wiring": "of the two piezo layers",
 }
-"""Parameters that are names, and what they mean."""
+"""Meanings of the parameters whose values are names."""
 WIRINGS = ("parallel", "series")
+"""Wirings of the two piezo layers."""
 FINGERS: dict[str, FingerLoad] = {
     "low": FingerLoad.low(),
     "high": FingerLoad.high(),
     "none": FingerLoad.none(),
 }
-"""The paper's two fingers and the tip in air."""
+"""The paper's two fingers, and the tip in air."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Specimen:
-    """Designs as the model takes them; arrays broadcast.
+    """Designs as the model takes them; their arrays broadcast.
 
     Attributes
     ----------
-    bimorph, load, axial_force : see `tactile.actuator.response.tip_response`
-    measuring_point : from the clamp [m], or None for the tip
+    bimorph : Bimorph
+        Benders.
+    load : FingerLoad
+        Loads of the tip.
+    axial_force : float or ndarray of float
+        Axial tension [N]; see `tactile.actuator.response.tip_response`.
+    measuring_point : float or ndarray of float or None
+        Distance of the measuring point from the clamp [m], or None for the tip.
     """
 
     bimorph: Bimorph
@@ -140,7 +183,18 @@ class Specimen:
 
 
 def names_of(fingers: Mapping[str, FingerLoad]) -> dict[str, list[str]]:
-    """Return which names each named parameter may take."""
+    """Return the names that each named parameter may take.
+
+    Parameters
+    ----------
+    fingers : mapping of str to FingerLoad
+        Finger loads by name.
+
+    Returns
+    -------
+    dict of str to list of str
+        Permitted names by parameter.
+    """
     return {
         "load": list(fingers),
         "piezo": list(PIEZOS),
@@ -150,7 +204,22 @@ def names_of(fingers: Mapping[str, FingerLoad]) -> dict[str, list[str]]:
 
 
 def check_value(name: str, value: Any, fingers: Mapping[str, FingerLoad] = FINGERS) -> None:
-    """Raise InputError where a parameter is unknown or a value is outside its limits or names."""
+    """Check that a parameter is known and its value within its limits or among its names.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    value : array_like
+        Value or values, in the unit of the name.
+    fingers : mapping of str to FingerLoad
+        Finger loads that ``load`` may name.
+
+    Raises
+    ------
+    InputError
+        If the parameter is unknown, or a value is not a number, out of limits or no known name.
+    """
     named = names_of(fingers)
     if name in named:
         for entry in np.unique(np.asarray(value).astype(str)).tolist():
@@ -173,12 +242,24 @@ def check_value(name: str, value: Any, fingers: Mapping[str, FingerLoad] = FINGE
 
 
 def standard_value(name: str, bimorph: Bimorph) -> Floats:
-    """Return a number as a bimorph has it, in its unit.
+    """Return the value of a parameter that a bimorph has.
+
+    Parameters
+    ----------
+    name : str
+        Name of a numeric parameter.
+    bimorph : Bimorph
+        Bender, or benders, to read it from.
+
+    Returns
+    -------
+    ndarray of float
+        Value in the unit of the name.
 
     Raises
     ------
     InputError
-        For a number that a bimorph does not have.
+        If the parameter is not one of a bimorph.
     """
     parameter = PARAMETERS[name]
     if not parameter.part:
@@ -188,36 +269,62 @@ def standard_value(name: str, bimorph: Bimorph) -> Floats:
 
 
 def between(firmness: Real) -> FingerLoad:
-    """Return the finger of a firmness; see the module's docstring."""
+    """Return the finger load of a given firmness; see the module's docstring.
+
+    Parameters
+    ----------
+    firmness : float or ndarray of float
+        Firmness φ: 0 for the low finger, 1 for the high one.
+
+    Returns
+    -------
+    FingerLoad
+        Load whose constants have the shape of ``firmness``.
+    """
     low, high = FingerLoad.low(), FingerLoad.high()
 
-    def mixed(a: Real, b: Real) -> Floats:
+    def interpolated(a: Real, b: Real) -> Floats:
         return np.asarray(a * (np.asarray(b) / a) ** np.asarray(firmness))
 
     return FingerLoad(
-        k0=mixed(low.k0, high.k0),
-        d0=mixed(low.d0, high.d0),
+        k0=interpolated(low.k0, high.k0),
+        d0=interpolated(low.d0, high.d0),
         branches=tuple(
-            (mixed(k, k2), mixed(d, d2))
+            (interpolated(k, k2), interpolated(d, d2))
             for (k, d), (k2, d2) in zip(low.branches, high.branches, strict=True)
         ),
     )
 
 
 def gathered(names: NDArray[np.str_], known: Mapping[str, Any], *path: str | int) -> Floats:
-    """Return a constant of the thing that each name means, as an array like ``names``."""
+    """Return a constant of the object that each name refers to.
+
+    Parameters
+    ----------
+    names : ndarray of str
+        Names of objects.
+    known : mapping of str to object
+        Objects by name.
+    *path : str or int
+        Attributes and indices that lead from an object to its constant.
+
+    Returns
+    -------
+    ndarray of float
+        Constants, in the shape of ``names``.
+    """
 
     def constant(thing: Any) -> float:
         for step in path:
             thing = thing[step] if isinstance(step, int) else getattr(thing, step)
         return float(thing)
 
-    found, place = np.unique(names, return_inverse=True)
-    return np.array([constant(known[str(name)]) for name in found])[place].reshape(names.shape)
+    unique, place = np.unique(names, return_inverse=True)
+    return np.array([constant(known[str(name)]) for name in unique])[place].reshape(names.shape)
 
 
 def _constants(names: ArrayLike | None, known: Mapping[str, Any]) -> dict[str, Floats]:
-    """Return all constants of the materials that are named, by field."""
+    """Return all constants of the named materials, by field."""
     if names is None:
         return {}
     spelled = np.asarray(names).astype(str)
@@ -226,7 +333,22 @@ def _constants(names: ArrayLike | None, known: Mapping[str, Any]) -> dict[str, F
 
 
 def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
-    """Return the loads of these names as one, its constants arrays; the shorter have no branch."""
+    """Return the named loads as one whose constants are arrays.
+
+    Loads with fewer branches are filled up with branches of zero stiffness and damping.
+
+    Parameters
+    ----------
+    names : array_like of str
+        Names of finger loads.
+    fingers : mapping of str to FingerLoad
+        Finger loads by name.
+
+    Returns
+    -------
+    FingerLoad
+        Loads with constants in the shape of ``names``.
+    """
     names = np.asarray(names).astype(str)
     most = max(len(load.branches) for load in fingers.values())
     filled = {
@@ -244,7 +366,7 @@ def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
 
 
 def _bimorph(values: Values, base: Bimorph) -> tuple[Bimorph, dict[str, Floats]]:
-    """Return the benders, and what of the values is not theirs."""
+    """Return the benders, and those values that do not belong to a bender."""
     parts: dict[str, dict[str, Any]] = {
         "bimorph": {},
         "piezo": _constants(values.get("piezo"), PIEZOS),
@@ -266,9 +388,10 @@ def _bimorph(values: Values, base: Bimorph) -> tuple[Bimorph, dict[str, Floats]]
 
 
 def _check_buckling(bimorph: Bimorph, axial_force: Floats) -> None:
-    """Raise InputError where a bender gives way under a press, as a column does by itself (Euler).
+    """Raise InputError if an axial load would buckle a bender as a free column (Euler).
 
-    A finger would hold its tip a little longer; a bender that relies on that is none to build.
+    A finger would support the tip slightly longer, but a bender that relies on it should not be
+    built.
     """
     if not np.any(axial_force < 0):
         return
@@ -289,40 +412,50 @@ def specimen(
     base: Bimorph | None = None,
     fingers: Mapping[str, FingerLoad] = FINGERS,
 ) -> Specimen:
-    """Return the designs of these values; what is not among them is the base design's, in air.
+    """Return the designs that values describe.
 
     Parameters
     ----------
-    values : by name, in the names' units, arrays that broadcast to (...,) designs
-    base : the default design where it is None
-    fingers : what ``load`` may name
+    values : mapping of str to array_like
+        Values by parameter, in the unit of its name: arrays that broadcast to (...,) designs. What
+        is missing is taken from the base design, and the tip is in air.
+    base : Bimorph, optional
+        Base design; the default bimorph if None.
+    fingers : mapping of str to FingerLoad
+        Finger loads that ``load`` may name.
+
+    Returns
+    -------
+    Specimen
+        Designs whose arrays broadcast.
 
     Raises
     ------
     InputError
-        Naming the parameter, value and limit; also for a measuring point beyond the tip, and for
-        both a load and a firmness.
+        If a value is out of limits (the message names parameter, value and limit), a measuring
+        point is beyond the tip, both a load and a firmness are given, or a bender is impossible or
+        would buckle.
     """
     for name, value in values.items():
         check_value(name, value, fingers)
     if {"load", "firmness"} <= set(values):
         raise InputError("load and firmness: both are the finger; give one of them")
-    bimorph, rest = _bimorph(values, base or Bimorph())
-    point = rest.get("measuring_point")
+    bimorph, remaining = _bimorph(values, base or Bimorph())
+    point = remaining.get("measuring_point")
     if point is not None and np.any(point > bimorph.length):
         raise InputError(
             f"measuring_point_mm = {float(np.max(point)) * 1e3:g}: lies beyond the tip of a bender "
             f"of length_mm = {float(np.min(bimorph.length)) * 1e3:g}"
         )
-    _check_buckling(bimorph, rest.get("axial_force", np.zeros(())))
+    _check_buckling(bimorph, remaining.get("axial_force", np.zeros(())))
     load = (
-        between(rest["firmness"])
-        if "firmness" in rest
+        between(remaining["firmness"])
+        if "firmness" in remaining
         else loads(values.get("load", "none"), fingers)
     )
     return Specimen(
         bimorph=bimorph,
         load=load,
-        axial_force=rest.get("axial_force", 0.0),
+        axial_force=remaining.get("axial_force", 0.0),
         measuring_point=point,
     )

@@ -1,7 +1,7 @@
-"""Ranges of a parameter that are good enough, and where several fingers agree on one.
+"""Ranges of a parameter that are good enough, and their overlap for several fingers.
 
-The paper's question was which lengths keep the smallest amplitude within some percent of the best;
-`within` answers it of any criterion along any axis, `overlap` says what all fingers share.
+The paper's question was which lengths keep the smallest amplitude within some percent of the best.
+`within` answers it for any criterion along any axis; `overlap` gives what all fingers share.
 """
 
 from dataclasses import dataclass
@@ -12,19 +12,25 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 
 SHARE = 0.85
-"""Of the best that is good enough, unless told otherwise: the paper's."""
+"""Default share of the best value that is good enough: that of the paper."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """A stretch of an axis, in its unit.
+    """A range of an axis, in the axis' unit.
 
     Attributes
     ----------
-    low, high : its ends
-    best : where the criterion is best
-    value : the criterion there
-    is_cut : whether an end is that of the axis, so that the range may reach further
+    low : float
+        Lower end.
+    high : float
+        Upper end.
+    best : float
+        Position at which the criterion is best.
+    value : float
+        Best value of the criterion, in its unit.
+    is_cut : bool
+        Whether an end is that of the axis, so that the range may reach further.
     """
 
     low: float
@@ -41,22 +47,31 @@ def within(
 
     Parameters
     ----------
-    along : (N,) ascending values of the axis
-    values : (N,) of the criterion, above zero
-    share : 0.85 asks for 85 % of the best where more is better, for 1/0.85 of it where less is
-    sign : 1 where more is better, −1 where less is
-    in_db : whether values are levels, of which 0.85 is 1.4 dB; they need not be above zero
+    along : (N,) array of float
+        Ascending values of the axis.
+    values : (N,) array of float
+        Values of the criterion, above zero.
+    share : float
+        Share of the best that is good enough: 0.85 stands for 85 % of the best where more is
+        better, and for 1/0.85 of it where less is.
+    sign : int
+        1 if more is better, −1 if less is.
+    in_db : bool
+        Whether the values are levels, of which 0.85 is 1.4 dB; they need not be above zero.
+
+    Returns
+    -------
+    Range
+        Range around the best.
 
     Raises
     ------
     InputError
-        Where the axis does not ascend, fewer than two values are given, or the share is not
-        between 0 and 1.
+        If the axis does not ascend, fewer than two values are given, or the share is not between 0
+        and 1.
 
-    Notes
-    -----
-    Between the axis' values the criterion runs straight. Where several stretches are good enough it
-    is the one with the best.
+    Notes ----- The criterion is interpolated linearly between the values of the axis. If several
+    ranges are good enough, the one that holds the best is returned.
     """
     along, values = np.asarray(along, np.float64), np.asarray(values, np.float64)
     if along.size < 2 or np.any(np.diff(along) <= 0):
@@ -76,19 +91,45 @@ def within(
 
 
 def check_share(share: float) -> None:
-    """Raise InputError where a share of the best cannot be."""
+    """Check a share of the best.
+
+    Parameters
+    ----------
+    share : float
+        Share, above 0 and below 1.
+
+    Raises
+    ------
+    InputError
+        If the share is out of range.
+    """
     if not 0 < share < 1:
         raise InputError(f"share = {share:g}: must be above 0 and below 1, as {SHARE:g}")
 
 
 def shares(values: Floats, *, sign: int, in_db: bool) -> Floats:
-    """Return what is in proportion to how good values are."""
+    """Return numbers in proportion to how good values are.
+
+    Parameters
+    ----------
+    values : ndarray of float
+        Values of a criterion.
+    sign : int
+        1 if more is better, −1 if less is.
+    in_db : bool
+        Whether the values are levels.
+
+    Returns
+    -------
+    ndarray of float
+        Linear values if more is better, otherwise their inverse.
+    """
     size = 10 ** (values / 20) if in_db else values
     return size if sign > 0 else 1 / size
 
 
 def _sides(best: int) -> tuple[slice, slice]:
-    """Return the way from the best down to the first value, and that up to the last."""
+    """Return the slices from the best down to the first value, and up to the last."""
     return slice(best, None, -1), slice(best, None)
 
 
@@ -105,6 +146,17 @@ def _crossing(along: Floats, size: Floats, level: float) -> tuple[float, bool]:
 
 
 def overlap(ranges: list[Range]) -> tuple[float, float] | None:
-    """Return what all ranges share, or None where there is nothing."""
+    """Return the overlap of all ranges.
+
+    Parameters
+    ----------
+    ranges : list of Range
+        Ranges of one axis; at least one.
+
+    Returns
+    -------
+    (float, float) or None
+        Ends of the overlap, or None if there is none.
+    """
     low, high = max(r.low for r in ranges), min(r.high for r in ranges)
     return (low, high) if low <= high else None

@@ -1,4 +1,4 @@
-"""One design of a front in plain words: the knee, and what it costs against each end.
+"""Recommendation of one design of a Pareto front: the knee, and what it costs against each end.
 
 With each objective scaled to 0 at its best along the front and 1 at its worst, the knee lies
 farthest from the line (of three objectives, the plane) between the ends: beyond it, little more of
@@ -19,17 +19,19 @@ if TYPE_CHECKING:
 
 
 ALIKE = 0.005
-"""Relative difference that is not worth a word."""
+"""Relative difference below which two values are not worth comparing."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """A design that is recommended.
+    """A recommended design.
 
     Attributes
     ----------
-    place : along ``design``
-    words : what it is, and what it costs against each end
+    place : int
+        Position along ``design``.
+    words : str
+        Description of the design, and what it costs against each end of the front.
     """
 
     place: int
@@ -37,7 +39,18 @@ class Recommendation:
 
 
 def lowered(front: "xarray.Dataset") -> Floats:
-    """Return objectives (N, O) of a front so that less is better, each 0 … 1 along it."""
+    """Return the objectives of a front, scaled and with their sign changed so that less is better.
+
+    Parameters
+    ----------
+    front : xarray.Dataset
+        Pareto front of `tactile.study.optimizing.find_designs`.
+
+    Returns
+    -------
+    (N, O) array of float
+        Objectives, each 0 at its best along the front and 1 at its worst.
+    """
     columns = []
     for name in front.attrs["objectives"].split():
         values = -CRITERIA[front[name].attrs["criterion"]].sign * front[name].values
@@ -47,15 +60,21 @@ def lowered(front: "xarray.Dataset") -> Floats:
 
 
 def recommend(front: "xarray.Dataset") -> Recommendation:
-    """Return the knee of a front and a sentence about it; see the module's docstring.
+    """Recommend the knee of a front; see the module's docstring.
 
     Parameters
     ----------
-    front : as `tactile.study.optimizing.find_designs` returns it
+    front : xarray.Dataset
+        Pareto front of `tactile.study.optimizing.find_designs`.
+
+    Returns
+    -------
+    Recommendation
+        Knee of the front, with a description.
     """
     scaled = lowered(front)
     place = int(scaled.sum(axis=1).argmin())
-    lines = [f"{_design(front, place)}: {_reached(front, place)}."]
+    lines = [f"{_design(front, place)}: {_objectives_of(front, place)}."]
     if scaled.shape[1] == 1 or len(scaled) == 1:
         lines.append("Nothing else within the bounds is better in anything that was asked for.")
         return Recommendation(place, " ".join(lines))
@@ -63,19 +82,19 @@ def recommend(front: "xarray.Dataset") -> Recommendation:
     for column, name in enumerate(names):
         end = int(np.lexsort((scaled.sum(axis=1), scaled[:, column]))[0])
         if end == place:
-            lines.append(f"It is itself the best in {_spoken(front, name)}.")
+            lines.append(f"It is itself the best in {_criterion_name(front, name)}.")
             continue
-        told = [_against(front, other, place, end) for other in names]
+        differences = [_compare(front, other, place, end) for other in names]
         lines.append(
-            f"Against the best in {_spoken(front, name)} ({_design(front, end)}) it has "
-            f"{_joined([words for words in told if words])}."
+            f"Against the best in {_criterion_name(front, name)} ({_design(front, end)}) it has "
+            f"{_join([words for words in differences if words])}."
         )
     return Recommendation(place, " ".join(lines))
 
 
 def _design(front: "xarray.Dataset", place: int) -> str:
-    """Return the values of a design, as "length 21.3 mm and width 2 mm"."""
-    return _joined(
+    """Return the values of a design, such as "length 21.3 mm and width 2 mm"."""
+    return _join(
         [
             f"{PARAMETERS[str(name)].means} {float(front[name][place]):.3g} "
             f"{PARAMETERS[str(name)].unit}".removesuffix(" 1")
@@ -85,27 +104,28 @@ def _design(front: "xarray.Dataset", place: int) -> str:
     )
 
 
-def _reached(front: "xarray.Dataset", place: int) -> str:
-    """Return what a design counts for in each objective, beside it the middle finger's."""
-    told = []
+def _objectives_of(front: "xarray.Dataset", place: int) -> str:
+    """Return a design's objectives; a robust one is followed by its value for the middle finger."""
+    values = []
     for name in front.attrs["objectives"].split():
         of = front[name].attrs
         value, nominal = float(front[name][place]), front[variable(of["criterion"])]
-        words = f"{_spoken(front, name)} {value:.3g} {of['units']}"
+        words = f"{_criterion_name(front, name)} {value:.3g} {of['units']}"
         if name.startswith("robust_"):
             words += f" ({float(nominal[place]):.3g} {of['units']} in the middle)"
-        told.append(words)
-    return _joined(told)
+        values.append(words)
+    return _join(values)
 
 
-def _spoken(front: "xarray.Dataset", name: str) -> str:
+def _criterion_name(front: "xarray.Dataset", name: str) -> str:
+    """Return the name of an objective's criterion in words."""
     return str(front[name].attrs["criterion"]).replace("_", " ")
 
 
-def _against(front: "xarray.Dataset", name: str, place: int, end: int) -> str:
-    """Return how an objective compares with an end's, or "" where it is alike."""
+def _compare(front: "xarray.Dataset", name: str, place: int, end: int) -> str:
+    """Return how an objective compares with that at an end of the front, or "" if alike."""
     value, other = float(front[name][place]), float(front[name][end])
-    what, unit = _spoken(front, name), front[name].attrs["units"]
+    what, unit = _criterion_name(front, name), front[name].attrs["units"]
     if unit == "dB" or other <= 0:
         difference = value - other
         return f"{abs(difference):.3g} {unit} {_more(difference)} {what}" if difference else ""
@@ -121,6 +141,6 @@ def _more(difference: float) -> str:
     return "more" if difference > 0 else "less"
 
 
-def _joined(words: list[str]) -> str:
+def _join(words: list[str]) -> str:
     """Return words as a list in a sentence."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

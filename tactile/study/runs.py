@@ -1,9 +1,9 @@
-"""Running a study: its blocks solved by a crew, a bounded number at once, each stored when done.
+"""Execution of studies: a crew solves a bounded number of blocks at once; each is stored when done.
 
-A study is the same numbers, to the last bit, whoever solves it. With a store (``.zarr``) it takes
-little memory whatever its size, and what is stored is never solved again: a run that was ended, by
-whatever, goes on where it was when it is run again. Two runs may even share a store, as both would
-write the same.
+A study gives the same numbers, to the last bit, whoever solves it. With a store (``.zarr``) it
+takes little memory whatever its size, and stored blocks are never solved again: a run that was
+ended for whatever reason continues when it is started again. Two runs may even share a store, as
+both would write the same.
 """
 
 import math
@@ -27,21 +27,34 @@ if TYPE_CHECKING:
     import xarray
 
 Progress = Callable[[int, int], None]
-"""Is told how many blocks there are of how many."""
+"""Callback that receives the number of finished blocks and the number of all."""
 Crew = OwnCrew | PoolCrew | ClusterCrew
+"""Any crew that solves blocks."""
 
 WINDOW = 2
-"""Parts for each worker that are being solved or wait to be."""
+"""Number of blocks for each worker that are being solved or wait to be."""
 WATCHED_S = 1.0
-"""Between looks at whether somebody is left."""
+"""Interval between checks whether a worker is left [s]."""
 UNSTORED_POINTS = 2**30
 """Designs × frequencies above which a study must be stored as it goes: ten minutes of one core."""
 POOL_POINTS = 2**25
-"""From which on it pays to start processes: some fifteen seconds of one core."""
+"""Designs × frequencies from which on worker processes pay off: some fifteen seconds of one
+core."""
 
 
 class MemoryStore:
-    """The blocks of a study in memory."""
+    """Blocks of a study in memory.
+
+    Parameters
+    ----------
+    study : Study
+        Study whose values are kept.
+
+    Raises
+    ------
+    InputError
+        If the study takes too much memory, is too large to be lost, or has too many blocks.
+    """
 
     def __init__(self, study: Study) -> None:
         check_memory(study)
@@ -58,26 +71,68 @@ class MemoryStore:
         self._study = study
 
     def pending(self) -> Iterator[Block]:
-        """Yield all blocks."""
+        """Yield all blocks, in order.
+
+        Yields
+        ------
+        Block
+            Slices of each axis.
+        """
         yield from self._blocks
 
     def put(self, block: Block, found: dict[str, NDArray[Any]]) -> None:
-        """Keep the values of a block."""
+        """Keep the values of a block.
+
+        Parameters
+        ----------
+        block : Block
+            Slices of each axis.
+        found : dict of str to ndarray
+            Values of the block by variable.
+        """
         for name, values in found.items():
             self._values[name][block] = values
 
     def data(self) -> "xarray.Dataset":
-        """Return the data set."""
+        """Return the data set of the solved study.
+
+        Returns
+        -------
+        xarray.Dataset
+            Labeled values of all blocks.
+        """
         return labeled(self._study, self._values)
 
 
 def points(study: Study) -> int:
-    """Return the number of designs × frequencies."""
+    """Return the number of designs × frequencies of a study.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Returns
+    -------
+    int
+        Number of points; without frequencies, the number of designs.
+    """
     return math.prod(study.shape) * max(1, np.size(study.frequency))
 
 
 def fitting_workers(study: Study) -> int:
-    """Return how many processes pay for a study: one, or one for each core."""
+    """Return the number of processes that pay off for a study: one, or one for each core.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Returns
+    -------
+    int
+        Number of processes.
+    """
     return (os.cpu_count() or 1) if points(study) > POOL_POINTS else 1
 
 
@@ -89,29 +144,34 @@ def run_study(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> "xarray.Dataset":
-    """Solve a study on processes or a cluster, and store it.
+    """Solve a study with processes or a cluster, and store it.
 
     Parameters
     ----------
-    study : the question
-    store : ``.zarr``, written as it goes and resumed where it is there; or ``.nc``, written at the
-        end; or None
-    workers : processes on this machine; with several, a program's own start must be guarded by
-        ``if __name__ == "__main__"``
-    scheduler : address of a Dask cluster, as tcp://host:8786, which then solves
-    progress : called with blocks done and blocks in all
+    study : Study
+        Study to be solved.
+    store : str or Path, optional
+        Path of a ``.zarr`` store, which is written as the study goes and resumed if it exists, or
+        of a ``.nc`` file, which is written at the end.
+    workers : int
+        Number of processes on this machine. With several, the calling program's start must be
+        guarded by ``if __name__ == "__main__"``.
+    scheduler : str, optional
+        Address of a Dask cluster that solves instead, such as tcp://host:8786.
+    progress : callable, optional
+        Called with the number of finished blocks and the number of all.
 
     Returns
     -------
     xarray.Dataset
-        As of `solve_study`; lazy where it is stored as it goes.
+        Data set as of `solve_study`; lazy if it was stored as it went.
 
     Raises
     ------
     InputError
-        Where a library is missing, the store cannot be written or is of another study, the study is
-        too large to be held in memory, no cluster answers, or no worker is left (how many blocks
-        are stored, and that the same call goes on).
+        If a library is missing, the store cannot be written or belongs to another study, the study
+        is too large to be held in memory, no cluster answers, or no worker is left. In the last
+        case the message gives the number of stored blocks; the same call resumes the study.
     """
     with study_extra("a study"):
         import xarray  # noqa: F401
@@ -136,11 +196,11 @@ def _solve(
     scheduler: str | None,
     progress: Progress | None,
 ) -> None:
-    """Have what is pending solved and kept; see `run_study`."""
+    """Solve the pending blocks and put them into the store; see `run_study`."""
     pending, total = list(kept.pending()), len(study_blocks(study))
     done = total - len(pending)
-    tell = progress or (lambda done, total: None)
-    tell(done, total)
+    report = progress or (lambda done, total: None)
+    report(done, total)
     if not pending:
         return
     crew = _gather(min(workers, len(pending)), scheduler)
@@ -148,19 +208,20 @@ def _solve(
         for block, found in solve_blocks(study, pending, crew):
             kept.put(block, found)
             done += 1
-            tell(done, total)
+            report(done, total)
     except CrewLostError as error:
-        after = (
+        outcome = (
             f"{done} of {total} blocks are stored in {kept.path}, and the same command goes on"
             if isinstance(kept, BlockStore)
             else "nothing is stored; with --out study.zarr it would be, as it goes"
         )
-        raise InputError(f"{error}; {after}") from error
+        raise InputError(f"{error}; {outcome}") from error
     finally:
         crew.close()
 
 
 def _gather(workers: int, scheduler: str | None) -> Crew:
+    """Return the crew for a number of workers or a scheduler."""
     if scheduler is not None:
         return ClusterCrew(scheduler)
     return OwnCrew() if workers == 1 else PoolCrew(workers)
@@ -169,35 +230,51 @@ def _gather(workers: int, scheduler: str | None) -> Crew:
 def solve_blocks(
     study: Study, pending: Iterable[Block], crew: Crew
 ) -> Iterator[tuple[Block, Found]]:
-    """Yield each block with its values as they are solved, `WINDOW` for each worker under way.
+    """Yield each block with its values as it is solved, with `WINDOW` blocks per worker under way.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+    pending : iterable of Block
+        Blocks to be solved.
+    crew : Crew
+        Workers.
+
+    Yields
+    ------
+    block : Block
+        Slices of each axis.
+    values : dict of str to ndarray
+        Values of the block by variable.
 
     Raises
     ------
     CrewLostError
-        Where no worker is left.
+        If no worker is left.
     """
     waiting = iter(pending)
-    flying: dict[Future[Found], Block] = {}
-    again: list[Block] = []
+    in_flight: dict[Future[Found], Block] = {}
+    retries: list[Block] = []
     while True:
         window = 1 if isinstance(crew, OwnCrew) else WINDOW * crew.size
-        while len(flying) < window:
-            block = again.pop() if again else next(waiting, None)
+        while len(in_flight) < window:
+            block = retries.pop() if retries else next(waiting, None)
             if block is None:
                 break
-            flying[crew.submit(part_of(study, block))] = block
-        if not flying:
+            in_flight[crew.submit(part_of(study, block))] = block
+        if not in_flight:
             return
-        finished, _ = wait(flying, WATCHED_S, FIRST_COMPLETED)
+        finished, _ = wait(in_flight, WATCHED_S, FIRST_COMPLETED)
         if not finished:
             crew.watch()
         for future in finished:
-            block = flying.pop(future)
+            block = in_flight.pop(future)
             try:
-                found = future.result()
+                values = future.result()
             except Exception as error:
                 crew.explain(future, error)
-                again.append(block)
+                retries.append(block)
             else:
                 crew.succeed()
-                yield block, found
+                yield block, values

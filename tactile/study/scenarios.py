@@ -1,10 +1,11 @@
-"""What a design will meet: many fingers, and benders that are not quite as drawn.
+"""Scenarios that a design has to meet: many fingers, and benders with manufacturing tolerances.
 
 A scenario is one finger and one set of tolerances. Fingers are log-normal around the paper's two:
-a normal `firmness` of mean 1/2 and standard deviation 1/2 puts the low and the high finger one
-standard deviation to either side (assumed: two fingers are all that is published). Tolerances are
-normal factors, held within three standard deviations. Scenarios are drawn by scrambled Sobol
-points, so that a few dozen already speak for the distribution, and every design meets the same.
+a normally distributed `firmness` of mean 1/2 and standard deviation 1/2 puts the low and the high
+finger one standard deviation to either side (assumed: two fingers are all that is published).
+Tolerances are normally distributed factors, truncated at three standard deviations. Scenarios are
+drawn from scrambled Sobol points, so that a few dozen already represent the distribution, and all
+designs are judged in the same scenarios.
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ from tactile.files import nearest
 from tactile.study.parameters import PARAMETERS
 
 FIRMNESS = (0.5, 0.5)
-"""Mean and standard deviation; see the module's docstring."""
+"""Mean and standard deviation of the fingers' firmness; see the module's docstring."""
 TOLERANCES = {
     "piezo_height_mm": 0.02,
     "shim_height_mm": 0.03,
@@ -27,27 +28,33 @@ TOLERANCES = {
     "d31_pm_per_v": 0.05,
     "eps33t_relative": 0.07,
 }
-"""Relative standard deviations of heights, moduli, d31 and eps33T. Assumed: data sheets of ceramics
-give 10 to 20 % for d31 and eps33T and about 5 to 10 % for compliance, as limits, taken for three
-deviations; heights are those of lapped plates and prepreg."""
+"""Relative standard deviations of heights, moduli, d31 and eps33T.
+
+These are assumed. Data sheets of ceramics give limits of 10 to 20 % for d31 and eps33T and of about
+5 to 10 % for compliance; the limits are taken for three standard deviations. The heights are those
+of lapped plates and prepreg.
+"""
 MOST = 2**20
+"""Largest number of scenarios."""
 LIMIT = 3.0
-"""Standard deviations beyond which parts are sorted out."""
+"""Number of standard deviations beyond which parts are sorted out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenarios:
-    """Values and factors of parameters, one entry a scenario.
+    """Values and factors of parameters, with one entry for each scenario.
 
     Attributes
     ----------
-    values : (S,) of parameters, in the unit of their names
-    factors : (S,) by which a design's own value is multiplied
+    values : mapping of str to (S,) array of float
+        Values by parameter, in the unit that the parameter's name ends in.
+    factors : mapping of str to (S,) array of float
+        Factors by parameter, by which a design's own value is multiplied.
 
     Raises
     ------
     InputError
-        Where there is none, lengths differ, or a parameter is unknown.
+        If there is no scenario, the lengths differ, or a parameter is unknown.
     """
 
     values: Mapping[str, Floats] = field(default_factory=dict)
@@ -78,17 +85,27 @@ def draw_scenarios(
 
     Parameters
     ----------
-    count : number of scenarios; a power of two is spread most evenly
-    firmness : mean and standard deviation of the finger
-    tolerances : relative standard deviation by parameter
-    seed : same seed, same scenarios
+    count : int
+        Number of scenarios, at least 1. A power of two covers the distribution most evenly.
+    firmness : (float, float)
+        Mean and standard deviation of the finger's firmness.
+    tolerances : mapping of str to float
+        Relative standard deviation by parameter, 0 to 0.3.
+    seed : int
+        Seed of the random generator, 0 or above. The same seed gives the same scenarios.
+
+    Returns
+    -------
+    Scenarios
+        Firmness of the finger as a value, and tolerances as factors.
 
     Raises
     ------
     InputError
-        For a count below 1, or a parameter without a standard value.
+        If the number of scenarios, the seed or a tolerance is out of range, or a parameter is
+        unknown.
     """
-    from scipy.stats import norm, qmc  # takes a second, which workers need not wait
+    from scipy.stats import norm, qmc  # The import takes a second, which workers are spared.
 
     if not 1 <= count <= MOST:
         raise InputError(f"scenarios = {count}: must be 1 … {MOST}")

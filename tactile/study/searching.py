@@ -1,13 +1,14 @@
-"""Other people's optimizers behind one face: pymoo's NSGA-II for fronts, scipy's for one objective.
+"""Common interface to the optimizers: pymoo's NSGA-II for fronts, scipy's for a single objective.
 
-Both are handed a function that scores a whole population at once: what is to be lowered, and by how
-much limits are missed (above 0). They know nothing of benders.
+Both take a function that scores a whole population at once. It returns the objectives, which are
+minimized, and by how much each constraint is violated (above 0). The optimizers know nothing of
+benders.
 
 NSGA-II (Deb et al. 2002, doi 10.1109/4235.996017) sorts by dominance, feasible designs first, and
-thins what is crowded; its population is larger than what it breeds at a time, so that it keeps the
-front that it has found. One objective goes to differential evolution (Storn & Price 1997, doi
-10.1023/A:1008202821328), then to Nelder and Mead's simplex, which needs no slope: the smallest of
-many frequencies has kinks.
+thins crowded regions. Its population is larger than the offspring of a generation, so that it keeps
+the front found so far. A single objective is minimized by differential evolution (Storn & Price
+1997, doi 10.1023/A:1008202821328) and then by the simplex of Nelder and Mead, which needs no
+derivative: the smallest response over many frequencies has kinks.
 """
 
 from collections.abc import Callable
@@ -22,30 +23,34 @@ from tactile.arrays import Floats
 from tactile.study.extras import study_extra
 
 Score = Callable[[Floats], tuple[Floats, Floats]]
-"""From designs (N, D) to what is lowered (N, O) and what limits are missed by (N, L)."""
+"""Function from designs (N, D) to objectives (N, O) and violations of the constraints (N, L)."""
 
 LARGE = 1e30
-"""Stands for what is infinite or has no value: optimizers want numbers."""
+"""Substitute for values that are infinite or missing, since optimizers need numbers."""
 POPULATION, OFFSPRING, GENERATIONS = 128, 64, 60
-"""Of fronts."""
+"""Size of the population, offspring of a generation, and number of generations for fronts."""
 ASIDE = 1e-3
-"""Weight of the other objectives at the end of a front."""
+"""Weight of the other objectives in the search for an end of the front."""
 BEST_GENERATIONS, BEST_POPULATION = 100, 15
-"""Of one objective; the population is so many for each number that varies."""
+"""Number of generations for one objective, and its population for each number that varies."""
 POLISH = 1e-6
-"""Share of the bounds to which the simplex goes."""
+"""Precision of the simplex, relative to the width of the bounds."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What an optimizer found.
+    """Result of an optimizer.
 
     Attributes
     ----------
-    designs : (N, D); where no design meets the limits, the one that misses them least
-    history : what was lowered, (K, O) of the best of each generation that meet the limits
-    evaluations : designs that were scored
-    optimizer : by which
+    designs : (N, D) array of float
+        Designs found; if none meets the constraints, the design with the smallest violation.
+    history : list of (K, O) array of float
+        Minimized objectives of the best feasible designs of each generation.
+    evaluations : int
+        Number of designs that were scored.
+    optimizer : str
+        Name of the optimizer.
     """
 
     designs: Floats
@@ -57,12 +62,30 @@ class Search:
 def find_front(
     score: Score, low: Floats, high: Floats, seed: int, progress: Callable[[int, int], None]
 ) -> Search:
-    """Return designs between bounds (D,) that none dominates.
+    """Find the designs between bounds that no other dominates.
+
+    Parameters
+    ----------
+    score : callable
+        Function from designs (N, D) to objectives (N, O) and violations (N, L).
+    low : (D,) array of float
+        Lower bounds.
+    high : (D,) array of float
+        Upper bounds.
+    seed : int
+        Seed of the search.
+    progress : callable
+        Called with the number of finished generations and the number of all.
+
+    Returns
+    -------
+    Search
+        Pareto front.
 
     Raises
     ------
     InputError
-        Where pymoo is missing.
+        If pymoo is missing.
     """
     with study_extra("a front of several objectives"):
         from pymoo.algorithms.moo.nsga2 import NSGA2
@@ -79,11 +102,11 @@ def find_front(
     algorithm.setup(problem, termination=("n_gen", GENERATIONS), seed=seed)
     history: list[Floats] = []
     while algorithm.has_next():
-        asked = algorithm.ask()
-        f, g = score(asked.get("X"))
+        offspring = algorithm.ask()
+        f, g = score(offspring.get("X"))
         evaluations += len(f)
-        algorithm.evaluator.eval(StaticProblem(problem, F=f, G=g), asked)
-        algorithm.tell(infills=asked)
+        algorithm.evaluator.eval(StaticProblem(problem, F=f, G=g), offspring)
+        algorithm.tell(infills=offspring)
         best = algorithm.opt
         history.append(best.get("F")[best.get("FEAS").ravel()])
         progress(len(history), GENERATIONS)
@@ -92,40 +115,58 @@ def find_front(
 
 
 def first_population(score: Score, low: Floats, high: Floats, seed: int) -> tuple[Floats, int]:
-    """Return points (N, D) that fill the bounds, the ends of the front among them, and the count.
+    """Return designs that fill the bounds, including the ends of the front.
 
-    The ends are what a population reaches last. Each is the least of one objective and a thousandth
-    of the others, in spans of the points that meet the limits, by Nelder and Mead from the best of
-    these; where none does there are no ends.
+    The ends are what a population reaches last. Each end minimizes one objective plus a thousandth
+    of the others, in units of their span over the feasible designs, by the simplex of Nelder and
+    Mead from the best of these. Without a feasible design there are no ends.
+
+    Parameters
+    ----------
+    score : callable
+        Function from designs (N, D) to objectives (N, O) and violations (N, L).
+    low : (D,) array of float
+        Lower bounds.
+    high : (D,) array of float
+        Upper bounds.
+    seed : int
+        Seed of the Sobol points.
+
+    Returns
+    -------
+    points : (N, D) array of float
+        Designs.
+    evaluations : int
+        Number of designs that were scored.
     """
     points = qmc.scale(qmc.Sobol(len(low), rng=seed).random(POPULATION), low, high)
-    lowered, missed = score(points)
-    meets = ~np.any(missed > 0, axis=1)
+    lowered, violations = score(points)
+    feasible = ~np.any(violations > 0, axis=1)
     evaluations = len(points)
-    if not meets.any():
+    if not feasible.any():
         return points, evaluations
-    span = np.ptp(lowered[meets], axis=0)
+    span = np.ptp(lowered[feasible], axis=0)
     scale = 1 / np.where(span > 0, span, 1.0)
     for k in range(lowered.shape[1]):
         weights = scale * np.where(np.arange(len(scale)) == k, 1.0, ASIDE)
-        best, taken = _least(score, weights, points[meets], low, high)
+        best, count = _minimize_weighted(score, weights, points[feasible], low, high)
         points[-1 - k] = best
-        evaluations += taken
+        evaluations += count
     return points, evaluations
 
 
-def _least(
+def _minimize_weighted(
     score: Score, weights: Floats, designs: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, int]:
-    """Return the design (D,) of the least weighted sum, beginning from the best of some."""
+    """Return the design (D,) with the smallest weighted sum, from the best of some designs."""
     evaluations = 0
 
     def cost(shares: Floats) -> Floats:
         nonlocal evaluations
         f, g = score(low + np.atleast_2d(shares) * (high - low))
         evaluations += len(f)
-        missed = np.maximum(g, 0).sum(axis=1)
-        return np.where(missed > 0, LARGE * missed, f @ weights)
+        violation = np.maximum(g, 0).sum(axis=1)
+        return np.where(violation > 0, LARGE * violation, f @ weights)
 
     shares = (designs - low) / (high - low)
     costs = cost(shares)
@@ -137,7 +178,26 @@ def _least(
 def find_best(
     score: Score, low: Floats, high: Floats, seed: int, progress: Callable[[int, int], None]
 ) -> Search:
-    """Return the design between bounds (D,) that lowers one objective most."""
+    """Find the design between bounds that minimizes one objective.
+
+    Parameters
+    ----------
+    score : callable
+        Function from designs (N, D) to objectives (N, 1) and violations (N, L).
+    low : (D,) array of float
+        Lower bounds.
+    high : (D,) array of float
+        Upper bounds.
+    seed : int
+        Seed of the search.
+    progress : callable
+        Called with the number of finished generations and the number of all.
+
+    Returns
+    -------
+    Search
+        Best design; its history has one value for each generation.
+    """
     history: list[Floats] = []
     evaluations = 0
 
@@ -145,19 +205,19 @@ def find_best(
         nonlocal evaluations
         f, g = score(low + np.atleast_2d(shares) * (high - low))
         evaluations += len(f)
-        missed = np.maximum(g, 0).sum(axis=1)
-        return np.where(missed > 0, LARGE * missed, f[:, 0])
+        violation = np.maximum(g, 0).sum(axis=1)
+        return np.where(violation > 0, LARGE * violation, f[:, 0])
 
-    def note(intermediate_result: OptimizeResult) -> None:
+    def record(intermediate_result: OptimizeResult) -> None:
         history.append(np.array([[float(intermediate_result.fun)]]))
         progress(len(history), BEST_GENERATIONS)
 
-    def at_once(shares: Floats, /, *_: Any) -> Any:
+    def population_cost(shares: Floats, /, *_: Any) -> Any:
         return cost(shares.T)
 
     unit = Bounds(np.zeros(len(low)), np.ones(len(low)))
     rough = differential_evolution(
-        at_once,
+        population_cost,
         unit,
         popsize=BEST_POPULATION,
         maxiter=BEST_GENERATIONS,
@@ -167,7 +227,7 @@ def find_best(
         vectorized=True,
         polish=False,
         rng=seed,
-        callback=note,
+        callback=record,
     )
     best = _polished(cost, rough)
     history.append(np.array([[float(best.fun)]]))
@@ -176,19 +236,19 @@ def find_best(
 
 
 def _polished(cost: Callable[[Floats], Floats], rough: OptimizeResult) -> Any:
-    """Return what Nelder and Mead's simplex makes of a minimum, or that itself."""
+    """Return a minimum after polishing by the simplex, or as it was if that is no improvement."""
     fine = _simplex(cost, rough.x, float(rough.fun))
     return fine if fine.fun <= rough.fun else rough
 
 
 def _simplex(cost: Callable[[Floats], Floats], first: Floats, value: float) -> Any:
-    """Let Nelder and Mead's simplex lower a cost between 0 and 1, from a point and its cost."""
+    """Minimize a cost over the unit cube by Nelder and Mead's simplex, from a given point."""
 
-    def one(shares: Floats, /, *_: Any) -> float:
+    def scalar_cost(shares: Floats, /, *_: Any) -> float:
         return float(cost(shares)[0])
 
     return minimize(
-        one,
+        scalar_cost,
         first,
         method="Nelder-Mead",
         bounds=Bounds(np.zeros(len(first)), np.ones(len(first))),
@@ -197,12 +257,19 @@ def _simplex(cost: Callable[[Floats], Floats], first: Floats, value: float) -> A
 
 
 def hypervolume(history: list[Floats], front: Floats) -> Floats:
-    """Return what each generation dominates, as a share of a box around the final front.
+    """Compute the hypervolume that each generation dominates, relative to a box around the front.
 
     Parameters
     ----------
-    history : (K, O) of each generation, what is lowered
-    front : (N, O); the box reaches from its best to a tenth beyond its worst
+    history : list of (K, O) array of float
+        Minimized objectives of each generation.
+    front : (N, O) array of float
+        Objectives of the final front. The box reaches from its best to a tenth beyond its worst.
+
+    Returns
+    -------
+    (G,) array of float
+        Share of the box for each generation, 0 to 1.
     """
     from pymoo.indicators.hv import HV
 
@@ -210,5 +277,5 @@ def hypervolume(history: list[Floats], front: Floats) -> Floats:
     span = np.where(worst > best, worst - best, 1.0)
     corner = np.full(front.shape[1], 1.1)
     volume = HV(ref_point=corner)
-    found = [volume((f - best) / span) if len(f) else 0.0 for f in history]
-    return np.asarray(np.array(found, np.float64) / corner.prod())
+    volumes = [volume((f - best) / span) if len(f) else 0.0 for f in history]
+    return np.asarray(np.array(volumes, np.float64) / corner.prod())

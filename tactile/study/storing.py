@@ -1,10 +1,11 @@
-"""Studies as files: NetCDF (``.nc``) for one that is finished, Zarr (``.zarr``) for any.
+"""Studies as files: NetCDF (``.nc``) for a finished study, Zarr (``.zarr``) for any.
 
-What is loaded equals what was saved, to the last bit: values, names along an axis, units and all
-other attributes. NetCDF knows no complex numbers; there ``x`` becomes ``x_real`` and ``x_imag``,
-which loading joins. Zarr (version 3) has them, and is read lazily: only what is asked for comes
-into memory (`tactile.study.block_store` writes it as lazily). Either file appears whole or not at
-all, as it is written beside its place and then renamed.
+A study is loaded exactly as it was saved, to the last bit: values, names along an axis, units and
+all other attributes. NetCDF has no complex numbers; a complex variable ``x`` becomes ``x_real`` and
+``x_imag`` there, which loading joins. Zarr (version 3) has complex numbers and is read lazily: only
+what is used is read into memory (`tactile.study.block_store` writes it block by block as well).
+Both kinds of file are written under another name and then renamed, so that they are complete or
+missing.
 """
 
 import shutil
@@ -23,26 +24,37 @@ if TYPE_CHECKING:
     import xarray
 
 SUFFIXES = (".nc", ".zarr")
+"""Suffixes of the files of a study."""
 PARTS = {"_real": "real", "_imag": "imag"}
-"""Ends of the names of a complex variable's parts, and what each is called."""
+"""Suffixes of the two variables that store a complex one, and the part that each stores."""
 PART_OF = "complex_variable"
-"""Attribute of a part that names the whole."""
+"""Attribute of a part that holds the name of the complex variable."""
 MARKS = "progress/stored"
-"""Path in a store of the array of marks, one for each block that is there
+"""Path in a store of the array of marks, one for each stored block
 (`tactile.study.block_store`)."""
 AS_STORED: dict[str, Any] = {"decode_times": False, "decode_timedelta": False}
-"""No unit of ours is a date."""
+"""Options of xarray that switch off the decoding of dates, since no unit of a study is one."""
 NUMBERED = ("scenario", "design")
-"""Axes along which there is nothing but a number; all others have values."""
+"""Axes that have only numbered positions; all other axes have values."""
 
 
 def check_store(path: str | Path) -> Path:
-    """Return the path of a store that can be written, before anything is computed for it.
+    """Check that a store can be written, before anything is computed for it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path of the store.
+
+    Returns
+    -------
+    Path
+        Path of the store.
 
     Raises
     ------
     InputError
-        Where its name ends in neither `SUFFIXES`, its folder is not there or cannot be written,
+        If the name ends in none of `SUFFIXES`, its folder is missing or cannot be written,
         something else is in its place, or a library is missing.
     """
     path = Path(path)
@@ -65,15 +77,26 @@ def check_store(path: str | Path) -> Path:
 
 
 def _beside(path: Path) -> Path:
+    """Return the path to which a file is written before it is renamed."""
     return path.with_name(f".{path.name}.new")
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a path to write to, and rename it to this one once that is done.
+    """Yield a path to write to, and rename it to the final path when the block ends.
 
-    A folder that was there is renamed before it goes (``.NAME.old``), so that whenever the process
-    ends there is one of the two.
+    A folder in its place is renamed to ``.NAME.old`` before it is removed, so that one of the two
+    is there whenever the process ends.
+
+    Parameters
+    ----------
+    path : Path
+        Final path.
+
+    Yields
+    ------
+    Path
+        Path to write to.
     """
     new, old = _beside(path), path.with_name(f".{path.name}.old")
     if new.is_dir():
@@ -89,12 +112,19 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def save(data: "xarray.Dataset", path: str | Path) -> None:
-    """Write a data set to NetCDF or Zarr, as the suffix says; what was there goes.
+    """Write a data set to NetCDF or Zarr, by the suffix of the path, replacing an existing one.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    path : str or Path
+        Path that ends in ``.nc`` or ``.zarr``.
 
     Raises
     ------
     InputError
-        See `check_store`.
+        If the path cannot be written, or a library is missing; see `check_store`.
     """
     path = check_store(path)
     with study_extra(f"{path.suffix} file"), written_whole(path) as new:
@@ -105,7 +135,15 @@ def save(data: "xarray.Dataset", path: str | Path) -> None:
 
 
 def write_zarr(data: "xarray.Dataset", path: Path) -> None:
-    """Write a data set to Zarr version 3; names as text of any length, which its standard has."""
+    """Write a data set to Zarr version 3, with names as strings of variable length.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    path : Path
+        Path at which there is nothing yet.
+    """
     names = {
         name: (v.dims, v.values.astype(np.dtypes.StringDType()), v.attrs)
         for name, v in data.variables.items()
@@ -115,18 +153,25 @@ def write_zarr(data: "xarray.Dataset", path: Path) -> None:
 
 
 def load_study(path: str | Path) -> "xarray.Dataset":
-    """Load a study; one in Zarr lazily, and also while it is not finished.
+    """Load a study; a Zarr store is loaded lazily, and may be unfinished.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path that ends in ``.nc`` or ``.zarr``.
 
     Returns
     -------
     xarray.Dataset
-        Values that an unfinished study lacks are NaN, and its attribute ``unfinished`` says how
-        much there is.
+        Data set. Values that an unfinished study lacks are NaN, and its attribute ``unfinished``
+        gives the number of stored blocks.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where the file is not there, or cannot be read.
+    NotFoundError
+        If the file does not exist.
+    InputError
+        If the file cannot be read, or a library is missing.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -142,7 +187,7 @@ def load_study(path: str | Path) -> "xarray.Dataset":
                     _joined(xarray.load_dataset(path, engine="h5netcdf", **AS_STORED))
                 )
             data = xarray.open_zarr(path, chunks={}, consolidated=False, **AS_STORED)
-            if "variables" in data.attrs:  # a group knows no order
+            if "variables" in data.attrs:  # A Zarr group has no order.
                 data = data[data.attrs["variables"].split()]
             data.attrs.update(stored_share(path))
             for name in data.dims:
@@ -153,7 +198,23 @@ def load_study(path: str | Path) -> "xarray.Dataset":
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Raise InputError for what a file that is cut or holds something else makes of reading it."""
+    """Raise InputError for errors of reading a file that is truncated or holds something else.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the file, for the message.
+
+    Yields
+    ------
+    None
+        Nothing; the block reads the file.
+
+    Raises
+    ------
+    InputError
+        If the block raises an error of reading.
+    """
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -164,7 +225,18 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def stored_share(path: Path) -> dict[str, str]:
-    """Return the attribute of a Zarr store that is not finished, or nothing."""
+    """Return an attribute that tells how much of a Zarr store is there.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the store.
+
+    Returns
+    -------
+    dict of str to str
+        Attribute ``unfinished`` of a store that lacks blocks; otherwise empty.
+    """
     import zarr
 
     group = zarr.open_group(path, mode="r")
@@ -187,28 +259,28 @@ def _plain_names(data: "xarray.Dataset") -> "xarray.Dataset":
 
 
 def _split(data: "xarray.Dataset") -> "xarray.Dataset":
-    """Return the data set with complex variables in two parts."""
-    found: dict[Any, Any] = {}
+    """Return the data set with complex variables split into two parts."""
+    variables: dict[Any, Any] = {}
     for name, v in data.data_vars.items():
         if v.dtype.kind != "c":
-            found[name] = v
+            variables[name] = v
             continue
         for end, part in PARTS.items():
             labels = {**v.attrs, PART_OF: str(name)}
-            found[f"{name}{end}"] = (v.dims, getattr(v.values, part), labels)
-    return data.drop_vars(list(data.data_vars)).assign(found)
+            variables[f"{name}{end}"] = (v.dims, getattr(v.values, part), labels)
+    return data.drop_vars(list(data.data_vars)).assign(variables)
 
 
 def _joined(data: "xarray.Dataset") -> "xarray.Dataset":
-    """Return the data set with complex variables whole."""
-    found: dict[Any, Any] = {}
+    """Return the data set with complex variables joined from their parts."""
+    variables: dict[Any, Any] = {}
     for name, v in data.data_vars.items():
         whole = v.attrs.get(PART_OF)
         if whole is None:
-            found[name] = v
+            variables[name] = v
             continue
         labels = {key: value for key, value in v.attrs.items() if key != PART_OF}
-        values = found[whole][1] if whole in found else np.empty(v.shape, np.complex128)
+        values = variables[whole][1] if whole in variables else np.empty(v.shape, np.complex128)
         setattr(values, PARTS[str(name).removeprefix(whole)], v.values)
-        found[whole] = (v.dims, values, labels)
-    return data.drop_vars(list(data.data_vars)).assign(found)
+        variables[whole] = (v.dims, values, labels)
+    return data.drop_vars(list(data.data_vars)).assign(variables)

@@ -1,9 +1,9 @@
-"""A sweep: every combination of some parameters, solved over frequency, as a labeled array.
+"""Sweeps: every combination of some parameters, solved over frequency, as a labeled array.
 
-A `Study` says what is asked. It is cut into blocks (`blocks`), each of which is solved by itself
-(`solve_block`); `frame` is the empty data set that they fill, with coordinates, units and how it
-came to be. `solve_study` does all of it in memory and in this process; `tactile.study.runs`
-stores as it goes, on several processes or machines.
+A `Study` defines the sweep. It is cut into blocks (`blocks`), each of which is solved by itself
+(`solve_block`). `frame` is the empty data set that they fill, with coordinates, units and
+provenance. `solve_study` does all of this in memory and in the calling process;
+`tactile.study.runs` stores results as it goes, with several processes or machines.
 """
 
 import datetime
@@ -40,19 +40,35 @@ if TYPE_CHECKING:
     import xarray
 
 Block = tuple[slice, ...]
-"""A slice of each axis."""
+"""Slice of each axis."""
 
 PIECE_POINTS = 7 * 2**10
-"""Designs × frequencies that are solved at once. Their arrays stay in a processor's cache, and
-below the 128 KiB from which glibc asks the system for each, which is twice as slow."""
+"""Designs × frequencies that are solved at once.
+
+Their arrays stay in a processor's cache, and below the 128 KiB from which glibc requests each from
+the operating system, which is twice as slow.
+"""
 LARGEST = 2**31
-"""Bytes of a data set that is made in memory."""
+"""Largest size of a data set that is made in memory [bytes]."""
 MODEL = "Hofmann & Twiefel 2014, doi 10.1515/ehs-2014-0055, corrected; exp(+jωt)"
+"""Description of the model in the attributes of a data set."""
 
 
 @dataclass(frozen=True)
 class ResponseVariable:
-    """A response over frequency that a data set can hold: its unit, meaning and scale from SI."""
+    """A response over frequency that a data set can hold.
+
+    Attributes
+    ----------
+    variable : str
+        Name of the variable.
+    unit : str
+        Unit, for labels.
+    means : str
+        Meaning, for labels.
+    scale : float
+        Factor from SI to the unit.
+    """
 
     variable: str
     unit: str
@@ -71,29 +87,39 @@ RESPONSES: dict[str, ResponseVariable] = {
         "admittance_us", "µS", "current per volt, clamped part included", 1e6
     ),
 }
+"""Responses that a study can keep, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """A question about a design.
+    """A sweep over parameters of a design.
 
     Attributes
     ----------
-    axes : values of each parameter that is varied, in the unit of its name
-    frequency : ascending (F,) [Hz]; may be empty where no criterion needs a band
-    fixed : values of further parameters
-    criteria : names of `CRITERIA`
-    responses : names of `RESPONSES` that are kept over frequency
-    scenarios : fingers and tolerances, along a last axis ``scenario``
-    conditions : band and limits
-    fingers : what ``load`` may name
-    base : what nobody varies
+    axes : mapping of str to array_like
+        Values of each parameter that is varied, in the unit of its name.
+    frequency : (F,) array of float
+        Ascending frequencies [Hz]; may be empty if no criterion needs a band.
+    fixed : mapping of str to object
+        Values of further parameters.
+    criteria : tuple of str
+        Names of `CRITERIA` to compute.
+    responses : tuple of str
+        Names of `RESPONSES` to keep over frequency.
+    scenarios : Scenarios or None
+        Fingers and tolerances, along a last axis ``scenario``.
+    conditions : Conditions
+        Band and limits.
+    fingers : mapping of str to FingerLoad
+        Finger loads that ``load`` may name.
+    base : Bimorph
+        Design that supplies everything that is neither varied nor fixed.
 
     Raises
     ------
     InputError
-        For an empty or unknown axis, a value out of its limits, a criterion without its band or
-        without frequencies in it.
+        If an axis is empty or unknown, a value is out of its limits, or a criterion lacks its band
+        or frequencies within it.
     """
 
     axes: Mapping[str, ArrayLike]
@@ -114,23 +140,34 @@ class Study:
 
     @property
     def dimensions(self) -> tuple[str, ...]:
-        """Names of the axes, ``scenario`` last."""
+        """Names of the axes, with ``scenario`` last."""
         return (*self.axes, *(() if self.scenarios is None else ("scenario",)))
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values along each of them."""
+        """Number of values along each axis."""
         several = () if self.scenarios is None else (self.scenarios.count,)
         return (*(np.size(v) for v in self.axes.values()), *several)
 
     @property
     def designs(self) -> int:
-        """Number of combinations."""
+        """Number of combinations, including scenarios."""
         return math.prod(self.shape)
 
 
 def check_study(study: Study) -> None:
-    """Raise InputError for what cannot be asked; see `Study`."""
+    """Check that a study is possible; see `Study`.
+
+    Parameters
+    ----------
+    study : Study
+        Study to check.
+
+    Raises
+    ------
+    InputError
+        If an axis, value, frequency, criterion or response is not possible.
+    """
     if not study.axes:
         raise InputError("a study needs an axis, as length_mm=8:30:0.5")
     for name, values in [*study.axes.items(), *study.fixed.items()]:
@@ -141,9 +178,11 @@ def check_study(study: Study) -> None:
         if np.unique(np.asarray(values)).size < np.size(values):
             raise InputError(f"{name}: the axis has a value twice")
     drawn = set() if study.scenarios is None else set(study.scenarios.values)
-    for one, other in itertools.combinations((set(study.axes), set(study.fixed), drawn), 2):
-        if one & other:
-            raise InputError(f"{min(one & other)}: given twice; an axis, fixed or drawn, but once")
+    for first, second in itertools.combinations((set(study.axes), set(study.fixed), drawn), 2):
+        if first & second:
+            raise InputError(
+                f"{min(first & second)}: given twice; an axis, fixed or drawn, but once"
+            )
     if {"load", "firmness"} <= set(study.axes) | set(study.fixed) | drawn:
         raise InputError("load and firmness: both are the finger; give one of them")
     f = np.asarray(study.frequency)
@@ -162,7 +201,7 @@ def check_study(study: Study) -> None:
 
 
 def _check_frequencies(study: Study) -> None:
-    """Raise InputError where a criterion lacks its band, or a curve its frequencies."""
+    """Raise InputError if a criterion lacks its band, or a response its frequencies."""
     f, band = np.asarray(study.frequency), study.conditions.band
     if study.responses and not f.size:
         raise InputError(f"{study.responses[0]}: needs frequencies, as 10:1000:5 Hz")
@@ -188,14 +227,38 @@ def _check_frequencies(study: Study) -> None:
 
 
 def in_band(study: Study) -> NDArray[np.bool_]:
-    """Return which frequencies are in the band."""
+    """Return which frequencies are in the band.
+
+    Parameters
+    ----------
+    study : Study
+        Study with frequencies and a band.
+
+    Returns
+    -------
+    (F,) array of bool
+        Whether each frequency is in the band; all are if there is no band.
+    """
     f, band = np.asarray(study.frequency), study.conditions.band
     low, high = band or (0.0, np.inf)
     return np.asarray((f >= low) & (f <= high))
 
 
 def blocks(shape: tuple[int, ...], designs: int) -> Iterator[Block]:
-    """Cut axes of this shape into blocks of at most so many designs, in order, the last first."""
+    """Cut axes into blocks, the last axis varying fastest.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Length of each axis.
+    designs : int
+        Largest number of designs of a block, at least 1.
+
+    Returns
+    -------
+    iterator of Block
+        Blocks in order.
+    """
     steps: list[int] = []
     for size in reversed(shape):
         steps.append(max(1, min(size, designs)))
@@ -210,42 +273,62 @@ def blocks(shape: tuple[int, ...], designs: int) -> Iterator[Block]:
 def solve_block(study: Study, block: Block) -> dict[str, NDArray[Any]]:
     """Solve one block, in pieces that stay in a processor's cache.
 
+    Parameters
+    ----------
+    study : Study
+        Study that the block belongs to.
+    block : Block
+        Slice of each axis.
+
     Returns
     -------
-    dict of ndarray
-        By the variables' names, in their units: criteria of the block's shape, responses with a
-        last axis (F,).
+    dict of str to ndarray
+        Values by variable, in its unit: criteria in the block's shape, responses with a last axis
+        (F,).
     """
     frequencies = max(1, np.size(study.frequency))
     shape = tuple(part.stop - part.start for part in block)
-    found: dict[str, NDArray[Any]] = {}
+    results: dict[str, NDArray[Any]] = {}
     for piece in blocks(shape, max(1, PIECE_POINTS // frequencies)):
         whole = tuple(
             slice(b.start + p.start, b.start + p.stop) for b, p in zip(block, piece, strict=True)
         )
         for name, values in _solve_piece(study, whole).items():
-            if name not in found:
+            if name not in results:
                 last = () if values.ndim == len(shape) else values.shape[-1:]
-                found[name] = np.empty((*shape, *last), values.dtype)
-            found[name][piece] = values
-    return found
+                results[name] = np.empty((*shape, *last), values.dtype)
+            results[name][piece] = values
+    return results
 
 
 def _solve_piece(study: Study, piece: Block) -> dict[str, NDArray[Any]]:
-    """Return what `solve_block` does of a part, its arrays perhaps of length one along an axis."""
+    """Solve a piece of a block; see `solve_block`. Its arrays may have length one along an axis."""
     designs = specimen(values_of(study, piece), base=study.base, fingers=study.fingers)
-    found: dict[str, NDArray[Any]] = {}
+    results: dict[str, NDArray[Any]] = {}
     response = response_of(designs, study.frequency)
     if response is not None:
-        found.update(_kept(study, response, len(piece)))
-    judged = Solved(designs, _banded(study, response), study.conditions)
+        results.update(_kept_responses(study, response, len(piece)))
+    judged = Solved(designs, _response_in_band(study, response), study.conditions)
     for name, value in numbers_of(study.criteria, judged).items():
-        found[variable(name)] = value.reshape((1,) * (len(piece) - value.ndim) + value.shape)
-    return found
+        results[variable(name)] = value.reshape((1,) * (len(piece) - value.ndim) + value.shape)
+    return results
 
 
 def response_of(designs: Specimen, frequency: ArrayLike) -> TipResponse | None:
-    """Return the response of designs (...,) at frequencies (F,) [Hz], or None without any."""
+    """Compute the response of designs.
+
+    Parameters
+    ----------
+    designs : Specimen
+        Designs (...,).
+    frequency : (F,) array_like of float
+        Frequencies [Hz].
+
+    Returns
+    -------
+    TipResponse or None
+        Response (..., F), or None without frequencies.
+    """
     if not np.size(frequency):
         return None
     return tip_response(
@@ -258,7 +341,21 @@ def response_of(designs: Specimen, frequency: ArrayLike) -> TipResponse | None:
 
 
 def values_of(study: Study, block: Block) -> dict[str, Any]:
-    """Return the values of all parameters in a block, to broadcast: each axis along its own."""
+    """Return the values of all parameters in a block.
+
+    Parameters
+    ----------
+    study : Study
+        Study that the block belongs to.
+    block : Block
+        Slice of each axis.
+
+    Returns
+    -------
+    dict of str to object
+        Values by parameter, in the unit of its name. They broadcast: each axis has its own
+        dimension.
+    """
     values: dict[str, Any] = dict(study.fixed)
     along = dict(zip(study.dimensions, block, strict=True))
     for place, (name, part) in enumerate(along.items()):
@@ -276,7 +373,7 @@ def values_of(study: Study, block: Block) -> dict[str, Any]:
     return values
 
 
-def _banded(study: Study, response: TipResponse | None) -> TipResponse | None:
+def _response_in_band(study: Study, response: TipResponse | None) -> TipResponse | None:
     """Return the response at the frequencies in the band."""
     keep = in_band(study)
     if response is None or keep.all():
@@ -293,8 +390,8 @@ def _banded(study: Study, response: TipResponse | None) -> TipResponse | None:
     )
 
 
-def _kept(study: Study, response: TipResponse, axes: int) -> dict[str, NDArray[Any]]:
-    """Return the curves that are kept, in their units, with all axes."""
+def _kept_responses(study: Study, response: TipResponse, axes: int) -> dict[str, NDArray[Any]]:
+    """Return the responses to keep, in their units and with all axes."""
     found = {}
     for name in study.responses:
         curve = RESPONSES[name]
@@ -304,7 +401,23 @@ def _kept(study: Study, response: TipResponse, axes: int) -> dict[str, NDArray[A
 
 
 def frame(study: Study) -> "xarray.Dataset":
-    """Return the data set without its variables: coordinates, units and how it came to be."""
+    """Return the data set of a study without its variables.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Returns
+    -------
+    xarray.Dataset
+        Data set with coordinates, units and provenance.
+
+    Raises
+    ------
+    InputError
+        If xarray is missing.
+    """
     with study_extra("a study"):
         import xarray
 
@@ -324,28 +437,51 @@ def frame(study: Study) -> "xarray.Dataset":
 
 
 def _label(name: str) -> tuple[str, str]:
+    """Return unit and meaning of a parameter."""
     parameter = PARAMETERS.get(name)
     return ("", NAMED[name]) if parameter is None else (parameter.unit, parameter.means)
 
 
 def variables(study: Study) -> dict[str, tuple[tuple[str, ...], dict[str, str], Any]]:
-    """Return dimensions, attributes and type of each variable of a study."""
-    found: dict[str, tuple[tuple[str, ...], dict[str, str], Any]] = {}
+    """Return the dimensions, attributes and type of each variable of a study.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Returns
+    -------
+    dict of str to tuple
+        Names of the dimensions, attributes, and element type, by variable.
+    """
+    layout: dict[str, tuple[tuple[str, ...], dict[str, str], Any]] = {}
     for name in study.criteria:
         c = CRITERIA[name]
         labels = {"units": c.unit, "long_name": c.means, "criterion": name}
         if c.needs_band and study.conditions.band is not None:
             labels["band"] = "{:g} … {:g} Hz".format(*study.conditions.band)
-        found[variable(name)] = (study.dimensions, labels, np.float64)
+        layout[variable(name)] = (study.dimensions, labels, np.float64)
     for name in study.responses:
         curve = RESPONSES[name]
         labels = {"units": curve.unit, "long_name": curve.means}
-        found[curve.variable] = ((*study.dimensions, "frequency_hz"), labels, np.complex128)
-    return found
+        layout[curve.variable] = ((*study.dimensions, "frequency_hz"), labels, np.complex128)
+    return layout
 
 
 def provenance(study: Study) -> dict[str, str]:
-    """Return how a data set came to be, as its attributes."""
+    """Return the provenance of a data set, as its attributes.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Returns
+    -------
+    dict of str to str
+        Title, versions of tactile and of the model, time, and the values of everything not varied.
+    """
     limits = asdict(study.conditions)
     conditions = {name: v for name, v in limits.items() if v is not None and v != np.inf}
     return {
@@ -361,7 +497,18 @@ def provenance(study: Study) -> dict[str, str]:
 
 
 def check_memory(study: Study) -> None:
-    """Raise InputError where a study's data set takes more than `LARGEST` bytes."""
+    """Check that the data set of a study takes no more than `LARGEST` bytes.
+
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
+    Raises
+    ------
+    InputError
+        If the data set takes more.
+    """
     need = sum(
         math.prod(study.shape) * (16 * np.size(study.frequency) if kind is np.complex128 else 8)
         for _, _, kind in variables(study).values()
@@ -376,6 +523,11 @@ def check_memory(study: Study) -> None:
 def solve_study(study: Study) -> "xarray.Dataset":
     """Solve a study in memory and in this process.
 
+    Parameters
+    ----------
+    study : Study
+        Study to be solved.
+
     Returns
     -------
     xarray.Dataset
@@ -384,14 +536,32 @@ def solve_study(study: Study) -> "xarray.Dataset":
     Raises
     ------
     InputError
-        Where xarray is missing, or it takes more than `LARGEST` bytes.
+        If xarray is missing, or the data set takes more than `LARGEST` bytes.
     """
     check_memory(study)
     return labeled(study, solve_block(study, tuple(slice(0, size) for size in study.shape)))
 
 
 def labeled(study: Study, solved: Mapping[str, NDArray[Any]]) -> "xarray.Dataset":
-    """Return the data set of a study whose variables have been solved."""
+    """Return the data set of a study whose variables have been solved.
+
+    Parameters
+    ----------
+    study : Study
+        Solved study.
+    solved : mapping of str to ndarray
+        Values by variable, in its unit.
+
+    Returns
+    -------
+    xarray.Dataset
+        Data set with coordinates, labels and provenance.
+
+    Raises
+    ------
+    InputError
+        If xarray is missing.
+    """
     data = frame(study)
     for name, (dimensions, labels, _) in variables(study).items():
         data[name] = (dimensions, solved[name], labels)

@@ -1,1 +1,1 @@
-"""Textures: the descriptor that a file holds, and the surface that it is realized as."""
+"""Texture descriptors as they are stored in files, and the surfaces that they are realized as."""

@@ -1,10 +1,11 @@
-"""How strong a descriptor is, in closed form: no surface is drawn, so that all can be listed.
+"""Closed-form strength of a descriptor, which needs no surface and so is cheap for a whole list.
 
-The variance of skin displacement along a stroke is a sum over the three parts: of a band, its
-density times its width; of a grating, half the square of each harmonic; of sparse events, see
-`event_power`. Displacement holds at the reference speed and force, before ``contact_length_mm``;
-what an isotropic surface adds below its lowest band is not counted. What a realized surface has at
-another speed and force, with both, is `tactile.show.views.texture_rms`.
+The variance of skin displacement along a stroke is the sum over the three parts of a texture: for a
+band, its density times its width; for a grating, half the square of each harmonic; for sparse
+events, see `event_power`. The displacement holds at the reference speed and force, before the
+low-pass of ``contact_length_mm``. What an isotropic surface adds below its lowest band is not
+counted. `tactile.show.views.texture_rms` gives the displacement of a realized surface at another
+speed and force, with both of these included.
 """
 
 import math
@@ -17,11 +18,16 @@ from tactile.texture.event_power import MICRO, mean_square
 
 @dataclass(frozen=True)
 class PartAmplitudes:
-    """Root mean square skin displacement of each part of a texture [µm].
+    """Root mean square (rms) skin displacement of each part of a texture.
 
     Attributes
     ----------
-    bands_um, gratings_um, events_um : of the random bands, the gratings and the sparse events
+    bands_um : float
+        Rms displacement of the random bands [µm].
+    gratings_um : float
+        Rms displacement of the gratings [µm].
+    events_um : float
+        Rms displacement of the sparse events [µm].
     """
 
     bands_um: float
@@ -30,12 +36,23 @@ class PartAmplitudes:
 
     @property
     def rms_um(self) -> float:
-        """Of all together, which are independent of each other."""
+        """Rms displacement of all parts together, which are independent of each other [µm]."""
         return math.hypot(self.bands_um, self.gratings_um, self.events_um)
 
 
 def strength_of(descriptor: Descriptor) -> PartAmplitudes:
-    """Return how far each part of a texture moves the skin."""
+    """Compute the rms skin displacement of each part of a texture.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Texture to evaluate, at its reference speed and force.
+
+    Returns
+    -------
+    PartAmplitudes
+        Rms displacement of the bands, the gratings and the events [µm].
+    """
     bands, stochastic = 0.0, descriptor.stochastic
     if stochastic is not None:
         pairs = zip(stochastic.frequency_per_mm, stochastic.level_db, strict=True)

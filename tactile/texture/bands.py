@@ -1,7 +1,7 @@
-"""Third octaves of base ten (IEC 61260-1): each reaches from 10^−0.05 to 10^0.05 of its center.
+"""Third-octave bands of base ten (IEC 61260-1), each from 10^−0.05 to 10^0.05 times its center.
 
-Every spectrum of the project is in such bands, over cycles per meter of a surface as over hertz at
-the skin.
+Every spectrum of the project is given in such bands, both over the spatial frequency of a surface
+[cycles/m] and over the frequency of skin vibration [Hz].
 """
 
 import numpy as np
@@ -9,14 +9,25 @@ import numpy as np
 from tactile.arrays import Floats
 
 BELOW, ABOVE = 10**-0.05, 10**0.05
-"""Of a band's center, its edges."""
+"""Lower and upper edge of a band, each divided by its center."""
 RELATIVE_WIDTH = ABOVE - BELOW
-"""Of a band's center, its width."""
+"""Width of a band divided by its center."""
 
 
 def third_octaves(center: Floats) -> Floats:
-    """Return the K + 1 edges of the bands around K ascending centers, in the centers' unit.
+    """Compute the edges of adjacent third-octave bands.
 
-    Where centers are rounded, neighbors would meet in two places; the upper one's edge is taken.
+    Centers that are rounded put the edge between two neighbors in two places. The lower edge of the
+    upper band is taken.
+
+    Parameters
+    ----------
+    center : (K,) array of float
+        Band centers in ascending order, in any unit of frequency.
+
+    Returns
+    -------
+    (K + 1,) array of float
+        Edges in ascending order, in the unit of the centers.
     """
     return np.append(center * BELOW, center[-1] * ABOVE)

@@ -1,8 +1,9 @@
-"""A descriptor written as the file it would be read from, in the form of the shipped ones.
+"""Writing of a descriptor as a TOML file in the form of the shipped textures.
 
-`as_toml` gives the text, `write` the file. Values that are the default are left out, long arrays
-stand in rows of eight, and long texts are wrapped. Comments say where a number comes from; they go
-by the path of what they are about ("stochastic.level_db", "periodic[0]", "" for the head).
+`as_toml` returns the text and `write` writes the file. Values that equal their default are left
+out, long arrays are set in rows of eight numbers, and long strings are wrapped. Comments say where
+a number comes from. They are given by the path of their subject, such as "stochastic.level_db" or
+"periodic[0]", and "" for the head of the file.
 """
 
 import math
@@ -19,42 +20,51 @@ from tactile.errors import InputError
 from tactile.texture.descriptor import Descriptor
 
 ROW = 8
-"""Numbers in a row of an array."""
+"""Number of values in a row of an array."""
 WIDTH = 100
-"""Columns that text is wrapped at."""
+"""Width at which strings are wrapped [columns]."""
 ESCAPES = {"\\": "\\\\", '"': '\\"', "\b": "\\b", "\t": "\\t", "\f": "\\f", "\r": "\\r"}
+"""TOML escape sequence of each character that has a short one."""
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
-"""What no comment may hold."""
+"""Control characters, which a TOML comment must not contain."""
 NO_COMMENTS: Mapping[str, str] = MappingProxyType({})
+"""Empty mapping, the default of ``comments``."""
 
 
 def as_toml(descriptor: Descriptor, comments: Mapping[str, str] = NO_COMMENTS) -> str:
-    """Return a descriptor as TOML, which reads back as the same descriptor.
+    """Format a descriptor as TOML text that reads back as an equal descriptor.
 
     Parameters
     ----------
-    descriptor : the texture
-    comments : text by the path of a table or key; "" stands above everything, the comment of a
-        table or of an array of several rows above it, any other behind its value
+    descriptor : Descriptor
+        Texture to format.
+    comments : mapping of str to str
+        Comments by the path of a table or key. The one for "" is placed at the top. The comment of
+        a table, or of an array of several rows, is placed above it, any other one behind its value.
+
+    Returns
+    -------
+    str
+        TOML document.
 
     Raises
     ------
     InputError
-        Where a number is not finite: the field and its value.
+        If a number is not finite. The message names the field and its value.
     ValueError
-        Where a comment is about nothing that is written.
+        If the subject of a comment is not written.
     """
-    left = dict(comments)
-    lines = _remark(left.pop("", ""))
+    unused_comments = dict(comments)
+    lines = _remark(unused_comments.pop("", ""))
     for name, header, table in _tables(descriptor):
-        lines += ["", *_remark(left.pop(name, "")), header] if lines else [header]
+        lines += ["", *_remark(unused_comments.pop(name, "")), header] if lines else [header]
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
             if field.required or value != field.default:
                 path = f"{name}.{field.name}"
-                lines += _entry(path, field.name, value, left.pop(path, ""))
-    if left:
-        raise ValueError(f"comments about what is not written: {', '.join(left)}")
+                lines += _entry(path, field.name, value, unused_comments.pop(path, ""))
+    if unused_comments:
+        raise ValueError(f"comments about what is not written: {', '.join(unused_comments)}")
     return "\n".join(lines) + "\n"
 
 
@@ -65,13 +75,26 @@ def write(
     *,
     force: bool = False,
 ) -> None:
-    """Write a descriptor to a file named after its id; `load` of `descriptor` reads it.
+    """Write a descriptor to a file that is named after its id.
+
+    Nothing is written if an error is raised. `load` of `descriptor` reads the file.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Texture to write.
+    path : Path
+        File to create, ``<id>.toml`` in an existing folder.
+    comments : mapping of str to str
+        Comments by path, as in `as_toml`.
+    force : bool
+        Whether to overwrite an existing file.
 
     Raises
     ------
     InputError
-        Where the file has another name or is there and is not to be overwritten (``force``), its
-        folder is not, or a value is outside its limits: nothing is written then.
+        If the name of the file does not match, it exists already and ``force`` is false, its folder
+        does not exist, or a value is outside its limits.
     """
     check_target(path, descriptor.texture.id, force=force)
     text = as_toml(descriptor, comments)
@@ -84,12 +107,22 @@ def write(
 
 
 def check_target(path: Path, name: str, *, force: bool) -> None:
-    """See that a descriptor can be written to a file, before the work of making it.
+    """Check that a descriptor can be written to a file, before the work of computing it.
+
+    Parameters
+    ----------
+    path : Path
+        File to create.
+    name : str
+        Id of the texture.
+    force : bool
+        Whether an existing file may be overwritten.
 
     Raises
     ------
     InputError
-        As of `write`.
+        If the name of the file does not match, it exists already and ``force`` is false, or its
+        folder does not exist.
     """
     if path.suffix != ".toml":
         raise InputError(f"{path}: must end in .toml")
@@ -102,24 +135,25 @@ def check_target(path: Path, name: str, *, force: bool) -> None:
 
 
 def _tables(descriptor: Descriptor) -> Iterator[tuple[str, str, Any]]:
-    """Yield path, header and content of each table that says more than its defaults."""
+    """Yield path, header and contents of each table that differs from its defaults."""
     for field in msgspec.structs.fields(descriptor):
         part = getattr(descriptor, field.name)
         if isinstance(part, tuple):
-            for i, one in enumerate(part):
-                yield f"{field.name}[{i}]", f"[[{field.name}]]", one
+            for i, entry in enumerate(part):
+                yield f"{field.name}[{i}]", f"[[{field.name}]]", entry
         elif field.required or part != field.default:
             yield field.name, f"[{field.name}]", part
 
 
 def _remark(text: str) -> list[str]:
+    """Return a text as comment lines."""
     return [f"# {CONTROL.sub(' ', line)}".rstrip() for line in text.splitlines()]
 
 
 def _entry(path: str, name: str, value: Any, comment: str) -> list[str]:
     """Return the lines of a key with its value and comment."""
     if isinstance(value, tuple) and len(value) > ROW:
-        cells = [f"{_number(path, one)}," for one in value]
+        cells = [f"{_number(path, number)}," for number in value]
         width = max(map(len, cells)) + 1
         rows = [
             "".join(cell.rjust(width) for cell in cells[i : i + ROW]).rstrip()
@@ -127,21 +161,22 @@ def _entry(path: str, name: str, value: Any, comment: str) -> list[str]:
         ]
         return [*_remark(comment), f"{name} = [", *("    " + row for row in rows), "]"]
     if isinstance(value, tuple):
-        written = f"[{', '.join(_number(path, one) for one in value)}]"
+        text = f"[{', '.join(_number(path, number) for number in value)}]"
     else:
-        written = _text(name, value) if isinstance(value, str) else _number(path, value)
+        text = _text(name, value) if isinstance(value, str) else _number(path, value)
     behind = f"  {_remark(' '.join(comment.split()))[0]}" if comment else ""
-    return [f"{name} = {written}{behind}"]
+    return [f"{name} = {text}{behind}"]
 
 
 def _number(path: str, value: float) -> str:
+    """Return a number as TOML, or raise `InputError` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(f"{path} = {value}: must be a finite number")
     return repr(float(value))
 
 
 def _text(name: str, text: str) -> str:
-    """Return a string on one line, or where it is long or has lines of its own, wrapped."""
+    """Return a string as TOML: on one line if it fits, otherwise wrapped over several."""
     if "\n" not in text and len(name) + len(text) + 5 <= WIDTH:
         return f'"{_escaped(text)}"'
     lines = [_wrapped(_escaped(line)) for line in text.split("\n")]
@@ -149,15 +184,16 @@ def _text(name: str, text: str) -> str:
 
 
 def _escaped(text: str) -> str:
+    """Return a text with the escape sequences of a TOML basic string."""
     return "".join(
         ESCAPES.get(c, f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c) for c in text
     )
 
 
 def _wrapped(line: str) -> str:
-    r"""Break a line at single spaces; a backslash at its end joins it to the next.
+    """Break a line at single spaces, with a backslash at the end that joins it to the next row.
 
-    What a TOML reader drops after that backslash is white space, so that no row may begin with it.
+    A TOML reader drops all white space after that backslash, so that no row may begin with a space.
     """
     words = re.split(r"(?<=[^ ]) (?=[^ ])", line)
     rows = [words[0]]

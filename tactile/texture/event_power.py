@@ -1,14 +1,15 @@
-"""How much sparse events move the skin, by Campbell's theorem (Rice 1944): no event is drawn.
+"""Displacement power of sparse events by Campbell's theorem (Rice 1944), without drawing events.
 
-Events of density λ scattered at random, of mean square peak ⟨A²⟩ (a² exp(2s²) where it is
-log-normal) and the shape h of unit peak, make shot noise: its autocorrelation along a stroke is
-λ⟨A²⟩ ∫ h(r) h(r + d) dr, its mean zero, as often up as down. A pulse is the Gaussian
-h = exp(−r²/2σ²), with ∫h² = πσ²; an edge is its derivative across the edge with the same peak,
-√e (n·r/σ) exp(−r²/2σ²), with ∫h² = e πσ²/2.
+Events that are scattered at random with density λ, mean square peak ⟨A²⟩ (a² exp(2s²) for a
+log-normal amplitude) and a shape h of unit peak make shot noise. Its mean is zero, since either
+sign is equally likely, and its autocorrelation along a stroke is λ⟨A²⟩ ∫ h(r) h(r + d) dr. A pulse
+is the Gaussian h = exp(−r²/2σ²), with ∫h² = πσ². An edge is the derivative of that Gaussian across
+the edge, scaled to the same peak: √e (n·r/σ) exp(−r²/2σ²), with ∫h² = e πσ²/2.
 
-With u = kσ, the Fourier transform along the stroke, integrated over the wave numbers across it,
-leaves below the wave number k of a pulse λ⟨A²⟩πσ² erf(u), and of an edge whose n is at an angle β
-from the stroke λ⟨A²⟩πσ² e [erf(u)/2 − cos²β u exp(−u²)/√π].
+The power of an event up to a wave number k along the stroke follows from the Fourier transform
+along the stroke, integrated over the wave numbers across it. With u = kσ it is λ⟨A²⟩πσ² erf(u) for
+a pulse and λ⟨A²⟩πσ² e [erf(u)/2 − cos²β u exp(−u²)/√π] for an edge whose normal n is at an angle β
+to the stroke.
 """
 
 import numpy as np
@@ -20,34 +21,50 @@ from tactile.texture.descriptor import Events
 FWHM = float(np.sqrt(8 * np.log(2)))
 """Full width at half maximum of a Gaussian, in standard deviations."""
 MILLI, MICRO = 1e-3, 1e-6
+"""SI prefixes."""
 ALL = 10.0
-"""kσ below which all power is, to 1e-42 of it."""
+"""Largest value of kσ that is evaluated. All but 1e-42 of the power lies below it."""
 
 
 def power_below(kind: Events, wave_number: Floats, angle: float = 0.0) -> Floats:
-    """Return the mean square that one kind of event has up to wave numbers along a stroke.
+    """Compute the mean square displacement of one kind of event up to wave numbers along a stroke.
 
     Parameters
     ----------
-    kind : of event
-    wave_number : (K,) [rad/m]; all of the power is below infinity
-    angle : of the stroke from the x axis [rad]
+    kind : Events
+        Kind of event.
+    wave_number : (K,) array of float
+        Wave numbers along the stroke [rad/m]. Infinity gives the whole power.
+    angle : float
+        Direction of the stroke from the x axis [rad].
 
     Returns
     -------
-    (K,) ndarray
-        [m²] at the reference speed and force, in the mean over surfaces.
+    (K,) array of float
+        Mean square displacement at the reference speed and force, averaged over realizations of the
+        surface [m²].
     """
     sigma = kind.width_mm * MILLI / FWHM
     square = (kind.amplitude_um * MICRO) ** 2 * np.exp(2 * kind.amplitude_sd**2)
-    whole = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
+    total = kind.density_per_mm2 / MILLI**2 * square * np.pi * sigma**2
     u = np.minimum(np.asarray(wave_number) * sigma, ALL)
     if kind.shape == "pulse":
-        return np.asarray(whole * erf(u))
+        return np.asarray(total * erf(u))
     along = np.cos(angle - np.radians(kind.direction_deg)) ** 2
-    return np.asarray(whole * np.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
+    return np.asarray(total * np.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
 
 
 def mean_square(kind: Events) -> float:
-    """Return the mean square [m²] of one kind of event at a place, whatever the stroke."""
+    """Compute the mean square displacement of one kind of event, the same for every stroke.
+
+    Parameters
+    ----------
+    kind : Events
+        Kind of event.
+
+    Returns
+    -------
+    float
+        Mean square displacement at the reference speed and force [m²].
+    """
     return float(power_below(kind, np.array([np.inf]))[0])

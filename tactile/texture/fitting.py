@@ -1,10 +1,11 @@
-"""From recordings to a descriptor: bands, gratings, statistics, laws and friction.
+"""Fit of a descriptor to recordings: bands, gratings, statistics, laws and friction.
 
 Each recording becomes strokes of displacement over place. Lines that most recordings share are
-gratings and are taken off; what is left is measured in 16 third octaves of spatial frequency, which
-lie at 25–800 Hz at the reference speed, a sensor's own noise subtracted as power. How levels differ
-between speeds and forces gives the exponents, held near what is known where the recordings tell
-little; what remains from recording to recording is the bands' spread.
+gratings and are subtracted. The rest is measured in 16 third octaves of spatial frequency, which
+lie at 25–800 Hz at the reference speed, and the noise of the sensor is subtracted as power. The
+differences between the levels at different speeds and forces give the exponents, which are held
+near known values where the recordings tell little. What remains from recording to recording is the
+spread of the bands.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,28 +36,32 @@ from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, st
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
 
 FIRST = 25.0
-"""Hz at the reference speed, of the lowest band's center."""
+"""Center of the lowest band at the reference speed [Hz]."""
 SPEED_PRIOR = (-1.0, 0.15)
-"""Exponent and its standard deviation: −0.84 and −0.97 for denim and corduroy at 20–60 mm/s, from
-four recordings each (Fradin et al., World Haptics 2023), that is 0.1 apart."""
+"""Prior mean and standard deviation of the speed exponent: −0.84 and −0.97 were found for denim and
+corduroy at 20–60 mm/s, from four recordings each (Fradin et al., World Haptics 2023), that is 0.1
+apart."""
 FORCE_PRIOR = (0.4, 0.3)
-"""Assumed; vibration does grow with force."""
+"""Prior mean and standard deviation of the force exponent (assumed; vibration does grow with
+force)."""
 SCATTER = 3.0
-"""dB rms by which the level of one recording differs from the next (assumed; 2–4 dB in those)."""
+"""Rms difference between the levels of recordings (assumed; 2–4 dB in those of Fradin et al.)
+[dB]."""
 SPEEDS_APART = 1.15
-"""Ratio from which two recordings count as of different speeds, or forces."""
+"""Ratio above which two recordings count as having different speeds, or forces."""
 DEFAULT_FORCE = 0.5
-"""N where none is told (assumed)."""
+"""Normal force where none is given (assumed) [N]."""
 ANCHOR = 1.0
-"""µm rms that an uncalibrated texture is given (assumed: about that of the shipped ones)."""
+"""Rms displacement that an uncalibrated texture is given (assumed: about that of the shipped ones)
+[µm]."""
 SPREAD = 15.0
-"""Degrees of a surface that has a direction (assumed, as of the shipped woods)."""
+"""Spread of a surface that has a direction (assumed, as in the shipped woods) [°]."""
 LARGEST_LOSS = 1.0
-"""dB in any band, up to which a surface is taken for isotropic."""
+"""Largest error in any band with which a surface is taken as isotropic [dB]."""
 USUAL_CORNER = 100.0
-"""cycles/m of modulation where none is found; a descriptor's default."""
+"""Corner of the modulation where none is found [cycles/m], which is the default of a descriptor."""
 BURIED = 0.1
-"""Of a band's power: the least that is left of it where the noise is subtracted."""
+"""Smallest share of the power of a band that is left when noise is subtracted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,15 +70,25 @@ class Fit:
 
     Attributes
     ----------
-    descriptor : the texture
-    names, speed : (R,) of the recordings [m/s]
-    center : (16,) of the bands [cycles/m]
-    level : (R, 16) of each recording, dB re 1 µm²·mm at its own speed; NaN where a band lies
-        outside of what it covers
-    gratings : lines that were found
-    exponent_error : standard errors of the speed and the force exponent
-    isotropic_loss : (16,) what an isotropic surface would have above the bands [dB]
-    notes : what a reader must know, a line each
+    descriptor : Descriptor
+        The texture.
+    names : tuple of str
+        File names of the R recordings.
+    speed : (R,) array of float
+        Mean speed of each recording [m/s].
+    center : (16,) array of float
+        Band centers [cycles/m].
+    level : (R, 16) array of float
+        Level of each recording at its own speed, NaN where it does not cover a band
+        [dB re 1 µm²·mm].
+    gratings : tuple of HarmonicLines
+        Gratings that were found.
+    exponent_error : tuple of float
+        Standard errors of the speed exponent and of the force exponent.
+    isotropic_loss : (16,) array of float
+        Level of the nearest isotropic surface above that of the bands [dB].
+    notes : tuple of str
+        What a reader must know, one line each.
     """
 
     descriptor: Descriptor
@@ -89,7 +104,21 @@ class Fit:
 
 @dataclass(frozen=True)
 class Slide:
-    """A recording with its strokes (S,), and those less their gratings."""
+    """One recording with its strokes.
+
+    Attributes
+    ----------
+    recorded : Recorded
+        The recording.
+    speed : float
+        Mean speed [m/s].
+    force : float
+        Mean normal force [N].
+    strokes : list of (S,) array of float
+        Displacement at even steps of place [m].
+    bare : list of (S,) array of float
+        Strokes without their gratings [m].
+    """
 
     recorded: Recorded
     speed: float
@@ -100,16 +129,22 @@ class Slide:
 
 @dataclass(frozen=True)
 class RecordingMeasures:
-    """What was measured of recordings, before a texture is made of it.
+    """Measurements of recordings of one surface, from which a texture can be made.
 
     Attributes
     ----------
-    slides : the R recordings
-    reference : speed [m/s]
-    step : of place in strokes [m]
-    center : (16,) of the bands [cycles/m]
-    level : (R, 16), as in `Fit`
-    gratings : lines that most have
+    slides : list of Slide
+        The R recordings.
+    reference : float
+        Reference speed [m/s].
+    step : float
+        Distance between samples of a stroke [m].
+    center : (16,) array of float
+        Band centers [cycles/m].
+    level : (R, 16) array of float
+        Level of each recording, as in `Fit` [dB re 1 µm²·mm].
+    gratings : list of HarmonicLines
+        Gratings that most strokes have.
     """
 
     slides: list[Slide]
@@ -120,7 +155,19 @@ class RecordingMeasures:
     gratings: list[HarmonicLines]
 
     def part(self, rows: Sequence[int]) -> "RecordingMeasures":
-        """Return the same of some of the recordings."""
+        """Select some of the recordings.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Indices of the recordings.
+
+        Returns
+        -------
+        RecordingMeasures
+            Measurements of these recordings, at the same reference speed and with the same
+            gratings.
+        """
         owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
         strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
         return changed(
@@ -132,12 +179,12 @@ class RecordingMeasures:
 
     @property
     def speed(self) -> Floats:
-        """(R,) mean speeds [m/s]."""
+        """Mean speed of each recording, (R,) array [m/s]."""
         return np.array([s.speed for s in self.slides])
 
     @property
     def force(self) -> Floats:
-        """(R,) mean normal forces [N]."""
+        """Mean normal force of each recording, (R,) array [N]."""
         return np.array([s.force for s in self.slides])
 
 
@@ -148,45 +195,66 @@ def measure_slides(
     reference_speed: float | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> RecordingMeasures:
-    """Measure bands and gratings of recordings of one surface.
+    """Measure the bands and gratings of recordings of one surface.
 
     Parameters
     ----------
-    recordings : slides of one surface, at one or several speeds and forces
-    noise : the same sensor with nothing sliding
-    reference_speed : at which the texture is to be true and its bands lie at 25–800 Hz [m/s];
-        the recordings' geometric mean by default
-    progress : called with the name of each step
+    recordings : sequence of Recorded
+        Slides over one surface, at one or several speeds and forces.
+    noise : Recorded or None
+        Recording of the same sensor with nothing sliding.
+    reference_speed : float or None
+        Speed at which the texture holds and its bands lie at 25–800 Hz [m/s], by default the
+        geometric mean of the recordings.
+    progress : callable
+        Function that is called with the name of each step.
+
+    Returns
+    -------
+    RecordingMeasures
+        Strokes, levels and gratings.
 
     Raises
     ------
     InputError
-        Where recordings do not go together, are not steady, or cover too little.
+        If the recordings differ in quantity or calibration, are not steady, or are too short.
     """
     _check_together(recordings, noise)
     progress("strokes")
-    usual = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
-    reference = reference_speed or float(np.exp(np.log(usual).mean()))
+    median_speeds = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
+    reference = reference_speed or float(np.exp(np.log(median_speeds).mean()))
     center = centers_at(reference)
     step = 1 / (2 * OVERSAMPLING * third_octaves(center)[-1])
     slides = [_slide(r, step, measures.SHORTEST / center[0]) for r in recordings]
     progress("lines")
-    whole = [u for s in slides for u in s.strokes]
+    strokes = [u for s in slides for u in s.strokes]
     lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
-    found = find_gratings(whole, step, lows, third_octaves(center)[-1])
-    slides = [changed(s, bare=[without(u, step, found) for u in s.strokes]) for s in slides]
+    gratings = find_gratings(strokes, step, lows, third_octaves(center)[-1])
+    slides = [changed(s, bare=[without(u, step, gratings) for u in s.strokes]) for s in slides]
     progress("bands")
     level = np.array([_level(s, step, center, noise) for s in slides])
-    return RecordingMeasures(slides, reference, step, center, level, found)
+    return RecordingMeasures(slides, reference, step, center, level, gratings)
 
 
 def centers_at(speed: float) -> Floats:
-    """Return the centers of 16 third octaves that lie at 25–800 Hz at a speed [cycles/m]."""
+    """Compute the centers of the 16 third octaves that lie at 25–800 Hz at a given speed.
+
+    Parameters
+    ----------
+    speed : float
+        Speed [m/s].
+
+    Returns
+    -------
+    (16,) array of float
+        Exact band centers (IEC 61260-1) nearest to that [cycles/m].
+    """
     first = round(10 * np.log10(FIRST / speed * 1e-3))
     return np.asarray(10 ** ((first + np.arange(BANDS)) / 10) * 1e3)
 
 
 def _check_together(recordings: Sequence[Recorded], noise: Recorded | None) -> None:
+    """Raise `InputError` if recordings differ in quantity or calibration, or if there are none."""
     if not recordings:
         raise InputError("no recording; give at least one")
     first = recordings[0]
@@ -200,6 +268,7 @@ def _check_together(recordings: Sequence[Recorded], noise: Recorded | None) -> N
 
 
 def _slide(recorded: Recorded, step: float, shortest: float) -> Slide:
+    """Return a recording with its strokes, gratings included."""
     parts = steady_parts(recorded, shortest)
     speed = float(np.mean([recorded.speed[part].mean() for part in parts]))
     force = recorded.normal_force
@@ -225,56 +294,87 @@ def _level(slide: Slide, step: float, center: Floats, noise: Recorded | None) ->
 
 
 def mean_power(strokes: list[Floats], step: float, center: Floats) -> Floats:
-    """Return the density (16,) of strokes in each band [µm²·mm], long ones counting for more."""
+    """Compute the mean power spectral density of strokes in each band, weighted by their length.
+
+    Parameters
+    ----------
+    strokes : list of (S,) array of float
+        Displacement at even steps of place [m].
+    step : float
+        Distance between samples [m].
+    center : (16,) array of float
+        Band centers [cycles/m].
+
+    Returns
+    -------
+    (16,) array of float
+        Mean density [µm²·mm].
+    """
     levels = [measures.band_spectrum(u, step, center=center) for u in strokes]
     lengths = [len(u) for u in strokes]
     return np.asarray(np.average(10 ** (np.array(levels) / 10), axis=0, weights=lengths))
 
 
 def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floats]:
-    """Return the exponents of speed and force, and their standard errors.
+    """Fit the exponents of the speed and force laws to the levels of recordings.
 
     Parameters
     ----------
-    speed, force : (R,) of recordings
-    level : (R,) their mean levels [dB]
+    speed : (R,) array of float
+        Mean speed of each recording [m/s].
+    force : (R,) array of float
+        Mean normal force of each recording [N].
+    level : (R,) array of float
+        Mean level of each recording [dB].
 
     Returns
     -------
-    exponent, error : (2,) ndarrays
+    exponent : (2,) array of float
+        Exponents of speed and force.
+    error : (2,) array of float
+        Their standard errors.
 
     Notes
     -----
-    Least squares of level = 20 (a lg v + b lg N) + c, weighed against what is known beforehand by
-    their variances. The scatter of levels is that of the recordings about their own line, with
-    `SCATTER` as two more of them.
+    This is a least-squares fit of level = 20 (a lg v + b lg N) + c, combined with the prior values,
+    each weighted by its inverse variance. The scatter of levels is that of the recordings about
+    their own line, with `SCATTER` as two more of them.
     """
     lever = 20 * np.log10(np.stack([speed, force], axis=1))
-    lever, about = lever - lever.mean(axis=0), level - level.mean()
-    line = np.linalg.lstsq(lever, about, rcond=None)[0]
-    misses = float(np.sum((about - lever @ line) ** 2))
-    scatter = (2 * SCATTER**2 + misses) / max(len(level), 2)
+    lever, deviation = lever - lever.mean(axis=0), level - level.mean()
+    line = np.linalg.lstsq(lever, deviation, rcond=None)[0]
+    squared_error = float(np.sum((deviation - lever @ line) ** 2))
+    scatter = (2 * SCATTER**2 + squared_error) / max(len(level), 2)
     prior, spread = np.transpose([SPEED_PRIOR, FORCE_PRIOR])
     covariance = np.linalg.inv(lever.T @ lever / scatter + np.diag(spread**-2))
-    found = covariance @ (lever.T @ about / scatter + prior / spread**2)
-    return found, np.sqrt(np.diag(covariance))
+    estimate = covariance @ (lever.T @ deviation / scatter + prior / spread**2)
+    return estimate, np.sqrt(np.diag(covariance))
 
 
 def describe(
     found: RecordingMeasures, about: About, progress: Callable[[str], None] = lambda step: None
 ) -> Fit:
-    """Return the texture that a measurement amounts to.
+    """Make a texture of measurements.
 
     Parameters
     ----------
-    found : by `measure_slides`
-    about : what the descriptor says of itself
-    progress : called with the name of each step
+    found : RecordingMeasures
+        Measurements by `measure_slides`.
+    about : About
+        Identity and provenance for the descriptor.
+    progress : callable
+        Function that is called with the name of each step.
+
+    Returns
+    -------
+    Fit
+        Descriptor, with the measurements that it is made of.
 
     Raises
     ------
     InputError
-        Where recordings share no band, or forces cannot be friction.
+        If the recordings have no band in common, or the forces do not give a coefficient of
+        friction.
     """
     mean = _over_common_bands(found.level)
     exponent, error = exponents(found.speed, found.force, mean)
@@ -313,11 +413,12 @@ def describe(
 
 
 def _digits(value: float, count: int = 4) -> float:
+    """Return a number rounded to a few significant digits."""
     return float(f"{value:.{count}g}")
 
 
 def _over_common_bands(level: Floats) -> Floats:
-    """Return the mean level (R,) of the bands that every recording covers [dB]."""
+    """Return the mean level (R,) over the bands that every recording covers [dB]."""
     common = np.isfinite(level).all(axis=0)
     if not common.any():
         raise InputError("recordings cover no band in common; fit them one by one")
@@ -325,7 +426,7 @@ def _over_common_bands(level: Floats) -> Floats:
 
 
 def _bands(level: Floats, center: Floats) -> tuple[Floats, Floats]:
-    """Return mean and spread (16,) over recordings; a band that none covers goes on straight."""
+    """Return mean and spread (16,) over recordings, extended linearly where none covers a band."""
     known = np.isfinite(level).any(axis=0)
     total = np.where(np.isfinite(level), level, 0).sum(axis=0)
     count = np.isfinite(level).sum(axis=0)
@@ -341,13 +442,13 @@ def _bands(level: Floats, center: Floats) -> tuple[Floats, Floats]:
 
 
 def _anchor(bands: Floats, center: Floats) -> float:
-    """Return what brings uncalibrated bands to `ANCHOR` [dB]."""
+    """Return the gain that brings uncalibrated bands to `ANCHOR` [dB]."""
     width = np.diff(third_octaves(center)) * 1e-3
     return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
 
 
 def _stochastic(found: RecordingMeasures, bands: Floats, spread: Floats) -> Stochastic:
-    """Return the random part; its kurtosis is at least what its modulation alone brings."""
+    """Return the random part. Its kurtosis is at least that of its modulation alone."""
     strokes = [u for slide in found.slides for u in slide.bare]
     lengths, step, center = [len(u) for u in strokes], found.step, found.center
     corners = [measures.am_corner(u, step, center=center) for u in strokes]
@@ -368,7 +469,10 @@ def _stochastic(found: RecordingMeasures, bands: Floats, spread: Floats) -> Stoc
 
 
 def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
-    """Return the bands as an isotropic surface's if one has them, and its error (16,) [dB]."""
+    """Return the bands, with a direction if an isotropic surface misses them by too much.
+
+    The error (16,) of the isotropic surface [dB] is returned as well.
+    """
     count = 8 * BANDS
     waves = stochastic_waves(stochastic, count)
     levels = band_levels(*waves, stochastic, stroke_directions(stochastic))
@@ -379,7 +483,10 @@ def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
 
 
 def _periodic(grating: HarmonicLines, gain: Floats) -> Periodic:
-    """Return a grating as of the reference, ``gain`` (R,) being what brings each stroke there."""
+    """Return a grating as it is at the reference speed and force.
+
+    ``gain`` (R,) is the factor that brings each stroke there.
+    """
     place = np.array(grating.orders) - 1
     heights, phases = np.zeros((2, place[-1] + 1))
     heights[place] = np.sqrt(np.nanmean((grating.heights * gain[:, None]) ** 2, axis=0)) * 1e6
@@ -392,7 +499,7 @@ def _periodic(grating: HarmonicLines, gain: Floats) -> Periodic:
 
 
 def _laws(speed: Floats, force: Floats, exponent: Floats) -> Laws:
-    """Return laws that hold over what was recorded, and 15 % beyond."""
+    """Return laws that hold over the range that was recorded and 15 % beyond."""
     low, high = float(speed.min() * 1e3) / SPEEDS_APART, float(speed.max() * 1e3) * SPEEDS_APART
     light, firm = float(force.min()) / SPEEDS_APART, float(force.max()) * SPEEDS_APART
     return Laws(
@@ -404,12 +511,13 @@ def _laws(speed: Floats, force: Floats, exponent: Floats) -> Laws:
 
 
 def _friction(slides: list[Slide], pressed: float) -> Friction | None:
-    known = [
+    """Return the friction of the recordings that have both forces, or None if there are none."""
+    with_forces = [
         s.recorded
         for s in slides
         if s.recorded.tangential_force is not None and s.recorded.normal_force is not None
     ]
-    return fit_friction(known, pressed) if known else None
+    return fit_friction(with_forces, pressed) if with_forces else None
 
 
 def _notes(found: RecordingMeasures) -> Iterator[str]:

@@ -1,8 +1,8 @@
-"""Friction from a tangential and a normal force recorded while a finger slides.
+"""Friction from a tangential and a normal force that were recorded while a finger slides.
 
-The coefficient is their ratio, low-passed to what is quasi-static. Over speed it follows the
-Stribeck law µ = µk + (µs − µk) exp(−(v/vs)²), over the normal force a power law; what a recording
-does not tell, because it has one speed or one force, is left at what a descriptor assumes.
+The coefficient is the ratio of the two forces, low-passed to its quasi-static part. It follows the
+Stribeck law µ = µk + (µs − µk) exp(−(v/vs)²) of the speed and a power law of the normal force. What
+a recording does not tell, because it has one speed or one force, keeps the default of a descriptor.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,18 @@ from tactile.texture.descriptor import Friction
 from tactile.texture.recorded_slide import Recorded
 
 QUASI_STATIC = 0.05
-"""s over which forces are averaged."""
+"""Time over which forces are averaged [s]."""
 PRESSED = 0.05
-"""N from which a finger counts as pressing."""
+"""Normal force above which a finger counts as pressing [N]."""
 SPEEDS = 3.0
-"""Ratio of speeds from which a Stribeck law is told."""
+"""Ratio of speeds from which on a Stribeck law is fitted."""
 FORCES = 1.5
-"""Ratio of forces from which their exponent is told."""
+"""Ratio of forces from which on their exponent is fitted."""
 USUAL = Friction(static_coefficient=1.0, kinetic_coefficient=1.0)
-"""Where a descriptor's assumptions stand."""
+"""Friction that holds the defaults of a descriptor."""
 EVEN, STICKING = 0.10, 0.25
-"""Relative variation of friction in even sliding, at most, and in stick-slip, at least ("Stick-slip
-phenomena in the friction of human skin"; textures/README.md)."""
+"""Relative variation of friction: the largest one in even sliding and the smallest one in
+stick-slip ("Stick-slip phenomena in the friction of human skin"; textures/README.md)."""
 
 
 def fit_friction(recordings: Sequence[Recorded], reference_force: float) -> Friction:
@@ -36,15 +36,22 @@ def fit_friction(recordings: Sequence[Recorded], reference_force: float) -> Fric
 
     Parameters
     ----------
-    recordings : with ``tangential_force`` and ``normal_force``
-    reference_force : at which the coefficients are to hold [N]
+    recordings : sequence of Recorded
+        Recordings with ``tangential_force`` and ``normal_force``.
+    reference_force : float
+        Normal force at which the coefficients hold [N].
+
+    Returns
+    -------
+    Friction
+        Table of a descriptor.
 
     Raises
     ------
     InputError
-        Where the finger never presses, or the coefficient is beyond a descriptor's limits.
+        If the finger never presses, or a coefficient is outside the limits of a descriptor.
     """
-    speed, normal, ratio = np.concatenate([_slow(r) for r in recordings], axis=1)
+    speed, normal, ratio = np.concatenate([_quasi_static(r) for r in recordings], axis=1)
     if len(ratio) < 3:
         raise InputError(f"{recordings[0].name}: normal_force_n never reaches {PRESSED:g} N")
     exponent = USUAL.force_exponent
@@ -69,7 +76,7 @@ def fit_friction(recordings: Sequence[Recorded], reference_force: float) -> Fric
     )
 
 
-def _slow(recorded: Recorded) -> Floats:
+def _quasi_static(recorded: Recorded) -> Floats:
     """Return speed, normal force and coefficient (3, K) where the finger presses and moves."""
     assert recorded.tangential_force is not None
     assert recorded.normal_force is not None
@@ -83,16 +90,20 @@ def _slow(recorded: Recorded) -> Floats:
 
 
 def _stribeck(speed: Floats, level: Floats) -> tuple[float, float, float]:
-    """Return static and kinetic coefficient and the Stribeck speed [m/s]."""
-    usual = float(np.median(level))
+    """Return the static and the kinetic coefficient and the Stribeck speed [m/s]."""
+    median_level = float(np.median(level))
     slow, fast = np.quantile(speed, [0.02, 0.98])
     if fast < SPEEDS * max(slow, 1e-9):
-        return usual, usual, USUAL.stribeck_speed_mm_s * 1e-3
-    start = [float(np.median(level[speed >= np.median(speed)])), 0.2 * usual, np.log(fast / 4)]
+        return median_level, median_level, USUAL.stribeck_speed_mm_s * 1e-3
+    start = [
+        float(np.median(level[speed >= np.median(speed)])),
+        0.2 * median_level,
+        np.log(fast / 4),
+    ]
 
     def misses(p: Floats) -> Floats:
         return np.asarray(p[0] + p[1] * np.exp(-((speed / np.exp(p[2])) ** 2)) - level)
 
     bounds = [0, 0, np.log(max(slow, 1e-4))], [np.inf, np.inf, np.log(fast)]
-    kinetic, drop, logarithm = least_squares(misses, start, bounds=bounds, loss="soft_l1").x
-    return float(kinetic + drop), float(kinetic), float(np.exp(logarithm))
+    kinetic, drop, log_speed = least_squares(misses, start, bounds=bounds, loss="soft_l1").x
+    return float(kinetic + drop), float(kinetic), float(np.exp(log_speed))

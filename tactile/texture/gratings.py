@@ -1,13 +1,13 @@
-"""What repeats in a height map: sharp lines of its two-dimensional spectrum, gathered to gratings.
+"""Sharp lines in the two-dimensional spectrum of a height map, gathered to gratings.
 
 A line is a plane wave that keeps its phase over the whole picture. In a spectrum under a Hann
 window it is a peak as narrow as the window allows, unlike the speckle of a random field, whose
-peaks have neighbors of their own height. So a line must rise 6 dB above all that is around it and
-far enough above the local background that chance does not do it. Lines are found strongest first
-and taken out of the relief, so that weak ones show beside strong ones.
+peaks have neighbors of a similar height. A line must therefore rise 6 dB above everything around
+it, and far enough above the local background that this does not happen by chance. Lines are found
+strongest first and subtracted from the relief, so that weak ones become visible beside strong ones.
 
-A pattern that repeats only roughly (rings of a tree) is a ridge, no line: it stays random, with a
-direction.
+A pattern that repeats only roughly, such as the rings of a tree, is a ridge and not a line. It
+remains in the random part, with a direction.
 """
 
 from dataclasses import dataclass
@@ -21,31 +21,38 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from tactile.arrays import Complex, Floats
 
 PERIODS = 6
-"""Fewest periods of a line in the shorter side; from 8 on its wavelength is good to 1 %."""
+"""Smallest number of periods of a line in the shorter side. From 8 on its wavelength is good to
+1 %."""
 ABOVE = 4.0
-"""Power of a line above everything 3 to 6 bins away (6 dB)."""
+"""Ratio of the power of a line to everything 3 to 6 bins away (6 dB)."""
 CERTAIN = 7.0
-"""A random spectrum has a bin ln(bins) + 7 times its mean once in e^7 pictures."""
+"""Margin of the detection threshold: in a random spectrum a bin reaches ln(bins) + 7 times its mean
+once in e^7 pictures."""
 NEAR, FAR, WIDE = 3, 6, 21
-"""Bins: where the main lobe of a Hann window has ended, where neighbors end, background."""
+"""Distance at which the main lobe of a Hann window has ended, largest distance of neighbors, and
+width of the background [bins]."""
 ROUNDS, MOST_LINES = 16, 64
+"""Largest number of passes over the spectrum, and of lines."""
 HARMONICS = 32
-"""As many as a descriptor holds."""
+"""Largest number of harmonics of a grating, which is that of a descriptor."""
 TOGETHER = 0.3
-"""Bins that a line may be off its place to be a harmonic."""
+"""Distance from a multiple of the fundamental within which a line counts as its harmonic [bins]."""
 EULER = 0.5772156649
-"""The mean of an exponential variate is e^0.577 times its geometric mean."""
+"""Euler's constant γ: the mean of an exponential variate is e^γ times its geometric mean."""
 
 
 @dataclass(frozen=True)
 class PlaneWave:
-    """A plane wave a cos(2π f·p + φ), p from the middle of the picture.
+    """A plane wave a cos(2π f·p + φ), with p from the middle of the picture.
 
     Attributes
     ----------
-    frequency : (2,) along x and y [cycles/m]
-    amplitude : peak [m]
-    phase : [rad]
+    frequency : (2,) array of float
+        Spatial frequency f along x and y [cycles/m].
+    amplitude : float
+        Peak amplitude a [m].
+    phase : float
+        Phase φ [rad].
     """
 
     frequency: Floats
@@ -55,12 +62,16 @@ class PlaneWave:
 
 @dataclass(frozen=True)
 class HarmonicWaves:
-    """Lines whose frequencies are multiples of one.
+    """A grating: plane waves whose frequencies are multiples of one fundamental.
 
     Attributes
     ----------
-    frequency : (2,) of the fundamental [cycles/m]
-    amplitude, phase : (H,) of the harmonics, peak [m] and [rad]; 0 where there is none
+    frequency : (2,) array of float
+        Spatial frequency of the fundamental along x and y [cycles/m].
+    amplitude : (H,) array of float
+        Peak amplitudes of the harmonics, 0 for a missing one [m].
+    phase : (H,) array of float
+        Phases of the harmonics, 0 for a missing one [rad].
     """
 
     frequency: Floats
@@ -69,47 +80,66 @@ class HarmonicWaves:
 
 
 def hann(count: int) -> Floats:
-    """Return the periodic Hann window."""
+    """Compute the periodic Hann window.
+
+    Parameters
+    ----------
+    count : int
+        Number of samples.
+
+    Returns
+    -------
+    (count,) array of float
+        Window from 0 to 1.
+    """
     return 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(count, dtype=np.float64) / count)
 
 
 def take_lines(
     height: Floats, pixel: float, *, finest: float, least: float
 ) -> tuple[list[PlaneWave], Floats]:
-    """Find the lines of a height map and what is left without them.
+    """Find the lines of a height map and subtract them.
 
     Parameters
     ----------
-    height : (R, C) [m], row 0 at the lowest y, mean and tilt removed
-    pixel : [m]
-    finest : highest spatial frequency that is looked at [cycles/m]
-    least : smallest amplitude [m]
+    height : (R, C) array of float
+        Height without mean and tilt, with row 0 at the lowest y [m].
+    pixel : float
+        Side of a pixel [m].
+    finest : float
+        Highest spatial frequency that is searched [cycles/m].
+    least : float
+        Smallest amplitude of a line [m].
 
     Returns
     -------
-    list of Line, (R, C) ndarray
-        Strongest first; the height without them [m].
+    lines : list of PlaneWave
+        Lines, strongest first.
+    rest : (R, C) array of float
+        Height without these lines [m].
     """
-    left, lines = height.copy(), list[PlaneWave]()
+    rest, lines = height.copy(), list[PlaneWave]()
     for _ in range(ROUNDS):
-        found = [
+        new_lines = [
             line
-            for line in _strongest(left, pixel, finest)[: MOST_LINES - len(lines)]
+            for line in _strongest_lines(rest, pixel, finest)[: MOST_LINES - len(lines)]
             if line.amplitude >= least
         ]
-        if not found:
+        if not new_lines:
             break
-        for line in found:
-            left -= _wave(line, left.shape, pixel)
-        lines += found
-    return sorted(lines, key=lambda line: -line.amplitude), left
+        for line in new_lines:
+            rest -= _wave(line, rest.shape, pixel)
+        lines += new_lines
+    return sorted(lines, key=lambda line: -line.amplitude), rest
 
 
 def _places(count: int, pixel: float) -> Floats:
+    """Return the coordinates of pixels from the middle of the picture [m]."""
     return np.asarray((np.arange(count) - (count - 1) / 2) * pixel, np.float64)
 
 
 def _wave(line: PlaneWave, shape: tuple[int, ...], pixel: float) -> Floats:
+    """Return the height of a plane wave at each pixel [m]."""
     x, y = (
         np.exp(2j * np.pi * f * _places(n, pixel))
         for f, n in zip(line.frequency, shape[::-1], strict=True)
@@ -117,8 +147,8 @@ def _wave(line: PlaneWave, shape: tuple[int, ...], pixel: float) -> Floats:
     return np.asarray((line.amplitude * np.exp(1j * line.phase) * np.outer(y, x)).real)
 
 
-def _strongest(height: Floats, pixel: float, finest: float) -> list[PlaneWave]:
-    """Return the lines of one look at the spectrum, strongest first, none beside a stronger one."""
+def _strongest_lines(height: Floats, pixel: float, finest: float) -> list[PlaneWave]:
+    """Return the lines of one pass over the spectrum, strongest first, none near a stronger one."""
     rows, columns = height.shape
     window = np.outer(hann(rows), hann(columns))
     spectrum = rfft2(window * height)
@@ -126,21 +156,21 @@ def _strongest(height: Floats, pixel: float, finest: float) -> list[PlaneWave]:
     number = np.hypot(
         np.fft.fftfreq(rows, pixel)[:, None], np.fft.rfftfreq(columns, pixel)[None, :]
     )
-    looked = (number >= PERIODS / (min(rows, columns) * pixel)) & (number <= finest)
-    floor = background(power, number) * max(ABOVE, np.log(max(looked.sum(), 1)) + CERTAIN)
-    peaks = np.argwhere(looked & (power > floor) & (power == maximum_filter(power, 3)))
+    searched = (number >= PERIODS / (min(rows, columns) * pixel)) & (number <= finest)
+    floor = background(power, number) * max(ABOVE, np.log(max(searched.sum(), 1)) + CERTAIN)
+    peaks = np.argwhere(searched & (power > floor) & (power == maximum_filter(power, 3)))
     peaks = peaks[np.argsort(-power[tuple(peaks.T)])]
-    taken: list[tuple[int, int]] = []
+    taken_bins: list[tuple[int, int]] = []
     lines = []
     for row, column in peaks:
-        beside = any(_beside((row, column), other, rows) for other in taken)
+        beside = any(_are_near((row, column), other, rows) for other in taken_bins)
         if not beside and _stands_out(power, row, column):
-            taken.append((row, column))
-            lines.append(_measured(height * window, spectrum, row, column, pixel))
+            taken_bins.append((row, column))
+            lines.append(_refined_line(height * window, spectrum, row, column, pixel))
     return lines
 
 
-def _beside(one: tuple[int, int], other: tuple[int, int], rows: int) -> bool:
+def _are_near(one: tuple[int, int], other: tuple[int, int], rows: int) -> bool:
     """Return whether two bins, or one and the mirror image of the other, are near each other."""
     return any(
         min((one[0] - sign * other[0]) % rows, (sign * other[0] - one[0]) % rows) <= FAR
@@ -150,25 +180,37 @@ def _beside(one: tuple[int, int], other: tuple[int, int], rows: int) -> bool:
 
 
 def background(power: Floats, number: Floats) -> Floats:
-    """Return the mean that a random spectrum would have around each bin without its own line.
+    """Estimate the mean power of the random part around each bin, without the line in that bin.
 
-    The geometric mean, which lines hardly raise, first over rings of wave number, then of what
-    differs from them over the neighborhood outside the main lobe.
+    The geometric mean is used, since lines hardly raise it: first over rings of wave number, then,
+    for the deviation from these rings, over the neighborhood outside the main lobe.
+
+    Parameters
+    ----------
+    power : (R, F) array of float
+        Power spectrum, half of the plane.
+    number : (R, F) array of float
+        Wave number of each bin [cycles/m].
+
+    Returns
+    -------
+    (R, F) array of float
+        Mean power, in the unit of ``power``.
     """
     log = np.log(np.maximum(power, power.max() * 1e-20))
     ring = np.minimum(number / number[0, 1], 2.0**30).astype(np.intp).ravel()
     mean = np.bincount(ring, log.ravel()) / np.maximum(np.bincount(ring), 1)
     along = mean[ring].reshape(log.shape)
     near = 2 * NEAR - 1
-    wide, middle = (
+    wide_sum, near_sum = (
         uniform_filter(log - along, size, mode=["wrap", "reflect"]) * size**2
         for size in (WIDE, near)
     )
-    return np.asarray(np.exp(along + (wide - middle) / (WIDE**2 - near**2) + EULER))
+    return np.asarray(np.exp(along + (wide_sum - near_sum) / (WIDE**2 - near**2) + EULER))
 
 
 def _at(values: NDArray[Any], row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[Any]:
-    """Return bins of half a spectrum, those of the other half by their mirror image."""
+    """Return bins of a half-plane spectrum, those of the other half by their mirror image."""
     rows, columns = values.shape
     mirrored = column < 0
     r, c = np.where(mirrored, -row, row) % rows, np.minimum(np.abs(column), columns - 1)
@@ -176,7 +218,7 @@ def _at(values: NDArray[Any], row: NDArray[np.intp], column: NDArray[np.intp]) -
 
 
 def _stands_out(power: Floats, row: int, column: int) -> bool:
-    """Return whether a peak rises above all that is beyond its main lobe."""
+    """Return whether a peak rises above everything beyond its main lobe."""
     down, right = np.mgrid[-FAR : FAR + 1, -FAR : FAR + 1].reshape(2, -1)
     far = np.hypot(down, right)
     ring = (far >= NEAR) & (far <= FAR)
@@ -184,13 +226,13 @@ def _stands_out(power: Floats, row: int, column: int) -> bool:
     return bool(power[row, column] > ABOVE * np.max(around))
 
 
-def _measured(
+def _refined_line(
     windowed: Floats, spectrum: Complex, row: int, column: int, pixel: float
 ) -> PlaneWave:
-    """Return a line's frequency between the bins, then its amplitude and phase there.
+    """Return a line with its frequency between the bins, and its amplitude and phase there.
 
-    Of a Hann window the ratio r of the larger neighbor to the peak gives the offset
-    (2r − 1)/(1 + r), exactly for a single long line.
+    For a Hann window the ratio r of the larger neighbor to the peak gives the offset
+    (2r − 1)/(1 + r), which is exact for a single long line.
     """
     offsets = []
     for step in ((0, 1), (1, 0)):
@@ -214,42 +256,50 @@ def _measured(
 
 
 def gather(lines: list[PlaneWave], side: float) -> list[HarmonicWaves]:
-    """Gather lines whose frequencies are multiples of the lowest among them, strongest first.
+    """Gather lines whose frequencies are multiples of the lowest one among them.
 
     Parameters
     ----------
-    lines : as of `take_lines`
-    side : shorter side of the picture [m]
+    lines : list of PlaneWave
+        Lines found by `take_lines`.
+    side : float
+        Shorter side of the picture [m].
+
+    Returns
+    -------
+    list of HarmonicWaves
+        Gratings, strongest first.
     """
-    left, gratings = sorted(lines, key=lambda line: float(np.hypot(*line.frequency))), []
-    while left:
+    remaining, gratings = sorted(lines, key=lambda line: float(np.hypot(*line.frequency))), []
+    while remaining:
         members: dict[int, PlaneWave] = {}
         others = []
-        for line in left:
-            order = _order(line.frequency, left[0].frequency, side)
+        for line in remaining:
+            order = _order(line.frequency, remaining[0].frequency, side)
             if not order:
                 others.append(line)
             elif abs(order) not in members or members[abs(order)].amplitude < line.amplitude:
-                members[abs(order)] = line if order > 0 else _turned(line)
+                members[abs(order)] = line if order > 0 else _opposite(line)
         gratings.append(_grating(members))
-        left = others
+        remaining = others
     return sorted(gratings, key=lambda g: -float(np.max(g.amplitude)))
 
 
 def _order(frequency: Floats, first: Floats, side: float) -> int:
-    """Return which harmonic of a first frequency another one is; 0 for none."""
+    """Return the order of the harmonic that a frequency is of a fundamental, or 0 if it is none."""
     order = round(float(frequency @ first) / float(first @ first))
     off = float(np.hypot(*(frequency - order * first))) * side
     fits = abs(order) <= HARMONICS and off <= TOGETHER * max(1, abs(order) / 2)
     return order if fits else 0
 
 
-def _turned(line: PlaneWave) -> PlaneWave:
+def _opposite(line: PlaneWave) -> PlaneWave:
+    """Return the same wave described by the opposite wave vector."""
     return PlaneWave(-line.frequency, line.amplitude, -line.phase)
 
 
 def _grating(members: dict[int, PlaneWave]) -> HarmonicWaves:
-    """Return the grating of lines by their order; its frequency by least squares."""
+    """Return the grating of lines by their order, with its frequency by least squares."""
     order = np.array(sorted(members))
     weight = np.array([members[n].amplitude ** 2 for n in order])
     places = np.array([members[n].frequency for n in order])

@@ -1,9 +1,9 @@
-"""How well a fit does on recordings that it has not seen, beside what could be hoped for.
+"""Assessment of a fit on recordings that were held out, beside references for comparison.
 
-The recordings are halved (one recording: in time), a texture is fitted to one half, realized and
-slid over, and its 16 bands are compared with those of the other half. Beside it stand the ceiling,
-the halves themselves compared; a floor, white noise of the same power; and an autoregressive model
-of order 8, as other systems use, of the same half.
+The recordings are halved (a single recording in time), a texture is fitted to one half, realized
+and slid over, and its 16 bands are compared with those of the other half. Three references stand
+beside it: the ceiling, which compares the halves themselves; a floor, white noise of the same
+power; and an autoregressive model of order 8 of the same half, as other systems use it.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,22 +22,30 @@ from tactile.texture.slide_strokes import INTEGRATIONS
 from tactile.texture.surface import Partials, envelope, stochastic_waves
 
 ORDER = 8
+"""Order of the autoregressive model."""
 WAVES = 384
+"""Number of plane waves of the realized surface."""
 PERIODS, STROKES = 200, 6
-"""Of the lowest band, that are slid over, and how often: 0.3 dB of chance in the lowest band."""
+"""Length of a rendered stroke in periods of the lowest band, and number of strokes. They leave a
+random error of 0.3 dB in the lowest band."""
 POINTS = 1 << 14
-"""Of an autoregressive model's spectrum."""
+"""Length of the Fourier transform for the spectrum of the autoregressive model."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A spectrum beside the held-out one.
+    """A spectrum compared with the one that was held out.
 
     Attributes
     ----------
-    level : (16,) dB re 1 µm²·mm
-    rms_db, absolute_db, bias_db : its log-spectral distance (rms over bands), its mean absolute
-        one, and by how much it lies above
+    level : (16,) array of float
+        Levels of the spectrum [dB re 1 µm²·mm].
+    rms_db : float
+        Log-spectral distance, the rms difference over bands [dB].
+    absolute_db : float
+        Mean absolute difference over bands [dB].
+    bias_db : float
+        Mean difference over bands, positive if the spectrum lies above [dB].
     """
 
     level: Floats
@@ -48,14 +56,20 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a fit to one half says of the other.
+    """Prediction of one half of the recordings by a fit to the other half.
 
     Attributes
     ----------
-    held_out : (16,) levels of the other half, dB re 1 µm²·mm
-    rendering : a stroke over the texture that was fitted
-    ceiling : the half that was fitted to, as it was recorded
-    white, autoregressive : noise, and a model of order 8
+    held_out : (16,) array of float
+        Levels of the half that was not fitted [dB re 1 µm²·mm].
+    rendering : Candidate
+        Strokes over the texture that was fitted.
+    ceiling : Candidate
+        The half that was fitted, as it was recorded.
+    white : Candidate
+        White noise of the power of the rendering.
+    autoregressive : Candidate
+        Autoregressive model of order 8.
     """
 
     held_out: Floats
@@ -66,21 +80,47 @@ class Verdict:
 
 
 def beside(level: Floats, held_out: Floats) -> Candidate:
-    """Return how far levels (16,) are from those held out, over the bands that both know."""
+    """Compare levels with those held out, over the bands that both have.
+
+    Parameters
+    ----------
+    level : (16,) array of float
+        Levels, NaN where unknown [dB].
+    held_out : (16,) array of float
+        Levels held out, NaN where unknown [dB].
+
+    Returns
+    -------
+    Candidate
+        Levels with their distances.
+    """
     error = (level - held_out)[np.isfinite(level - held_out)]
     rms, absolute = np.sqrt(np.mean(error**2)), np.mean(np.abs(error))
     return Candidate(level, float(rms), float(absolute), float(error.mean()))
 
 
 def halves(recordings: Sequence[Recorded]) -> list[Recorded]:
-    """Return two or more recordings: one alone is cut in the middle."""
+    """Return the recordings, a single one cut in two in the middle of its time.
+
+    Parameters
+    ----------
+    recordings : sequence of Recorded
+        One or more recordings.
+
+    Returns
+    -------
+    list of Recorded
+        Two or more recordings.
+    """
     if len(recordings) > 1:
         return list(recordings)
-    whole, middle = recordings[0], len(recordings[0].signal) // 2
-    return [_cut(whole, slice(None, middle)), _cut(whole, slice(middle, None))]
+    recording, middle = recordings[0], len(recordings[0].signal) // 2
+    return [_cut(recording, slice(None, middle)), _cut(recording, slice(middle, None))]
 
 
 def _cut(whole: Recorded, part: slice) -> Recorded:
+    """Return a part of a recording."""
+
     def cut(side: Floats | None) -> Floats | None:
         return None if side is None else side[part]
 
@@ -105,28 +145,40 @@ def fit_texture(
 
     Parameters
     ----------
-    recordings : slides of one surface, at one or several speeds and forces
-    about : what the descriptor says of itself
-    noise : the same sensor with nothing sliding
-    reference_speed : at which the texture is to be true and its bands lie at 25–800 Hz [m/s];
-        the recordings' geometric mean by default
-    progress : called with the name of each step
+    recordings : sequence of Recorded
+        Slides over one surface, at one or several speeds and forces.
+    about : About
+        Identity and provenance for the descriptor.
+    noise : Recorded or None
+        Recording of the same sensor with nothing sliding.
+    reference_speed : float or None
+        Speed at which the texture holds and its bands lie at 25–800 Hz [m/s], by default the
+        geometric mean of the recordings.
+    progress : callable
+        Function that is called with the name of each step.
+
+    Returns
+    -------
+    fit : Fit
+        Texture fitted to all recordings.
+    verdict : Verdict
+        Assessment of a fit to half of them.
 
     Raises
     ------
     InputError
-        Where recordings do not go together, are not steady, or cover too little.
+        If the recordings differ in quantity or calibration, are not steady, or cover too little.
     """
-    found = measure_slides(
+    measured = measure_slides(
         recordings, noise=noise, reference_speed=reference_speed, progress=progress
     )
-    fit = describe(found, about, progress)
+    fit = describe(measured, about, progress)
     if len(recordings) == 1:
-        found = measure_slides(
-            halves(recordings), noise=noise, reference_speed=found.reference, progress=progress
+        measured = measure_slides(
+            halves(recordings), noise=noise, reference_speed=measured.reference, progress=progress
         )
     progress("judging")
-    return fit, judge(found, about)
+    return fit, judge(measured, about)
 
 
 def judge(found: RecordingMeasures, about: About) -> Verdict:
@@ -134,13 +186,20 @@ def judge(found: RecordingMeasures, about: About) -> Verdict:
 
     Parameters
     ----------
-    found : of two or more recordings
-    about : of the texture
+    found : RecordingMeasures
+        Measurements of two or more recordings.
+    about : About
+        Identity and provenance of the texture.
+
+    Returns
+    -------
+    Verdict
+        Comparison with the recordings that were not fitted.
 
     Raises
     ------
     InputError
-        As `describe`.
+        If no texture can be made of the recordings, as in `describe`.
     """
     rows = range(len(found.slides))
     return predict(found.part(rows[::2]), found.part(rows[1::2]), about)
@@ -149,16 +208,27 @@ def judge(found: RecordingMeasures, about: About) -> Verdict:
 def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) -> Verdict:
     """Fit one part of the recordings and compare with another, each at its own speed and force.
 
+    Bands are compared as the mean level over recordings, brought to the reference speed and force
+    by the laws that were fitted to the first part.
+
     Parameters
     ----------
-    seen, unseen : the parts; bands are compared as the mean over recordings of the level, brought
-        to the reference speed and force by the laws that were fitted to what was seen
-    about : of the texture
+    seen : RecordingMeasures
+        Measurements to fit.
+    unseen : RecordingMeasures
+        Measurements to compare with.
+    about : About
+        Identity and provenance of the texture.
+
+    Returns
+    -------
+    Verdict
+        Comparison with the second part.
 
     Raises
     ------
     InputError
-        As `describe`.
+        If no texture can be made of the first part, as in `describe`.
     """
     fit = describe(seen, about)
     stochastic, laws = fit.descriptor.stochastic, fit.descriptor.laws
@@ -169,28 +239,56 @@ def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) ->
         law += laws.force_exponent * np.log10(part.force / fit.descriptor.reference.normal_force_n)
         return np.asarray((part.level - 20 * law[:, None]).mean(axis=0))
 
-    one, other = at_reference(seen), at_reference(unseen)
-    anchor = np.nanmean(np.asarray(stochastic.level_db) - one)
-    other = other + anchor
+    seen_level, held_out = at_reference(seen), at_reference(unseen)
+    anchor = np.nanmean(np.asarray(stochastic.level_db) - seen_level)
+    held_out = held_out + anchor
     rendered = rendered_levels(stochastic, seen.center)
     return Verdict(
-        held_out=other,
-        rendering=beside(rendered, other),
-        ceiling=beside(one + anchor, other),
-        white=beside(_white(rendered, seen.center), other),
-        autoregressive=beside(_autoregressive(seen, rendered), other),
+        held_out=held_out,
+        rendering=beside(rendered, held_out),
+        ceiling=beside(seen_level + anchor, held_out),
+        white=beside(_white(rendered, seen.center), held_out),
+        autoregressive=beside(_autoregressive(seen, rendered), held_out),
     )
 
 
 def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
-    """Return the levels (16,) of strokes over a realized surface."""
+    """Measure the band levels of strokes over a realized surface.
+
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Random part of a texture.
+    center : (16,) array of float
+        Band centers [cycles/m].
+
+    Returns
+    -------
+    (16,) array of float
+        Levels of the mean power over strokes [dB re 1 µm²·mm].
+    """
     strokes, step = rendered_strokes(stochastic, center)
     levels = measures.band_spectrum(strokes, step, center=center)
     return np.asarray(10 * np.log10(np.mean(10 ** (levels / 10), axis=0)))
 
 
 def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, float]:
-    """Return strokes (R, S) [m] along a surface's direction, each elsewhere, and their step [m]."""
+    """Render strokes along the direction of a surface, each over another realization.
+
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Random part of a texture.
+    center : (16,) array of float
+        Band centers, which set the length and the sampling of strokes [cycles/m].
+
+    Returns
+    -------
+    strokes : (R, S) array of float
+        Displacement [m].
+    step : float
+        Distance between samples [m].
+    """
     vectors, amplitude = stochastic_waves(stochastic, WAVES)
     step = 1 / (2.56 * third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
@@ -208,16 +306,17 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
 
 
 def _white(levels: Floats, center: Floats) -> Floats:
-    """Return white noise of the power that levels (16,) have."""
+    """Return the levels (16,) of white noise of the same power as given levels."""
     width = np.diff(third_octaves(center))
     power = np.sum(10 ** (levels / 10) * width) / width.sum()
     return np.full(len(levels), 10 * np.log10(power))
 
 
 def _autoregressive(seen: RecordingMeasures, levels: Floats) -> Floats:
-    """Return the bands (16,) of an autoregressive model of what was recorded, power as levels'.
+    """Return the bands (16,) of an autoregressive model of the recordings, with given mean level.
 
-    Yule and Walker's equations on the autocorrelation of the recorded quantity over place.
+    The Yule-Walker equations are solved for the autocorrelation of the recorded quantity over
+    place.
     """
     recorded = seen.slides[0].recorded.quantity
     steps = [u for slide in seen.slides for u in slide.strokes]

@@ -1,9 +1,9 @@
-"""Lines in the spatial spectra of recordings: what repeats along a surface, and its shape.
+"""Lines in the spatial spectra of recordings: what repeats along a surface, and its waveform.
 
-A line is a peak of the periodogram of a whole stroke that stands out of its surroundings by more
-than chance, at the same spatial frequency in most of the recordings. With recordings at different
-speeds that tells a rib from a hum, which stays at its frequency in time. Lines at multiples of one
-spatial frequency are one grating.
+A line is a peak of the periodogram of a whole stroke that rises above its surroundings by more than
+chance, at the same spatial frequency in most of the recordings. Recordings at different speeds tell
+a rib from a hum, whose frequency in time stays the same. Lines at multiples of one spatial
+frequency form one grating.
 """
 
 from collections.abc import Sequence
@@ -18,32 +18,43 @@ from scipy.signal.windows import blackmanharris
 from tactile.arrays import Complex, Floats
 
 PROMINENCE = 13.0
-"""Times the surroundings' mean power: 2e-6 of all bins of noise stand out that far (e^−13)."""
+"""Ratio of the power of a line to the mean power around it. A share of 2e-6 of all bins of noise
+rises that far (e^−13)."""
 ALONE = 20.0
-"""The same where a single recording has to convince: 2e-9 of all bins."""
+"""The same ratio for a single recording, which has no other one to confirm it: 2e-9 of all bins."""
 TOLERANCE = 0.015
-"""Relative, of a line's spatial frequency from recording to recording: of the speed's accuracy."""
+"""Largest relative difference of the spatial frequency of a line between recordings, from the
+accuracy of the speed."""
 NEIGHBORHOOD = 0.5
-"""Octaves over whose median a line must stand out."""
+"""Width of the median that estimates the power around a line [octaves]."""
 PADDING = 4
+"""Factor by which strokes are zero-padded for their spectrum."""
 PLACES = 61
-"""That a stroke's own fundamental is sought at, within the tolerance."""
+"""Number of spatial frequencies, within the tolerance, at which the fundamental of one stroke is
+searched."""
 MOST_HARMONICS = 32
+"""Highest order of a harmonic."""
 HARMONIC = 0.02
-"""Relative, of a harmonic's place from a multiple of the fundamental's."""
+"""Largest relative deviation of a harmonic from a multiple of the fundamental."""
 
 
 @dataclass(frozen=True)
 class HarmonicLines:
-    """What repeats.
+    """A grating found in recordings: lines at multiples of one spatial frequency.
 
     Attributes
     ----------
-    frequency : of the fundamental [cycles/m]
-    orders : (H,) of the harmonics that stand out, 1 for the fundamental
-    heights : (R, H) peak amplitudes in each stroke, in its unit; NaN where it does not reach down
-    phases : (H,) [rad], the fundamental's is 0
-    found : in how many of the strokes
+    frequency : float
+        Spatial frequency of the fundamental [cycles/m].
+    orders : tuple of int
+        Orders of the H harmonics that stand out, 1 for the fundamental.
+    heights : (R, H) array of float
+        Peak amplitude of each harmonic in each stroke, in the unit of the strokes. NaN where a
+        stroke does not cover the fundamental.
+    phases : (H,) array of float
+        Phases of the harmonics, relative to a phase of 0 of the first of them [rad].
+    found : int
+        Number of strokes in which the fundamental was found.
     """
 
     frequency: float
@@ -54,48 +65,79 @@ class HarmonicLines:
 
 
 def peaks(stroke: Floats, step: float, low: float, high: float, prominence: float) -> Floats:
-    """Return the spatial frequencies of one stroke's lines [cycles/m].
+    """Find the spatial frequencies of the lines of one stroke.
 
     Parameters
     ----------
-    stroke : (S,) displacement
-    step : between samples [m]
-    low, high : between which lines are sought [cycles/m]
-    prominence : times the mean power around
+    stroke : (S,) array of float
+        Displacement at even steps of place, in any unit.
+    step : float
+        Distance between samples [m].
+    low : float
+        Lowest spatial frequency of a line [cycles/m].
+    high : float
+        Highest spatial frequency of a line [cycles/m].
+    prominence : float
+        Smallest ratio of the power of a line to the mean power around it.
+
+    Returns
+    -------
+    (L,) array of float
+        Spatial frequencies of the lines, interpolated between bins [cycles/m].
     """
     count = PADDING * len(stroke)
     spectrum = np.fft.rfft(detrend(stroke) * blackmanharris(len(stroke)), count)
     power = np.abs(spectrum) ** 2
     frequency = np.asarray(np.fft.rfftfreq(count, step), np.float64)
     inside = (frequency >= low / 2) & (frequency <= min(high, 0.45 / step))
-    found, power = frequency[inside], power[inside]
-    if len(found) < 8:
+    searched, power = frequency[inside], power[inside]
+    if len(searched) < 8:
         return np.zeros(0)
-    place, _ = find_peaks(power / _surroundings(found, power), height=prominence)
-    place = place[(place > 0) & (place < len(found) - 1) & (found[place] >= low)]
-    left, middle, right = (np.log(power[place + k]) for k in (-1, 0, 1))
+    peak_index, _ = find_peaks(power / _surroundings(searched, power), height=prominence)
+    peak_index = peak_index[
+        (peak_index > 0) & (peak_index < len(searched) - 1) & (searched[peak_index] >= low)
+    ]
+    # The vertex of a parabola through three bins of log power gives the place between bins.
+    left, middle, right = (np.log(power[peak_index + k]) for k in (-1, 0, 1))
     offset = 0.5 * (left - right) / (left - 2 * middle + right)
-    return np.asarray(found[place] + offset * (found[1] - found[0]))
+    return np.asarray(searched[peak_index] + offset * (searched[1] - searched[0]))
 
 
 def _surroundings(frequency: Floats, power: Floats) -> Floats:
-    """Return the mean power around each frequency, read from the median, which lines leave be.
+    """Estimate the mean power around each frequency from the median, which lines hardly change.
 
     The median of a periodogram of noise is ln 2 times its mean.
     """
     even = np.geomspace(frequency[0], frequency[-1], 2 * len(frequency))
     octaves = np.log2(frequency[-1] / frequency[0])
     size = max(int(len(even) * NEIGHBORHOOD / octaves), 9)
-    middle = median_filter(np.interp(even, frequency, power), size, mode="reflect")
-    return np.asarray(np.interp(frequency, even, middle / np.log(2)))
+    median = median_filter(np.interp(even, frequency, power), size, mode="reflect")
+    return np.asarray(np.interp(frequency, even, median / np.log(2)))
 
 
 def common_lines(
     strokes: Sequence[Floats], step: float, lows: Floats, high: float
 ) -> list[tuple[float, int]]:
-    """Return spatial frequency [cycles/m] and count of the lines that most strokes have.
+    """Find the lines that most of the strokes have.
 
-    Most of those that reach down to it; parameters as of `find_gratings`.
+    A line must be found in more than half of the strokes that reach down to its frequency.
+
+    Parameters
+    ----------
+    strokes : sequence of (S,) array of float
+        Displacement of strokes over one texture, in any unit.
+    step : float
+        Distance between samples [m].
+    lows : (R,) array of float
+        Spatial frequency from which on each stroke is reliable [cycles/m].
+    high : float
+        Highest spatial frequency of a line [cycles/m].
+
+    Returns
+    -------
+    list of (float, int)
+        Spatial frequency of each line [cycles/m], ascending, and the number of strokes that have
+        it.
     """
     prominence = ALONE if len(strokes) == 1 else PROMINENCE
     places = [peaks(u, step, low, high, prominence) for u, low in zip(strokes, lows, strict=True)]
@@ -119,34 +161,45 @@ def common_lines(
 def find_gratings(
     strokes: Sequence[Floats], step: float, lows: Floats, high: float
 ) -> list[HarmonicLines]:
-    """Return what repeats in most of the strokes, the strongest first.
+    """Find the gratings that most of the strokes have.
 
     Parameters
     ----------
-    strokes : (S,) each, of one texture
-    step : between their samples [m]
-    lows : (R,) from which each stroke is believed [cycles/m]
-    high : up to which lines are sought [cycles/m]
+    strokes : sequence of (S,) array of float
+        Displacement of strokes over one texture, in any unit.
+    step : float
+        Distance between samples [m].
+    lows : (R,) array of float
+        Spatial frequency from which on each stroke is reliable [cycles/m].
+    high : float
+        Highest spatial frequency of a line [cycles/m].
+
+    Returns
+    -------
+    list of HarmonicLines
+        Gratings, strongest first.
     """
-    left = common_lines(strokes, step, lows, high)
-    found = []
-    while left:
-        first, count = left[0]
-        order = [round(line / first) for line, _ in left]
-        near = [
+    remaining = common_lines(strokes, step, lows, high)
+    gratings = []
+    while remaining:
+        first, count = remaining[0]
+        order = [round(line / first) for line, _ in remaining]
+        is_harmonic = [
             k <= MOST_HARMONICS and abs(line / first - k) <= HARMONIC * k
-            for (line, _), k in zip(left, order, strict=True)
+            for (line, _), k in zip(remaining, order, strict=True)
         ]
-        members = [(line, k) for (line, _), k, n in zip(left, order, near, strict=True) if n]
+        members = [
+            (line, k) for (line, _), k, n in zip(remaining, order, is_harmonic, strict=True) if n
+        ]
         weight = np.array([k for _, k in members], np.float64)
         base = float(np.sum([line * k for line, k in members]) / np.sum(weight**2))
         orders = tuple(sorted({k for _, k in members}))
-        found.append(_measured(strokes, step, lows <= base, base, orders, count))
-        left = [line for line, n in zip(left, near, strict=True) if not n]
-    return sorted(found, key=lambda g: -float(np.nansum(g.heights**2)))
+        gratings.append(_fitted_grating(strokes, step, lows <= base, base, orders, count))
+        remaining = [line for line, n in zip(remaining, is_harmonic, strict=True) if not n]
+    return sorted(gratings, key=lambda g: -float(np.nansum(g.heights**2)))
 
 
-def _measured(
+def _fitted_grating(
     strokes: Sequence[Floats],
     step: float,
     covers: NDArray[np.bool_],
@@ -155,7 +208,9 @@ def _measured(
     count: int,
 ) -> HarmonicLines:
     """Return the grating of a fundamental whose given multiples stand out."""
-    tuned = [_tuned(u, step, base, orders) for u, c in zip(strokes, covers, strict=True) if c]
+    tuned = [
+        _fitted_stroke(u, step, base, orders) for u, c in zip(strokes, covers, strict=True) if c
+    ]
     own = np.array([fundamental for fundamental, _ in tuned])
     waves = np.array([wave for _, wave in tuned])
     heights = np.full((len(strokes), len(orders)), np.nan)
@@ -166,10 +221,10 @@ def _measured(
     return HarmonicLines(place, orders, heights, np.angle(turned.sum(axis=0)), count)
 
 
-def _tuned(
+def _fitted_stroke(
     stroke: Floats, step: float, base: float, orders: tuple[int, ...]
 ) -> tuple[float, Complex]:
-    """Return where one stroke has its fundamental [cycles/m], and its complex amplitudes (H,)."""
+    """Return the fundamental of one stroke [cycles/m] and its complex amplitudes (H,)."""
     window = np.hanning(len(stroke))
     ends = base * (1 - TOLERANCE), base * (1 + TOLERANCE)
     around = np.array(
@@ -185,11 +240,26 @@ def _tuned(
 
 
 def without(stroke: Floats, step: float, found: Sequence[HarmonicLines]) -> Floats:
-    """Return a stroke (S,) less its gratings, each at its own best spatial frequency."""
-    left = stroke
+    """Subtract gratings from a stroke, each at the spatial frequency that fits this stroke best.
+
+    Parameters
+    ----------
+    stroke : (S,) array of float
+        Displacement at even steps of place.
+    step : float
+        Distance between samples [m].
+    found : sequence of HarmonicLines
+        Gratings to subtract.
+
+    Returns
+    -------
+    (S,) array of float
+        Displacement without the gratings, in the unit of ``stroke``.
+    """
+    rest = stroke
     for grating in found:
-        base, waves = _tuned(left, step, grating.frequency, grating.orders)
+        base, waves = _fitted_stroke(rest, step, grating.frequency, grating.orders)
         place = step * np.arange(len(stroke))
         turn = np.exp(2j * np.pi * base * np.outer(grating.orders, place))
-        left = left - np.real(waves @ turn)
-    return left
+        rest = rest - np.real(waves @ turn)
+    return rest

@@ -1,11 +1,11 @@
-"""What a descriptor's numbers mean, as measurements of strokes: bands, kurtosis and AM depth.
+"""Definitions of the numbers of a descriptor as measurements of strokes: bands, kurtosis, AM depth.
 
-A fit measures recordings with these, and the benchmarks measure what is rendered with the same.
-Every signal is tangential displacement on an even grid of **positions** along a straight stroke,
-one stroke (S,) or several of one texture (R, S). All is measured within the 16 bands: what a hand
-adds below, or a sensor's noise above, does not count. Lines belong to ``[[periodic]]`` and rare
-features to ``[[events]]``; both are to be taken off before kurtosis and modulation of the
-``[stochastic]`` part are measured.
+A fit applies these functions to recordings, and the benchmarks apply the same ones to what is
+rendered. Every signal is tangential displacement on an even grid of **positions** along a straight
+stroke, either one stroke (S,) or several over one texture (R, S). Everything is measured within the
+16 bands: what a hand adds below them, or the noise of a sensor above them, does not count. Lines
+belong to ``[[periodic]]`` and rare features to ``[[events]]``. Both are to be removed before the
+kurtosis and modulation of the ``[stochastic]`` part are measured.
 """
 
 import numpy as np
@@ -19,43 +19,51 @@ from tactile.errors import InputError
 from tactile.texture.bands import third_octaves
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10) * 1e3
-"""Of the 16 third octaves, exact (IEC 61260-1) [cycles/m]; a file may round them."""
+"""Exact centers of the 16 third octaves (IEC 61260-1), which a file may round [cycles/m]."""
 SEGMENT = 20
-"""Periods of the lowest band, of a spectrum: 80 mm of 0.25 cycles/mm. Under a Hann window a line is
-50 cycles/m wide there, the lowest band 58."""
+"""Length of a segment of a spectrum, in periods of the lowest band: 80 mm for 0.25 cycles/mm. Under
+a Hann window a line is then 50 cycles/m wide, and the lowest band 58."""
 SHORTEST = 10
-"""Periods of the lowest band: a shorter stroke cannot tell the lowest bands apart."""
+"""Smallest length of a stroke, in periods of the lowest band. A shorter one cannot tell the lowest
+bands apart."""
 END = 2
-"""Periods of the lowest band at either end that filters spoil."""
+"""Length at either end that filters distort and that is left out, in periods of the lowest band."""
 QUIET = 1e-5
-"""Of the strongest third octave's power: one that is weaker is not brought up to it."""
+"""Power relative to the strongest third octave below which a third octave is not raised to it."""
 HIGHEST_CORNER = 1e3
-"""cycles/m up to which modulation is sought, as far as a descriptor goes."""
+"""Highest spatial frequency at which modulation is searched, as far as a descriptor goes
+[cycles/m]."""
 
 
 def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> Floats:
-    """Return the level of each band.
-
-    Welch's method: segments of 20 periods of the lowest band (a shorter stroke is one), half
-    overlapping, each without its straight trend and under a Hann window; power between a band's
-    edges, bins on an edge shared, over its width.
+    """Compute the level of each band.
 
     Parameters
     ----------
-    signal : (..., S) tangential displacement [m]
-    step : between samples [m]
-    center : (16,) of the bands [cycles/m]
+    signal : (..., S) array of float
+        Tangential displacement [m].
+    step : float
+        Distance between samples [m].
+    center : (16,) array of float
+        Band centers [cycles/m].
 
     Returns
     -------
-    (..., 16) ndarray
-        One-sided power spectral density in dB re 1 µm²·mm.
+    (..., 16) array of float
+        One-sided power spectral density [dB re 1 µm²·mm].
 
     Raises
     ------
     InputError
-        Where the stroke is shorter than 10 periods of the lowest band, or too coarsely
-        sampled for the highest.
+        If the stroke is shorter than 10 periods of the lowest band, sampled too coarsely for the
+        highest, or not finite.
+
+    Notes
+    -----
+    Welch's method is used with segments of 20 periods of the lowest band, half overlapping; a
+    shorter stroke is one segment. Each segment is detrended linearly and multiplied by a Hann
+    window. The level is the power between the edges of a band divided by its width, where bins on
+    an edge are shared.
     """
     signal = _checked(signal, step, center)
     size = min(signal.shape[-1], round(SEGMENT / (center[0] * step)))
@@ -66,6 +74,7 @@ def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> F
 
 
 def _checked(signal: Floats, step: float, center: Floats) -> Floats:
+    """Return the signal as float64, or raise `InputError` if it cannot be measured."""
     signal = np.asarray(signal, np.float64)
     top = float(third_octaves(center)[-1])
     if not 0 < step <= 1 / (2 * top):
@@ -100,23 +109,31 @@ def _band_means(density: Floats, length: float, center: Floats) -> Floats:
 
 
 def excess_kurtosis(signal: Floats, step: float, *, center: Floats = CENTERS) -> float:
-    """Return ⟨u⁴⟩/⟨u²⟩² − 3 of displacement within the bands.
+    """Compute the excess kurtosis ⟨u⁴⟩/⟨u²⟩² − 3 of displacement within the bands.
 
-    The signal is band-passed by a Butterworth filter of order 4, forth and back, between the
-    outer edges of the bands; two periods of the lowest band at
-    either end are left out. Each stroke is brought to an rms of
-    one, so that a level that differs from stroke to stroke is no kurtosis.
+    The signal is band-passed between the outer edges of the bands by a Butterworth filter of order
+    4, forward and backward, and two periods of the lowest band are left out at either end. Each
+    stroke is scaled to an rms of one, so that a level that differs from stroke to stroke does not
+    count as kurtosis.
 
     Parameters
     ----------
-    signal : (S,) or (R, S) displacement without lines and rare features [m]
-    step : between samples [m]
-    center : (16,) of the bands [cycles/m]
+    signal : (S,) or (R, S) array of float
+        Displacement without lines and rare features [m].
+    step : float
+        Distance between samples [m].
+    center : (16,) array of float
+        Band centers [cycles/m].
+
+    Returns
+    -------
+    float
+        Excess kurtosis, 0 for a Gaussian signal.
 
     Raises
     ------
     InputError
-        As `band_spectrum`.
+        If the signal cannot be measured, as in `band_spectrum`.
     """
     signal = _checked(signal, step, center)
     edges = third_octaves(center)
@@ -128,74 +145,100 @@ def excess_kurtosis(signal: Floats, step: float, *, center: Floats = CENTERS) ->
 
 
 def _inner(signal: Floats, step: float, center: Floats) -> Floats:
+    """Return the signal without the ends that filters distort."""
     spoiled = round(END / (center[0] * step))
     return signal[..., spoiled : signal.shape[-1] - spoiled]
 
 
 def am_depth(signal: Floats, step: float, corner: float, *, center: Floats = CENTERS) -> float:
-    """Return the standard deviation over the mean of the envelope's part below a corner.
+    """Compute the depth of the amplitude modulation below a corner.
 
-    The envelope is the magnitude of the analytic signal of displacement whose third octaves are
-    first brought to equal power, so that every band tells alike how strong the surface is here.
-    A normal process has an envelope of its own, which varies without any modulation; what of
-    that falls below the corner is known in closed form and subtracted.
+    The depth is the standard deviation over the mean of that part of the envelope. The envelope is
+    the magnitude of the analytic signal of a displacement whose third octaves are first scaled to
+    equal power, so that every band tells equally how strong the surface is at a place. The envelope
+    of a normal process varies without any modulation; the part of that variation below the corner
+    is known in closed form and is subtracted.
 
     Parameters
     ----------
-    signal : (S,) or (R, S) displacement without lines and rare features [m]
-    step : between samples [m]
-    corner : the descriptor's ``am_corner_per_mm`` [cycles/m]
-    center : (16,) of the bands [cycles/m]
+    signal : (S,) or (R, S) array of float
+        Displacement without lines and rare features [m].
+    step : float
+        Distance between samples [m].
+    corner : float
+        Highest spatial frequency of the modulation [cycles/m], ``am_corner_per_mm`` of the
+        descriptor.
+    center : (16,) array of float
+        Band centers [cycles/m].
+
+    Returns
+    -------
+    float
+        Modulation depth, 0 without modulation.
 
     Raises
     ------
     InputError
-        As `band_spectrum`.
+        If the signal cannot be measured, as in `band_spectrum`.
 
     Notes
     -----
-    With e the envelope that modulates and ρ that of the process, independent, r = e ρ. Below the
-    corner var(r)/⟨r⟩² = d² + (1 + d²) d₀², d₀² the share of ρ alone: the transform of
-    ₂F₁(−½, −½; 1; k²) − 1, the covariance of a normal process's envelope over its mean squared
-    (Rice 1944; Middleton 1960), k the magnitude of its analytic autocorrelation.
+    The envelope is r = e ρ, with the modulation e and the independent envelope ρ of the process.
+    Below the corner var(r)/⟨r⟩² = d² + (1 + d²) d₀², where d₀² is the share of ρ alone. It follows
+    from the transform of ₂F₁(−½, −½; 1; k²) − 1, the covariance of the envelope of a normal process
+    over its mean squared (Rice 1944; Middleton 1960), where k is the magnitude of its analytic
+    autocorrelation.
     """
-    frequency, found, own = _modulation(signal, step, center)
+    frequency, envelope_power, normal_power = _modulation(signal, step, center)
     low = (frequency > 0) & (frequency <= corner)
-    measured, chance = found[low].sum(), own[low].sum()
+    measured, chance = envelope_power[low].sum(), normal_power[low].sum()
     return float(np.sqrt(max((measured - chance) / (1 + chance), 0.0)))
 
 
 def am_corner(signal: Floats, step: float, *, center: Floats = CENTERS) -> float:
-    """Return the spatial frequency up to which the envelope is modulated [cycles/m].
+    """Estimate the highest spatial frequency of the amplitude modulation.
 
-    A modulation that is even up to its corner is taken: with C(f) its power up to f, in excess of
-    a normal process's own, and V(f) the sum of the latter's squares, as which its chance grows,
-    the corner is where C²/V is largest. NaN where nothing is modulated. Read from one stroke of
-    a few of the corner's periods, or a modulation below 0.1, it is a guess.
+    Measured on a single stroke of a few periods of the corner, or for a modulation below 0.1, the
+    result is a guess.
 
     Parameters
     ----------
-    signal : (S,) or (R, S) displacement without lines and rare features [m]
-    step : between samples [m]
-    center : (16,) of the bands [cycles/m]
+    signal : (S,) or (R, S) array of float
+        Displacement without lines and rare features [m].
+    step : float
+        Distance between samples [m].
+    center : (16,) array of float
+        Band centers [cycles/m].
+
+    Returns
+    -------
+    float
+        Corner of the modulation, NaN without modulation [cycles/m].
 
     Raises
     ------
     InputError
-        As `band_spectrum`.
+        If the signal cannot be measured, as in `band_spectrum`.
+
+    Notes
+    -----
+    The spectrum of the modulation is taken as flat up to its corner. With C(f) the power of the
+    envelope up to f in excess of that of a normal process, and V(f) the sum of the squares of the
+    latter, which grows as the variance of C by chance, the corner is where C²/V is largest.
     """
-    frequency, found, own = _modulation(signal, step, center)
-    sought = (frequency > 0) & (frequency <= HIGHEST_CORNER)
-    excess = np.maximum(np.cumsum((found - own)[sought]), 0)
+    frequency, envelope_power, normal_power = _modulation(signal, step, center)
+    searched = (frequency > 0) & (frequency <= HIGHEST_CORNER)
+    excess = np.maximum(np.cumsum((envelope_power - normal_power)[searched]), 0)
     if not excess.any():
         return float("nan")
-    return float(frequency[sought][np.argmax(excess**2 / np.cumsum(own[sought] ** 2))])
+    return float(frequency[searched][np.argmax(excess**2 / np.cumsum(normal_power[searched] ** 2))])
 
 
 def _modulation(signal: Floats, step: float, center: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return frequencies [cycles/m] and the power there of an envelope over its mean squared.
+    """Return frequencies [cycles/m] and the power of the envelope there, over its mean squared.
 
-    Measured, the mean over strokes, and of a normal process of the same spectrum.
+    The power is returned twice: measured, as the mean over strokes, and that of a normal process of
+    the same spectrum.
     """
     signal = np.atleast_2d(_checked(signal, step, center))
     count = signal.shape[-1]
@@ -209,11 +252,17 @@ def _modulation(signal: Floats, step: float, center: Floats) -> tuple[Floats, Fl
     envelope = envelope / envelope.mean(axis=-1, keepdims=True) - 1
     inner = envelope.shape[-1]
     bins = 2 * np.abs(np.fft.rfft(envelope, axis=-1) / inner) ** 2
-    found = np.asarray(bins.mean(axis=0))
-    alike = np.abs(_analytic(power, count)) ** 2
-    own = np.fft.rfft(hyp2f1(-0.5, -0.5, 1, alike / alike[0]) - 1).real * 2 / count
-    at = np.asarray(np.fft.rfftfreq(inner, step))
-    return at, found, np.interp(at, frequency, np.maximum(own, 0)) * count / inner
+    measured_power = np.asarray(bins.mean(axis=0))
+    correlation = np.abs(_analytic(power, count)) ** 2
+    normal_power = (
+        np.fft.rfft(hyp2f1(-0.5, -0.5, 1, correlation / correlation[0]) - 1).real * 2 / count
+    )
+    envelope_frequency = np.asarray(np.fft.rfftfreq(inner, step))
+    return (
+        envelope_frequency,
+        measured_power,
+        np.interp(envelope_frequency, frequency, np.maximum(normal_power, 0)) * count / inner,
+    )
 
 
 def _analytic(spectrum: NDArray[np.inexact], count: int) -> NDArray[np.complex128]:
@@ -224,9 +273,10 @@ def _analytic(spectrum: NDArray[np.inexact], count: int) -> NDArray[np.complex12
 
 
 def _equalization(frequency: Floats, levels: Floats, center: Floats) -> tuple[Floats, Floats]:
-    """Return the gain that brings third octaves to equal power, and the spectrum it leaves.
+    """Return the gain that brings third octaves to equal power, and the power spectrum it leaves.
 
-    Levels run straight between centers over the logarithm of frequency, and are held beyond them.
+    Levels are interpolated linearly between centers over the logarithm of frequency, and held
+    beyond.
     """
     edges = third_octaves(center)
     inside = (frequency >= edges[0]) & (frequency <= edges[-1])

@@ -1,8 +1,9 @@
-"""A height map out of a PNG: gray levels become meters, and whatever is doubtful becomes a note.
+"""Reading of a height map from a PNG, with the scale from gray levels to meters.
 
-Gray says nothing of height by itself. A height map exported by a profilometer or a 3-D scanner
-comes with its scale, in µm per gray level and mm per pixel; a photograph has none, since its
-brightness is light and shadow. So both scales must be given, and are believed.
+Whatever is doubtful about the picture becomes a note. A gray level alone does not tell a height. A
+height map that was exported by a profilometer or a 3-D scanner comes with its scale, in µm per gray
+level and mm per pixel. A photograph has none, since its brightness is light and shadow. Both scales
+must therefore be given, and are taken as they are.
 """
 
 import warnings
@@ -21,19 +22,24 @@ if TYPE_CHECKING:
 
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
+"""First bytes of a PNG file."""
 LONGEST_SIDE, SHORTEST_SIDE = 4096, 64
-"""Pixels; a side of 4096 is 128 MB of numbers for each of the steps."""
+"""Largest and smallest side of a picture [pixels]. A side of 4096 takes 128 MB of numbers for each
+of the steps."""
 CLIPPED = 0.01
-"""Share of pixels at an end of the gray scale above which it is told."""
+"""Share of pixels at one end of the gray scale above which clipping is reported."""
 LUMINANCE = (0.299, 0.587, 0.114)
-"""Of red, green and blue, ITU-R BT.601."""
+"""Weights of red, green and blue in the luminance (ITU-R BT.601)."""
 UM_PER_LEVEL = (1e-5, 1000.0)
+"""Smallest and largest height of a gray level [µm]."""
 MM_PER_PIXEL = (1e-4, 0.0625)
-"""The largest pixel samples 8 cycles/mm, the center of the finest band, twice per period."""
+"""Smallest and largest side of a pixel [mm]. The largest one samples 8 cycles/mm, the center of the
+finest band, twice per period."""
 NO_SCALE = (
     "{name} is needed: gray is no height. A height map (profilometer, 3-D scanner) comes with {of};"
     " a photograph has none, measure the relief or write the texture by hand (textures/README.md)"
 )
+"""Template of the error message for a missing scale."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +48,14 @@ class HeightMap:
 
     Attributes
     ----------
-    height : (R, C) [m], row 0 at the top, mean and tilt as in the picture
-    pixel : side of one [m]
-    level : height of one gray level [m]
-    notes : what was doubtful about the picture, a line each
+    height : (R, C) array of float
+        Height, with row 0 at the top, mean and tilt as in the picture [m].
+    pixel : float
+        Side of a pixel [m].
+    level : float
+        Height of one gray level [m].
+    notes : tuple of str
+        What was doubtful about the picture, one line each.
     """
 
     height: Floats
@@ -55,18 +65,34 @@ class HeightMap:
 
     @property
     def side(self) -> float:
-        """The shorter side of the picture [m]."""
+        """Shorter side of the picture [m]."""
         return float(min(self.height.shape) * self.pixel)
 
 
 def read_height(path: Path, *, um_per_level: float | None, mm_per_pixel: float | None) -> HeightMap:
-    """Read an 8- or 16-bit gray PNG as heights; colors count by their luminance.
+    """Read an 8- or 16-bit gray PNG as heights. Colors count by their luminance.
+
+    Parameters
+    ----------
+    path : Path
+        Picture to read.
+    um_per_level : float or None
+        Height of one gray level, 1e-5 to 1000 [µm].
+    mm_per_pixel : float or None
+        Side of one pixel, 1e-4 to 0.0625 [mm].
+
+    Returns
+    -------
+    HeightMap
+        Heights, and notes on the picture.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where a scale is missing or outside its limits, or the picture is no such PNG, is too
-        large or too small, flat, transparent or animated; also without Pillow.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If a scale is missing or outside its limits, if the picture is not such a PNG, is too large
+        or too small, flat, transparent or animated, or if Pillow is not installed.
     """
     level = _scale("--um-per-level", um_per_level, UM_PER_LEVEL, "µm per level") * 1e-6
     pixel = _scale("--mm-per-pixel", mm_per_pixel, MM_PER_PIXEL, "mm per pixel") * 1e-3
@@ -82,6 +108,7 @@ def read_height(path: Path, *, um_per_level: float | None, mm_per_pixel: float |
 
 
 def _scale(name: str, value: float | None, limits: tuple[float, float], of: str) -> float:
+    """Return a scale, or raise `InputError` if it is missing or outside its limits."""
     if value is None:
         raise InputError(NO_SCALE.format(name=name, of=of))
     low, high = limits
@@ -91,8 +118,8 @@ def _scale(name: str, value: float | None, limits: tuple[float, float], of: str)
 
 
 def _gray_levels(path: Path) -> tuple[Floats, float, list[str]]:
-    """Return gray (R, C), the top of its scale, and notes."""
-    image = _opened(path)
+    """Return gray levels (R, C), the highest level of the scale, and notes."""
+    image = _open_png(path)
     if image.mode == "L":
         return np.asarray(image, np.float64), 255.0, []
     if image.mode.startswith("I"):
@@ -109,7 +136,7 @@ def _gray_levels(path: Path) -> tuple[Floats, float, list[str]]:
     return data[..., :3] @ np.array(LUMINANCE), 255.0, [note]
 
 
-def _opened(path: Path) -> "Image":
+def _open_png(path: Path) -> "Image":
     """Open and decode a PNG within the limits of size."""
     images: Any
     try:
@@ -142,6 +169,7 @@ def _opened(path: Path) -> "Image":
 
 
 def _check_size(path: Path, size: tuple[int, int]) -> None:
+    """Raise `InputError` if a picture is too large or too small."""
     width, height = size
     if max(size) > LONGEST_SIDE:
         raise InputError(

@@ -1,14 +1,15 @@
-"""One recorded slide of a finger or sensor over a surface, read from a file and looked through.
+"""Reading and checking of one recorded slide of a finger or sensor over a surface.
 
-A recording is what a sensor said while something slid: acceleration, velocity, displacement or
-tangential force, with the speed it slid at. WAV holds the signal alone, so that speed and scale
-come as options; the columns of a CSV, or the arrays of an NPZ, say what they are by their names:
+A recording holds what a sensor measured while something slid: acceleration, velocity, displacement
+or tangential force, with the speed of the slide. A WAV file holds the signal alone, so that speed
+and scale are given as options. The columns of a CSV file, or the arrays of an NPZ file, are
+identified by their names:
 
     time_s, acceleration_m_s2 | velocity_mm_s | displacement_um | force_n,
     and where known speed_mm_s, normal_force_n, tangential_force_n
 
-in an NPZ with ``sample_rate_hz`` in place of the time. What cannot be fitted is refused here:
-silence, clipping, a sample rate that is too low, numbers that are none, a file that was cut off.
+An NPZ file has ``sample_rate_hz`` in place of the time. Whatever cannot be fitted is rejected here:
+silence, clipping, a sample rate that is too low, values that are not numbers, a truncated file.
 """
 
 import io
@@ -28,6 +29,7 @@ from tactile.errors import InputError, NotFoundError
 from tactile.texture.formats import reading
 
 Quantity = Literal["acceleration", "velocity", "displacement", "force"]
+"""Quantity that a sensor records."""
 
 COLUMNS: dict[str, tuple[Quantity, float]] = {
     "acceleration_m_s2": ("acceleration", 1.0),
@@ -35,24 +37,26 @@ COLUMNS: dict[str, tuple[Quantity, float]] = {
     "displacement_um": ("displacement", 1e-6),
     "force_n": ("force", 1.0),
 }
-"""Quantity and SI units of each name that a signal may have."""
+"""Quantity, and SI value of the unit, for each name that the signal of a file may have."""
 UNITS: dict[Quantity, tuple[str, float]] = {
     quantity: (name.partition("_")[2], scale) for name, (quantity, scale) in COLUMNS.items()
 }
+"""Name of the unit, and its SI value, for each quantity."""
 SIDES = {"speed_mm_s": 1e-3, "normal_force_n": 1.0, "tangential_force_n": 1.0}
-"""What may be recorded beside the signal, and its SI unit."""
+"""SI value of the unit for each quantity that may be recorded beside the signal."""
 LOWEST_RATE = 2000.0
-"""Hz."""
+"""Lowest sample rate [Hz]."""
 LONGEST = 1 << 26
-"""Samples of one file: 1.8 hours at 10 kHz."""
+"""Largest number of samples of one file: 1.8 hours at 10 kHz."""
 LARGEST_WAV = 8 * LONGEST
-"""Bytes of a file: of so many in double precision."""
+"""Largest size of a WAV file, with that many samples in double precision [bytes]."""
 MOST_CLIPPED = 1e-3
-"""Of all samples."""
+"""Largest share of clipped samples."""
 QUIETEST = 3.0
-"""Standard deviation in steps of the converter, the smallest that occur."""
+"""Smallest standard deviation of a signal, in steps of the converter, taken as the smallest steps
+that occur."""
 JITTER = 0.02
-"""Of the sampling interval, in a CSV."""
+"""Largest deviation of a sampling interval in a CSV file, relative to the median interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,13 +65,22 @@ class Recorded:
 
     Attributes
     ----------
-    name : of the file
-    signal : (S,) in SI units of its quantity, or in units unknown
-    quantity : what was recorded
-    sample_rate : [Hz]
-    speed : (S,) along the surface [m/s]
-    normal_force, tangential_force : (S,) [N], or None
-    calibrated : whether the signal's unit is known
+    name : str
+        Name of the file.
+    signal : (S,) array of float
+        Signal in the SI unit of its quantity, or in an unknown unit.
+    quantity : str
+        Recorded quantity: "acceleration", "velocity", "displacement" or "force".
+    sample_rate : float
+        Sample rate [Hz].
+    speed : (S,) array of float
+        Speed along the surface [m/s].
+    normal_force : (S,) array of float or None
+        Normal force, if known [N].
+    tangential_force : (S,) array of float or None
+        Tangential force, if known [N].
+    calibrated : bool
+        Whether the unit of the signal is known.
     """
 
     name: str
@@ -81,7 +94,7 @@ class Recorded:
 
     @property
     def duration(self) -> float:
-        """In seconds."""
+        """Duration of the recording [s]."""
         return len(self.signal) / self.sample_rate
 
 
@@ -93,20 +106,35 @@ def load_recorded(
     speed: float | None = None,
     normal_force: float | None = None,
 ) -> Recorded:
-    """Read a recording.
+    """Read and check a recording.
 
     Parameters
     ----------
-    path : a mono ``.wav``, a ``.csv`` or an ``.npz``
-    quantity : of a WAV; the other files say it
-    full_scale : what the full scale of a WAV stands for [SI]; without it the recording is taken
-        as uncalibrated
-    speed, normal_force : where the file does not say them [m/s], [N]
+    path : str or Path
+        A mono ``.wav``, a ``.csv`` or an ``.npz`` file.
+    quantity : str
+        Quantity of a WAV file: "acceleration", "velocity", "displacement" or "force". The other
+        files state it.
+    full_scale : float or None
+        Value that the full scale of a WAV file stands for, in the SI unit of its quantity. Without
+        it the recording counts as uncalibrated.
+    speed : float or None
+        Speed, for files that do not state it [m/s].
+    normal_force : float or None
+        Normal force, for files that do not state it [N].
+
+    Returns
+    -------
+    Recorded
+        Signal with speed and forces.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: file, what is wrong with it, and what would do.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file cannot be read or fitted. The message is one line with the file, what is wrong
+        with it, and what would help.
     """
     path = Path(path)
     if not files.is_file(path):
@@ -117,21 +145,21 @@ def load_recorded(
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: is no recording; a .wav, .csv or .npz is")
     columns, rate = readers[path.suffix.lower()](path, quantity)
-    name, own = next((n, c) for n, c in COLUMNS.items() if n in columns)
-    signal = columns[name] * own[1]
-    whole = path.suffix.lower() == ".wav"
+    name, column = next((n, c) for n, c in COLUMNS.items() if n in columns)
+    signal = columns[name] * column[1]
+    is_wav = path.suffix.lower() == ".wav"
     _check(path, signal, rate)
-    scale = (full_scale if full_scale is not None else 1.0) / own[1] if whole else 1.0
+    scale = (full_scale if full_scale is not None else 1.0) / column[1] if is_wav else 1.0
     sides = {side: columns[side] * unit for side, unit in SIDES.items() if side in columns}
     return Recorded(
         name=path.name,
         signal=signal * scale,
-        quantity=own[0],
+        quantity=column[0],
         sample_rate=rate,
         speed=_side(path, "speed_mm_s", sides, speed, signal),
         normal_force=_side(path, "normal_force_n", sides, normal_force, signal, needed=False),
         tangential_force=sides.get("tangential_force_n"),
-        calibrated=not whole or full_scale is not None,
+        calibrated=not is_wav or full_scale is not None,
     )
 
 
@@ -143,7 +171,7 @@ def _side(
     signal: Floats,
     needed: bool = True,
 ) -> Floats:
-    """Return what goes with each sample: from the file, or as it was given."""
+    """Return a quantity beside the signal for each sample, from the file or from the option."""
     if name in sides:
         return sides[name]
     option = f"--{name.replace('_', '-')}"
@@ -157,25 +185,27 @@ def _side(
 
 
 def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
-    raw = reading.contents(path, LARGEST_WAV)  # whatever its header claims
-    with warnings.catch_warnings(record=True) as told:
+    """Read a WAV file, full scale 1, and return its column and sample rate [Hz]."""
+    raw = reading.contents(path, LARGEST_WAV)  # the size is limited whatever its header claims
+    with warnings.catch_warnings(record=True) as warnings_raised:
         warnings.simplefilter("always", wavfile.WavFileWarning)
         try:
             rate, data = wavfile.read(io.BytesIO(raw))
-        except Exception as error:  # of many kinds, struct.error among them
+        except Exception as error:  # scipy raises many types, struct.error among them
             raise InputError(f"{path}: no WAV that can be read: {_line(error)}") from error
-    if any("EOF" in str(warning.message) for warning in told):
+    if any("EOF" in str(warning.message) for warning in warnings_raised):
         raise InputError(f"{path}: is cut off; copy it again")
     if data.ndim != 1:
         raise InputError(f"{path}: has {data.shape[1]} channels; a recording has one")
-    middle = 128 if data.dtype == np.uint8 else 0
+    zero = 128 if data.dtype == np.uint8 else 0
     full = -float(np.iinfo(data.dtype).min) if data.dtype.kind == "i" else 1.0
     full = 128.0 if data.dtype == np.uint8 else full
     name = next(n for n, (known, _) in COLUMNS.items() if known == quantity)
-    return {name: (data.astype(np.float64) - middle) / full}, float(rate)
+    return {name: (data.astype(np.float64) - zero) / full}, float(rate)
 
 
 def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    """Read a CSV file and return its columns, without the time, and the sample rate [Hz]."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as lines:
         header = [cell.strip() for cell in lines.readline(4096).split(",")]
     signal = _signal_of(path, header)
@@ -184,55 +214,58 @@ def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
     if len(table) < 2:
         raise InputError(f"{path}: has {len(table)} rows; a recording has seconds")
     step = np.diff(table[:, 0])
-    usual = float(np.median(step))
-    worst = int(np.argmax(np.abs(step - usual)))
-    if usual <= 0 or abs(step[worst] - usual) > JITTER * usual + 1e-6:
+    median_step = float(np.median(step))
+    worst = int(np.argmax(np.abs(step - median_step)))
+    if median_step <= 0 or abs(step[worst] - median_step) > JITTER * median_step + 1e-6:
         raise InputError(
             f"{path}: line {worst + 3}: time_s goes on by {step[worst]:g} s, elsewhere by "
-            f"{usual:g} s; must be even"
+            f"{median_step:g} s; must be even"
         )
     rate = (len(table) - 1) / float(table[-1, 0] - table[0, 0])
     return {name: table[:, i] for i, name in enumerate(names) if i}, rate
 
 
 def _npz(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
+    """Read an NPZ file and return its arrays, each (S,), and the sample rate [Hz]."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             name = _signal_of(path, archive.files)
             if "sample_rate_hz" not in archive.files:
                 raise InputError(f"{path}: no array 'sample_rate_hz'")
-            taken = {n: np.asarray(archive[n]) for n in (name, *SIDES) if n in archive.files}
+            arrays = {n: np.asarray(archive[n]) for n in (name, *SIDES) if n in archive.files}
             rate = float(archive["sample_rate_hz"])
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: no NPZ that can be read: {_line(error)}") from error
-    for n, array in taken.items():
+    for n, array in arrays.items():
         if array.dtype.kind not in "iuf" or array.ndim > 1 or (n == name and array.ndim != 1):
             raise InputError(f"{path}: {n} is {array.dtype} {array.shape}: must be numbers (S,)")
-        if array.ndim and array.shape != taken[name].shape:
+        if array.ndim and array.shape != arrays[name].shape:
             raise InputError(
-                f"{path}: {n} has {array.shape[0]} values for {len(taken[name])} samples"
+                f"{path}: {n} has {array.shape[0]} values for {len(arrays[name])} samples"
             )
-    count = len(taken[name])
-    whole = {n: np.broadcast_to(a.astype(np.float64), (count,)) for n, a in taken.items()}
-    return whole, rate
+    count = len(arrays[name])
+    columns = {n: np.broadcast_to(a.astype(np.float64), (count,)) for n, a in arrays.items()}
+    return columns, rate
 
 
 def _signal_of(path: Path, names: list[str]) -> str:
-    found = [name for name in COLUMNS if name in names]
-    if len(found) != 1:
-        problem = "no signal" if not found else f"{' and '.join(found)}: which is it"
+    """Return the one name in a list that denotes a signal."""
+    signals = [name for name in COLUMNS if name in names]
+    if len(signals) != 1:
+        problem = "no signal" if not signals else f"{' and '.join(signals)}: which is it"
         raise InputError(f"{path}: {problem}; needs one of {', '.join(COLUMNS)}")
-    return found[0]
+    return signals[0]
 
 
 def _line(error: BaseException) -> str:
+    """Return the message of an error as one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def _check(path: Path, signal: Floats, rate: float) -> None:
-    """Refuse what cannot be fitted."""
+    """Raise `InputError` if a signal cannot be fitted."""
     if not (math.isfinite(rate) and rate >= LOWEST_RATE):
         raise InputError(
             f"{path}: {rate:g} samples per second: must be at least {LOWEST_RATE:g}, for what a "
@@ -259,7 +292,7 @@ def _check(path: Path, signal: Floats, rate: float) -> None:
 
 
 def _clipped(signal: Floats) -> float:
-    """Return the share of samples in runs of three or more at one of the extremes, if many."""
+    """Return the share of samples in runs of three or more at an extreme, or 0 if there are few."""
     clipped = 0
     for extreme in (signal.max(), signal.min()):
         at = signal == extreme

@@ -1,9 +1,10 @@
-"""A height map measured: its spectrum, what of it a stroke meets, its direction, its unsteadiness.
+"""Measurements of a height map: spectrum, levels along a stroke, direction and unsteadiness.
 
-All is about relief, in meters of height; `skin` says what skin makes of it, `relief_texture` puts
-both together. The two-dimensional power spectral density comes from one Hann window over the whole
-picture, calibrated so that its sum is the variance. A stroke meets a wave of wave vector q at the
-spatial frequency q·e along its direction e: bands along a stroke are a projection of the spectrum.
+All quantities are those of the relief, in meters of height. `skin` says what skin makes of it, and
+`relief_texture` combines the two. The two-dimensional power spectral density is computed under one
+Hann window over the whole picture and calibrated so that its sum is the variance. A stroke meets a
+wave of wave vector q at the spatial frequency q·e along its direction e, so that the bands along a
+stroke are a projection of the spectrum.
 """
 
 from dataclasses import dataclass
@@ -20,23 +21,28 @@ from tactile.texture.gratings import hann
 CENTERS = (
     0.25, 0.316, 0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0,
 )  # fmt: skip
-"""Cycles/mm, of the shipped textures."""
+"""Band centers of the shipped textures [cycles/mm]."""
 EDGES = third_octaves(np.array(CENTERS)) * 1e3
-"""Cycles/m, as `surface.band_edges` draws them."""
+"""Band edges, the same as those of `surface.band_edges` [cycles/m]."""
 PERIODS = 4
-"""Fewest periods of a band's center in the shorter side; a Hann window is good to 2."""
+"""Smallest number of periods of a band center in the shorter side for a band to count as measured.
+A Hann window is good down to 2."""
 RING_PERIODS = 8
-"""Fewest periods of waves whose direction counts: the window blurs it by 1.5 / periods [rad]."""
+"""Smallest number of periods in the shorter side for waves that count for the direction. The window
+blurs their direction by 1.5 / periods [rad]."""
 LEAST_RESULTANT = 0.2
-"""Below it (a spread of more than 51°) a direction could not be felt, nor stored (60°)."""
+"""Resultant below which a surface has no direction. That is a spread of more than 51°, which could
+not be felt, nor stored above 60°."""
 CARRIER = 1e3
-"""Cycles/m above which kurtosis and envelope are measured."""
+"""Spatial frequency above which kurtosis and envelope are measured [cycles/m]."""
 CORNER = 200.0
-"""Cycles/m up to which the envelope is: 5 mm, as the grain of the shipped calf leather."""
+"""Highest spatial frequency of the envelope [cycles/m]: 5 mm, as the grain of the shipped calf
+leather."""
 MARGIN = 2e-3
-"""Meters at each side of the picture that filters have spoiled."""
+"""Width of the margin of the picture that is left out because of the edge effects of filters
+[m]."""
 PATCHES = 4
-"""Fewest periods of the envelope in the shorter side."""
+"""Smallest number of periods of the envelope in the shorter side for its depth to be measured."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +51,16 @@ class ReliefSpectrum:
 
     Attributes
     ----------
-    x, y : (K,) [cycles/m]
-    power : (K,) [m²]; the sum is the variance
-    side : shorter side of the picture [m]
-    nyquist : half the sampling frequency [cycles/m]
+    x : (K,) array of float
+        Spatial frequency along x [cycles/m].
+    y : (K,) array of float
+        Spatial frequency along y [cycles/m].
+    power : (K,) array of float
+        Power of each wave vector, which adds up to the variance of height [m²].
+    side : float
+        Shorter side of the picture [m].
+    nyquist : float
+        Half of the sampling frequency [cycles/m].
     """
 
     x: Floats
@@ -59,35 +71,63 @@ class ReliefSpectrum:
 
     @cached_property
     def number(self) -> Floats:
-        """(K,) wave numbers [cycles/m]."""
+        """Wave number of each wave vector, (K,) array [cycles/m]."""
         return np.hypot(self.x, self.y)
 
     def rms_slope(self, number: Floats) -> Floats:
-        """Return the rms slope of all relief as coarse as wave numbers (…) [cycles/m], or coarser.
+        """Compute the rms slope of all relief up to given wave numbers.
 
-        The window widens every line by two bins; these belong to it.
+        The window widens every line by two bins, which are counted with it.
+
+        Parameters
+        ----------
+        number : (...) array of float
+            Wave numbers [cycles/m].
+
+        Returns
+        -------
+        (...) array of float
+            Rms slope of the waves up to each of them, without unit.
         """
         ring = (self.number * self.side).astype(np.intp)
         total = np.cumsum(np.bincount(ring, (2 * np.pi * self.number) ** 2 * self.power))
-        asked = (np.asarray(number) * self.side + 2).astype(np.intp)
-        return np.asarray(np.sqrt(total[np.minimum(asked, len(total) - 1)]))
+        last_ring = (np.asarray(number) * self.side + 2).astype(np.intp)
+        return np.asarray(np.sqrt(total[np.minimum(last_ring, len(total) - 1)]))
 
     def scaled(self, gain: Floats) -> "ReliefSpectrum":
-        """Return the spectrum of what amplitudes times a gain (K,) are."""
+        """Return the spectrum with a gain applied to the amplitudes.
+
+        Parameters
+        ----------
+        gain : (K,) array of float
+            Factor of the amplitude of each wave vector.
+
+        Returns
+        -------
+        ReliefSpectrum
+            Spectrum with the power multiplied by the square of the gain.
+        """
         return ReliefSpectrum(self.x, self.y, self.power * gain**2, self.side, self.nyquist)
 
 
 def leveled(height: Floats) -> tuple[Floats, float]:
-    """Take the best-fit plane out of a height map.
+    """Subtract the best-fit plane from a height map.
+
+    Parameters
+    ----------
+    height : (R, C) array of float
+        Height [m].
 
     Returns
     -------
-    (R, C) ndarray, float
-        The rest, and the sag of the paraboloid that fits it best: its highest minus its lowest
-        value over the picture [m].
+    rest : (R, C) array of float
+        Height without mean and tilt [m].
+    sag : float
+        Highest less lowest value of the paraboloid that fits the rest best [m].
     """
     y, x = (np.linspace(-1, 1, n) for n in height.shape)
     rest = height - height.mean()
+    # Adding 0 * rest broadcasts the squares of a base to the shape of the picture.
     for base in (x[None, :], y[:, None]):
         rest = rest - base * (np.sum(rest * base) / np.sum(base**2 + 0 * rest))
     sag = np.zeros_like(rest)
@@ -99,9 +139,20 @@ def leveled(height: Floats) -> tuple[Floats, float]:
 
 
 def spectrum_of(height: Floats, pixel: float) -> ReliefSpectrum:
-    """Return the power of a height map (R, C) [m], row 0 at the lowest y, over wave vectors.
+    """Compute the power of a height map over wave vectors.
 
-    P = |FFT(w h)|² / (R C Σw²), doubled where −q is not there; by Parseval ΣP = Σ(w h)² / Σw².
+    Parameters
+    ----------
+    height : (R, C) array of float
+        Height, with row 0 at the lowest y [m].
+    pixel : float
+        Side of a pixel [m].
+
+    Returns
+    -------
+    ReliefSpectrum
+        Power spectrum. The power is |FFT(w h)|² / (R C Σw²) under the window w, doubled where the
+        spectrum does not contain −q. By Parseval it adds up to Σ(w h)² / Σw².
     """
     rows, columns = height.shape
     window = np.outer(hann(rows), hann(columns))
@@ -116,14 +167,25 @@ def spectrum_of(height: Floats, pixel: float) -> ReliefSpectrum:
 
 
 def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
-    """Return the 16 band levels [dB re 1 µm²·mm] along a stroke.
+    """Compute the 16 band levels along a stroke.
 
     Parameters
     ----------
-    spectrum : of relief or of what skin makes of it
-    direction : of the stroke [rad], or None for the mean over all directions, of which the share
-        (2/π) (acos(a/κ) − acos(b/κ)) puts a wave number κ between a and b. Along one direction
-        each bin counts as spread over its width, since the coarsest bands hold but one or two
+    spectrum : ReliefSpectrum
+        Spectrum of the relief, or of the skin displacement that it causes.
+    direction : float or None
+        Direction of the stroke [rad], or None for the mean over all directions.
+
+    Returns
+    -------
+    (16,) array of float
+        Levels [dB re 1 µm²·mm].
+
+    Notes
+    -----
+    In the mean over all directions, a wave number κ contributes the share (2/π)
+    (acos(a/κ) − acos(b/κ)) of its power between the spatial frequencies a and b. Along one
+    direction each bin is spread over its width, since the coarsest bands hold only one or two bins.
     """
     edges = np.append(EDGES[:-1], min(EDGES[-1], spectrum.nyquist))
     if direction is None:
@@ -143,14 +205,38 @@ def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
 
 
 def first_measured(side: float) -> int:
-    """Return the index of the lowest band of which a picture's side [m] holds enough periods."""
+    """Return the lowest band of which a picture holds enough periods.
+
+    Parameters
+    ----------
+    side : float
+        Shorter side of the picture [m].
+
+    Returns
+    -------
+    int
+        Index into `CENTERS`.
+    """
     return int(np.searchsorted(np.array(CENTERS) * 1e3, PERIODS / side * (1 - 1e-9)))
 
 
 def held_below(levels: Floats, first: int) -> Floats:
-    """Return levels with those below a band set to its rms: the density rises by 1 dB a band.
+    """Replace the levels below a band by levels of the same rms displacement as that band.
 
-    So does the reference skin spectrum below 0.5 cycles/mm, where it is assumed as well.
+    The density then rises by 1 dB from each band to the next lower one. So does the reference skin
+    spectrum below 0.5 cycles/mm, where it is assumed as well.
+
+    Parameters
+    ----------
+    levels : (16,) array of float
+        Levels [dB re 1 µm²·mm].
+    first : int
+        Index of the lowest band that is kept as it is.
+
+    Returns
+    -------
+    (16,) array of float
+        Levels with those before ``first`` replaced.
     """
     held = levels.copy()
     held[:first] = levels[first] + 10 * np.log10(CENTERS[first] / np.array(CENTERS[:first]))
@@ -159,9 +245,17 @@ def held_below(levels: Floats, first: int) -> Floats:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How wave vectors lie: mean direction and standard deviation [rad], resultant 0–1.
+    """Distribution of the directions of wave vectors.
 
-    ``spread`` is None where no direction stands out.
+    Attributes
+    ----------
+    direction : float
+        Mean direction, 0 where none stands out [rad].
+    spread : float or None
+        Standard deviation of the direction, or None where no direction stands out [rad].
+    resultant : float
+        Length of the mean resultant vector on doubled angles: 0 for an isotropic surface, 1 for
+        waves of one direction.
     """
 
     direction: float
@@ -170,10 +264,23 @@ class Orientation:
 
 
 def orientation_of(spectrum: ReliefSpectrum) -> Orientation:
-    """Fit the normal distribution of wave vectors' directions that a descriptor knows.
+    """Fit the normal distribution of the directions of wave vectors that a descriptor assumes.
 
-    On doubled angles its resultant is R = exp(−2 σ²) (Mardia & Jupp, wrapped normal). Each
-    third-octave ring has its own, weighed by the ring's rms, so that coarse and fine count.
+    Parameters
+    ----------
+    spectrum : ReliefSpectrum
+        Spectrum of the relief, or of the skin displacement that it causes.
+
+    Returns
+    -------
+    Orientation
+        Mean direction, spread and resultant.
+
+    Notes
+    -----
+    On doubled angles the resultant of a wrapped normal distribution is R = exp(−2 σ²) (Mardia &
+    Jupp). It is computed for each third-octave ring of wave numbers. The rings are weighted by
+    their rms, so that both coarse and fine relief count.
     """
     number = spectrum.number
     low = max(EDGES[0], RING_PERIODS / spectrum.side)
@@ -182,10 +289,10 @@ def orientation_of(spectrum: ReliefSpectrum) -> Orientation:
     turn = np.exp(2j * np.arctan2(spectrum.y, spectrum.x)) * spectrum.power
     count, total = np.bincount(ring)[1:], np.bincount(ring, spectrum.power)[1:]
     vector = (np.bincount(ring, turn.real) + 1j * np.bincount(ring, turn.imag))[1:]
-    held = (count > 0) & (total > 0)
-    weight = np.sqrt(total[held])
-    mean = np.sum(weight * vector[held] / total[held]) / np.sum(weight)
-    chance = np.sqrt(2.25 * np.sum(weight**2 / count[held])) / np.sum(weight)
+    occupied = (count > 0) & (total > 0)
+    weight = np.sqrt(total[occupied])
+    mean = np.sum(weight * vector[occupied] / total[occupied]) / np.sum(weight)
+    chance = np.sqrt(2.25 * np.sum(weight**2 / count[occupied])) / np.sum(weight)
     resultant = float(np.abs(mean))
     direction = float(np.angle(mean)) / 2
     if resultant < max(LEAST_RESULTANT, 3 * chance):
@@ -195,9 +302,15 @@ def orientation_of(spectrum: ReliefSpectrum) -> Orientation:
 
 @dataclass(frozen=True)
 class Unsteadiness:
-    """What a spectrum does not tell: ``excess_kurtosis`` and ``am_depth``, as in a descriptor.
+    """Statistics of a relief that its spectrum does not contain.
 
-    ``am_depth`` is None where the picture is too small to tell.
+    Attributes
+    ----------
+    excess_kurtosis : float
+        Excess kurtosis, as in a descriptor.
+    am_depth : float or None
+        Depth of the amplitude modulation, as in a descriptor, or None where the picture is too
+        small to measure it.
     """
 
     excess_kurtosis: float
@@ -207,9 +320,23 @@ class Unsteadiness:
 def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
     """Compare the relief above 1 cycle/mm with a Gaussian field of the same spectrum.
 
-    A log-normal envelope exp(g), var g = s, leaves power e^{2g} of the relative variance
-    V = e^{4s} − 1 and the depth √(e^s − 1). The field with random phases says what V and kurtosis
-    chance alone gives in a picture of this size.
+    Parameters
+    ----------
+    height : (R, C) array of float
+        Height without mean and tilt [m].
+    pixel : float
+        Side of a pixel [m].
+
+    Returns
+    -------
+    Unsteadiness
+        Excess kurtosis and modulation depth beyond those of the Gaussian field.
+
+    Notes
+    -----
+    A log-normal envelope exp(g) with var g = s leaves a power e^{2g} of the relative variance
+    V = e^{4s} − 1, and has the depth √(e^s − 1). The field with random phases tells the V and the
+    kurtosis that chance alone gives in a picture of this size.
     """
     spectrum = rfft2(height)
     y, x = np.fft.fftfreq(height.shape[0], pixel), np.fft.rfftfreq(height.shape[1], pixel)
@@ -218,18 +345,18 @@ def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
     spectrum *= np.where(number <= EDGES[-1], 1 / np.sqrt(1 + ratio**-8), 0)
     kurtosis, power = _moments(irfft2(spectrum, height.shape), pixel)
     noise = rfft2(np.random.default_rng(0).standard_normal(height.shape))
-    drawn = np.abs(spectrum) * noise / np.maximum(np.abs(noise), 1e-300)
-    by_chance, power_by_chance = _moments(irfft2(drawn, height.shape), pixel)
+    random_spectrum = np.abs(spectrum) * noise / np.maximum(np.abs(noise), 1e-300)
+    by_chance, power_by_chance = _moments(irfft2(random_spectrum, height.shape), pixel)
     excess = max(kurtosis - by_chance, 0.0)
     if min(height.shape) * pixel < PATCHES / CORNER:
         return Unsteadiness(excess, None)
-    more = (1 + power) / (1 + power_by_chance) - 1
-    variance = np.log1p(more) / 4 if more > power_by_chance / 2 else 0.0
+    excess_power = (1 + power) / (1 + power_by_chance) - 1
+    variance = np.log1p(excess_power) / 4 if excess_power > power_by_chance / 2 else 0.0
     return Unsteadiness(excess, float(np.sqrt(np.expm1(variance))))
 
 
 def _moments(field: Floats, pixel: float) -> tuple[float, float]:
-    """Return the excess kurtosis of a field and the relative variance of its slow power."""
+    """Return the excess kurtosis of a field and the relative variance of its smoothed power."""
     edge = min(round(MARGIN / pixel), min(field.shape) // 4)
     inner = (slice(edge, -edge),) * 2
     square = field**2

@@ -1,9 +1,10 @@
-"""A texture's descriptor from a picture of its relief, and a report of what was found and lost.
+"""Descriptor of a texture from a picture of its relief, with a report of what was found and lost.
 
-Sharp lines become `[[periodic]]`, the rest 16 bands along a stroke, with a direction where it has
-one. Levels and harmonics are what skin makes of the relief by the model in `skin`, whose docstring
-says how little is known of it: shapes, wavelengths and directions are measured, levels are good to
-a factor of 2. Pores and other sparse features are not told apart; they raise the kurtosis.
+Sharp lines of the spectrum become `[[periodic]]`. The rest becomes 16 bands along a stroke, with a
+direction where there is one. Levels and harmonics are what skin makes of the relief by the model in
+`skin`, whose docstring says how little is known of it: shapes, wavelengths and directions are
+measured, levels are good to a factor of 2. Pores and other sparse features are not separated; they
+raise the kurtosis.
 """
 
 import math
@@ -35,30 +36,45 @@ from tactile.texture.relief import (
 )
 
 SHORTEST = 8e-3
-"""Meters of the shorter side: four periods of 0.5 cycles/mm, below which bands are assumed."""
+"""Smallest shorter side of a picture [m]: four periods of 0.5 cycles/mm, below which bands are
+assumed."""
 ROUNDING = 0.5
-"""Gray levels: a line's amplitude, and beside lines the rms of the rest, that is only rounding."""
+"""Amplitude of a line, and rms of what is left beside lines, up to which they are only rounding
+[gray levels]."""
 NEAR_ROUNDING_DB = 6.0
+"""Level above that of rounding below which a band is reported as mostly rounding [dB]."""
 UM = 1e6
+"""Micrometers per meter."""
 SPEED_MM_S, FORCE_N = 40.0, 0.5
+"""Reference speed [mm/s] and normal force [N] of the descriptor."""
 
 
 @dataclass(frozen=True)
 class Relief:
-    """What a picture of relief has become.
+    """Texture made of a picture of relief.
 
     Attributes
     ----------
-    descriptor : the texture
-    comments : for its file, by path as of `descriptor_file.as_toml`
-    roughness_um : Ra of the leveled picture, and its rms
-    rms_um : of the leveled picture
-    sag_um : of the curvature that is left in it
-    rms_slope : of all relief up to the finest band
-    contact_share : of the skin that touches it there
-    resultant : 0 for an isotropic surface, 1 for waves of one direction
-    outside : shares of the relief's variance that are too coarse and too fine for the bands
-    notes : what was doubtful, assumed or lost, a line each
+    descriptor : Descriptor
+        The texture.
+    comments : dict of str to str
+        Comments for its file by path, as in `descriptor_file.as_toml`.
+    roughness_um : float
+        Mean absolute height Ra of the leveled picture [µm].
+    rms_um : float
+        Rms height of the leveled picture [µm].
+    sag_um : float
+        Range of the curvature that is left in the picture [µm].
+    rms_slope : float
+        Rms slope of all relief up to the finest band.
+    contact_share : float
+        Share of the skin that touches this relief, 0 to 1.
+    resultant : float
+        0 for an isotropic surface, 1 for waves of one direction.
+    outside : tuple of float
+        Shares of the variance of the relief that are too coarse and too fine for the bands, 0 to 1.
+    notes : tuple of str
+        What was doubtful, assumed or lost, one line each.
     """
 
     descriptor: Descriptor
@@ -74,18 +90,28 @@ class Relief:
 
 
 def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> Relief:
-    """Make a texture of a height map.
+    """Make a texture from a height map.
 
     Parameters
     ----------
-    relief : from a picture at least 8 mm wide and high
-    name, category : of the texture
-    picture : the picture's name, for the source line
+    relief : HeightMap
+        Heights of a picture of at least 8 mm on its shorter side.
+    name : str
+        Id of the texture.
+    category : str
+        Category of the texture.
+    picture : str
+        Name of the picture, which is written to the source line.
+
+    Returns
+    -------
+    Relief
+        Descriptor, with what was measured and what was lost.
 
     Raises
     ------
     InputError
-        Where name or category is none a texture can have, or the picture is too small.
+        If a texture cannot have this name or category, or if the picture is too small.
     """
     check_name(name, category)
     if relief.side < SHORTEST:
@@ -94,19 +120,19 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
             f"{SHORTEST * 1e3:g} mm, four periods of 0.5 cycles/mm"
         )
     height, sag = leveled(relief.height[::-1])
-    whole = spectrum_of(height, relief.pixel)
+    spectrum = spectrum_of(height, relief.pixel)
     lines, rest = take_lines(height, relief.pixel, finest=EDGES[-1], least=ROUNDING * relief.level)
     rest, gratings = leveled(rest)[0], gather(lines, relief.side)
-    periodic = tuple(_periodic(one, whole) for one in gratings)
-    random = not gratings or rest.std() > ROUNDING * relief.level
+    periodic = tuple(_periodic(grating, spectrum) for grating in gratings)
+    has_random_part = not gratings or rest.std() > ROUNDING * relief.level
     notes = list(relief.notes)
     stochastic, orientation = None, Orientation(0.0, None, 0.0)
-    if random:
-        stochastic, orientation = _stochastic(rest, relief, whole, notes)
+    if has_random_part:
+        stochastic, orientation = _stochastic(rest, relief, spectrum, notes)
     else:
         notes.append("no random part: beside its gratings the picture holds only rounding")
-    finest = float(whole.rms_slope(EDGES[-1:])[0])
-    _remark_steepness(finest, notes)
+    finest = float(spectrum.rms_slope(EDGES[-1:])[0])
+    _note_steepness(finest, notes)
     return Relief(
         descriptor=Descriptor(
             texture=_about(name, category, picture, relief),
@@ -122,28 +148,35 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         rms_slope=finest,
         contact_share=float(skin.share_in_contact(finest)),
         resultant=orientation.resultant,
-        outside=_outside(whole),
+        outside=_outside(spectrum),
         notes=tuple(notes),
     )
 
 
 def check_name(name: str, category: str) -> None:
-    """See that a texture can have this name and category.
+    """Check that a texture can have a given name and category.
+
+    Parameters
+    ----------
+    name : str
+        Id of the texture.
+    category : str
+        Category of the texture.
 
     Raises
     ------
     InputError
-        Where not, with the nearest category.
+        If it cannot. The message names the nearest category.
     """
-    known = [str(one) for one in get_args(About.__annotations__["category"])]
-    if category not in known:
-        raise InputError(f"category {category!r}: unknown; {files.nearest(category, known)}")
+    categories = [str(known) for known in get_args(About.__annotations__["category"])]
+    if category not in categories:
+        raise InputError(f"category {category!r}: unknown; {files.nearest(category, categories)}")
     if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", name):
         raise InputError(f"name {name!r}: must be small letters, digits and single hyphens")
 
 
 def _periodic(grating: HarmonicWaves, whole: ReliefSpectrum) -> Periodic:
-    """Return a grating as skin follows it."""
+    """Return a grating with the amplitudes of the skin that follows it."""
     fundamental = float(np.hypot(*grating.frequency))
     order = np.arange(1.0, len(grating.amplitude) + 1)
     gain = skin.skin_gain(whole.rms_slope(np.asarray(order * fundamental, np.float64)))
@@ -159,11 +192,11 @@ def _periodic(grating: HarmonicWaves, whole: ReliefSpectrum) -> Periodic:
 def _stochastic(
     rest: Floats, relief: HeightMap, whole: ReliefSpectrum, notes: list[str]
 ) -> tuple[Stochastic, Orientation]:
-    """Return the random part as skin follows it; adds to the notes what of it is assumed."""
+    """Return the random part as skin follows it, and append to the notes what of it is assumed."""
     spectrum = spectrum_of(rest, relief.pixel)
     followed = spectrum.scaled(skin.skin_gain(whole.rms_slope(spectrum.number)))
-    found = orientation_of(followed)
-    direction = None if found.spread is None else found.direction
+    orientation = orientation_of(followed)
+    direction = None if orientation.spread is None else orientation.direction
     first = first_measured(relief.side)
     measured = stroke_levels(followed, direction)
     if first:
@@ -171,10 +204,10 @@ def _stochastic(
             f"bands below {CENTERS[first]:g} cycles/mm are assumed (constant rms): the picture "
             f"holds fewer than four periods"
         )
-    grain = _rounding_levels(spectrum, relief.level, direction)
+    rounding = _rounding_levels(spectrum, relief.level, direction)
     height_levels = stroke_levels(spectrum, direction)
     rounded = [f"{c:g}" for c, near in zip(
-        CENTERS, height_levels - grain < NEAR_ROUNDING_DB, strict=True) if near]  # fmt: skip
+        CENTERS, height_levels - rounding < NEAR_ROUNDING_DB, strict=True) if near]  # fmt: skip
     if rounded:
         notes.append(f"bands at {', '.join(rounded)} cycles/mm hold mostly rounding of gray levels")
     unsteady = unsteadiness_of(rest, relief.pixel)
@@ -186,22 +219,25 @@ def _stochastic(
         excess_kurtosis=min(round(unsteady.excess_kurtosis, 1), 30.0),
         am_depth=min(round(unsteady.am_depth or 0.0, 2), 1.0),
         am_corner_per_mm=0.2,
-        direction_deg=round(math.degrees(found.direction), 1),
+        direction_deg=round(math.degrees(orientation.direction), 1),
         direction_spread_deg=(
-            None if found.spread is None else max(round(math.degrees(found.spread), 1), 1.0)
+            None
+            if orientation.spread is None
+            else max(round(math.degrees(orientation.spread), 1), 1.0)
         ),
-    ), found
+    ), orientation
 
 
 def _rounding_levels(spectrum: ReliefSpectrum, level: float, direction: float | None) -> Floats:
-    """Return the bands of the error of rounding to gray levels, white with variance level²/12."""
+    """Return the band levels of rounding to gray levels: white noise of variance level²/12."""
     count = np.where(spectrum.power > 0, 1.0, 0.0)
     white = count * level**2 / 12 / np.sum(count)
     flat = ReliefSpectrum(spectrum.x, spectrum.y, white, spectrum.side, spectrum.nyquist)
     return stroke_levels(flat, direction)
 
 
-def _remark_steepness(rms_slope: float, notes: list[str]) -> None:
+def _note_steepness(rms_slope: float, notes: list[str]) -> None:
+    """Append a note if the relief is too steep for skin to follow in proportion."""
     if rms_slope > skin.STEEP:
         notes.append(
             f"steep: rms slope {rms_slope:.2g}, so that skin touches "
@@ -211,7 +247,7 @@ def _remark_steepness(rms_slope: float, notes: list[str]) -> None:
 
 
 def _outside(spectrum: ReliefSpectrum) -> tuple[float, float]:
-    """Return the shares of the variance of waves longer and shorter than those of all bands."""
+    """Return the shares of the variance in waves longer and shorter than those of all bands."""
     total = float(spectrum.power.sum())
     coarse = float(spectrum.power[spectrum.number < EDGES[0]].sum())
     fine = float(spectrum.power[spectrum.number > EDGES[-1]].sum())
@@ -219,6 +255,7 @@ def _outside(spectrum: ReliefSpectrum) -> tuple[float, float]:
 
 
 def _about(name: str, category: str, picture: str, relief: HeightMap) -> About:
+    """Return the identity of the texture, with the source line."""
     rows, columns = relief.height.shape
     readable = picture.encode("utf-8", "replace").decode()
     return About(
@@ -237,13 +274,14 @@ def _about(name: str, category: str, picture: str, relief: HeightMap) -> About:
             f"{skin.PATCH:g} times the skin beside it. Levels are known within a factor of 2. "
             "Speed and force laws: assumed, as for the shipped textures."
         ),
-        licence="not stated",
+        license="not stated",
     )
 
 
 def _comments(
     stochastic: Stochastic | None, periodic: tuple[Periodic, ...], relief: HeightMap
 ) -> dict[str, str]:
+    """Return the comments for the file by path."""
     comments = {
         "": "Made from a picture of relief: shapes are measured, levels come of a model of skin.",
         "reference.speed_mm_s": "of the reference skin spectrum that the model is held against",

@@ -1,13 +1,15 @@
-"""A texture realized: spatial partials, their envelope and sparse events, the same at every visit.
+"""Realization of a texture as spatial partials, an envelope and sparse events, fixed in place.
 
-The stochastic part is a set of M plane waves. A wave of wave number κ at an angle α from a stroke
-sounds at the spatial frequency κ|cos α| along it, so a surface's bands along every direction are a
-linear function of the waves' powers. Wave numbers are spread evenly over the bands (in their
-logarithm), directions by the golden angle. A first non-negative least squares finds one power per
-ring of wave numbers, a second one per wave near its ring's, from the bands in 72 directions.
+The stochastic part is a set of M plane waves. A wave of wave number κ at an angle α to a stroke has
+the spatial frequency κ|cos α| along it, so that the bands of a surface along every direction are a
+linear function of the powers of its waves. Wave numbers are spread evenly over the bands (in their
+logarithm), directions by the golden angle. A first non-negative least-squares fit to the bands in
+72 directions finds one power per ring of wave numbers, a second one finds one per wave, near that
+of its ring.
 
-An isotropic surface cannot have every spectrum: whatever has a wave number κ also sounds below it,
-so bands cannot rise or peak. The nearest surface is taken and its error told per band.
+An isotropic surface cannot have every spectrum: whatever has a wave number κ also contributes below
+it, so that bands can neither rise nor peak. The nearest surface is taken, and its error is reported
+for each band.
 """
 
 import math
@@ -28,17 +30,24 @@ from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
 
 GOLDEN = (np.sqrt(5) - 1) / 2
+"""Golden ratio less one, which spreads the directions of waves evenly."""
 DIRECTIONS = 72
-"""In which an isotropic surface's bands are met, 2.5° apart."""
+"""Number of stroke directions in which the bands of an isotropic surface are fitted, 2.5° apart."""
 NEARNESS = 0.05
-"""Weight that keeps a wave's power near its ring's: 0.1 dB of fit for a spread within ± 25 %."""
+"""Weight that keeps the power of a wave near that of its ring. The fit of the bands is 0.1 dB worse
+for it, and the powers of a ring stay within ±25 %."""
 KEPT = 0.75
-"""Of the kurtosis of bursts, within the bands: they carry power beyond, mostly below (measured)."""
+"""Share of the kurtosis of bursts that remains within the bands (measured). They also carry power
+outside of them, mostly below."""
 JITTER_LINES = 5
+"""Number of waves that represent one harmonic of a grating with jitter."""
 ENVELOPE_WAVES = 12
+"""Number of waves in each of the two parts of an envelope, the slow one and the bursts."""
 BURSTS = 3.0, 4.5
-"""Times the AM corner: where the envelope that carries the remaining kurtosis varies."""
+"""Range of the wave numbers of bursts, the part of the envelope that carries the remaining
+kurtosis, as multiples of the AM corner."""
 MICRO, PER_MM = 1e-6, 1e3
+"""Meters per micrometer, and cycles/m per cycle/mm."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +56,12 @@ class Partials:
 
     Attributes
     ----------
-    wave_vector : (M, 2) [rad/m]
-    amplitude : (M,) peak [m]
-    phase : (M,) [rad]
+    wave_vector : (M, 2) array of float
+        Wave vectors k [rad/m].
+    amplitude : (M,) array of float
+        Peak amplitudes a [m].
+    phase : (M,) array of float
+        Phases φ [rad].
     """
 
     wave_vector: Floats
@@ -64,24 +76,54 @@ class Partials:
         )
 
     def part(self, members: slice) -> "Partials":
-        """Return some of the waves."""
+        """Select some of the waves.
+
+        Parameters
+        ----------
+        members : slice
+            Indices of the waves.
+
+        Returns
+        -------
+        Partials
+            Selected waves.
+        """
         return Partials(self.wave_vector[members], self.amplitude[members], self.phase[members])
 
     def at(self, place: Floats) -> Floats:
-        """Return the displacement [m] at places (..., 2) [m]."""
+        """Compute the displacement at given places.
+
+        Parameters
+        ----------
+        place : (..., 2) array of float
+            Positions p [m].
+
+        Returns
+        -------
+        (...) array of float
+            Sum of the waves [m].
+        """
         phase = place @ self.wave_vector.T + self.phase
         return np.asarray(np.cos(phase) @ self.amplitude)
 
     def along(self, step: Floats, count: int) -> Floats:
-        """Return the displacement [m] at places on a straight line from the origin.
+        """Compute the displacement at evenly spaced places on a straight line from the origin.
 
-        It is what `at` returns there, much sooner: a wave turns by the same angle with each step,
-        so that its phasor at step i J + j is the product of one of step i J and one of step j.
+        The result is that of `at`, in much less time: a wave turns by the same angle with each
+        step, so that its phasor at step i J + j is the product of that at step i J and that of step
+        j.
 
         Parameters
         ----------
-        step : from each place to the next (2,) [m]
-        count : of the places
+        step : (2,) array of float
+            Vector from each place to the next [m].
+        count : int
+            Number of places.
+
+        Returns
+        -------
+        (count,) array of float
+            Sum of the waves [m].
         """
         turn = self.wave_vector @ step
         size = math.isqrt(count) + 1
@@ -98,11 +140,22 @@ class Surface:
 
     Attributes
     ----------
-    partials : the waves
-    envelope : exponent of the positive envelope that multiplies them, itself slow waves (no unit)
-    gratings : how many of the partials, the last, are a grating's, which no envelope multiplies
-    events : place (E, 2) [m], peak (E,) [m] and kind (index into the descriptor's) of the sparse
-        features in one tile of ``tile`` [m], which repeats
+    partials : Partials
+        All waves of skin displacement, those of gratings last.
+    envelope : Partials
+        Slow waves g, without unit, whose sum is the exponent of the positive envelope that
+        multiplies the waves outside of gratings.
+    event_place : (E, 2) array of float
+        Places of the sparse events within one tile [m].
+    event_peak : (E,) array of float
+        Peak displacements of the events, of either sign [m].
+    event_kind : (E,) array of int
+        Index of the kind of each event in the descriptor.
+    tile : float
+        Side of the square tile of events, which repeats over the surface [m].
+    gratings : int
+        Number of partials, at the end, that belong to gratings and are not multiplied by the
+        envelope.
     """
 
     partials: Partials
@@ -115,24 +168,31 @@ class Surface:
 
     @property
     def split(self) -> tuple[Partials, Partials]:
-        """The waves that the envelope multiplies, and those of gratings."""
+        """Waves that the envelope multiplies, and waves of gratings."""
         count = len(self.partials.amplitude) - self.gratings
         return self.partials.part(slice(count)), self.partials.part(slice(count, None))
 
 
 @dataclass(frozen=True)
 class Texture:
-    """A descriptor with the waves that meet it.
+    """A descriptor with the waves that realize its stochastic part.
 
     Attributes
     ----------
-    name : of the texture
-    descriptor : as in its file
-    wave_vector, amplitude : (M, 2) [rad/m] and (M,) [m] of the stochastic waves
-    band_frequency : (16,) centers [cycles/m]; empty without a stochastic part
-    band_error_db : (16,) what the realized surface has above (+) or below (−) the descriptor, mean
-        over directions for an isotropic one; a large one names a band that no isotropic surface
-        with these neighbors can have
+    name : str
+        Name of the texture.
+    descriptor : Descriptor
+        Contents of its file.
+    wave_vector : (M, 2) array of float
+        Wave vectors of the stochastic part [rad/m].
+    amplitude : (M,) array of float
+        Peak amplitudes of these waves [m].
+    band_frequency : (16,) array of float
+        Band centers, empty without a stochastic part [cycles/m].
+    band_error_db : (16,) array of float
+        Level of the realized surface above (+) or below (−) that of the descriptor, in the mean
+        over directions for an isotropic surface, empty without a stochastic part [dB]. A large
+        error marks a band that no isotropic surface with these neighboring bands can have.
     """
 
     name: str
@@ -144,16 +204,28 @@ class Texture:
 
     @cached_property
     def partials(self) -> Partials:
-        """The waves of seed 0, gratings included."""
+        """Waves of the realization with seed 0, those of gratings last."""
         return self.realize().partials
 
     @property
     def laws(self) -> Laws:
-        """The speed and force laws."""
+        """Speed and force laws of the descriptor."""
         return self.descriptor.laws
 
     def realize(self, seed: int = 0) -> Surface:
-        """Draw the surface: phases, envelope and events from the seed, the rest as it is."""
+        """Draw one realization of the surface.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the random numbers that determine phases, envelope and events. All else is the
+            same for every seed.
+
+        Returns
+        -------
+        Surface
+            Realization, with the contact low-pass of ``contact_length_mm`` applied to its waves.
+        """
         rng = np.random.default_rng(seed)
         phase = rng.uniform(0, 2 * np.pi, len(self.amplitude))
         partials = Partials(self.wave_vector, self.amplitude, phase)
@@ -172,66 +244,127 @@ class Texture:
 
 
 def load_texture(name_or_path: str | Path, *, partials: int = 384) -> Texture:
-    """Return a texture by its name or its file, realized as plane waves.
+    """Load a texture and fit plane waves to its bands.
 
     Parameters
     ----------
-    name_or_path : a shipped texture (`textures`), or a TOML file
-    partials : M, the number of plane waves, those of gratings included
+    name_or_path : str or Path
+        Name of a shipped texture (`textures`), or path of a TOML file.
+    partials : int
+        Total number of plane waves, those of gratings included.
+
+    Returns
+    -------
+    Texture
+        Descriptor with its waves.
 
     Raises
     ------
     NotFoundError
-        With the nearest name.
+        If there is no such texture or file. The message names the nearest one.
     InputError
-        One line: file, field, value and limit.
+        If the file is invalid or ``partials`` is too small. The message is one line with the file,
+        field, value and limit.
+
+    Examples
+    --------
+    >>> load_texture("wood-oak").amplitude.shape
+    (384,)
     """
     descriptor = descriptors.load(name_or_path)
-    waves = sum(
+    grating_waves = sum(
         len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in descriptor.periodic
     )
-    stochastic, left = descriptor.stochastic, partials - waves
-    if left < (8 * BANDS if stochastic else 0):
+    stochastic, remaining = descriptor.stochastic, partials - grating_waves
+    if remaining < (8 * BANDS if stochastic else 0):
         raise InputError(
-            f"{name_or_path}: partials = {partials}: needs {waves} for its gratings"
+            f"{name_or_path}: partials = {partials}: needs {grating_waves} for its gratings"
             + (f" and at least {8 * BANDS} for its bands" if stochastic else "")
         )
-    drawn = stochastic_waves(stochastic, left) if stochastic else _no_waves()
+    fitted_waves = stochastic_waves(stochastic, remaining) if stochastic else _no_waves()
     frequency, error = np.zeros(0), np.zeros(0)
     if stochastic:
         frequency = np.asarray(stochastic.frequency_per_mm) * PER_MM
-        levels = band_levels(*drawn, stochastic, stroke_directions(stochastic))
+        levels = band_levels(*fitted_waves, stochastic, stroke_directions(stochastic))
         power = np.mean(10 ** (levels / 10), axis=0)
         error = 10 * np.log10(np.maximum(power, 1e-30)) - np.asarray(stochastic.level_db)
-    return Texture(descriptor.texture.id, descriptor, *drawn, frequency, error)
+    return Texture(descriptor.texture.id, descriptor, *fitted_waves, frequency, error)
 
 
 def without_friction(texture: Texture) -> Texture:
-    """Return a texture whose shear is a function of place alone."""
+    """Return a copy of a texture without friction, whose shear is a function of place alone.
+
+    Parameters
+    ----------
+    texture : Texture
+        Texture to copy.
+
+    Returns
+    -------
+    Texture
+        Same texture with no friction in its descriptor.
+    """
     return replace(texture, descriptor=structs.replace(texture.descriptor, friction=None))
 
 
 def _no_waves() -> tuple[Floats, Floats]:
+    """Return empty arrays of wave vectors and amplitudes."""
     return np.zeros((0, 2)), np.zeros(0)
 
 
 def band_edges(stochastic: Stochastic) -> Floats:
-    """Return the 17 edges of the third-octave bands [rad/m]."""
+    """Compute the edges of the third-octave bands of a stochastic part as wave numbers.
+
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Random part of a texture.
+
+    Returns
+    -------
+    (17,) array of float
+        Edges in ascending order [rad/m].
+    """
     edges = third_octaves(np.asarray(stochastic.frequency_per_mm))
     return edges * 2 * np.pi * PER_MM
 
 
 def stroke_directions(stochastic: Stochastic) -> Floats:
-    """Return the directions [rad] along which the bands are to be met."""
+    """Return the stroke directions along which the bands of a stochastic part must hold.
+
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Random part of a texture.
+
+    Returns
+    -------
+    (D,) array of float
+        72 directions for an isotropic surface, otherwise its own direction [rad].
+    """
     if stochastic.direction_spread_deg is None:
         return np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     return np.radians([stochastic.direction_deg])
 
 
 def stochastic_waves(stochastic: Stochastic, count: int) -> tuple[Floats, Floats]:
-    """Return wave vectors (M, 2) [rad/m] and amplitudes (M,) [m] that meet the bands.
+    """Compute plane waves whose bands are those of a stochastic part.
 
-    Bands are met in the least-squares sense of their power relative to the descriptor's.
+    The bands are fitted by least squares of their power relative to that of the descriptor.
+
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Random part of a texture.
+    count : int
+        Number M of waves.
+
+    Returns
+    -------
+    wave_vector : (M, 2) array of float
+        Wave vectors [rad/m].
+    amplitude : (M,) array of float
+        Peak amplitudes [m].
     """
     edges = band_edges(stochastic)
     number = edges[0] * (edges[-1] / edges[0]) ** ((np.arange(count) + 0.5) / count)
@@ -244,7 +377,7 @@ def stochastic_waves(stochastic: Stochastic, count: int) -> tuple[Floats, Floats
 
 
 def _directions(stochastic: Stochastic, count: int) -> Floats:
-    """Return where wave vectors point [rad]: everywhere, or scattered about the direction."""
+    """Return the directions of wave vectors, all around or scattered about the direction [rad]."""
     spread = (np.arange(count) * GOLDEN + 0.5) % 1
     if stochastic.direction_spread_deg is None:
         return np.asarray(np.pi * spread)
@@ -255,19 +388,35 @@ def _directions(stochastic: Stochastic, count: int) -> Floats:
 
 
 def _powers(share: Floats, ring: NDArray[np.intp]) -> Floats:
-    """Return the power of each wave: one per ring, then one per wave near its ring's."""
+    """Return the power of each wave: one per ring first, then one per wave near its ring."""
     rows, count = share.shape
-    belongs = np.equal.outer(ring, np.arange(BANDS)).astype(np.float64)
-    start = belongs @ nnls(share @ belongs, np.ones(rows))[0]
-    start = np.maximum(start, 1e-6 * start.max())
-    hold = NEARNESS * np.sqrt(rows / BANDS)
-    matrix = np.concatenate([share * start, hold * np.eye(count)])
-    wanted = np.concatenate([np.ones(rows), np.full(count, hold)])
-    return np.asarray(start * nnls(matrix, wanted)[0])
+    membership = np.equal.outer(ring, np.arange(BANDS)).astype(np.float64)
+    ring_power = membership @ nnls(share @ membership, np.ones(rows))[0]
+    ring_power = np.maximum(ring_power, 1e-6 * ring_power.max())
+    weight = NEARNESS * np.sqrt(rows / BANDS)
+    # Rows below those of the bands pull the power of each wave, relative to its ring, to 1.
+    matrix = np.concatenate([share * ring_power, weight * np.eye(count)])
+    target = np.concatenate([np.ones(rows), np.full(count, weight)])
+    return np.asarray(ring_power * nnls(matrix, target)[0])
 
 
 def band_shares(waves: Floats, edges: Floats, directions: Floats) -> Floats:
-    """Return (D, 16, M) ones where a wave sounds in a band along a direction."""
+    """Determine which wave contributes to which band along each direction.
+
+    Parameters
+    ----------
+    waves : (M, 2) array of float
+        Wave vectors [rad/m].
+    edges : (17,) array of float
+        Edges of the bands [rad/m].
+    directions : (D,) array of float
+        Directions of straight strokes [rad].
+
+    Returns
+    -------
+    (D, 16, M) array of float
+        1 where a wave falls into a band along a direction, otherwise 0.
+    """
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     band = np.digitize(np.abs(along @ waves.T), edges) - 1
     return np.asarray((band[:, None, :] == np.arange(BANDS)[:, None]).astype(np.float64))
@@ -276,17 +425,23 @@ def band_shares(waves: Floats, edges: Floats, directions: Floats) -> Floats:
 def band_levels(
     waves: Floats, amplitude: Floats, stochastic: Stochastic, directions: Floats
 ) -> Floats:
-    """Return the exact band levels of a line spectrum.
+    """Compute the exact band levels of a line spectrum.
 
     Parameters
     ----------
-    waves, amplitude : (M, 2) [rad/m] and (M,) [m]
-    directions : (D,) of straight strokes [rad]
+    waves : (M, 2) array of float
+        Wave vectors [rad/m].
+    amplitude : (M,) array of float
+        Peak amplitudes [m].
+    stochastic : Stochastic
+        Random part that defines the bands.
+    directions : (D,) array of float
+        Directions of straight strokes [rad].
 
     Returns
     -------
-    (D, 16) ndarray
-        Of one-sided power spectral density, dB re 1 µm²·mm.
+    (D, 16) array of float
+        One-sided power spectral density in each band [dB re 1 µm²·mm].
     """
     edges = band_edges(stochastic)
     power = band_shares(waves, edges, directions) @ (amplitude**2 / 2) / MICRO**2
@@ -295,10 +450,23 @@ def band_levels(
 
 
 def grating(part: Periodic, rng: np.random.Generator) -> Partials:
-    """Return the waves of a grating.
+    """Compute the waves of a grating.
 
-    Without jitter each harmonic is one wave, its phase the file's. With it each is five waves at
-    the quantiles of a normal distribution of wavelength, of equal power and random phase.
+    Without jitter each harmonic is one wave with the phase of the descriptor. With jitter it is
+    five waves of equal power and random phase, at quantiles of a normal distribution of the
+    relative deviation of the wave number.
+
+    Parameters
+    ----------
+    part : Periodic
+        Grating of a descriptor.
+    rng : numpy.random.Generator
+        Source of the random phases.
+
+    Returns
+    -------
+    Partials
+        Waves of the grating.
     """
     order = np.arange(1, len(part.harmonics_um) + 1)
     number = 2 * np.pi * PER_MM / part.wavelength_mm * order
@@ -315,11 +483,23 @@ def grating(part: Periodic, rng: np.random.Generator) -> Partials:
 
 
 def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partials:
-    """Return the waves g of the envelope exp(g − ⟨g²⟩), whose mean square is one.
+    """Draw the waves g of the envelope exp(g − ⟨g²⟩), whose mean square is one.
 
-    Slow waves spread evenly, along a stroke, from nothing to the AM corner, bursts beyond it; of
-    an isotropic surface their wave vectors point everywhere, of a grained one along its direction
-    with the bands' scatter.
+    Slow waves are spread evenly along a stroke from zero to the AM corner, and bursts lie above it.
+    On an isotropic surface their wave vectors point in all directions, on a surface with a
+    direction along it, with the same scatter as the bands.
+
+    Parameters
+    ----------
+    stochastic : Stochastic or None
+        Random part of a texture.
+    rng : numpy.random.Generator
+        Source of the random phases.
+
+    Returns
+    -------
+    Partials
+        Waves without unit. There are none without a stochastic part, modulation and kurtosis.
     """
     total = Partials(*_no_waves(), np.zeros(0))
     if stochastic is None:
@@ -327,13 +507,13 @@ def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partial
     place = (np.arange(ENVELOPE_WAVES) + 0.5) / ENVELOPE_WAVES
     turn, burst = _directions(stochastic, ENVELOPE_WAVES), BURSTS[0] + place * np.ptp(BURSTS)
     if stochastic.direction_spread_deg is None:
-        slow, heard = np.sqrt(1 - (1 - place) ** 2), 2 / np.pi * np.arcsin(1 / burst)
+        slow, share_below_corner = np.sqrt(1 - (1 - place) ** 2), 2 / np.pi * np.arcsin(1 / burst)
     else:
         across = np.cos(turn - np.radians(stochastic.direction_deg))
-        slow, heard = place, (burst * np.abs(across) <= 1).astype(np.float64)
+        slow, share_below_corner = place, (burst * np.abs(across) <= 1).astype(np.float64)
     corner = 2 * np.pi * PER_MM * stochastic.am_corner_per_mm
     unit = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    shares = _variances(stochastic, float(heard.mean()))
+    shares = _variances(stochastic, float(share_below_corner.mean()))
     for number, variance in zip((slow, burst), shares, strict=True):
         if variance > 0:
             total = total + Partials(
@@ -345,14 +525,14 @@ def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partial
 
 
 def _variances(stochastic: Stochastic, heard: float) -> tuple[float, float]:
-    """Return the variance of the slow waves and of the bursts.
+    """Return the variances of the slow waves and of the bursts.
 
     ``heard`` is the share of the bursts that a stroke meets below the AM corner. A log-normal
-    envelope of var(g) = s has the depth std/mean = √(exp(s) − 1) and gives the product with a
-    normal process the excess kurtosis 3 (exp(4s) − 1): below the corner s is to give the depth,
-    in all the kurtosis. A sum of n waves lacks some of a normal g's tail, which the next term of
-    ln I₀ makes up for, s (1 + 7s/2n), as `KEPT` does for the band limits. A depth alone brings
-    the kurtosis 3 ((1 + d²)⁴ − 1); where less is stated, that remains.
+    envelope with var(g) = s has the depth std/mean = √(exp(s) − 1) and gives the product with a
+    normal process the excess kurtosis 3 (exp(4s) − 1). So s below the corner must give the depth,
+    and s in total the kurtosis. A sum of n waves has less of a tail than a normal g. The next term
+    of ln I₀ compensates for that, s (1 + 7s/2n), as `KEPT` does for the band limits. A depth alone
+    brings the kurtosis 3 ((1 + d²)⁴ − 1); where less is stated, the depth prevails.
     """
     below = float(np.log(1 + stochastic.am_depth**2))
     total = float(np.log(1 + stochastic.excess_kurtosis / 3)) / 4
@@ -366,7 +546,26 @@ def _variances(stochastic: Stochastic, heard: float) -> tuple[float, float]:
 def scatter(
     kinds: tuple[Events, ...], tile: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Scatter events over a tile: Poisson in number, uniform in place, log-normal in amplitude."""
+    """Draw events over a tile: Poisson in number, uniform in place, log-normal in amplitude.
+
+    Parameters
+    ----------
+    kinds : tuple of Events
+        Kinds of events of a descriptor.
+    tile : float
+        Side of the square tile [m].
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    place : (E, 2) array of float
+        Places within the tile [m].
+    peak : (E,) array of float
+        Peak displacements, of either sign [m].
+    kind : (E,) array of int
+        Index of the kind of each event.
+    """
     places, peaks, kind = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0, np.intp)]
     for i, events in enumerate(kinds):
         count = rng.poisson(events.density_per_mm2 * (tile * PER_MM) ** 2)

@@ -1,58 +1,65 @@
-"""A client's clock in terms of ours.
+"""Mapping of a client's clock to that of the host.
 
-What a client stamps with its own clock arrives later by a delay that jitters, but is never less
-than the least: arrival − client time lies above an envelope, and now and then touches it. The
-envelope's least value over the last two seconds is what lies between the clocks, up to the least
-delay, which no one-way message can tell (as in D. L. Mills' clock filter, RFC 5905, section 10,
-which trusts the sample of least delay).
+What a client stamps with its own clock arrives after a delay that jitters but never falls below a
+minimum: arrival − client time lies above an envelope and touches it now and then. The least value
+over the last two seconds is the offset between the clocks plus the least delay, which no one-way
+message can separate (as in D. L. Mills' clock filter, RFC 5905, section 10, which trusts the sample
+of least delay).
 
-The map follows the envelope at no more than 2 % of the time that passes, so that mapped time
-runs 0.98 to 1.02 times as fast as the client's: a difference of speed that nobody feels, and enough
-for clocks 300 ppm apart and for a first message that came 20 ms late (1 s). Over the window such a
-clock runs 0.6 ms off, which is how much the map is late or early at most for its sake.
+The map follows the envelope by at most 2 % of the time that passes, so that mapped time runs 0.98
+to 1.02 times as fast as the client's. That difference of speed cannot be felt, and it is enough for
+clocks 300 ppm apart and for a first message that came 20 ms late (corrected within 1 s). Over the
+window such a clock drifts by 0.6 ms, which is the largest error of the map for this reason.
 """
 
 import math
 from collections import deque
 
 WINDOW = 2.0
-"""s; at 90 Hz 180 delays, of which the least is near what the link can do (assumed)."""
+"""Length of the window of the envelope [s]; at 90 Hz it holds 180 delays, of which the least is
+close to the minimum of the link (assumed)."""
 BUCKETS = 8
-"""Parts of the window, of each of which the least is kept."""
+"""Number of parts of the window, each of which keeps its least value."""
 SLEW = 0.02
-"""Most that the map's rate differs from one."""
+"""Largest difference of the map's rate from 1."""
 JUMP = 0.5
-"""s; more than this from the envelope is another clock, and no delay (assumed)."""
+"""Distance above the envelope from which on a sample means another clock, not a delay (assumed)
+[s]."""
 TOO_LATE = 0.05
-"""s; what comes so much sooner than the envelope proves it wrong, and it starts anew: after a stall
-of the link, whose end nothing tells from a clock that jumped (assumed)."""
+"""Distance below the envelope from which on the map starts anew (assumed) [s]: a sample that is so
+early proves the envelope wrong. This happens after a stall of the link, whose end cannot be told
+from a clock that jumped."""
 
 
 class ClockMap:
-    """One client's clock → ours.
+    """Map from the clock of one client to that of the host.
 
     Attributes
     ----------
-    jumps : how often the client's clock was found to have jumped
-    invalid : client times that were no finite numbers
+    jumps : int
+        Number of times that the client's clock was found to have jumped.
+    invalid : int
+        Number of client times that were not finite.
     """
 
     def __init__(self) -> None:
         self.jumps = self.invalid = 0
         self._least: deque[tuple[int, float]] = deque()
-        """Bucket's number and least arrival − client time in it."""
+        """Number of each bucket, and least arrival − client time in it [s]."""
         self._offset = 0.0
         self._newest = self._mapped = -math.inf
 
     def __call__(self, client_time: float | None, arrival: float) -> float:
-        """Return our time [s] at which a client took what arrived.
+        """Return the host's time [s] at which a client took what has arrived.
 
-        For ascending client times it ascends too. Without a client time it is the arrival.
+        The result ascends for ascending client times. Without a client time it is the arrival.
 
         Parameters
         ----------
-        client_time : in the client's clock [s]
-        arrival : in ours [s]; ascending
+        client_time : float or None
+            Time stamp in the client's clock [s].
+        arrival : float
+            Arrival in the host's clock, ascending [s].
         """
         if client_time is None or not math.isfinite(client_time):
             self.invalid += client_time is not None
@@ -65,14 +72,14 @@ class ClockMap:
         passed = client_time - self._newest
         if passed <= 0:
             return client_time + self._offset
-        wanted = min(least for _, least in self._least) - self._offset
-        self._offset += min(max(wanted, -SLEW * passed), SLEW * passed)
+        change = min(least for _, least in self._least) - self._offset
+        self._offset += min(max(change, -SLEW * passed), SLEW * passed)
         self._newest = client_time
         self._mapped = max(self._mapped, client_time + self._offset)
         return self._mapped
 
     def _begin(self, client_time: float, arrival: float) -> float:
-        """Start from a delay of nothing, but no earlier than what was mapped before."""
+        """Start anew with a delay of 0, but not before what was mapped earlier."""
         self.jumps += bool(self._least) and (abs(arrival - client_time - self._offset) > JUMP)
         self._least.clear()
         if client_time <= self._newest:
@@ -84,6 +91,7 @@ class ClockMap:
         return self._mapped
 
     def _note(self, apart: float, arrival: float) -> None:
+        """Enter arrival − client time into its bucket, and drop buckets outside the window."""
         bucket = math.floor(arrival * (BUCKETS / WINDOW))
         while self._least and self._least[0][0] <= bucket - BUCKETS:
             self._least.popleft()

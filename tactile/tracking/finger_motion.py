@@ -1,24 +1,24 @@
-"""How a finger moves, from noisy samples of its place: three filters that vote.
+"""Motion of a finger, estimated from noisy samples of its position by three weighted filters.
 
-A finger rests, glides steadily, or sets off and stops, and no single filter serves all: one that
-smooths enough for a steady stroke is late when the stroke begins. So three Kalman filters of one
-model of motion run side by side, and differ in how hard they expect the finger to accelerate: the
-interacting multiple model estimator of Blom and Bar-Shalom (IEEE Trans. Autom. Control 33, 1988).
-The model is Singer's (IEEE Trans. Aerosp. Electron. Syst. 6, 1970): place p, velocity v and
-acceleration a per axis, the acceleration forgotten with a time constant τ,
+A finger rests, glides steadily, or starts and stops, and no single filter serves all of these: one
+that smooths enough for a steady stroke is late when the stroke begins. Three Kalman filters with
+the same model of motion therefore run in parallel and differ in the acceleration that they expect:
+the interacting multiple model estimator of Blom and Bar-Shalom (IEEE Trans. Autom. Control 33,
+1988). The model is Singer's (IEEE Trans. Aerosp. Electron. Syst. 6, 1970): position p, velocity v
+and acceleration a per axis, where the acceleration decays with a time constant τ,
 
     a' = −a/τ + w,   w white with spectral density 2σ²/τ,
 
-so that a prediction s ahead is p + v s + a τ² (s/τ − 1 + exp(−s/τ)). All share τ, so that the mean
-of the three, weighted by how likely each is, predicts as each of them does. Both axes share gains
-and covariances, since they share times and noise.
+so that the prediction a time s ahead is p + v s + a τ² (s/τ − 1 + exp(−s/τ)). All three share τ, so
+that the mean of the three, weighted by their likelihoods, predicts as each of them does. Both axes
+share gains and covariances, because they share times and noise.
 
-The noise of the samples is estimated from what no smooth motion explains: the divided difference
-of four samples, which is zero on every parabola, scaled so that its variance is that of one sample.
+The noise of the samples is estimated from what no smooth motion explains: the divided difference of
+four samples, which is 0 on every parabola, scaled so that its variance is that of one sample.
 
-Measured in the same tracker (`benchmarks.tracking`: 90 Hz, delays of 5 ms rms, noise 0.05 mm,
-12 ms ahead), rms error in mm on a steady stroke, a 1 Hz swing of 200 mm/s and a recorded slide at
-once and five times its speed:
+Measured in the same tracker (`benchmarks.tracking`: 90 Hz, delays of 5 ms rms, noise 0.05 mm, 12 ms
+ahead), rms error in mm on a steady stroke, a 1 Hz swing of 200 mm/s, and a recorded slide at its
+own and at five times its speed:
 
     these three                     0.07   0.26   0.13   0.85
     one, σ = 0.1 m/s²               0.10   0.50   0.14   1.63
@@ -33,55 +33,74 @@ import math
 from collections import deque
 
 Pair = tuple[float, float]
+"""Vector, x and y."""
 Triple = tuple[float, float, float]
 Numbers = list[float]
+"""State, or filter, as a list of plain numbers."""
 
 ACCELERATIONS = (0.02, 0.7, 5.0)
-"""σ of each filter [m/s²]: a glide, a 1 Hz swing of 200 mm/s (1.3 m/s² peak), a stroke that sets
-off. By measurement: twice the last gains 0.06 mm of 0.85 on a stroke that sets off with 6.6 m/s²,
-and overshoots by half as much again where a slower one does."""
+"""Standard deviation σ of the acceleration in each filter [m/s²]: a glide, a 1 Hz swing of 200 mm/s
+(1.3 m/s² peak), the start of a stroke. Chosen by measurement: doubling the last reduces the error
+by 0.06 mm of 0.85 mm on a stroke that starts with 6.6 m/s², and overshoots by half as much again on
+a slower one."""
 FORGETTING = 0.3
-"""τ [s], the duration of a finger's burst of acceleration (assumed; measured: 0.1 to 0.5 differ
-little)."""
+"""Time constant τ of the acceleration, the duration of a finger's burst of acceleration [s]
+(assumed; measured: 0.1 to 0.5 s differ little)."""
 STAY = 1.0
 """Mean time that a finger keeps to one kind of motion [s]; chosen by measurement."""
 LEAST = 1e-12
-"""Likelihood that a filter keeps against the best, so that it can return."""
+"""Smallest likelihood of a filter relative to the best, so that it can recover."""
 PLACE, VELOCITY = (6, 7, 8), (7, 9, 10)
-"""Where a filter's covariances of place and of velocity with p, v and a are."""
+"""Indices in a filter of the covariances of position and of velocity with p, v and a."""
 FIRST_SPEED = 0.15
-"""Standard deviation of the velocity before it is known [m/s] (assumed)."""
+"""Standard deviation of the velocity before it is known (assumed) [m/s]."""
 VELOCITY_NOISE = 0.01
-"""Standard deviation of a velocity that a client gives [m/s] (assumed: 0.05 mm over 7 ms)."""
+"""Standard deviation of a velocity that a client gives (assumed: 0.05 mm over 7 ms) [m/s]."""
 NOISE = 5e-5
-"""Standard deviation of a place before it is known, per axis [m] (assumed)."""
+"""Initial standard deviation of a position, per axis (assumed) [m]."""
 NOISE_RANGE = (1e-5, 1e-3)
+"""Range of the estimated standard deviation of a position, per axis [m]."""
 NOISE_MEMORY = 60
-"""Samples over which the noise is averaged."""
+"""Number of samples over which the noise is averaged."""
 FORGOTTEN = 0.25
-"""Time without samples after which everything begins anew [s] (assumed)."""
+"""Time without samples after which the filters start anew (assumed) [s]."""
 
 SHORT, LONG = 0.03, 0.15
 """Time constants of the two means that tell rest from motion [s]."""
 DWELL = 0.1
-"""s that a finger stands before it is taken as resting, longer than the turn of a stroke."""
+"""Time that a finger must stand still to be taken as resting, longer than the turn of a stroke
+[s]."""
 STANDS, LEAVES, DARTS = 3.0, 6.0, 6.0
-"""Standard deviations: of the fast mean, the means apart at rest; of the fast mean and of a sample,
-from the place of rest when leaving it. Chance does the latter once in a day at 90 Hz."""
+"""Thresholds for rest and motion, in standard deviations. STANDS (of the fast mean): largest
+distance of the two means at rest. LEAVES (of the fast mean) and DARTS (of a sample): distance from
+the place of rest at which the finger leaves it. Noise alone exceeds the last once a day at 90
+Hz."""
 
 
 def basis(ahead: float) -> Pair:
-    """Return what acceleration adds to place and velocity after a time [s]."""
+    """Compute what acceleration adds to position and velocity after a time.
+
+    Parameters
+    ----------
+    ahead : float
+        Time [s].
+
+    Returns
+    -------
+    tuple of 2 floats
+        Displacement per acceleration [s²] and change of velocity per acceleration [s].
+    """
     turn = FORGETTING * (1 - math.exp(-ahead / FORGETTING))
     return FORGETTING * (ahead - turn), turn
 
 
 class Noise:
-    """The noise of places, from what no parabola through four of them explains.
+    """Noise of positions, estimated from what no parabola through four of them explains.
 
     Attributes
     ----------
-    variance : per axis [m²]
+    variance : float
+        Variance per axis [m²].
     """
 
     def __init__(self) -> None:
@@ -89,11 +108,21 @@ class Noise:
         self._last: deque[tuple[float, float, float]] = deque(maxlen=4)
 
     def forget_places(self) -> None:
-        """Begin anew at another place; the noise stays what it is."""
+        """Drop the positions so far, as the finger continues elsewhere; the noise is kept."""
         self._last.clear()
 
     def add(self, time: float, x: float, y: float, samples: int) -> None:
-        """Take a place that is the mean of some samples."""
+        """Add a position, the mean of one or more samples.
+
+        Parameters
+        ----------
+        time : float
+            Time of the position [s].
+        x, y : float
+            Position [m].
+        samples : int
+            Number of samples that it is the mean of.
+        """
         self._last.append((time, x, y))
         if len(self._last) < 4:
             return
@@ -105,37 +134,59 @@ class Noise:
                     weight /= t - other
             sum_x, sum_y = sum_x + weight * px, sum_y + weight * py
             squares += weight * weight
-        found = (sum_x * sum_x + sum_y * sum_y) / (2 * squares) * samples
-        found = min(found, 9 * self.variance)
+        estimate = (sum_x * sum_x + sum_y * sum_y) / (2 * squares) * samples
+        estimate = min(estimate, 9 * self.variance)
         low, high = NOISE_RANGE
-        variance = self.variance + (found - self.variance) / NOISE_MEMORY
+        variance = self.variance + (estimate - self.variance) / NOISE_MEMORY
         self.variance = min(max(variance, low * low), high * high)
 
 
 class Stillness:
-    """Tells a resting finger from a slow one, by two exponential means of its place.
+    """Distinguishes a resting finger from a slow one, by two exponential means of its position.
 
-    At a speed v the slow mean lags 120 ms · v behind the fast one. Noise of σ = 0.05 mm leaves the
-    fast mean 0.021 mm at 90 Hz, so that 0.5 mm/s keep them three of these apart: a finger of
-    1 mm/s or more is always moving. It leaves its place by 0.13 mm, or 0.3 mm in one sample.
+    At a speed v the slow mean lags 120 ms · v behind the fast one. Noise of σ = 0.05 mm leaves a
+    noise of 0.021 mm in the fast mean at 90 Hz, so that 0.5 mm/s keep the means three of these
+    apart: a finger of 1 mm/s or more is always moving. It leaves its place of rest by moving 0.13
+    mm, or 0.3 mm in one sample.
 
     Attributes
     ----------
-    place : where the finger rests [m]; None while it moves
+    place : tuple of 2 floats or None
+        Place where the finger rests [m]; None while it moves.
     """
 
     def __init__(self) -> None:
         self.begin(0.0, 0.0, 0.0, 0.0)
 
     def begin(self, time: float, x: float, y: float, variance: float) -> None:
-        """Begin anew at a place, moving."""
+        """Start anew at a place, with the finger moving.
+
+        Parameters
+        ----------
+        time : float
+            Present time [s].
+        x, y : float
+            Position [m].
+        variance : float
+            Variance of the position per axis [m²].
+        """
         self.place: Pair | None = None
         self._fast = self._slow = (x, y)
         self._variance = variance
         self._time = self._since = time
 
     def add(self, time: float, x: float, y: float, variance: float) -> None:
-        """Take a place [m] with its variance per axis [m²]."""
+        """Add a position.
+
+        Parameters
+        ----------
+        time : float
+            Time of the position [s].
+        x, y : float
+            Position [m].
+        variance : float
+            Variance of the position per axis [m²].
+        """
         elapsed, self._time = time - self._time, time
         fast, slow = -math.expm1(-elapsed / SHORT), -math.expm1(-elapsed / LONG)
         (fx, fy), (sx, sy) = self._fast, self._slow
@@ -155,19 +206,24 @@ class Stillness:
 
 
 class MotionFilter:
-    """Three Kalman filters of one finger, mixed.
+    """Three Kalman filters of one finger, mixed by likelihood.
 
-    In plain numbers, which takes a third of the time that small arrays would.
+    The arithmetic uses plain numbers, which takes a third of the time of small arrays.
 
     Parameters
     ----------
-    accelerations : of the three [m/s²]; three times the same is a single Kalman filter
+    accelerations : tuple of 3 floats
+        Standard deviation of the acceleration in each filter [m/s²]; three equal values make a
+        single Kalman filter.
 
     Attributes
     ----------
-    time : of the newest sample [s]; −inf before the first
-    state : place [m], velocity [m/s] and acceleration [m/s²] at this time, each x and y
-    noise : `Noise` of the samples
+    time : float
+        Time of the newest sample; −inf before the first [s].
+    state : list of 6 floats
+        Position [m], velocity [m/s] and acceleration [m/s²] at this time, each as x and y.
+    noise : Noise
+        Noise of the samples.
     """
 
     def __init__(self, accelerations: Triple = ACCELERATIONS) -> None:
@@ -177,11 +233,21 @@ class MotionFilter:
         self.state: Numbers = [0.0] * 6
         self.noise = Noise()
         self._filters: list[Numbers] = []
-        """Of each the state as above, against ``state``, and the covariances pp pv pa vv va aa."""
+        """State of each filter, relative to ``state``, and its covariances pp pv pa vv va aa."""
         self._likely = [1 / 3] * 3
 
     def begin(self, time: float, x: float, y: float, velocity: Pair | None = None) -> None:
-        """Forget all but the noise, and stand at a place."""
+        """Start anew at a place, keeping only the noise.
+
+        Parameters
+        ----------
+        time : float
+            Present time [s].
+        x, y : float
+            Position [m].
+        velocity : tuple of 2 floats, optional
+            Velocity, if it is known [m/s].
+        """
         self.time = time
         self.state = [x, y, *(velocity or (0.0, 0.0)), 0.0, 0.0]
         speed = FIRST_SPEED if velocity is None else VELOCITY_NOISE
@@ -194,7 +260,18 @@ class MotionFilter:
         self.noise.add(time, x, y, 1)
 
     def place(self, time: float) -> Pair:
-        """Return where the finger is expected [m] at a time [s] not far from the newest sample."""
+        """Predict the position of the finger.
+
+        Parameters
+        ----------
+        time : float
+            Time, not far from that of the newest sample [s].
+
+        Returns
+        -------
+        tuple of 2 floats
+            Expected position [m].
+        """
         ahead = time - self.time
         bend, _ = basis(ahead)
         x, y, vx, vy, ax, ay = self.state
@@ -203,26 +280,38 @@ class MotionFilter:
     def add(
         self, time: float, x: float, y: float, velocity: Pair | None = None, samples: int = 1
     ) -> None:
-        """Take a place (x, y) [m], the mean of some samples, later than the newest."""
+        """Add a position that is newer than all before, the mean of one or more samples.
+
+        Parameters
+        ----------
+        time : float
+            Time of the position [s].
+        x, y : float
+            Position [m].
+        velocity : tuple of 2 floats, optional
+            Velocity, if it is known [m/s].
+        samples : int
+            Number of samples that the position is the mean of.
+        """
         self.noise.add(time, x, y, samples)
         elapsed, self.time = time - self.time, time
         self._mix(math.exp(-elapsed / STAY))
         bend, turn = basis(elapsed)
         self.state = _moved(self.state, elapsed, bend, turn)
-        miss = (x - self.state[0], y - self.state[1])
-        swerve = velocity and (velocity[0] - self.state[2], velocity[1] - self.state[3])
-        votes = []
+        error = (x - self.state[0], y - self.state[1])
+        velocity_error = velocity and (velocity[0] - self.state[2], velocity[1] - self.state[3])
+        log_weights = []
         for k, before in enumerate(self._filters):
             now = _passed(before, elapsed, bend, turn, self._densities[k])
-            vote = _correct(now, 0, PLACE, miss, self.noise.variance / samples)
-            if swerve:
-                vote += _correct(now, 2, VELOCITY, swerve, VELOCITY_NOISE**2)
+            log_likelihood = _correct(now, 0, PLACE, error, self.noise.variance / samples)
+            if velocity_error:
+                log_likelihood += _correct(now, 2, VELOCITY, velocity_error, VELOCITY_NOISE**2)
             self._filters[k] = now
-            votes.append(vote + math.log(self._likely[k]))
-        self._count(votes)
+            log_weights.append(log_likelihood + math.log(self._likely[k]))
+        self._weigh(log_weights)
 
     def _mix(self, stay: float) -> None:
-        """Let the finger change its way of moving: each filter becomes a mixture of the three."""
+        """Allow for a change in the kind of motion: each filter becomes a mixture of the three."""
         change = (1 - stay) / 3
         raw = [_with_moments(f, 0.5) for f in self._filters]
         likely = [stay * m + change for m in self._likely]
@@ -235,8 +324,8 @@ class MotionFilter:
             mixed.append(_with_moments(blend, -0.5))
         self._filters, self._likely = mixed, likely
 
-    def _count(self, votes: Numbers) -> None:
-        """Weigh the filters by their votes, and take their mean as the new state."""
+    def _weigh(self, votes: Numbers) -> None:
+        """Weight the filters by their log likelihoods, and take their mean as the new state."""
         best = max(votes)
         weights = [math.exp(vote - best) + LEAST for vote in votes]
         total = sum(weights)
@@ -244,12 +333,12 @@ class MotionFilter:
         f, g, h = self._filters
         shift = [a * p + b * q + c * r for p, q, r in zip(f[:6], g[:6], h[:6], strict=True)]
         self.state = [s + d for s, d in zip(self.state, shift, strict=True)]
-        for one in self._filters:
-            one[:6] = [p - d for p, d in zip(one, shift, strict=False)]
+        for each in self._filters:
+            each[:6] = [p - d for p, d in zip(each, shift, strict=False)]
 
 
 def _moved(state: Numbers, elapsed: float, bend: float, turn: float) -> Numbers:
-    """Return a state after a time."""
+    """Return a state after a time, with the terms of `basis` for it."""
     x, y, vx, vy, ax, ay = state
     keep = 1 - turn / FORGETTING
     return [
@@ -263,7 +352,7 @@ def _moved(state: Numbers, elapsed: float, bend: float, turn: float) -> Numbers:
 
 
 def _passed(one: Numbers, t: float, bend: float, turn: float, density: float) -> Numbers:
-    """Return a filter after a time t: F P Fᵀ and what white jerk adds in a time below τ."""
+    """Return a filter after a time t: F P Fᵀ plus what white jerk adds in a time below τ."""
     pp, pv, pa, vv, va, aa = one[6:]
     keep = 1 - turn / FORGETTING
     to_v, to_a = pv + t * vv + bend * va, pa + t * va + bend * aa
@@ -281,9 +370,10 @@ def _passed(one: Numbers, t: float, bend: float, turn: float, density: float) ->
 
 
 def _correct(one: Numbers, at: int, row: tuple[int, int, int], miss: Pair, noise: float) -> float:
-    """Give a filter a measurement, in place; return the logarithm of its likelihood.
+    """Update a filter with a measurement, in place; return the logarithm of its likelihood.
 
-    ``at`` is where the state's x is that was measured, ``row`` its covariances with p, v and a.
+    ``at`` is the index of the measured x in the state, ``row`` those of its covariances with p, v
+    and a.
     """
     p, v, a = (one[k] for k in row)
     total = one[row[at // 2]] + noise
@@ -305,7 +395,7 @@ def _correct(one: Numbers, at: int, row: tuple[int, int, int], miss: Pair, noise
 
 
 def _with_moments(one: Numbers, sign: float) -> Numbers:
-    """Return a filter with the products of its state added to its covariances, mean of x and y."""
+    """Return a filter with the products of its state, mean of x and y, added to its covariances."""
     x, y, vx, vy, ax, ay, pp, pv, pa, vv, va, aa = one
     return [
         x, y, vx, vy, ax, ay,

@@ -1,39 +1,41 @@
-"""Where the finger will be when what is rendered now comes out, from samples that come late.
+"""Prediction of the finger's position at the time when a block is put out, from late samples.
 
-A client samples the finger 30 to 1000 times a second and sends what it sees; the samples arrive
-with jitter, some late, some never. The playback loop renders blocks that reach the skin 8 to 14 ms
-from now. `ContactTracker.add` takes samples, `ContactTracker.at` answers for the times of a block:
+A client samples the finger 30 to 1000 times a second; the samples arrive with jitter, some of them
+late, some never. The playback loop renders blocks that reach the skin 8 to 14 ms from now.
+`ContactTracker.add` takes samples, `ContactTracker.at` returns the contact at the times of a block:
 
-1. **Motion** (`tactile.tracking.finger_motion`): Kalman filters turn samples into place, velocity
-   and acceleration at the newest sample. Such a state predicts a *course* p(s), s after the sample.
-   Up to 60 ms ahead the course is what the filters predict; beyond, its clock runs slower and
-   slower, and it comes to rest within another 20 ms: u(s) = H + D (1 − exp(−(s − H)/D)).
-2. **Rest** (`Stillness`, there too): a finger that does not move significantly has a course that
-   stands still, exactly, however much its samples tremble.
-3. **Path** (`Path`): each sample changes the course, never the place that is played. What the new
-   course differs by from the path so far, in place e and velocity e', is carried on and forgotten:
+1. **Motion** (`tactile.tracking.finger_motion`): Kalman filters turn samples into position,
+   velocity and acceleration at the newest sample. Such a state predicts a *course* p(s), a time s
+   after the sample. Up to 60 ms ahead the course is what the filters predict; beyond, its clock
+   slows down, and it comes to rest within another 20 ms: u(s) = H + D (1 − exp(−(s − H)/D)).
+2. **Rest** (`Stillness`, in the same module): a finger that does not move significantly has a
+   course that stands exactly still, however much its samples tremble.
+3. **Path** (`Path`): each sample changes the course, but never the position that is played. The
+   difference of the path so far from the new course, in position e and velocity e', is carried on
+   and decays:
 
        path(t) = course(t) + (e + (e' + ω e) t) exp(−ω t),    t since the change,
 
    the critically damped solution of e'' + 2ω e' + ω² e = 0. The path is C¹; a change bends it by no
-   more than ω² |e| + 2ω |e'|. It is forgotten slowly (1/ω = 20 ms) on a slow finger, that must not
-   tremble, fast (3 ms) on a fast one, that must not be late.
-4. **Press** (`Press`): the force follows the samples' in the same way, unpredicted, times a
-   presence that rises from 0 to 1 and falls back to 0, exactly, along cubics. The place moves
-   freely only while the presence is 0: a contact elsewhere waits until the last has gone.
+   more than ω² |e| + 2ω |e'|. The difference decays slowly (1/ω = 20 ms) for a slow finger, which
+   must not tremble, and fast (3 ms) for a fast one, which must not be late.
+4. **Press** (`Press`): the force follows that of the samples in the same way, without prediction,
+   times a presence that rises from 0 to 1 and falls back to 0, exactly, along cubics. The position
+   may jump only while the presence is 0: a contact elsewhere waits until the last one has ended.
 
-All are closed forms of time since the last change. Changes take place at a block's first time,
-when samples have come, or at a time of their own, for which a block is cut in two; so with the same
-samples added at the same times the path is the same however the blocks are cut.
+All of these are closed forms of the time since the last change. Changes take place at the first
+time of a block, if samples have come, or at a time of their own, at which a block is cut in two.
+With the same samples added at the same times, the path is therefore the same however the blocks are
+cut.
 
-What prediction can do is bounded. At 90 Hz the newest sample is 5.5 ms old in the mean, its delay
-comes to that, and 12 ms lie ahead; a finger that sets off at 6.6 m/s² goes 0.5 mm in 12 ms and
-1.5 mm in 21.5 ms before anything that is played can know (`benchmarks.tracking`).
+Prediction is limited. At 90 Hz the newest sample is 5.5 ms old on average, to which its delay is
+added, and 12 ms lie ahead. A finger that starts at 6.6 m/s² moves 0.5 mm in 12 ms and 1.5 mm in
+21.5 ms before anything that is played can follow (`benchmarks.tracking`).
 
-LaViola ("Double exponential smoothing: an alternative to Kalman filter-based predictive
-tracking", EGVE 2003) found smoothing as good as single Kalman filters; both are measured beside
-this in the benchmark, as is Casiez, Roussel and Vogel's thought (1€ filter, CHI 2012) that a finger
-that rests wants smoothness and one that moves wants speed, which is here what the filters vote on.
+LaViola ("Double exponential smoothing: an alternative to Kalman filter-based predictive tracking",
+EGVE 2003) found smoothing as good as single Kalman filters; the benchmark measures both beside this
+tracker. Casiez, Roussel and Vogel (1€ filter, CHI 2012) argue that a resting finger needs
+smoothness and a moving one needs speed; the weights of the filters make that choice here.
 """
 
 import math
@@ -58,44 +60,65 @@ from tactile.tracking.finger_motion import (
 SILENCE = 0.1
 """Age of the newest arrival at which the finger is taken as gone [s]."""
 HORIZON = 0.06
-"""How far a course is trusted beyond its sample [s]: two periods at 90 Hz, delay and latency."""
+"""Time H beyond its sample for which a course is trusted [s]: two periods at 90 Hz, delay and
+latency."""
 BRAKING = 0.02
-"""D above [s]."""
+"""Time constant D with which a course comes to rest beyond the horizon [s]."""
 SETTLING, SLOW_SETTLING = 0.003, 0.02
-"""1/ω of the path at speed and at rest [s]: shorter is noisier, longer is later. By measurement."""
+"""Time constant 1/ω of the path at speed and at rest [s], by measurement: shorter is noisier,
+longer is later."""
 SLOW = 0.03
-"""Speed at which it is between [m/s]: slow motion must not tremble, fast motion not be late."""
+"""Speed at which the path's time constant is midway [m/s]: slow motion must not tremble, and fast
+motion must not be late."""
 CATCHING_UP = 0.01
-"""What is left to correct counts as speed, as if gone in this time [s]."""
+"""Time in which a remaining correction is taken to be made, where it counts as speed [s]."""
 FORCE_SETTLING = 0.005
-"""1/ω of the force [s] (assumed)."""
+"""Time constant 1/ω of the force (assumed) [s]."""
 CLEARING = 0.0032
-"""Between the place's jump and the force's rise [s]: 8 samples at 2.5 kHz, which the renderer reads
-its velocity from."""
+"""Time between a jump of the position and the rise of the force [s]: 8 samples at 2.5 kHz, from
+which the renderer computes its velocity."""
 ONSET = 0.01
+"""Duration of the presence's rise [s]."""
 FALL = 0.018
-"""Duration of the presence's rise and fall [s]."""
+"""Duration of the presence's fall [s]."""
 CLEAR = 5e-4
-"""s without force before the place may jump: one sample at 2.5 kHz."""
+"""Time without force before the position may jump [s]: one sample at 2.5 kHz."""
 FASTEST = 3.0
-"""m/s between two samples, above which the finger was lifted; a fast stroke is below 1 m/s."""
+"""Speed between two samples above which the finger was lifted [m/s]; a fast stroke is below
+1 m/s."""
 SMALLEST_LEAP = 5e-3
-"""m; below it no two samples are too fast, since times jitter."""
+"""Distance below which no two samples are too fast, because times jitter [m]."""
 FARTHEST_MISS = 20e-3
-"""m from where it was expected, above which the finger was lifted."""
+"""Distance from the expected position above which the finger was lifted [m]."""
 TOGETHER = 0.004
-"""s; samples that wait and lie within are averaged."""
+"""Interval of time within which waiting samples are averaged [s]."""
 MOST_WAITING = 256
+"""Largest number of samples that wait for a call of `ContactTracker.at`."""
 EARLIEST = 0.05
-"""s; samples from further in the future are invalid. A clock map that still settles is ahead."""
+"""Time ahead of the present beyond which a sample is invalid [s]. A clock map that still settles
+may be ahead by less."""
 OLDEST = 1.0
-"""s; samples from further in the past are late, whatever came before."""
+"""Age beyond which a sample is late, whatever came before [s]."""
 SAME = 1e-5
-"""s; two samples within are one."""
+"""Interval of time within which two samples count as one [s]."""
 
 
 class Sample(NamedTuple):
-    """What a client said, in our time."""
+    """Sample of a client, in the host's time.
+
+    Attributes
+    ----------
+    time : float
+        Time at which the sample was taken [s].
+    x, y : float
+        Position of the finger [m].
+    normal_force : float
+        Normal force [N].
+    velocity : tuple of 2 floats or None
+        Velocity, if the client knows it [m/s].
+    arrival : float
+        Time at which the sample arrived [s].
+    """
 
     time: float
     x: float
@@ -106,11 +129,12 @@ class Sample(NamedTuple):
 
 
 class Path:
-    """The place that is played: a course and what is left of its corrections.
+    """Position that is played: a course plus what is left of the corrections to it.
 
     Attributes
     ----------
-    settling : 1/ω of the last correction [s]
+    settling : float
+        Time constant 1/ω of the last correction [s].
     """
 
     def __init__(self) -> None:
@@ -120,15 +144,30 @@ class Path:
         self._table = np.array(self._rows)
 
     def jump(self, origin: float, state: Numbers) -> None:
-        """Be on a course, wherever the path was."""
+        """Continue on a course, wherever the path was.
+
+        Parameters
+        ----------
+        origin : float
+            Time of the course's state [s].
+        state : list of 6 floats
+            Position [m], velocity [m/s] and acceleration [m/s²], each as x and y.
+        """
         self._origin = self._changed = origin
         self._rows = [state[:2], state[2:4], state[4:], [0.0, 0.0], [0.0, 0.0]]
         self._table = np.array(self._rows)
 
     def bend(self, time: float, origin: float, state: Numbers) -> None:
-        """Go over to another course at a time, with place and velocity kept.
+        """Change over to another course without a step in position or velocity.
 
-        ``state`` is place, velocity and acceleration, each x and y, at the time ``origin``.
+        Parameters
+        ----------
+        time : float
+            Time of the change [s].
+        origin : float
+            Time of the new course's state [s].
+        state : list of 6 floats
+            Position [m], velocity [m/s] and acceleration [m/s²], each as x and y.
         """
         place, velocity = self.now(time)
         ahead, slower = _elapsed(time - origin)
@@ -145,7 +184,20 @@ class Path:
         self._table = np.array(self._rows)
 
     def now(self, time: float) -> tuple[Numbers, Numbers]:
-        """Return place [m] and velocity [m/s] at one time."""
+        """Return position and velocity at one time.
+
+        Parameters
+        ----------
+        time : float
+            Time [s].
+
+        Returns
+        -------
+        position : list of 2 floats
+            Position [m].
+        velocity : list of 2 floats
+            Velocity [m/s].
+        """
         ahead, slower = _elapsed(time - self._origin)
         bend, turn = basis(ahead)
         since = max(time - self._changed, 0.0)
@@ -158,7 +210,18 @@ class Path:
         return place, velocity
 
     def at(self, times: Floats) -> Floats:
-        """Return places (S, 2) [m]."""
+        """Return the positions at given times.
+
+        Parameters
+        ----------
+        times : (S,) array of float
+            Times, ascending [s].
+
+        Returns
+        -------
+        (S, 2) array of float
+            Positions [m].
+        """
         ahead, since = times - self._origin, times - self._changed
         if ahead[-1] > HORIZON or ahead[0] < -HORIZON or since[0] < 0:
             over = np.maximum(ahead - HORIZON, 0)
@@ -176,7 +239,7 @@ class Path:
 
 
 def _elapsed(ahead: float) -> Pair:
-    """Return the time u(s) that passes on a course in a time s, and its rate u'(s)."""
+    """Return the time u(s) that passes on a course in a time s [s], and its rate u'(s)."""
     if -HORIZON <= ahead <= HORIZON:
         return ahead, 1.0
     slower = math.exp(-max(ahead - HORIZON, 0.0) / BRAKING)
@@ -184,7 +247,7 @@ def _elapsed(ahead: float) -> Pair:
 
 
 class Press:
-    """The normal force that is played: the samples', smoothed, times a presence."""
+    """Normal force that is played: that of the samples, smoothed, times a presence."""
 
     def __init__(self) -> None:
         self._target = self._error = self._rate = self._changed = 0.0
@@ -192,13 +255,29 @@ class Press:
         self._duration = 1.0
 
     def begin(self, time: float, force: float) -> None:
-        """Let a contact begin [N]."""
+        """Begin a contact.
+
+        Parameters
+        ----------
+        time : float
+            Time at which the position jumps [s].
+        force : float
+            Normal force [N].
+        """
         self._target, self._error, self._rate, self._changed = force, 0.0, 0.0, time
         self._start, self._duration = time + CLEARING, ONSET
         self._value, self._slope, self._goal = 0.0, 0.0, 1.0
 
     def follow(self, time: float, force: float) -> None:
-        """Go over to another force [N] at a time."""
+        """Change over to another force, smoothly.
+
+        Parameters
+        ----------
+        time : float
+            Time of the change [s].
+        force : float
+            Normal force to reach [N].
+        """
         since = max(time - self._changed, 0.0)
         left = math.exp(-since / FORCE_SETTLING)
         error = (self._error + self._rate * since) * left
@@ -208,7 +287,18 @@ class Press:
         self._error, self._rate = error, speed + error / FORCE_SETTLING
 
     def end(self, time: float) -> float:
-        """Let the contact end from a time on; return when it will have, and the place may jump."""
+        """End the contact.
+
+        Parameters
+        ----------
+        time : float
+            Time at which the presence begins to fall [s].
+
+        Returns
+        -------
+        float
+            Time from which on the position may jump [s].
+        """
         since = min(max((time - self._start) / self._duration, 0.0), 1.0)
         value = since * since * (3 - 2 * since)
         self._slope = 6 * since * (1 - since) / self._duration
@@ -217,7 +307,18 @@ class Press:
         return time + FALL + CLEAR if value else time
 
     def at(self, times: Floats) -> Floats:
-        """Return forces (S,) [N]."""
+        """Return the forces at given times.
+
+        Parameters
+        ----------
+        times : (S,) array of float
+            Times, ascending [s].
+
+        Returns
+        -------
+        (S,) array of float
+            Normal forces [N].
+        """
         since = np.maximum(times - self._changed, 0)
         force = (since * self._rate + self._error) * np.exp(since * (-1 / FORCE_SETTLING))
         force += self._target
@@ -228,7 +329,7 @@ class Press:
         return np.asarray(force)
 
     def _presence(self, times: Floats) -> Floats:
-        """Return the cubic from value and slope to the goal, (S,)."""
+        """Return the cubic from the present value and slope to the goal, (S,)."""
         r = np.clip((times - self._start) / self._duration, 0, 1)
         step = r * r * (3 - 2 * r)
         cubic = self._value + (self._goal - self._value) * step
@@ -236,20 +337,27 @@ class Press:
 
 
 class ContactTracker:
-    """Turns a client's samples into what is played, block by block.
+    """Converts a client's samples into the contact that is played, block by block.
 
     Parameters
     ----------
-    motion : another filter than `MotionFilter`, to compare
+    motion : MotionFilter, optional
+        Filter to use instead of a `MotionFilter` with its defaults, for comparison.
 
     Attributes
     ----------
-    touching : whether the newest sample was in contact, and is not too old
-    late : samples older than one before, or of the same time; left out
-    invalid : samples that were not finite or beyond reason; left out
-    dropped : samples for which there was no room because `at` was not called
-    jumps : leaps of the finger, each taken as lifting it and touching elsewhere
-    silences : contacts that ended because nothing more was heard
+    touching : bool
+        Whether the newest sample was in contact and is not too old.
+    late : int
+        Number of samples that were older than one before, or of the same time, and were ignored.
+    invalid : int
+        Number of samples that were not finite or out of range and were ignored.
+    dropped : int
+        Number of samples without room because `at` was not called.
+    jumps : int
+        Number of leaps of the finger, each taken as lifting it and touching elsewhere.
+    silences : int
+        Number of contacts that ended because no more samples came.
     """
 
     def __init__(self, *, motion: MotionFilter | None = None) -> None:
@@ -262,13 +370,13 @@ class ContactTracker:
         self._arrival = -math.inf
         self._down = self._leapt = self._fresh = False
         self._rest: Pair | None = None
-        self._gone = -math.inf
-        """When the presence is or was 0 again, while not down."""
+        self._free_from = -math.inf
+        """Time at which the presence is or was 0 again, while the finger is not down [s]."""
         self._time = 0.0
 
     @property
     def velocity(self) -> Floats:
-        """Velocity (2,) of the place at the end of the last block [m/s]; 0 without contact."""
+        """Velocity (2,) of the position at the end of the last block; 0 without contact [m/s]."""
         return np.array(self._path.now(self._time)[1])
 
     def add(
@@ -280,46 +388,61 @@ class ContactTracker:
         *,
         arrival: float | None = None,
     ) -> None:
-        """Take a sample, in any order, whatever it says.
+        """Add a sample; samples may come in any order and with any content.
 
         Parameters
         ----------
-        time : at which it was taken, in our clock [s]
-        position : (2,) of the finger over the surface [m]
-        normal_force : [N]; 0 is lifted
-        velocity : (2,) [m/s], where the client knows it
-        arrival : when it came [s]; ``time`` where not given
+        time : float
+            Time at which the sample was taken, in the host's clock [s].
+        position : (2,) array_like of float
+            Position of the finger on the surface [m].
+        normal_force : float
+            Normal force; 0 for a lifted finger [N].
+        velocity : (2,) array_like of float, optional
+            Velocity, if the client knows it [m/s].
+        arrival : float, optional
+            Time at which the sample arrived, by default ``time`` [s].
         """
         try:
             x, y = map(float, position)  # type: ignore[arg-type]
-            pace = None
+            velocity_pair = None
             if velocity is not None:
                 vx, vy = map(float, velocity)  # type: ignore[arg-type]
-                pace = vx, vy
-            came = float(time if arrival is None else arrival)
-            sample = Sample(float(time), x, y, float(normal_force), pace, came)
+                velocity_pair = vx, vy
+            arrived = float(time if arrival is None else arrival)
+            sample = Sample(float(time), x, y, float(normal_force), velocity_pair, arrived)
         except (TypeError, ValueError, OverflowError):
             self.invalid += 1
             return
-        if not _reasonable(sample):
+        if not _is_plausible(sample):
             self.invalid += 1
             return
         self.dropped += len(self._waiting) == MOST_WAITING
         self._waiting.append(sample)
 
     def at(self, times: ArrayLike, now: float) -> tuple[Floats, Floats]:
-        """Return position (S, 2) [m] and normal force (S,) [N] at times.
+        """Return position and normal force at the times of a block.
 
         Parameters
         ----------
-        times : (S,) at which the samples come out, ascending from block to block, our clock [s]
-        now : our clock's time [s]
+        times : (S,) array_like of float
+            Times at which the samples are put out, ascending from block to block, in the host's
+            clock [s].
+        now : float
+            Present time of the host's clock [s].
+
+        Returns
+        -------
+        position : (S, 2) array of float
+            Positions [m].
+        normal_force : (S,) array of float
+            Normal forces [N].
         """
         moments = np.asarray(times, np.float64)
         if not moments.size:
             return np.zeros((0, 2)), np.zeros(0)
         if self._waiting:
-            self._take(now)
+            self._process_waiting(now)
         begin, end = float(moments[0]), float(moments[-1])
         silent = begin + self._arrival + SILENCE - now
         if self.touching and begin >= silent:
@@ -327,8 +450,8 @@ class ContactTracker:
             self.silences += 1
         self._turn(begin)
         cut = silent if self.touching else math.inf
-        if not self._down and begin < self._gone:
-            cut = min(cut, self._gone)
+        if not self._down and begin < self._free_from:
+            cut = min(cut, self._free_from)
         if begin < cut <= end:
             k = int(np.searchsorted(moments, cut))
             first = self._play(moments[:k])
@@ -337,43 +460,45 @@ class ContactTracker:
         return self._play(moments)
 
     def _play(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return positions and forces at times between which nothing changes."""
         self._time = float(times[-1])
         return self._path.at(times), self._press.at(times)
 
     def _turn(self, time: float) -> None:
-        """Let contact begin, end or go on, and the path follow the samples, from a time on."""
+        """Begin, end or continue the contact from a time on; the path follows the samples."""
         motion, last = self._motion, self._last
         if self._down:
             if self._leapt or not self.touching or last is None:
                 self._down = False
-                self._gone = self._press.end(time)
+                self._free_from = self._press.end(time)
             elif self._fresh:
                 self._press.follow(time, last.normal_force)
                 if self._stillness.place is None or self._stillness.place != self._rest:
                     self._rest = self._stillness.place
                     self._path.bend(time, motion.time, self._course())
-        if not self._down and time >= self._gone:
+        if not self._down and time >= self._free_from:
             if self.touching and last is not None:
                 self._down, self._leapt = True, False
                 self._press.begin(time, last.normal_force)
                 self._rest = self._stillness.place
                 self._path.jump(motion.time, self._course())
-            elif self._gone > -math.inf:
-                self._hold(self._gone)
+            elif self._free_from > -math.inf:
+                self._hold(self._free_from)
         self._fresh = False
 
     def _hold(self, time: float) -> None:
         """Stay where the contact ended."""
         self._path.jump(time, [*self._path.now(time)[0], 0.0, 0.0, 0.0, 0.0])
-        self._gone = -math.inf
+        self._free_from = -math.inf
 
     def _course(self) -> Numbers:
+        """Return the state that the path follows: that of the filters, or the place of rest."""
         if self._rest is not None:
             return [*self._rest, 0.0, 0.0, 0.0, 0.0]
         return self._motion.state
 
-    def _take(self, now: float) -> None:
-        """Give the samples that wait to the filters, in order of their times."""
+    def _process_waiting(self, now: float) -> None:
+        """Pass the waiting samples to the filters, in the order of their times."""
         samples, group = sorted(self._waiting, key=lambda s: s.time), list[Sample]()
         self._waiting.clear()
         newest = self._motion.time
@@ -386,32 +511,32 @@ class ContactTracker:
                 continue
             newest = sample.time
             if group and (sample.time - group[0].time > TOGETHER or _differ(group[-1], sample)):
-                self._give(group)
+                self._update_filters(group)
                 group = []
             group.append(sample)
         if group:
-            self._give(group)
+            self._update_filters(group)
 
-    def _give(self, group: list[Sample]) -> None:
-        """Give the mean of samples to the filters; begin anew where the finger leapt."""
+    def _update_filters(self, group: list[Sample]) -> None:
+        """Update the filters with the mean of some samples; start anew if the finger leapt."""
         count, first, last = len(group), group[0], group[-1]
-        time, x, y, pace = first[0], first[1], first[2], first.velocity
+        time, x, y, velocity = first[0], first[1], first[2], first.velocity
         if count > 1:
             time = math.fsum(s.time for s in group) / count
             x, y = math.fsum(s.x for s in group) / count, math.fsum(s.y for s in group) / count
-            if pace is not None:
-                vx, vy = zip(*(s.velocity or pace for s in group), strict=True)
-                pace = math.fsum(vx) / count, math.fsum(vy) / count
+            if velocity is not None:
+                vx, vy = zip(*(s.velocity or velocity for s in group), strict=True)
+                velocity = math.fsum(vx) / count, math.fsum(vy) / count
         motion = self._motion
         leapt = self._last is not None and self._leaps(first, time, x, y)
         if leapt and self.touching:
             self.jumps += 1
             self._leapt = self._down
         if leapt or time - motion.time > FORGOTTEN:
-            motion.begin(time, x, y, pace)
+            motion.begin(time, x, y, velocity)
             self._stillness.begin(time, x, y, motion.noise.variance)
         else:
-            motion.add(time, x, y, pace, count)
+            motion.add(time, x, y, velocity, count)
             self._stillness.add(time, x, y, motion.noise.variance / count)
         self._last, self._fresh = last, True
         for sample in group:
@@ -419,6 +544,7 @@ class ContactTracker:
         self.touching = last.normal_force > 0
 
     def _leaps(self, sample: Sample, time: float, x: float, y: float) -> bool:
+        """Return whether a sample is too far from the last one or from its expected position."""
         last = self._last
         if last is None or _differ(last, sample, contact=False):
             return True
@@ -428,8 +554,8 @@ class ContactTracker:
         return math.hypot(x - px, y - py) > FARTHEST_MISS
 
 
-def _reasonable(sample: Sample) -> bool:
-    """Whether a sample is finite and within what a finger does; false for NaN."""
+def _is_plausible(sample: Sample) -> bool:
+    """Return whether a sample is finite and within what a finger does; False for NaN."""
     fast = 0.0 if sample.velocity is None else math.hypot(*sample.velocity)
     return (
         math.isfinite(sample.time)
@@ -442,9 +568,12 @@ def _reasonable(sample: Sample) -> bool:
 
 
 def _differ(one: Sample, next_one: Sample, *, contact: bool = True) -> bool:
-    """Whether the finger leapt between two samples, or also touched, lifted, or told its speed."""
-    far = math.hypot(next_one.x - one.x, next_one.y - one.y)
-    if far > SMALLEST_LEAP and far > FASTEST * (next_one.time - one.time):
+    """Return whether the finger leapt between two samples.
+
+    With ``contact``, also whether only one of them is in contact, or only one has a velocity.
+    """
+    distance = math.hypot(next_one.x - one.x, next_one.y - one.y)
+    if distance > SMALLEST_LEAP and distance > FASTEST * (next_one.time - one.time):
         return True
     return contact and (
         (one.normal_force > 0) != (next_one.normal_force > 0)

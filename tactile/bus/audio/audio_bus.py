@@ -31,6 +31,7 @@ from tactile.bus.audio.player import Order, Told
 from tactile.bus.audio.process import ANSWER, AudioProcess, opened
 from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS
+from tactile.bus.options import Options
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.errors import BusError, InputError
 
@@ -311,18 +312,31 @@ def find() -> Iterator[Found]:
         )
 
 
-def _channels(address: Address, display: DisplayLike) -> int:
-    text = address.options.get("channels", str(display.channels))
-    if not text.isdecimal() or int(text) < display.channels:
-        raise InputError(f"audio: channels = {text!r}: must be a number from {display.channels} up")
+class AudioOptions(Options, frozen=True, kw_only=True):
+    """Options of an ``audio:`` URL.
+
+    Attributes
+    ----------
+    channels : int or None
+        Number of outputs that are opened; None for as many as the display has.
+    """
+
+    channels: int | None = None
+
+
+def _channels(options: AudioOptions, display: DisplayLike) -> int:
+    count = display.channels if options.channels is None else options.channels
+    if count < display.channels:
+        raise InputError(f"audio: channels = {count}: must be a number from {display.channels} up")
     if display.channels > MOST_CHANNELS:
         raise InputError(f"audio: {display.channels} channels; {MOST_CHANNELS} at most")
-    return int(text)
+    return count
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> AudioBus:
-    address.only("channels", path=True)
-    channels = _channels(address, display)
+def _open(
+    address: Address[AudioOptions], display: DisplayLike, sample_rate: float | None
+) -> AudioBus:
+    channels = _channels(address.options, display)
     full_scale = display.amplifier.audio_full_scale
     if full_scale is None:
         raise InputError(MISSING)
@@ -338,4 +352,4 @@ def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> 
     return AudioBus(order, display.amplifier.ac_coupling)
 
 
-register_bus("audio", _open, on_host_death="unknown", find=find)
+register_bus("audio", _open, AudioOptions, takes_path=True, on_host_death="unknown", find=find)

@@ -9,8 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
+from msgspec import Meta
+
+from tactile.bus.options import HEXADECIMAL, Options
 from tactile.bus.registry import Address, Found
 from tactile.errors import BusError, InputError
 
@@ -20,9 +23,28 @@ CLOCKS = (10_000, 3_400_000)
 """Hz, the range of I2C buses."""
 CAP = 0.8
 """Of a bus's time that may be used; the rest is for retries and the kernel (design/protocol.md)."""
-MUX_ADDRESSES = range(0x70, 0x78)
-"""Of a TCA9548A (TI SCPS207)."""
-MUX_PORTS = range(8)
+
+
+class ChipOptions(Options, frozen=True, kw_only=True):
+    """Options of a device URL whose displays are driven by chips without firmware.
+
+    Attributes
+    ----------
+    address : tuple of int
+        Addresses of the chips in the order of the channels, or the one behind all ports; the
+        chip's own if empty. Each driver declares the addresses that its chip can have.
+    mux : int or None
+        Address of a TCA9548A multiplexer before the chips (TI SCPS207).
+    ports : tuple of int
+        Ports of the multiplexer in the order of the channels; port 0 if empty.
+    clock_hz : int
+        Clock of the bus [Hz].
+    """
+
+    address: tuple[int, ...] = ()
+    mux: Annotated[int, Meta(ge=0x70, le=0x77, extra=HEXADECIMAL)] | None = None
+    ports: tuple[Annotated[int, Meta(ge=0, le=7)], ...] = ()
+    clock_hz: Annotated[int, Meta(ge=CLOCKS[0], le=CLOCKS[1])] = CLOCK
 
 
 class I2cAdapter(Protocol):
@@ -173,30 +195,41 @@ class Place:
     clock: int
 
     @classmethod
-    def of(cls, url: Address, default: int, allowed: range) -> "Place":
-        """Read it from a device URL.
+    def of(cls, url: Address[Any], default: int) -> "Place":
+        """Return the place that a device URL names.
+
+        Parameters
+        ----------
+        url : Address
+            Address with `ChipOptions`.
+        default : int
+            Address of the chip, where the URL names none.
+
+        Returns
+        -------
+        Place
+            Adapter, multiplexer and addresses.
 
         Raises
         ------
         InputError
-            For a path, address, port or clock that cannot be.
+            For a path that is no bus, ports without a multiplexer, several addresses behind one,
+            or an address or port that comes twice.
         """
-        mux = _numbers(url, "mux", "", MUX_ADDRESSES)
-        ports = _numbers(url, "ports", "0" if mux else "", MUX_PORTS)
-        addresses = _numbers(url, "address", hex(default), allowed)
-        (clock,) = _numbers(url, "clock_hz", str(CLOCK), range(CLOCKS[0], CLOCKS[1] + 1))
-        if ports and not mux:
-            raise InputError(f"{url.scheme}: ports = {url.options['ports']!r}: of which mux=?")
-        if len(mux) > 1 or (mux and len(addresses) > 1):
-            raise InputError(f"{url.scheme}: one mux and one address behind all its ports")
+        options: ChipOptions = url.options
+        addresses, ports = options.address or (default,), options.ports
+        if ports and options.mux is None:
+            raise InputError(f"{url.scheme}: ports: of which mux=?")
+        if options.mux is not None:
+            ports = ports or (0,)
+            if len(addresses) > 1:
+                raise InputError(f"{url.scheme}: one mux and one address behind all its ports")
         for name, values in (("address", addresses), ("ports", ports)):
             if len(set(values)) < len(values):
-                raise InputError(f"{url.scheme}: {name} = {url.options[name]!r}: one comes twice")
-        count = len(ports) if mux else len(addresses)
+                raise InputError(f"{url.scheme}: {name}: one comes twice")
         return cls(
-            adapter_path(url), addresses * (count if mux else 1), mux[0] if mux else None,
-            ports, clock,
-        )  # fmt: skip
+            adapter_path(url), addresses * max(len(ports), 1), options.mux, ports, options.clock_hz
+        )
 
     def targets(self, i2c: I2cAdapter) -> list[ChipTarget]:
         """Return the chips on an adapter."""
@@ -241,7 +274,7 @@ class Place:
             )
 
 
-def adapter_path(url: Address) -> str:
+def adapter_path(url: Address[Any]) -> str:
     """Return the device file that a URL's path means: a bus number or the file itself.
 
     Raises
@@ -256,31 +289,6 @@ def adapter_path(url: Address) -> str:
     raise InputError(
         f"{url.scheme}: path {url.path!r}: give the number of an I2C bus or /dev/i2c-N"
     )
-
-
-def number(url: Address, name: str, default: str, allowed: range) -> int:
-    """Return an option that is one number, decimal or 0x…; InputError where it is not."""
-    values = _numbers(url, name, default, allowed)
-    if len(values) != 1:
-        raise InputError(f"{url.scheme}: {name} = {url.options[name]!r}: must be one number")
-    return values[0]
-
-
-def _numbers(url: Address, name: str, default: str, allowed: range) -> tuple[int, ...]:
-    text = url.options.get(name, default)
-    if not text and name not in url.options:
-        return ()
-    try:
-        values = tuple(int(part, 0) for part in text.split(","))
-    except ValueError:
-        values = (-1,)
-    if not all(value in allowed for value in values):
-        show = hex if allowed.stop > MUX_PORTS.stop and name != "clock_hz" else str
-        raise InputError(
-            f"{url.scheme}: {name} = {text!r}: must be from {show(allowed[0])} to "
-            f"{show(allowed[-1])}"
-        )
-    return values
 
 
 def transfer_bits(written: int, read: int = 0) -> int:

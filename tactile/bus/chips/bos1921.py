@@ -24,10 +24,13 @@ the middle of what it may hold.
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipTarget, I2cAdapter, Place, transfer_bits
+from tactile.bus.chips.adapter import ChipOptions, ChipTarget, I2cAdapter, Place, transfer_bits
 from tactile.bus.chips.chip import (
     BURST,
     Chip,
@@ -46,9 +49,10 @@ from tactile.bus.chips.chip_bus import (
 )
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import Runner, ThreadRunner
+from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.clock import Clock
-from tactile.errors import BusError, InputError
+from tactile.errors import BusError
 
 ADDRESS = 0x44
 ADDRESSES = range(0x40, 0x50)
@@ -313,22 +317,38 @@ class Bos1921Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> ChipBus:
-    address.only("address", "mux", "ports", "range", "clock_hz", "parcap", "sup_rise", path=True)
+class Bos1921Options(ChipOptions, frozen=True, kw_only=True):
+    """Options of a ``bos1921:`` URL.
+
+    Attributes
+    ----------
+    range : str
+        Range of the output [V].
+    parcap, sup_rise : int or None
+        Values of the registers of these names, which depend on the board; the chip's own if None.
+    """
+
+    address: tuple[
+        Annotated[int, Meta(ge=ADDRESSES[0], le=ADDRESSES[-1], extra=HEXADECIMAL)], ...
+    ] = ()
+    range: Literal["95", "13"] = "95"
+    parcap: Annotated[int, Meta(ge=0, le=0xFFFF, extra=HEXADECIMAL)] | None = None
+    sup_rise: Annotated[int, Meta(ge=0, le=0xFFFF, extra=HEXADECIMAL)] | None = None
+
+
+def _open(
+    address: Address[Bos1921Options], display: DisplayLike, sample_rate: float | None
+) -> ChipBus:
     wiring = Wiring.of(display, checked_rate("bos1921", sample_rate))
     checked_estop(wiring, HIGH)
-    place = Place.of(address, ADDRESS, ADDRESSES)
+    place = Place.of(address, ADDRESS)
     extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
     place.check("bos1921", display.channels, bits_per_second() + extra, FASTEST)
-    wide = address.options.get("range", "95")
-    if wide not in SCALES:
-        raise InputError(f"bos1921: range = {wide!r}: must be one of {', '.join(SCALES)}")
+    options = address.options
+    wide = options.range
     checked_voltage("bos1921", display.limits.voltage, PEAKS[wide])
-    board = {
-        register: adapter.number(address, name, "", range(0x10000))
-        for name, register in (("parcap", PARCAP), ("sup_rise", SUP_RISE))
-        if name in address.options
-    }
+    registers = {PARCAP: options.parcap, SUP_RISE: options.sup_rise}
+    board = {register: value for register, value in registers.items() if value is not None}
     return opened(
         place.path,
         lambda i2c: Bos1921Bus(wiring, place, i2c, ThreadRunner(), wide=wide, board=board),
@@ -351,4 +371,4 @@ def find() -> Iterator[Found]:
     return adapter.found_on_adapters(find_on)
 
 
-register_bus("bos1921", _open, on_host_death="holds", find=find)
+register_bus("bos1921", _open, Bos1921Options, takes_path=True, on_host_death="holds", find=find)

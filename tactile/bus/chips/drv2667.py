@@ -27,10 +27,13 @@ time out, and the drive fades in again.
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipTarget, I2cAdapter, Place, transfer_bits
+from tactile.bus.chips.adapter import ChipOptions, ChipTarget, I2cAdapter, Place, transfer_bits
 from tactile.bus.chips.chip import (
     BURST,
     Chip,
@@ -48,9 +51,10 @@ from tactile.bus.chips.chip_bus import (
 )
 from tactile.bus.chips.occupancy import RATE, RATES, Occupancy, measured_rates
 from tactile.bus.chips.pump import Runner, ThreadRunner
+from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, Found, register_bus
 from tactile.clock import Clock
-from tactile.errors import BusError, InputError
+from tactile.errors import BusError
 
 ADDRESS = 0x59
 FASTEST = 400_000
@@ -109,9 +113,6 @@ def chosen_range(voltage: float, option: str | None) -> int:
     InputError
         Where none does, or that of the option does not.
     """
-    given = [str(known) for known in RANGES]
-    if option is not None and option not in given:
-        raise InputError(f"drv2667: range = {option!r}: must be one of {', '.join(given)}")
     wide = int(option) if option else next((r for r in RANGES if r / 2 >= voltage), max(RANGES))
     checked_voltage("drv2667", voltage, wide / 2)
     return wide
@@ -356,14 +357,28 @@ class Drv2667Bus(ChipBus):
         super().__init__(wiring, chips, i2c, runner, counters)
 
 
-def _open(address: Address, display: DisplayLike, sample_rate: float | None) -> ChipBus:
-    address.only("address", "mux", "ports", "range", "clock_hz", path=True)
+class Drv2667Options(ChipOptions, frozen=True, kw_only=True):
+    """Options of a ``drv2667:`` URL.
+
+    Attributes
+    ----------
+    range : str or None
+        Range of the output, peak to peak [V]; None for the smallest that covers the limit.
+    """
+
+    address: tuple[Annotated[int, Meta(ge=ADDRESS, le=ADDRESS, extra=HEXADECIMAL)], ...] = ()
+    range: Literal["50", "100", "150", "200"] | None = None
+
+
+def _open(
+    address: Address[Drv2667Options], display: DisplayLike, sample_rate: float | None
+) -> ChipBus:
     wiring = Wiring.of(display, checked_rate("drv2667", sample_rate))
     checked_estop(wiring, HIGH)
-    place = Place.of(address, ADDRESS, range(ADDRESS, ADDRESS + 1))
+    place = Place.of(address, ADDRESS)
     extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
     place.check("drv2667", display.channels, bits_per_second() + extra, FASTEST)
-    wide = chosen_range(display.limits.voltage, address.options.get("range"))
+    wide = chosen_range(display.limits.voltage, address.options.range)
     return opened(place.path, lambda i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide))
 
 
@@ -379,4 +394,4 @@ def find() -> Iterator[Found]:
     return adapter.found_on_adapters(find_on)
 
 
-register_bus("drv2667", _open, on_host_death="zero", find=find)
+register_bus("drv2667", _open, Drv2667Options, takes_path=True, on_host_death="zero", find=find)

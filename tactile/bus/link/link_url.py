@@ -1,24 +1,52 @@
 """The options of a URL whose device speaks the protocol, and the bus that they ask for."""
 
 from collections.abc import Callable, Sequence
+from typing import Annotated
+
+from msgspec import Meta
 
 from firmware_protocol import messages as m
+from firmware_protocol.messages import SampleFormat
 from tactile.bus.base import RATE, DisplayLike, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.stream import LEAST_LEAD, LONGEST_LEAD
-from tactile.bus.options import flag, number, sample_format
-from tactile.bus.registry import Address
+from tactile.bus.options import FORMATS, FormatName, Options
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Link
 
-LINK_OPTIONS = ("format", "rearm", "lead_ms")
-"""Of every device whose amplifiers speak the protocol."""
+
+class LinkOptions(Options, frozen=True, kw_only=True):
+    """Options of every device whose amplifiers speak the protocol.
+
+    Attributes
+    ----------
+    format : str or None
+        Format of the drive on the link; None for the best that fits it.
+    rearm : bool
+        Whether the bus may arm an amplifier again that went to 0 V by itself.
+    lead_ms : float or None
+        Time by which samples are sent before they are due [ms]; None for the least that will do.
+    """
+
+    format: FormatName | None = None
+    rearm: bool = False
+    lead_ms: Annotated[float, Meta(ge=1e3 * LEAST_LEAD, le=1e3 * LONGEST_LEAD)] | None = None
+
+    @property
+    def sample_format(self) -> SampleFormat | None:
+        """Format of the drive on the link, as the protocol numbers it; None for any."""
+        return None if self.format is None else FORMATS[self.format]
+
+    @property
+    def lead(self) -> float | None:
+        """Time by which samples are sent before they are due [s]; None for the least."""
+        return None if self.lead_ms is None else self.lead_ms * 1e-3
 
 
 def open_link(
-    address: Address,
+    options: LinkOptions,
     display: DisplayLike,
     sample_rate: float | None,
     link: Link,
@@ -26,29 +54,62 @@ def open_link(
     *,
     nodes: Sequence[int] = (),
 ) -> LinkBus:
-    """Open a bus for an address, which sends what fits its link, or what it asks for."""
+    """Open a bus whose amplifiers speak the protocol.
+
+    Parameters
+    ----------
+    options : LinkOptions
+        Options of the device's URL.
+    display : DisplayLike
+        Display that the amplifiers drive.
+    sample_rate : float or None
+        Sample rate of the drive [Hz]; None for the best that fits the link.
+    link : Link
+        How long packets take on the link.
+    connect : callable
+        Function that opens the wire; called again after the link was lost.
+    nodes : sequence of int
+        Nodes of the amplifiers in the order of the channels; all that answer if empty.
+
+    Returns
+    -------
+    LinkBus
+        The bus, with its amplifiers found and their clocks known.
+
+    Raises
+    ------
+    BusError
+        If no amplifier answers, or it cannot do what the display needs.
+    InputError
+        If nothing that the amplifiers understand fits the link.
+    """
     wiring = Wiring.of(display, sample_rate or RATE)
     config_of(wiring, 1, 1)
-    choose = planner(address, display, sample_rate, link)
-    return LinkBus(
-        wiring, connect, choose, nodes=nodes, rearm=flag(address, "rearm"), lead=lead_of(address)
-    )
-
-
-def lead_of(address: Address) -> float | None:
-    """Return the lead that is asked for [s], None where it is to be the least that will do."""
-    lead = number(address, "lead_ms", 1e3 * LEAST_LEAD, 1e3 * LONGEST_LEAD)
-    return None if lead is None else lead * 1e-3
+    choose = planner(options, display, sample_rate, link)
+    return LinkBus(wiring, connect, choose, nodes=nodes, rearm=options.rearm, lead=options.lead)
 
 
 def planner(
-    address: Address, display: DisplayLike, sample_rate: float | None, link: Link
+    options: LinkOptions, display: DisplayLike, sample_rate: float | None, link: Link
 ) -> Callable[[Sequence[m.Caps]], Plan]:
-    """Return what makes the plan of what amplifiers say that they can."""
-    wanted = sample_format(address, spectrum=True)
+    """Return the function that chooses how the drive is sent.
+
+    Parameters
+    ----------
+    options, display, sample_rate, link
+        As `open_link` takes them.
+
+    Returns
+    -------
+    callable
+        Function of the capabilities of all amplifiers that returns the plan.
+    """
 
     def choose(caps: Sequence[m.Caps]) -> Plan:
         ability = Ability.of(caps)
-        return plan(link, display.channels, ability, sample_rate=sample_rate, sample_format=wanted)
+        return plan(
+            link, display.channels, ability,
+            sample_rate=sample_rate, sample_format=options.sample_format,
+        )  # fmt: skip
 
     return choose

@@ -11,14 +11,14 @@ import threading
 from collections import deque
 
 import numpy as np
+from msgspec.structs import fields
 
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
-from tactile.bus.options import sample_format
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.simulated.modeled_bus import link_of, open_modeled
+from tactile.bus.simulated.modeled_bus import MockOptions, link_of, open_modeled
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
@@ -145,31 +145,47 @@ class MockBus(Bus):
             self._kept_samples -= len(self._kept.popleft())
 
 
-def kept_and_format(address: Address) -> tuple[str, SampleFormat]:
-    """Return the ``keep`` and ``format`` options of an address.
+def open_mock(
+    address: Address[MockOptions],
+    display: DisplayLike,
+    sample_rate: float | None,
+    clock: Clock = MONOTONIC,
+) -> Bus:
+    """Open amplifiers in memory, or a modeled link.
+
+    Parameters
+    ----------
+    address : Address
+        Address whose options say which.
+    display : DisplayLike
+        Display that the amplifiers drive.
+    sample_rate : float or None
+        Sample rate of the drive [Hz]; by default the bus's choice.
+    clock : Clock
+        Clock by which amplifiers in memory are due.
+
+    Returns
+    -------
+    Bus
+        The open bus.
 
     Raises
     ------
     InputError
-        For a value that may not be.
+        If an option needs a link, and none is asked for.
     """
-    keep = address.options.get("keep", "second")
-    if keep not in ("second", "all"):
-        raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
-    asked = sample_format(address)
-    return keep, SampleFormat.PCM16 if asked is None else asked
-
-
-def open_mock(
-    address: Address, display: DisplayLike, sample_rate: float | None, clock: Clock = MONOTONIC
-) -> Bus:
-    """Open amplifiers in memory, by a clock, or a modeled link, as the URL says."""
-    if "link" in address.options:
-        return open_modeled(address, display, sample_rate)
-    address.only("keep", "format")
-    keep, kind = kept_and_format(address)
+    options = address.options
+    if options.link is not None:
+        return open_modeled(options, display, sample_rate)
+    for option in fields(options):
+        changed = getattr(options, option.name) != option.default
+        if changed and option.name not in ("keep", "format", "rearm"):
+            raise InputError(f"mock: {option.name}: needs link=serial, can, canfd or i2c")
+    if options.format == "spectrum":
+        raise InputError("mock: format = 'spectrum': needs link=serial, can, canfd or i2c")
     wiring = Wiring.of(display, sample_rate or RATE)
-    return MockBus(wiring, keep=keep, sample_format=kind, clock=clock)
+    kind = options.sample_format or SampleFormat.PCM16
+    return MockBus(wiring, keep=options.keep, sample_format=kind, clock=clock)
 
 
-register_bus("mock", open_mock, link=link_of)
+register_bus("mock", open_mock, MockOptions, link=link_of)

@@ -7,9 +7,10 @@ without the instants before a start and those in which the last sample was held 
 
 import math
 from collections import deque
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
@@ -20,23 +21,64 @@ from tactile.bus.board import config_of
 from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
 from tactile.bus.link.link_bus import LinkBus
-from tactile.bus.link.link_url import LINK_OPTIONS, lead_of, planner
-from tactile.bus.options import flag, number, whole
-from tactile.bus.registry import Address
+from tactile.bus.link.link_url import LinkOptions, planner
+from tactile.bus.options import Keep
 from tactile.bus.serial_bus import SerialWire
 from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
 from tactile.clock import Clock, ModelClock
 from tactile.errors import InputError
-from tactile.files import nearest
 
-LINKS = ("serial", "can", "canfd", "i2c")
-OPTIONS = (
-    "link", "bit_rate", "data_bit_rate", "loss", "corrupt", "reorder", "delay_ms",
-    "arbitration_us", "fifo_ms", "disconnect_s", "power_s", "stall_s", "drift_ppm", "boards",
-    "seed", "keep", *LINK_OPTIONS,
-)  # fmt: skip
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Interval = Annotated[float, Meta(ge=0.01, le=1e9)]
+
+
+class MockOptions(LinkOptions, frozen=True, kw_only=True):
+    """Options of a ``mock:`` URL; without ``link`` only ``keep`` and ``format`` are of use.
+
+    Attributes
+    ----------
+    keep : str
+        How much of what was put out is remembered: the last second, or all.
+    link : str or None
+        Kind of the modeled link; None for amplifiers that samples reach at once.
+    bit_rate, data_bit_rate : float or None
+        Bit rates of the link, and of the data phase of CAN FD [bit/s]; None for the usual ones.
+    loss, corrupt, reorder : float
+        Shares of the packets that are lost, damaged and delayed behind the next one.
+    delay_ms, arbitration_us : float
+        Delay of each packet [ms], and mean wait for other traffic [µs].
+    fifo_ms : float
+        Length of an amplifier's buffer [ms].
+    disconnect_s, power_s, stall_s : float or None
+        Mean times between losses of the link, losses of power, and stalls of an amplifier [s].
+    drift_ppm : float
+        Drift of the first amplifier's clock [ppm]; the k-th drifts k times as much.
+    boards : int
+        Number of amplifiers.
+    seed : int
+        Seed of the faults.
+    """
+
+    keep: Keep = "second"
+    link: Literal["serial", "can", "canfd", "i2c"] | None = None
+    bit_rate: Annotated[float, Meta(ge=1e3, le=1e9)] | None = None
+    data_bit_rate: Annotated[float, Meta(ge=1e4, le=1e8)] | None = None
+    loss: Share = 0.0
+    corrupt: Share = 0.0
+    reorder: Share = 0.0
+    delay_ms: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    arbitration_us: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    fifo_ms: Annotated[float, Meta(ge=1, le=10000)] = 64.0
+    disconnect_s: Interval | None = None
+    power_s: Interval | None = None
+    stall_s: Interval | None = None
+    drift_ppm: Annotated[float, Meta(ge=-20000, le=20000)] = 0.0
+    boards: Annotated[int, Meta(ge=1, le=16)] = 1
+    seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
+
+
 RATES = (2500, 16000)
 """Hz that the amplifiers play."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
@@ -161,17 +203,33 @@ class ModeledBus(LinkBus):
 
 
 def open_modeled(
-    address: Address, display: DisplayLike, sample_rate: float | None, model: Model | None = None
+    options: MockOptions,
+    display: DisplayLike,
+    sample_rate: float | None,
+    model: Model | None = None,
 ) -> ModeledBus:
-    """Open a link as its URL says: with new amplifiers and a clock of its own, unless given."""
-    address.only(*OPTIONS)
-    keep = address.options.get("keep", "second")
-    if keep not in ("second", "all"):
-        raise InputError(f"{address.scheme}: keep = {keep!r}: must be 'second' or 'all'")
+    """Open a modeled link.
+
+    Parameters
+    ----------
+    options : MockOptions
+        Options of the device's URL.
+    display : DisplayLike
+        Display that the amplifiers drive.
+    sample_rate : float or None
+        Sample rate of the drive [Hz]; None for the best that fits the link.
+    model : Model or None
+        Amplifiers and link; by default new ones with a clock of their own.
+
+    Returns
+    -------
+    ModeledBus
+        The bus, which remembers what its amplifiers put out.
+    """
     wiring = Wiring.of(display, sample_rate or RATE)
     if model is None:
-        model = model_of(address, wiring, ModelClock())
-    clock, link = model.clock, link_of(address)
+        model = model_of(options, wiring, ModelClock())
+    clock, link = model.clock, link_of(options)
 
     def connect() -> Wire:
         model.open()
@@ -185,63 +243,86 @@ def open_modeled(
         return SerialWire(model, link, clock)
 
     return ModeledBus(
-        wiring, model, connect, planner(address, display, sample_rate, link),
-        keep=keep, rearm=flag(address, "rearm"), lead=lead_of(address),
+        wiring, model, connect, planner(options, display, sample_rate, link),
+        keep=options.keep, rearm=options.rearm, lead=options.lead,
     )  # fmt: skip
 
 
-def link_of(address: Address) -> Link:
-    """Return how long packets take on the link that a URL asks for; no time, where on none."""
-    name = address.options.get("link", "serial")
-    if name not in LINKS:
-        raise InputError(f"{address.scheme}: link = {name!r}: {nearest(name, list(LINKS))}")
-    rate = number(address, "bit_rate", 1e3, 1e9)
-    if name == "serial":
-        return Unlimited() if rate is None else Uart(rate)
-    if name == "i2c":
-        return I2c(rate or CLOCK)
-    data = number(address, "data_bit_rate", 1e4, 1e8) or DATA
-    return Can(rate or NOMINAL, data if name == "canfd" else None)
+def link_of(options: MockOptions) -> Link:
+    """Return how long packets take on a modeled link.
+
+    Parameters
+    ----------
+    options : MockOptions
+        Options of the device's URL.
+
+    Returns
+    -------
+    Link
+        The link; one on which packets take no time, if none is modeled or it has no bit rate.
+    """
+    rate = options.bit_rate
+    match options.link:
+        case None | "serial":
+            return Unlimited() if rate is None else Uart(rate)
+        case "i2c":
+            return I2c(rate or CLOCK)
+        case _:
+            data = (options.data_bit_rate or DATA) if options.link == "canfd" else None
+            return Can(rate or NOMINAL, data)
 
 
-def model_of(address: Address, wiring: Wiring, clock: Clock) -> Model:
-    """Return the amplifiers and the link that a URL asks for."""
-    link = link_of(address)
-    boards = whole(address, "boards", 1, 16) or 1
-    drift = (number(address, "drift_ppm", -20000, 20000) or 0.0) * 1e-6
+def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
+    """Return new amplifiers on a modeled link.
+
+    Parameters
+    ----------
+    options : MockOptions
+        Options of the device's URL.
+    wiring : Wiring
+        What the amplifiers drive.
+    clock : Clock
+        Clock of the model.
+
+    Returns
+    -------
+    Model
+        The link with its amplifiers.
+
+    Raises
+    ------
+    InputError
+        If a serial line is to have more than one amplifier.
+    """
+    link, boards = link_of(options), options.boards
+    drift = options.drift_ppm * 1e-6
     width = -(wiring.channels // -boards)
-    fifo = number(address, "fifo_ms", 1, 10000) or 64.0
     configs = [
-        config_of(wiring, width, node, rates=RATES, fifo_ms=fifo) for node in range(1, boards + 1)
+        config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms)
+        for node in range(1, boards + 1)
     ]
     party = Party(
-        configs, _faults(address), clock,
+        configs, _faults(options), clock,
         drift=[drift * k for k in range(1, boards + 1)],
-        seed=whole(address, "seed", 0, 2**31) or 0,
+        seed=options.seed,
     )  # fmt: skip
     if isinstance(link, Can):
         return CanModel(link, party)
     if isinstance(link, I2c):
         return I2cModel(link, ADDRESS, party)
     if boards > 1:
-        raise InputError(f"{address.scheme}: boards = {boards}: one on a serial line")
+        raise InputError(f"mock: boards = {boards}: one on a serial line")
     return SerialModel(link, party)
 
 
-def _faults(address: Address) -> Faults:
-    def share(name: str) -> float:
-        return number(address, name, 0.0, 1.0) or 0.0
-
-    def interval(name: str) -> float:
-        return number(address, name, 0.01, 1e9) or math.inf
-
+def _faults(options: MockOptions) -> Faults:
     return Faults(
-        loss=share("loss"),
-        corrupt=share("corrupt"),
-        reorder=share("reorder"),
-        delay=(number(address, "delay_ms", 0.0, 1000.0) or 0.0) * 1e-3,
-        arbitration=(number(address, "arbitration_us", 0.0, 1e6) or 0.0) * 1e-6,
-        disconnect=interval("disconnect_s"),
-        power=interval("power_s"),
-        stall=interval("stall_s"),
+        loss=options.loss,
+        corrupt=options.corrupt,
+        reorder=options.reorder,
+        delay=options.delay_ms * 1e-3,
+        arbitration=options.arbitration_us * 1e-6,
+        disconnect=options.disconnect_s or math.inf,
+        power=options.power_s or math.inf,
+        stall=options.stall_s or math.inf,
     )

@@ -1,6 +1,7 @@
 """Figures for files, drawn with matplotlib: bimorphs, strokes, textures and their fits.
 
-``…_figure`` draws, ``plot_…`` also saves. `tactile.study.plots` has those of design studies.
+Functions ``…_figure`` draw a figure, and ``plot_…`` also save it. `tactile.study.plots` has the
+figures of design studies.
 """
 
 from tactile.show.plots.fit import fit_figure as fit_figure

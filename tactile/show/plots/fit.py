@@ -1,4 +1,4 @@
-"""A texture's fit: recordings, what was fitted to them, and how that does on others."""
+"""Figure of a texture's fit: recordings, the texture fitted to them, and its error on others."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ from tactile.texture.fitting import Fit
 from tactile.texture.judging import Verdict
 
 HERTZ = (10, 20, 50, 100, 200, 500, 1000)
+"""Ticks of the axis of frequency [Hz]."""
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,24 +20,41 @@ if TYPE_CHECKING:
 
 
 def plot_fit(path: str | Path, fit: Fit, verdict: Verdict) -> None:
-    """Draw a fit, and save it.
+    """Draw a fit and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    fit, verdict : by `tactile.texture.judging.fit_texture`
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
+    fit : Fit
+        Fit from `tactile.texture.judging.fit_texture`.
+    verdict : Verdict
+        Its verdict from the same function.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
     check_file(path)
     save(fit_figure(fit, verdict), path)
 
 
 def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":
-    """Return bands of recordings and texture, and what separates a fit from the held-out half."""
+    """Draw the bands of recordings and texture, and the errors of the fit on the held-out half.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fit from `tactile.texture.judging.fit_texture`.
+    verdict : Verdict
+        Its verdict from the same function.
+
+    Returns
+    -------
+    Figure
+        Figure with two axes.
+    """
     figure = new_figure(8.0, 7.0)
     bands, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     _bands(bands, fit)
@@ -48,6 +66,7 @@ def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":
 
 
 def _bands(axes: "Axes", fit: Fit) -> None:
+    """Draw the levels of recordings and texture over spatial frequency."""
     stochastic, reference = fit.descriptor.stochastic, fit.descriptor.reference
     assert stochastic is not None
     k, level = fit.center * 1e-3, np.asarray(stochastic.level_db)
@@ -87,6 +106,7 @@ def _bands(axes: "Axes", fit: Fit) -> None:
 
 
 def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
+    """Draw the difference of models from the held-out half, over spatial frequency."""
     k = fit.center * 1e-3
     sides = (
         ("recordings themselves", verdict.ceiling, GRAY, "--"),
@@ -100,8 +120,8 @@ def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
             k, side.level - verdict.held_out, line, color=color, linewidth=1.8,
             label=f"{name}, {side.rms_db:.2f} dB rms",
         )  # fmt: skip
-    near = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
-    most = 1.1 * float(np.nanmax(np.abs(near))) + 1
+    errors = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
+    most = 1.1 * float(np.nanmax(np.abs(errors))) + 1
     axes.set(
         xscale="log", ylim=(-most, 1.8 * most), xlabel="spatial frequency [cycles/mm]",
         ylabel="above what was held out [dB]",

@@ -1,4 +1,4 @@
-"""What was played: tactile images that follow the finger, one contactor's shear, its drive."""
+"""Figure of a playback: tactile images that follow the finger, shear and drive of one contactor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,29 +30,38 @@ if TYPE_CHECKING:
 
 
 SNAPSHOTS = 4
+"""Number of tactile images."""
 WINDOW = 40e-3
-"""Seconds of the traces."""
+"""Duration of the traces [s]."""
 LEAD = 4e-3
-"""Seconds of the traces before the first snapshot."""
+"""Part of the traces before the first snapshot [s]."""
 ERROR_GAIN = 100.0
+"""Factor by which the error is magnified."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """What was commanded and what came of it.
+    """Commanded shear and the resulting motion of the skin.
 
     Parameters
     ----------
-    display : the array that played
-    time : (S,) [s]
-    target, played : (S, N) shear as commanded and as the skin did [m]
-    drive : (S, N) [V]
-    position : (S, 2) of the finger [m], or None
+    display : Display
+        Display that played.
+    time : (S,) array of float
+        Times [s].
+    target : (S, N) array of float
+        Commanded shear [m].
+    played : (S, N) array of float
+        Shear of the skin [m].
+    drive : (S, N) array of float
+        Drive [V].
+    position : (S, 2) array of float or None
+        Position of the finger [m], if it is known.
 
     Raises
     ------
     InputError
-        Where shapes differ.
+        If the shapes differ, or there are too few samples.
     """
 
     display: Display
@@ -64,10 +73,10 @@ class Played:
 
     def __post_init__(self) -> None:
         samples, contactors = len(self.time), len(self.display.contactors)
-        wanted = dict.fromkeys(("target", "played", "drive"), (samples, contactors))
+        shapes = dict.fromkeys(("target", "played", "drive"), (samples, contactors))
         if self.position is not None:
-            wanted["position"] = (samples, 2)
-        for name, shape in wanted.items():
+            shapes["position"] = (samples, 2)
+        for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"{name} is {getattr(self, name).shape}: must be {shape}")
         if samples < 2 * SNAPSHOTS:
@@ -85,22 +94,31 @@ def plot_played(
     title: str,
     position: ArrayLike | None = None,
 ) -> None:
-    """Draw what was commanded and what was played, and save it.
+    """Draw commanded and played shear and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    display : the array that played
-    time : (S,) [s]
-    shear_target, shear_played : (S, N) as commanded and as the skin did [m]
-    drive : (S, N) [V]
-    title : over the figure
-    position : (S, 2) of the finger [m]; with it the snapshots are one pitch apart
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
+    display : Display
+        Display that played.
+    time : (S,) array_like of float
+        Times [s].
+    shear_target : (S, N) array_like of float
+        Commanded shear [m].
+    shear_played : (S, N) array_like of float
+        Shear of the skin [m].
+    drive : (S, N) array_like of float
+        Drive [V].
+    title : str
+        Title of the figure.
+    position : (S, 2) array_like of float, optional
+        Position of the finger [m]; if given, the snapshots are one pitch apart.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, shapes differ, or the file cannot be written.
+        If matplotlib is missing, the shapes differ, or the file cannot be written.
     """
     check_file(path)
     t, target, played, volts = (
@@ -111,22 +129,29 @@ def plot_played(
 
 
 def played_figure(play: Played, *, title: str) -> "Figure":
-    """Return tactile images, one contactor's shear with its error, and its drive.
+    """Draw tactile images, the shear of one contactor with its error, and its drive.
 
-    The images are those of the played shear. Where the finger's position is known it moves by one
-    pitch from each to the next, and frames follow one place of the surface from contactor to
-    contactor; the traces are of the first of these. Where it is not, the images are evenly spaced
-    over the traces, and these are of the contactor that moves most in the first image.
+    The images show the played shear. If the finger's position is known, it moves by one pitch from
+    each image to the next, and frames follow one place of the surface from contactor to contactor;
+    the traces are those of the first of these contactors. Otherwise the images are evenly spaced
+    over the traces, which are those of the contactor that moves most in the first image.
 
     Parameters
     ----------
-    play : what to draw
-    title : over the figure
+    play : Played
+        Data to draw.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    Figure
+        Figure with images above traces.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing.
+        If matplotlib is missing.
     """
     instants, followed = _snapshots(play)
     wide, high = np.ptp(play.display.contactors, axis=0) + 2 * max(play.display.opening)
@@ -150,15 +175,15 @@ def played_figure(play: Played, *, title: str) -> "Figure":
 
 
 def _snapshots(play: Played) -> tuple[list[int], list[int]]:
-    """Return the samples of the images, and the contactor to be framed in each (−1: none)."""
+    """Return the samples of the images, and the contactor to frame in each (−1 for none)."""
     time, position, places = play.time, play.position, play.display.contactors
     if position is not None:
         way = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
         step = _shift(places, position[-1] - position[0])
         start = (way[-1] - (SNAPSHOTS - 1) * step) / 2
         if start > 0:
-            wanted = start + step * np.arange(SNAPSHOTS)
-            instants = [int(np.argmin(np.abs(way - w))) for w in wanted]
+            distances = start + step * np.arange(SNAPSHOTS)
+            instants = [int(np.argmin(np.abs(way - w))) for w in distances]
             return instants, _follow(places, position[instants], play.played[instants[0]], step)
     first = int(np.searchsorted(time, (time[0] + time[-1]) / 2))
     last = min(int(np.searchsorted(time, time[first] + WINDOW - 2 * LEAD)), len(time) - 1)
@@ -167,12 +192,12 @@ def _snapshots(play: Played) -> tuple[list[int], list[int]]:
 
 
 def _shift(places: Floats, direction: Floats) -> float:
-    """Return the smallest distance [m] along a direction that takes a contactor to another."""
+    """Return the least displacement [m] along a direction that moves a contactor onto another."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-12)
     gap = (places[:, None] - places).reshape(-1, 2)
     ahead = gap @ along
-    aside = np.abs(gap @ np.array([-along[1], along[0]]))
-    beside = (ahead > 1e-6) & (aside < 0.1 * ahead)
+    across = np.abs(gap @ np.array([-along[1], along[0]]))
+    beside = (ahead > 1e-6) & (across < 0.1 * ahead)
     length = np.linalg.norm(gap, axis=1)
     return float(ahead[beside].min() if beside.any() else length[length > 0].min(initial=np.inf))
 
@@ -180,14 +205,14 @@ def _shift(places: Floats, direction: Floats) -> float:
 def _follow(places: Floats, position: Floats, shear: Floats, step: float) -> list[int]:
     """Return the contactor at one place of the surface, per position (K, 2) of the finger.
 
-    Of the places that stay longest under the array it is the one that moves most at first.
+    Of the places that stay under the array longest, it is the one that moves most at first.
     """
     reach = places + (position[0] - position)[:, None, :]
     gap = np.linalg.norm(reach[:, :, None] - places, axis=-1)
-    there = gap.min(axis=2) < 0.2 * step
-    stay = there.sum(axis=0)
+    present = gap.min(axis=2) < 0.2 * step
+    stay = present.sum(axis=0)
     best = int(np.argmax(np.where(stay == stay.max(), np.abs(shear), -1.0)))
-    return [int(np.argmin(gap[k, best])) if there[k, best] else -1 for k in range(len(position))]
+    return [int(np.argmin(gap[k, best])) if present[k, best] else -1 for k in range(len(position))]
 
 
 def _images(
@@ -222,7 +247,7 @@ def _images(
 
 
 def _openings(display: Display) -> "list[Rectangle]":
-    """Return the openings of the contactors [mm], turned as they shear."""
+    """Return the openings of the contactors [mm], rotated to their directions of shear."""
     from matplotlib.patches import Rectangle
 
     width, height = (side * 1e3 for side in display.opening)
@@ -235,7 +260,7 @@ def _openings(display: Display) -> "list[Rectangle]":
 
 
 def _shear(above: "Axes", below: "Axes", time: Floats, target: Floats, played: Floats) -> None:
-    """Draw commanded and played shear [µm], and what is between them."""
+    """Draw commanded and played shear [µm], and their difference."""
     above.plot(time, target, color="#9ecae1", linewidth=4.5)
     above.plot(time, played, color=RED, linewidth=1.2)
     tag(above, 0.35, "commanded", BLUE)
@@ -253,7 +278,7 @@ def _shear(above: "Axes", below: "Axes", time: Floats, target: Floats, played: F
 
 
 def _drive(axes: "Axes", time: Floats, volts: Floats, limit: float) -> None:
-    """Draw the drive [V], and beside it what it takes of the range between the limits."""
+    """Draw the drive [V], and beside it the part that it takes of the range between the limits."""
     axes.plot(time, volts, color=COLORS[2], linewidth=1.4)
     peak = float(np.abs(volts).max())
     full = peak > 0.4 * limit
@@ -272,7 +297,7 @@ def _drive(axes: "Axes", time: Floats, volts: Floats, limit: float) -> None:
 
 
 def _mark(axes: "Axes", time: float, name: str) -> None:
-    """Mark an instant [ms] that lies in the axes."""
+    """Mark an instant [ms], if it is within the axes."""
     low, high = axes.get_xlim()
     if low <= time <= high:
         axes.axvline(time, color=GRAY, linewidth=0.8, linestyle=":")

@@ -1,4 +1,4 @@
-"""What the bimorph can do: its response under fingers, and its reach against what is felt."""
+"""Figure of a bimorph: its response under fingers, and its reach against the threshold."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,41 +24,51 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BAND = (1.0, 2000.0)
-"""Hz."""
+"""Range of frequencies that is drawn [Hz]."""
 NAMED_AT = 1.0
-"""µm, below the threshold at its low end."""
+"""Height of the threshold's label, below its low end [µm]."""
 
 
 def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltage: float) -> None:
-    """Draw what the tip does per volt, and what it can reach, and save it.
+    """Draw the tip's response per volt and its reach, and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    responses : one (F,) response per finger, by its name
-    voltage : limit of the drive [V]
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
+    responses : dict of str to TipResponse
+        Response (F,) for each finger, by its name.
+    voltage : float
+        Voltage limit of the drive [V].
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
     check_file(path)
     save(response_figure(responses, voltage=voltage), path)
 
 
 def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Figure":
-    """Return magnitude, phase, and attainable shear against the detection threshold.
+    """Draw magnitude, phase, and attainable shear against the detection threshold.
 
     Parameters
     ----------
-    responses : one (F,) response per finger, by its name
-    voltage : limit of the drive [V]
+    responses : dict of str to TipResponse
+        Response (F,) for each finger, by its name.
+    voltage : float
+        Voltage limit of the drive [V].
+
+    Returns
+    -------
+    Figure
+        Figure with three axes.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or a response has nothing in 1 … 2000 Hz.
+        If matplotlib is missing, or a response has no frequency in 1 … 2000 Hz.
     """
     figure = new_figure(7.0, 9.0)
     size, phase, reach = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 3))
@@ -87,7 +97,7 @@ def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Fi
 
 
 def _plain_ticks(size: "Axes", phase: "Axes", reach: "Axes") -> None:
-    """Write 0.1, 1, 10 at logarithmic axes, and quarter turns at the phase."""
+    """Write 0.1, 1, 10 at logarithmic axes, and multiples of 90° at the phase."""
     from matplotlib.ticker import MultipleLocator
 
     phase.yaxis.set_major_locator(MultipleLocator(90))

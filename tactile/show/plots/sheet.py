@@ -1,7 +1,7 @@
-"""A sheet of many textures: a tile of each one's surface and a strip of its spectrum.
+"""Figure of many textures: a tile of each one's surface and a strip of its spectrum.
 
-Tiles stand by category. Within a category, color has one scale, named above its tiles, so that a
-strong texture looks strong beside its kind; strips have one scale throughout.
+Tiles are sorted by category. A category has one color scale, written above its tiles, so that a
+strong texture looks strong beside others of its kind; the strips share one scale throughout.
 """
 
 import textwrap
@@ -17,43 +17,61 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = 9
+"""Largest number of tiles in a row."""
 TILE, STRIP = 1.3, 0.42
-"""Inches: a tile's side, a strip's height."""
+"""Side of a tile, and height of a strip [inch]."""
 RULE, GAP = 0.18, 0.12
-"""Inches from a category's top to its line, and on to its tiles."""
+"""Distances from the top of a category to its line, and from there to its tiles [inch]."""
 CELL_WIDTH, CELL_HEIGHT = TILE + 0.16, RULE + GAP + TILE + 0.36 + STRIP + 0.3
+"""Width and height of a tile with its strip, labels and gaps [inch]."""
 MARGIN, HEAD, FOOT = 0.3, 0.75, 0.75
+"""Margins at the sides, at the top and at the bottom [inch]."""
 BAND = (10.0, 1000.0)
-"""Hz of a strip."""
+"""Range of frequencies of a strip [Hz]."""
 LEVELS = (0.01, 100.0)
-"""µm of a strip."""
+"""Range of levels of a strip [µm]."""
 
 
 def plot_sheet(path: str | Path, tiles: Sequence[Tile], *, speed: float) -> None:
-    """Draw a sheet of textures, and save it.
+    """Draw a sheet of textures and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    tiles : of `tactile.show.views.tile`, in any order
-    speed : at which they were taken [m/s]
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
+    tiles : sequence of Tile
+        Tiles from `tactile.show.views.tile`, in any order.
+    speed : float
+        Speed for which the tiles were computed [m/s].
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
     check_file(path)
     save(sheet_figure(tiles, speed=speed), path)
 
 
 def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
-    """Return a sheet of textures, by category and name.
+    """Draw a sheet of textures, sorted by category and name.
+
+    Parameters
+    ----------
+    tiles : sequence of Tile
+        Tiles from `tactile.show.views.tile`, in any order.
+    speed : float
+        Speed for which the tiles were computed [m/s].
+
+    Returns
+    -------
+    Figure
+        Figure with one tile and one strip per texture.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing.
+        If matplotlib is missing.
     """
     ordered = sorted(tiles, key=lambda one: (one.category, one.name))
     columns = min(COLUMNS, max(len(ordered), 4))
@@ -63,25 +81,36 @@ def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
     figure.set_layout_engine("none")
     _write(figure, MARGIN, size[1] - 0.3, f"{len(ordered)} textures", 15, weight="bold")
     ends = category_ends(ordered)
-    for k, one in enumerate(ordered):
+    for k, tile in enumerate(ordered):
         row, column = divmod(k, columns)
         left = MARGIN + column * CELL_WIDTH
         top = size[1] - HEAD - row * CELL_HEIGHT
-        if not column or ordered[k - 1].category != one.category:
+        if not column or ordered[k - 1].category != tile.category:
             last = (row + 1) * columns
-            count = sum(other.category == one.category for other in ordered[k:last])
-            again = k > 0 and ordered[k - 1].category == one.category
-            _category(figure, left, top, count, one.category, ends[one.category], again)
-        _draw(figure, left, top - RULE - GAP, one, ends[one.category])
+            count = sum(other.category == tile.category for other in ordered[k:last])
+            continued = k > 0 and ordered[k - 1].category == tile.category
+            _category(figure, left, top, count, tile.category, ends[tile.category], continued)
+        _draw(figure, left, top - RULE - GAP, tile, ends[tile.category])
     _legend(figure, speed)
     return figure
 
 
 def category_ends(tiles: Sequence[Tile]) -> dict[str, float]:
-    """Return the end of each category's color scale [m], that of its strongest texture."""
+    """Compute the end of each category's color scale, that of its strongest texture.
+
+    Parameters
+    ----------
+    tiles : sequence of Tile
+        Tiles of all categories.
+
+    Returns
+    -------
+    dict of str to float
+        End of the color scale by category [m].
+    """
     ends: dict[str, float] = {}
-    for one in tiles:
-        ends[one.category] = max(ends.get(one.category, 0.0), color_end(one.surface))
+    for tile in tiles:
+        ends[tile.category] = max(ends.get(tile.category, 0.0), color_end(tile.surface))
     return ends
 
 
@@ -119,10 +148,10 @@ def _draw(figure: "Figure", left: float, top: float, one: Tile, end: float) -> N
 
 
 def _legend(figure: "Figure", speed: float) -> None:
-    """Write below what tiles and strips show."""
+    """Explain tiles and strips at the bottom of the figure."""
     side = TILE_SIDE * 1e3
     width = int((figure.get_figwidth() - 2 * MARGIN) * 14.5)
-    said = (
+    text = (
         f"Tiles: tangential displacement over {side:g} × {side:g} mm; red is shear along the "
         f"stroke (left to right, {speed * 1e3:g} mm/s, {NORMAL_FORCE:g} N), blue against it; one "
         "scale per category. Strips: peak of each third octave, "
@@ -130,10 +159,10 @@ def _legend(figure: "Figure", speed: float) -> None:
         "blue the surface, green sparse events, stems gratings, against the tangential "
         "detection threshold (dashed, gray)."
     )
-    _write(figure, MARGIN, 0.38, textwrap.fill(said, width), 9, color="#333333")
+    _write(figure, MARGIN, 0.38, textwrap.fill(text, width), 9, color="#333333")
 
 
 def _write(figure: "Figure", x: float, y: float, text: str, size: float, **how: Any) -> None:
-    """Write text at a place [inch] of the figure, centered in height."""
+    """Write text at a place [inch] of the figure, centered vertically."""
     across, up = figure.get_size_inches()
     figure.text(x / across, y / up, text, fontsize=size, va="center", **how)

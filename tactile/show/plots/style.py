@@ -1,7 +1,8 @@
-"""What the figures share: files, colors, axes, names of lines, and a figure without global state.
+"""Common parts of the figures: files, colors, axes, labels of lines, figures without global state.
 
-Colors are those of Okabe and Ito, which the color-blind tell apart; lines are named where they are
-drawn. matplotlib is imported when something is drawn, and is told to be installed where it is not.
+Colors are those of Okabe and Ito, which can be told apart with color vision deficiency; lines are
+labeled where they are drawn. matplotlib is imported only when something is drawn; if it is missing,
+the error says how to install it.
 """
 
 import io
@@ -18,17 +19,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg", ".pdf")
+"""Suffixes of files that a figure can be saved to."""
 DPI = 150
+"""Resolution of saved figures [dots per inch]."""
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito 2008, yellow left out since it fades on white."""
+"""Colors of Okabe and Ito (2008), without yellow, which is too pale on white."""
 BLUE, RED, GRAY = COLORS[0], COLORS[1], "#666666"
+"""Colors of the main line, of its counterpart, and of secondary text."""
 THRESHOLD_NAME = f"tangential detection threshold ± {THRESHOLD_SPREAD_DB:g} dB"
+"""Label of the detection threshold."""
 NAME_HEIGHT = 0.07
-"""Of the axes: distance kept between the names of lines."""
+"""Distance kept between the labels of lines, as a part of the height of the axes."""
 
 
 def tag(axes: "Axes", place: float, text: str, color: str) -> None:
-    """Write a name into the top of the axes, ``place`` of its width from the left."""
+    """Write a label at the top of the axes.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to write in.
+    place : float
+        Distance from the left edge, as a part of the width of the axes.
+    text : str
+        Text of the label.
+    color : str
+        Color of the label.
+    """
     label = axes.text(
         place, 0.97, text, transform=axes.transAxes, color=color, va="top", fontsize=9
     )
@@ -36,7 +53,15 @@ def tag(axes: "Axes", place: float, text: str, color: str) -> None:
 
 
 def name_ends(axes: "Axes", ends: list[tuple[float, str, str]]) -> None:
-    """Write names beside the right ends (value, name, color) of lines, kept apart."""
+    """Write labels beside the right ends of lines, and keep them apart.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to write in.
+    ends : list of (float, str, str)
+        Last value, label and color of each line.
+    """
     low, high = axes.get_ylim()
     if axes.get_yscale() == "log":
         low, high = np.log10(low), np.log10(high)
@@ -52,7 +77,17 @@ def name_ends(axes: "Axes", ends: list[tuple[float, str, str]]) -> None:
 
 
 def draw_threshold(axes: "Axes", *, bold: float = 1.0) -> None:
-    """Draw what motion along the skin must have to be felt, up to 1 kHz [Hz], [µm peak]."""
+    """Draw the detection threshold of tangential motion up to 1 kHz.
+
+    The axes are frequency [Hz] and peak displacement [µm].
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw in.
+    bold : float
+        Factor on the widths of lines.
+    """
     frequency = THRESHOLD[:, 0]
     micro = detection_threshold(frequency) * 1e6
     spread = 10 ** (THRESHOLD_SPREAD_DB / 20)
@@ -61,7 +96,15 @@ def draw_threshold(axes: "Axes", *, bold: float = 1.0) -> None:
 
 
 def plain(axes: "Axes", *, grid: bool = True) -> None:
-    """Leave out what carries no information."""
+    """Remove the top and right spines, and draw a pale grid.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to change.
+    grid : bool
+        Whether to draw a grid.
+    """
     axes.spines[["top", "right"]].set_visible(False)
     if grid:
         axes.grid(color="#e8e8e8", linewidth=0.6)
@@ -69,7 +112,25 @@ def plain(axes: "Axes", *, grid: bool = True) -> None:
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """Return an empty figure [inch] that no global state knows of."""
+    """Create an empty figure that is not registered in any global state.
+
+    Parameters
+    ----------
+    width : float
+        Width [inch].
+    height : float
+        Height [inch].
+
+    Returns
+    -------
+    Figure
+        Empty figure.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is missing.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -81,18 +142,38 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def axes_at(figure: "Figure", left: float, bottom: float, width: float, height: float) -> "Axes":
-    """Return axes at a place [inch] of the figure."""
+    """Add axes at a place of a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        Figure to add to.
+    left, bottom : float
+        Lower left corner of the axes [inch].
+    width, height : float
+        Size of the axes [inch].
+
+    Returns
+    -------
+    Axes
+        New axes.
+    """
     across, up = figure.get_size_inches()
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
 def check_file(path: str | Path) -> None:
-    """Refuse a file that cannot be a figure before anything is computed for it.
+    """Reject a file that cannot become a figure, before anything is computed for it.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write.
 
     Raises
     ------
     InputError
-        Where its name or folder is wrong, or matplotlib is missing.
+        If its suffix or folder is wrong, or matplotlib is missing.
     """
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: must end in {', '.join(SUFFIXES)}")
@@ -102,12 +183,19 @@ def check_file(path: str | Path) -> None:
 
 
 def save(figure: "Figure", path: str | Path) -> None:
-    """Write a figure to its file.
+    """Write a figure to a file.
+
+    Parameters
+    ----------
+    figure : Figure
+        Figure to save.
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
 
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If the file cannot be written.
     """
     try:
         figure.savefig(path, dpi=DPI)
@@ -116,7 +204,18 @@ def save(figure: "Figure", path: str | Path) -> None:
 
 
 def drawn(figure: "Figure") -> bytes:
-    """Return a figure as SVG, the same bytes for the same figure."""
+    """Return a figure as SVG, with the same bytes for the same figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        Figure to draw.
+
+    Returns
+    -------
+    bytes
+        Contents of an SVG file.
+    """
     from matplotlib import rc_context
 
     file = io.BytesIO()

@@ -1,7 +1,7 @@
-"""A texture on a display: its surface, its spectrum against what is felt, a stroke of it.
+"""Figure of a texture on a display: surface, spectrum against the threshold, and a stroke.
 
-`plot_texture` draws a `tactile.show.views.View`: what of the texture reaches the skin, and
-whether that is felt, is in one picture.
+`plot_texture` draws a `tactile.show.views.View`: one figure shows what of the texture reaches the
+skin, and whether it is felt.
 """
 
 import textwrap
@@ -34,44 +34,59 @@ if TYPE_CHECKING:
 
 
 DIVERGING = "RdBu_r"
+"""Color map of displacement."""
 GREEN = COLORS[2]
+"""Color of sparse events."""
 LEVELS = (0.01, 200.0)
-"""µm from bottom to top of a spectrum, unless something is stronger."""
+"""Lower and upper end of a spectrum [µm], unless something is stronger."""
 LOWEST = 20.0
-"""Hz where a spectrum begins, unless the texture has something below."""
+"""Lower end of the frequency axis, unless the texture has something below [Hz]."""
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Ticks of the frequency axis [Hz]."""
 WIDE = 4.0
-"""Hz; of axes that begin below it only decades are told."""
+"""Lower end of the frequency axis below which only decades have ticks [Hz]."""
 MOST_NAMED = 12
-"""Contactors of a row that have their place beside them."""
+"""Largest number of contactors of a row whose places are labeled."""
 SIZE = (10.0, 9.4)
-"""Inches."""
+"""Width and height of the figure [inch]."""
 
 
 def plot_texture(path: str | Path, view: View) -> None:
-    """Draw a texture on a display, and save it.
+    """Draw a texture on a display and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    view : what to draw
+    path : str or Path
+        File to write, a .png, .svg or .pdf.
+    view : View
+        View to draw.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
     check_file(path)
     save(texture_figure(view), path)
 
 
 def texture_figure(view: View) -> "Figure":
-    """Return surface, spectrum and a stroke of a texture, below a few lines of facts.
+    """Draw surface, spectrum and a stroke of a texture, below a few lines of facts.
+
+    Parameters
+    ----------
+    view : View
+        View to draw.
+
+    Returns
+    -------
+    Figure
+        Figure with three axes.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing.
+        If matplotlib is missing.
     """
     figure = new_figure(*SIZE)
     figure.set_layout_engine("none")
@@ -94,7 +109,7 @@ def texture_figure(view: View) -> "Figure":
 
 
 def _surface(axes: "Axes", view: View, peak: float) -> None:
-    """Draw displacement over a square, and the stroke as an arrow."""
+    """Draw the displacement over a square, and the stroke as an arrow."""
     half = SIDE * 1e3 / 2
     image = axes.imshow(
         view.surface * 1e6, DIVERGING, vmin=-peak, vmax=peak, origin="lower",
@@ -112,7 +127,7 @@ def _surface(axes: "Axes", view: View, peak: float) -> None:
 
 
 def _color_bar(axes: "Axes", image: "AxesImage", name: str, gap: float) -> None:
-    """Draw the scale beside the axes, a tenth of an inch wide."""
+    """Draw the color scale beside the axes, 0.12 inch wide."""
     beside = axes.inset_axes(
         (1 + gap, 0.0, 0.12 / axes.get_window_extent().width * axes.figure.dpi, 1.0)
     )
@@ -120,27 +135,48 @@ def _color_bar(axes: "Axes", image: "AxesImage", name: str, gap: float) -> None:
 
 
 def _head(axes: "Axes", text: str) -> None:
+    """Write the heading of axes."""
     axes.set_title(text, fontsize=10, loc="left")
 
 
 def color_end(values: Floats) -> float:
-    """Return the end of a symmetric scale: all but the strongest 0.5 % are within it."""
+    """Compute the end of a symmetric color scale, exceeded only by the strongest 0.5 %.
+
+    Parameters
+    ----------
+    values : array of float
+        Values to color.
+
+    Returns
+    -------
+    float
+        End of the scale, above 0, in the unit of the values.
+    """
     return float(np.quantile(np.abs(values), 0.995)) or 1e-6
 
 
 def draw_spectrum(axes: "Axes", spectrum: StrokeSpectrum, *, bold: float = 1.0) -> None:
     """Draw third octaves [µm peak], gratings and the detection threshold over frequency [Hz].
 
-    What lies beyond 1 kHz is pale. ``bold`` scales the widths of the lines.
+    What lies beyond 1 kHz is pale.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw in.
+    spectrum : StrokeSpectrum
+        Spectrum to draw.
+    bold : float
+        Factor on the widths of lines.
     """
     draw_threshold(axes, bold=bold)
     inside = np.arange(BANDS) < np.searchsorted(CENTER, PASS_BAND * 1.01)
     for values, color, strength in ((spectrum.waves, BLUE, 0.35), (spectrum.events, GREEN, 0.0)):
-        shown = np.maximum(values * 1e6, 1e-6)
+        micro = np.maximum(values * 1e6, 1e-6)
         if values.max() > 0:
-            axes.stairs(np.where(inside, shown, np.nan), EDGES, color=color, linewidth=1.4 * bold)
-            axes.stairs(np.where(inside, np.nan, shown), EDGES, color=color, alpha=0.4, lw=bold)
-            axes.stairs(shown, EDGES, fill=True, color=color, alpha=strength, linewidth=0)
+            axes.stairs(np.where(inside, micro, np.nan), EDGES, color=color, linewidth=1.4 * bold)
+            axes.stairs(np.where(inside, np.nan, micro), EDGES, color=color, alpha=0.4, lw=bold)
+            axes.stairs(micro, EDGES, fill=True, color=color, alpha=strength, linewidth=0)
     for f, peak in zip(spectrum.grating_frequency, spectrum.grating_peak * 1e6, strict=True):
         played = 1.0 if f <= PASS_BAND else 0.4
         axes.plot([f, f], [1e-6, peak], color=RED, linewidth=1.6 * bold, alpha=played)
@@ -149,7 +185,7 @@ def draw_spectrum(axes: "Axes", spectrum: StrokeSpectrum, *, bold: float = 1.0) 
 
 
 def _attainable(axes: "Axes", view: View) -> None:
-    """Draw what full drive attains and where the band ends, and set the limits of the axes."""
+    """Draw what full drive attains and the end of the band, and set the limits of the axes."""
     s = view.spectrum
     known = (view.frequency > 0) & (view.frequency <= PASS_BAND)
     frequency = np.concatenate([CENTER[:1], view.frequency[known]])
@@ -172,7 +208,7 @@ def _attainable(axes: "Axes", view: View) -> None:
 
 
 def _name_parts(axes: "Axes", view: View) -> None:
-    """Name what is drawn, each in its color, where the threshold leaves room."""
+    """Label what is drawn, each part in its color, where the threshold leaves room."""
     s = view.spectrum
     parts = ((s.waves, "surface", BLUE), (s.grating_peak, "gratings", RED),
              (s.events, "sparse events, in the mean", GREEN))  # fmt: skip
@@ -204,15 +240,26 @@ def _sweep(axes: "Axes", view: View, peak: float) -> None:
     y = f"{sweep.place[0, 1] * 1e3:g}".replace("-", "−")
     axes.set(xlim=(time[0], time[-1]), ylim=(x[0] - 0.7 * height, x[-1] + 0.7 * height))
     axes.set(xlabel="time [ms]", ylabel="contactor at x [mm]")
-    told = x[:: -(-len(x) // MOST_NAMED)]
-    axes.set_yticks(told, [f"{at:.3g}".replace("-", "−") for at in told])
+    labeled = x[:: -(-len(x) // MOST_NAMED)]
+    axes.set_yticks(labeled, [f"{at:.3g}".replace("-", "−") for at in labeled])
     _head(axes, f"commanded to the contactors at y = {y} mm; dashed: one place of the surface")
     _color_bar(axes, drawn, "shear [µm]", 0.015)
     plain(axes, grid=False)
 
 
 def followed_place(sweep: Sweep) -> float:
-    """Return the place along x [m] that shears most of those that pass under all contactors."""
+    """Find the place with most shear among those that pass under all contactors.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Stroke over a row of contactors.
+
+    Returns
+    -------
+    float
+        Place along x on the surface [m].
+    """
     along = sweep.place[-1, 0] + sweep.position
     seen = along <= sweep.place[0, 0] + sweep.position[-1]
     return float(along[seen][np.argmax(np.abs(sweep.shear[-1, seen]))])

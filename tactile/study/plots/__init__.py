@@ -1,6 +1,6 @@
 """Figures of design studies for files: criteria, maps, fronts, tolerances and fits to measurements.
 
-``…_figure`` draws, ``plot_…`` also saves.
+Functions ``…_figure`` draw a figure; functions ``plot_…`` also save it.
 """
 
 from tactile.study.plots.adjusted import adjusted_figure as adjusted_figure

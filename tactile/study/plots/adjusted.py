@@ -1,4 +1,4 @@
-"""How the model lies on what was measured: dots, the fit with its band, and the start."""
+"""Figures of fits: the measurement as dots, the fit with its confidence band, and the start."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,37 +20,45 @@ SHOWN = {
     "force": ("force per volt [mN/V]", 1e3),
     "admittance": ("admittance [µS]", 1e6),
 }
-"""Label of each kind of measurement, and its unit's number in one of SI."""
+"""Axis label of each kind of measurement, and the size of one SI unit in the label's unit."""
 
 
 def plot_adjusted(path: str | Path, comparisons: "Sequence[Comparison]") -> None:
-    """Draw fits beside their measurements, and save them.
+    """Draw fits next to their measurements, and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    comparisons : one a column
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    comparisons : sequence of Comparison
+        Measurements and fits, one for each column.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
     check_file(path)
     save(adjusted_figure(comparisons), path)
 
 
 def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
-    """Return magnitude, phase and misfit of each measurement and its fit.
+    """Draw magnitude, phase and misfit of each measurement and its fit.
 
     Parameters
     ----------
-    comparisons : one a column
+    comparisons : sequence of Comparison
+        Measurements and fits, one for each column.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure with one column for each comparison.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing.
+        If matplotlib is missing.
     """
     figure = new_figure(6.5 * len(comparisons), 8.0)
     grid = figure.subplots(
@@ -70,6 +78,7 @@ def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
 
 
 def _draw_response(size: "Axes", phase: "Axes", c: Comparison) -> None:
+    """Draw magnitude and phase of the start, the fit with its band, and the measurement."""
     frequency = c.measurement.frequency
     label, scale = SHOWN[c.measurement.kind]
     lines = (
@@ -102,6 +111,7 @@ def _draw_response(size: "Axes", phase: "Axes", c: Comparison) -> None:
 
 
 def _draw_misfit(axes: "Axes", c: Comparison) -> None:
+    """Draw the misfit and the confidence band of the fit."""
     frequency = c.measurement.frequency
     axes.axhline(0, color="black", linewidth=0.8)
     axes.fill_between(frequency, -c.band_db, c.band_db, color=BLUE, alpha=0.2, linewidth=0)

@@ -1,7 +1,7 @@
-"""What pictures of a study read from its data set: variables, axes, lines, labels.
+"""Common parts of the figures of a study: variables, axes, lines and labels, from the data set.
 
-Every combination of the axes that a picture does not lay along a side of its own (``load`` above
-all) is a line, told apart by color and by dashes.
+Every combination of the axes that a figure does not draw along one of its own (above all ``load``)
+is a line, distinguished by color and dashes.
 """
 
 import json
@@ -22,19 +22,25 @@ if TYPE_CHECKING:
     import xarray
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
+"""Dash patterns of lines."""
 FINGER_LOOK = {"low finger": 0, "high finger": 1, "in air": 2}
-"""Places among colors and dashes that the paper's fingers keep from picture to picture."""
+"""Indices of color and dashes that the paper's fingers have in every figure."""
 
 
 @dataclass(frozen=True)
 class CurveSelection:
-    """One combination of the axes that have no side of their own.
+    """One combination of the axes that are not drawn along an axis of the figure.
 
     Attributes
     ----------
-    name : what sets it apart, as "low finger" or "free length 20 mm"
-    values : what is drawn
-    color, dashes : its look
+    name : str
+        Distinguishing name, such as "low finger" or "free length 20 mm".
+    values : xarray.DataArray
+        Values to draw.
+    color : str
+        Color of the line.
+    dashes : str or tuple
+        Dash pattern of the line, as matplotlib takes it.
     """
 
     name: str
@@ -44,7 +50,25 @@ class CurveSelection:
 
 
 def variable_of(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
-    """Return a variable, or raise InputError with the nearest that there is."""
+    """Return a variable of a data set.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    name : str
+        Name of the variable.
+
+    Returns
+    -------
+    xarray.DataArray
+        Variable.
+
+    Raises
+    ------
+    InputError
+        If there is no such variable; the message gives the nearest name.
+    """
     if name not in data.data_vars:
         known = [str(entry) for entry in data.data_vars]
         raise InputError(f"no variable {name!r} in the study; {nearest(name, known)}")
@@ -52,12 +76,24 @@ def variable_of(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
 
 
 def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
-    """Return the axis to lay along a side: the one asked for, or the first that has numbers.
+    """Return the axis to draw along: the requested one, or the first that has numbers.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values to draw.
+    axis : str or None
+        Requested axis.
+
+    Returns
+    -------
+    str
+        Name of the axis.
 
     Raises
     ------
     InputError
-        Where there is none.
+        If there is no such axis of two or more numbers.
     """
     numbers = number_axes(values)
     if axis is None and numbers:
@@ -73,10 +109,22 @@ def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
 def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelection]:
     """Return one line for each combination of the axes that are not kept.
 
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values to draw.
+    kept : sequence of str
+        Names of the axes that each line keeps.
+
+    Returns
+    -------
+    list of CurveSelection
+        Lines with names and styles.
+
     Raises
     ------
     InputError
-        Where they are more than there are colors.
+        If there are more lines than colors.
     """
     others = [str(d) for d in values.dims if d not in kept]
     count = int(np.prod([values.sizes[d] for d in others], dtype=int))
@@ -88,10 +136,10 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
     parts, names = [], []
     for places in product(*(range(values.sizes[d]) for d in others)):
         parts.append(values.isel(dict(zip(others, places, strict=True))))
-        told = [told_of(values[d], at) for d, at in zip(others, places, strict=True)]
-        names.append(", ".join(words for words in told if words))
-    known = set(names) <= set(FINGER_LOOK)
-    looks = [FINGER_LOOK[name] for name in names] if known else range(count)
+        labels = [told_of(values[d], at) for d, at in zip(others, places, strict=True)]
+        names.append(", ".join(words for words in labels if words))
+    is_paper = set(names) <= set(FINGER_LOOK)
+    looks = [FINGER_LOOK[name] for name in names] if is_paper else range(count)
     return [
         CurveSelection(name, part, COLORS[k], DASHES[k % len(DASHES)])
         for name, part, k in zip(names, parts, looks, strict=True)
@@ -99,7 +147,21 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
 
 
 def told_of(axis: "xarray.DataArray", at: int) -> str:
-    """Return what a place on an axis is called; nothing where a number has no other."""
+    """Return the name of a position on an axis.
+
+    Parameters
+    ----------
+    axis : xarray.DataArray
+        Values of the axis.
+    at : int
+        Position.
+
+    Returns
+    -------
+    str
+        Name, such as "low finger" or "free length 20 mm"; empty for an axis with a single position,
+        except that of the finger.
+    """
     value = axis.values[at]
     if axis.name == FINGER:
         return "in air" if str(value) == "none" else f"{value} finger"
@@ -113,7 +175,18 @@ def told_of(axis: "xarray.DataArray", at: int) -> str:
 
 
 def label(values: "xarray.DataArray") -> str:
-    """Return what an axis is of, with its unit."""
+    """Return the label of an axis, with its unit in brackets.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values along the axis.
+
+    Returns
+    -------
+    str
+        Label, such as "free length [mm]".
+    """
     name = str(values.attrs.get("long_name", values.name))
     if "band" in values.attrs:
         name = name.replace("the band", str(values.attrs["band"]))
@@ -122,14 +195,45 @@ def label(values: "xarray.DataArray") -> str:
 
 
 def banded(data: "xarray.Dataset", values: "xarray.DataArray") -> "xarray.DataArray":
-    """Return a variable at the frequencies in the study's band, all of them where it has none."""
+    """Return a variable at the frequencies in the study's band.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    values : xarray.DataArray
+        Variable over frequency.
+
+    Returns
+    -------
+    xarray.DataArray
+        Variable in the band; at all frequencies if the study has no band.
+    """
     low, high = json.loads(data.attrs.get("conditions", "{}")).get("band") or (0.0, np.inf)
     f = values[FREQUENCY]
     return values.isel({FREQUENCY: np.flatnonzero((f >= low) & (f <= high))})
 
 
 def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
-    """Return a response of the study, or raise InputError."""
+    """Return a response of a study.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    name : str
+        Name of the variable.
+
+    Returns
+    -------
+    xarray.DataArray
+        Response over frequency.
+
+    Raises
+    ------
+    InputError
+        If there is no such variable, or it is not over frequency.
+    """
     values = variable_of(data, name)
     if FREQUENCY not in values.dims:
         raise InputError(f"{name}: is no response over frequency; keep one in the study")
@@ -137,7 +241,20 @@ def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
 
 
 def told_share(share: float, values: "xarray.DataArray") -> str:
-    """Return in words what of a criterion is good enough."""
+    """Return in words which values of a criterion are good enough.
+
+    Parameters
+    ----------
+    share : float
+        Share of the best that is good enough.
+    values : xarray.DataArray
+        Values of the criterion.
+
+    Returns
+    -------
+    str
+        Description, such as "at least 85 % of the best".
+    """
     if in_decibels(values):
         return f"within {20 * np.log10(1 / share):.3g} dB of the best"
     if sign_of(values) < 0:
@@ -146,6 +263,19 @@ def told_share(share: float, values: "xarray.DataArray") -> str:
 
 
 def told_range(good: Range, unit: str) -> str:
-    """Return a range in words, its best value too."""
+    """Return a range in words, with its best value.
+
+    Parameters
+    ----------
+    good : Range
+        Range.
+    unit : str
+        Unit of the axis.
+
+    Returns
+    -------
+    str
+        Description, such as "18 … 27 mm (best 22)".
+    """
     cut = ", cut by the axis" if good.is_cut else ""
     return f"{good.low:.3g} … {good.high:.3g} {unit} (best {good.best:.3g}{cut})"

@@ -1,7 +1,7 @@
-"""Pictures of a study: responses, a map over length and frequency, a criterion, fronts, tolerances.
+"""Figures of a study: responses, a map over length and frequency, a criterion, fronts, tolerances.
 
-All take a labeled data set as `tactile.study.sweep.solve_study` makes it; names and units are read
-from its attributes (`tactile.study.plots.labels`).
+All functions take a labeled data set as `tactile.study.sweep.solve_study` makes it. Names and units
+are read from its attributes (`tactile.study.plots.labels`).
 """
 
 import textwrap
@@ -37,43 +37,67 @@ Ends = list[tuple[float, str, str]]
 """Values, names and colors at the right ends of lines."""
 
 WIDTH = 1.8
-"""Points."""
+"""Width of lines [points]."""
 MAP_COLORS = "cividis"
-"""Even in lightness, and the same to the color-blind (Nuñez et al. 2018, PLoS ONE 13:e0199239)."""
+"""Color map of even lightness that is also readable by the color-blind.
+
+See Nuñez et al. 2018, PLoS ONE 13:e0199239.
+"""
 STEP = 3.0
-"""dB between the contours of a map."""
+"""Step between the contours of a map [dB]."""
 DEEPEST = 30.0
-"""dB below its highest level that a map tells apart; antinodes go much deeper."""
+"""Range of levels below the highest that a map distinguishes [dB]; antinodes are much deeper."""
 BAND = (5.0, 50.0, 95.0)
-"""Percent of scenarios below the lower end, the line and the upper end of a tolerance band."""
+"""Percentiles of the scenarios at the lower end, the line and the upper end of a band."""
 WORST = 4.0
-"""Times the best at which a criterion of which less is better leaves its picture."""
+"""Ratio to the best at which a criterion of which less is better leaves the figure."""
 
 
 # Responses
 
 
 def plot_response_phase(path: str | Path, data: "xarray.Dataset", variable: str) -> None:
-    """Draw size and phase of responses over frequency, and save them.
+    """Draw magnitude and phase of responses over frequency, and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    data : of a study that keeps the response
-    variable : of ``data``, complex over ``frequency_hz``, as ``displacement_um_per_v``
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    data : xarray.Dataset
+        Data set of a study that keeps the response.
+    variable : str
+        Complex variable of ``data`` over ``frequency_hz``, such as ``displacement_um_per_v``.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, the file cannot be written, there is no such variable, or it
-        has more than six lines.
+        If matplotlib is missing, the file cannot be written, there is no such variable, or it has
+        more than six lines.
     """
     check_file(path)
     save(response_phase_figure(data, variable), path)
 
 
 def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
-    """Return size above phase, one line for each design; see `plot_response_phase`."""
+    """Draw magnitude above phase, with one line for each design; see `plot_response_phase`.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study that keeps the response.
+    variable : str
+        Complex variable of ``data`` over ``frequency_hz``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is missing, there is no such variable, or it has more than six lines.
+    """
     values = over_frequency(data, variable)
     frequency = values[FREQUENCY].values
     figure = new_figure(7.0, 5.6)
@@ -83,30 +107,31 @@ def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
         turn = np.degrees(np.unwrap(np.angle(line.values.values)))
         sizes = np.abs(line.values.values)
         for axes, drawn, end in ((size, sizes, ends[0]), (phase, turn, ends[1])):
-            axes.plot(frequency, drawn, **_look(line))
+            axes.plot(frequency, drawn, **_line_style(line))
             end.append((float(drawn[-1]), line.name, line.color))
-    size.set(yscale="log", ylabel=_side(values, 34))
+    size.set(yscale="log", ylabel=_vertical_label(values, 34))
     phase.set(ylabel="phase [°]")
     _scale_frequency(phase, frequency)
     _quarter_turns(phase)
     size.yaxis.set_major_formatter("{x:g}")
     for axes, end in zip((size, phase), ends, strict=True):
         plain(axes)
-        _name(axes, end)
+        _name_lines(axes, end)
     return figure
 
 
-def _look(line: CurveSelection) -> dict[str, Any]:
+def _line_style(line: CurveSelection) -> dict[str, Any]:
+    """Return the style of a line as keyword arguments of matplotlib."""
     return {"color": line.color, "linestyle": line.dashes, "linewidth": WIDTH}
 
 
-def _side(values: "xarray.DataArray", width: int) -> str:
-    """Return the label of a vertical axis, in lines of so many letters."""
+def _vertical_label(values: "xarray.DataArray", width: int) -> str:
+    """Return the label of a vertical axis, broken into lines of a given number of letters."""
     return textwrap.fill(label(values), width)
 
 
 def _scale_frequency(axes: "Axes", frequency: Floats) -> None:
-    """Scale a frequency axis by octaves where it has more than three of them and no 0 Hz."""
+    """Use a logarithmic frequency axis if it spans more than three octaves and has no 0 Hz."""
     if frequency[0] > 0 and frequency[-1] / frequency[0] > 8:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
@@ -114,6 +139,7 @@ def _scale_frequency(axes: "Axes", frequency: Floats) -> None:
 
 
 def _quarter_turns(axes: "Axes") -> None:
+    """Set limits and ticks of a phase axis at multiples of 90°."""
     from matplotlib.ticker import MultipleLocator
 
     low, high = axes.get_ylim()
@@ -121,8 +147,8 @@ def _quarter_turns(axes: "Axes") -> None:
     axes.yaxis.set_major_locator(MultipleLocator(90))
 
 
-def _name(axes: "Axes", ends: Ends) -> None:
-    """Write the names of lines beside their ends, where there is more than one."""
+def _name_lines(axes: "Axes", ends: Ends) -> None:
+    """Write the names of lines next to their ends, if there is more than one."""
     if len(ends) > 1:
         name_ends(axes, ends)
 
@@ -139,21 +165,27 @@ def plot_length_map(
     share: float = SHARE,
     in_db: bool = True,
 ) -> None:
-    """Draw the level over an axis and frequency under each finger, and what is good enough.
+    """Draw the level over an axis and frequency under each finger, and the good range.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    data : of a study that keeps the response
-    variable : of ``data``, over ``frequency_hz``
-    axis : along which it is drawn; the first of numbers where it is None, as ``length_mm``
-    share : of the best smallest size in the band that is good enough
-    in_db : the level in dB re one unit, else the size in the unit
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    data : xarray.Dataset
+        Data set of a study that keeps the response.
+    variable : str
+        Variable of ``data`` over ``frequency_hz``.
+    axis : str, optional
+        Axis to draw along; by default the first that has numbers, such as ``length_mm``.
+    share : float
+        Share of the best that is good enough, of the smallest magnitude in the band.
+    in_db : bool
+        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
 
     Raises
     ------
     InputError
-        As `plot_response_phase`, and where there is no such axis.
+        As of `plot_response_phase`, and if there is no such axis.
     """
     check_file(path)
     save(length_map_figure(data, variable, axis=axis, share=share, in_db=in_db), path)
@@ -167,7 +199,31 @@ def length_map_figure(
     share: float = SHARE,
     in_db: bool = True,
 ) -> "Figure":
-    """Return a map for each finger above its smallest size; see `plot_length_map`."""
+    """Draw a map for each finger above its smallest magnitude; see `plot_length_map`.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study that keeps the response.
+    variable : str
+        Variable of ``data`` over ``frequency_hz``.
+    axis : str, optional
+        Axis to draw along; by default the first that has numbers.
+    share : float
+        Share of the best that is good enough, of the smallest magnitude in the band.
+    in_db : bool
+        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure with one column for each finger.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is missing, there is no such variable or axis, or there are too many lines.
+    """
     values = over_frequency(data, variable)
     along = axis_of(values, axis)
     values = values.sortby(along)
@@ -200,7 +256,7 @@ def length_map_figure(
 
 
 def _levels(size: Floats, in_db: bool) -> Floats:
-    """Return the contours of all maps, ascending; colors run between the outer two."""
+    """Return the contour levels of all maps, ascending; the color scale spans them."""
     if not in_db:
         return np.linspace(0.0, float(size.max()), 11)
     top = STEP * np.ceil(20 * np.log10(size.max()) / STEP)
@@ -212,7 +268,7 @@ def _levels(size: Floats, in_db: bool) -> Floats:
 def _smallest(
     data: "xarray.Dataset", line: CurveSelection, along: str, share: float
 ) -> tuple[Range, Floats]:
-    """Return the smallest size in the band along an axis, and the range that is good enough."""
+    """Return the good range of an axis, and the smallest magnitude in the band along it."""
     smallest = np.abs(banded(data, line.values).transpose(along, FREQUENCY).values).min(axis=1)
     return within(line.values[along].values, smallest, share=share), smallest
 
@@ -221,13 +277,15 @@ def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats, in_db: 
     """Draw levels over an axis and frequency, with contours."""
     size = np.abs(line.values.transpose(FREQUENCY, along).values)
     with np.errstate(divide="ignore"):
-        shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
+        levels_shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
     x, f = line.values[along].values, line.values[FREQUENCY].values
     image = axes.pcolormesh(
-        x, f, shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
+        x, f, levels_shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
         rasterized=True,
     )  # fmt: skip
-    curves = axes.contour(x, f, shown, levels[1:], colors="white", linewidths=0.6, linestyles="-")
+    curves = axes.contour(
+        x, f, levels_shown, levels[1:], colors="white", linewidths=0.6, linestyles="-"
+    )
     axes.clabel(curves, levels[2::2], fmt="%g", fontsize=7)
     _scale_frequency(axes, f)
     axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
@@ -237,20 +295,20 @@ def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats, in_db: 
 def _mark_range(
     above: "Axes", below: "Axes", good: Range, line: CurveSelection, share: float, unit: str
 ) -> None:
-    """Mark the ends of a range in a map, shade it in the curve below, and tell it."""
+    """Mark the ends of a range in a map, and shade and describe it in the curve below."""
     for end in (good.low, good.high):
         above.axvline(end, color="black", linewidth=1.4)
         above.axvline(end, color="white", linewidth=1.2, linestyle=(0, (4, 3)))
     below.axvspan(good.low, good.high, color=line.color, alpha=0.18, linewidth=0)
     below.axhline(share * good.value, color=GRAY, linewidth=0.8, linestyle=(0, (1, 1.5)))
-    told = f"{100 * share:g} % of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
+    text = f"{100 * share:g} % of the best:\n{good.low:.3g} … {good.high:.3g} {unit}"
     place: dict[str, Any] = {
         "transform": below.transAxes,
         "ha": "right",
         "va": "top",
         "fontsize": 8,
     }
-    below.text(0.98, 0.96, told, color=line.color, **place)
+    below.text(0.98, 0.96, text, color=line.color, **place)
 
 
 # A criterion along an axis
@@ -264,20 +322,25 @@ def plot_criterion(
     axis: str | None = None,
     share: float = SHARE,
 ) -> None:
-    """Draw a criterion along an axis under each finger, what is good enough, and what all share.
+    """Draw a criterion along an axis under each finger, with good ranges and their overlap.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    data : of a study
-    variable : of ``data``, a criterion, as ``smallest_displacement_um_per_v``
-    axis : along which it is drawn; the first of numbers where it is None
-    share : of the best that is good enough
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    data : xarray.Dataset
+        Data set of a study.
+    variable : str
+        Criterion of ``data``, such as ``smallest_displacement_um_per_v``.
+    axis : str, optional
+        Axis to draw along; by default the first that has numbers.
+    share : float
+        Share of the best that is good enough.
 
     Raises
     ------
     InputError
-        As `plot_length_map`.
+        As of `plot_length_map`.
     """
     check_file(path)
     save(criterion_figure(data, variable, axis=axis, share=share), path)
@@ -286,7 +349,29 @@ def plot_criterion(
 def criterion_figure(
     data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
 ) -> "Figure":
-    """Return a line for each finger, shaded below where it is good enough; see `plot_criterion`."""
+    """Draw a line for each finger, shaded where it is good enough; see `plot_criterion`.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+    variable : str
+        Criterion of ``data``.
+    axis : str, optional
+        Axis to draw along; by default the first that has numbers.
+    share : float
+        Share of the best that is good enough.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is missing, there is no such variable or axis, or there are too many lines.
+    """
     values = variable_of(data, variable)
     along = axis_of(values, axis)
     values = values.sortby(along)
@@ -295,15 +380,15 @@ def criterion_figure(
     x, unit, sign = values[along].values, str(values[along].attrs.get("units", "")), sign_of(values)
     ranges: list[Range] = []
     for line in lines_of(values, (along,)):
-        told = line.name
+        text = line.name
         if sign:
             good = range_of(line.values, share)
             ranges.append(good)
-            told = f"{line.name}  {told_range(good, unit)}".strip()
+            text = f"{line.name}  {told_range(good, unit)}".strip()
             _shade(axes, x, line, good)
-        axes.plot(x, line.values.values, **_look(line), label=told)
+        axes.plot(x, line.values.values, **_line_style(line), label=text)
     _overlap(axes, ranges, unit)
-    axes.set(xlabel=label(values[along]), ylabel=_side(values, 44), xlim=(x[0], x[-1]))
+    axes.set(xlabel=label(values[along]), ylabel=_vertical_label(values, 44), xlim=(x[0], x[-1]))
     if sign:
         best = max(good.value for good in ranges)
         is_open = sign > 0 or in_decibels(values)
@@ -317,21 +402,21 @@ def criterion_figure(
 
 
 def _shade(axes: "Axes", x: Floats, line: CurveSelection, good: Range) -> None:
-    """Shade below a line where it is good enough."""
+    """Shade the area below a line where it is good enough."""
     inside = np.concatenate([[good.low], x[(x > good.low) & (x < good.high)], [good.high]])
     height = np.interp(inside, x, line.values.values)
     axes.fill_between(inside, height, color=line.color, alpha=0.22, linewidth=0)
 
 
 def _overlap(axes: "Axes", ranges: list[Range], unit: str) -> None:
-    """Mark what all ranges share."""
+    """Mark the overlap of all ranges."""
     shared = overlap(ranges) if len(ranges) > 1 else None
     if shared is None:
         return
-    told = f"all of them  {shared[0]:.3g} … {shared[1]:.3g} {unit}"
+    text = f"all of them  {shared[0]:.3g} … {shared[1]:.3g} {unit}"
     axes.axvspan(
         *shared, facecolor="none", edgecolor="#b0b0b0", hatch="///", linewidth=0, zorder=0,
-        label=told,
+        label=text,
     )  # fmt: skip
 
 
@@ -346,20 +431,25 @@ def plot_pareto(
     cloud: "xarray.Dataset | None" = None,
     knee: int | None = None,
 ) -> None:
-    """Draw a Pareto front over two objectives, a third as color, and save it.
+    """Draw a Pareto front over two objectives, with a third as color, and save the figure.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    front : designs that none beats, along one dimension
-    objectives : two or three variables of ``front``, with ``units`` and ``long_name``
-    cloud : other feasible designs, with the same variables
-    knee : place along the front of the design to mark
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    front : xarray.Dataset
+        Designs that no other dominates, along one dimension.
+    objectives : sequence of str
+        Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
+    cloud : xarray.Dataset, optional
+        Other feasible designs, with the same variables.
+    knee : int, optional
+        Position along the front of the design to mark.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing, the file cannot be written, a variable is missing, or the
+        If matplotlib is missing, the file cannot be written, a variable is missing, or the
         objectives are not two or three.
     """
     check_file(path)
@@ -373,7 +463,29 @@ def pareto_figure(
     cloud: "xarray.Dataset | None" = None,
     knee: int | None = None,
 ) -> "Figure":
-    """Return a front over two objectives; see `plot_pareto`."""
+    """Draw a front over two objectives; see `plot_pareto`.
+
+    Parameters
+    ----------
+    front : xarray.Dataset
+        Designs that no other dominates, along one dimension.
+    objectives : sequence of str
+        Two or three variables of ``front``.
+    cloud : xarray.Dataset, optional
+        Other feasible designs, with the same variables.
+    knee : int, optional
+        Position along the front of the design to mark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure.
+
+    Raises
+    ------
+    InputError
+        If matplotlib or a variable is missing, or the objectives are not two or three.
+    """
     if len(objectives) not in (2, 3):
         raise InputError(f"{len(objectives)} objectives: a front is drawn over two or three")
     x, y, *third = (variable_of(front, name) for name in objectives)
@@ -386,7 +498,7 @@ def pareto_figure(
     if third:
         dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
                             edgecolors="#444444", label="front", zorder=3)  # fmt: skip
-        figure.colorbar(dots, label=_side(third[0], 44) + _better(third[0]))
+        figure.colorbar(dots, label=_vertical_label(third[0], 44) + _direction(third[0]))
     else:
         order = np.argsort(x.values)
         reached = "steps-pre" if sign_of(x) > 0 else "steps-post"
@@ -394,23 +506,24 @@ def pareto_figure(
                   drawstyle=reached, linewidth=1.0)  # fmt: skip
     if knee is not None:
         _mark_knee(axes, x, y, knee)
-    axes.set(xlabel=label(x) + _better(x), ylabel=_side(y, 44) + _better(y))
+    axes.set(xlabel=label(x) + _direction(x), ylabel=_vertical_label(y, 44) + _direction(y))
     plain(axes)
     axes.margins(0.06)
     figure.legend(loc="outside upper left", ncols=3, frameon=False, fontsize=9)
     return figure
 
 
-def _better(values: "xarray.DataArray") -> str:
-    """Return which way is better, as an end of a label."""
+def _direction(values: "xarray.DataArray") -> str:
+    """Return the end of a label that tells which direction is better."""
     return {1: "\n(more is better →)", -1: "\n(← less is better)", 0: ""}[sign_of(values)]
 
 
 def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee: int) -> None:
+    """Mark the knee of a front."""
     at, up = float(x.values[knee]), float(y.values[knee])
     units = [str(v.attrs.get("units", "")) for v in (x, y)]
-    told = f"knee: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
-    axes.plot(at, up, "*", color=RED, markersize=17, markeredgecolor="white", label=told, zorder=4,
+    text = f"knee: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
+    axes.plot(at, up, "*", color=RED, markersize=17, markeredgecolor="white", label=text, zorder=4,
               linestyle="none")  # fmt: skip
 
 
@@ -420,26 +533,51 @@ def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee:
 def plot_tolerance(
     path: str | Path, data: "xarray.Dataset", variable: str, *, axis: str | None = None
 ) -> None:
-    """Draw the median over scenarios and where 90 % of them are, along an axis or frequency.
+    """Draw the median over scenarios and the band of 90 % of them, along an axis or frequency.
 
     Parameters
     ----------
-    path : of a .png, .svg or .pdf file
-    data : of a study with scenarios
-    variable : of ``data``; of a response the size is drawn over frequency
-    axis : along which a criterion is drawn; the first of numbers where it is None
+    path : str or Path
+        Path of a .png, .svg or .pdf file.
+    data : xarray.Dataset
+        Data set of a study with scenarios.
+    variable : str
+        Variable of ``data``. Of a response, the magnitude is drawn over frequency.
+    axis : str, optional
+        Axis to draw a criterion along; by default the first that has numbers.
 
     Raises
     ------
     InputError
-        As `plot_length_map`, and where the study has no scenarios.
+        As of `plot_length_map`, and if the study has no scenarios.
     """
     check_file(path)
     save(tolerance_figure(data, variable, axis=axis), path)
 
 
 def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
-    """Return median and band over scenarios; see `plot_tolerance`."""
+    """Draw the median and the band over scenarios; see `plot_tolerance`.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study with scenarios.
+    variable : str
+        Variable of ``data``.
+    axis : str, optional
+        Axis to draw a criterion along; by default the first that has numbers.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is missing, there is no such variable or axis, there are too many lines, or
+        the study has no scenarios.
+    """
     values = variable_of(data, variable)
     if SCENARIO not in values.dims:
         raise InputError(f"{variable}: has no scenarios; give the study some")
@@ -453,16 +591,16 @@ def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None 
         size = np.abs(line.values.transpose(SCENARIO, along).values)
         low, middle, high = np.percentile(size, BAND, axis=0)
         axes.fill_between(x, low, high, color=line.color, alpha=0.22, linewidth=0)
-        axes.plot(x, middle, **_look(line))
+        axes.plot(x, middle, **_line_style(line))
         ends.append((float(middle[-1]), line.name, line.color))
-    axes.set(xlabel=label(values[along]), ylabel=_side(values, 40), ylim=(0, None))
+    axes.set(xlabel=label(values[along]), ylabel=_vertical_label(values, 40), ylim=(0, None))
     if along == FREQUENCY:
         _scale_frequency(axes, x)
     else:
         axes.set_xlim(x[0], x[-1])
     count = values.sizes[SCENARIO]
-    told = f"line: median, band: {BAND[0]:g} … {BAND[2]:g} % of {count} scenarios"
-    axes.set_title(told, fontsize=9, loc="left", color=GRAY)
+    text = f"line: median, band: {BAND[0]:g} … {BAND[2]:g} % of {count} scenarios"
+    axes.set_title(text, fontsize=9, loc="left", color=GRAY)
     plain(axes)
-    _name(axes, ends)
+    _name_lines(axes, ends)
     return figure

@@ -1,8 +1,8 @@
-"""Reports of design studies: one HTML file that needs nothing else, to read, print and send.
+"""Reports of design studies: a single HTML file with all its content, to read, print and send.
 
-A report is a list of `Section` that `write_report` makes a file of (`page`). `study_report` and
-`front_report` make the sections of a study and of a Pareto front (`studies`); `write_paper` makes a
-folder of all figures and claims of the paper that this project began with (`paper_folder`).
+A report is a list of `Section`, from which `write_report` makes a file (`page`). `study_report` and
+`front_report` make the sections of a study and of a Pareto front (`studies`). `write_paper` makes a
+folder with all figures and claims of the paper that this project began with (`paper_folder`).
 """
 
 from tactile.study.report.page import Picture as Picture

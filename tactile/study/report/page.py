@@ -1,7 +1,7 @@
-"""One page of HTML that holds all it shows: pictures as data, its style sheet as text, no script.
+"""Self-contained HTML page: images as data, its style sheet as text, and no scripts.
 
-It follows the reader's choice of light or dark (pictures keep their white ground, so that colors
-mean the same) and prints on white paper without breaking a picture or a row.
+The page follows the reader's choice of light or dark, but images keep their white background so
+that colors mean the same. It prints on white paper without breaking an image or a row.
 """
 
 import base64
@@ -15,8 +15,9 @@ from string import Template
 from tactile.errors import InputError
 
 PNG = b"\x89PNG"
+"""First bytes of a PNG file."""
 NUMBER = re.compile(r"[<>≤≥≈±+−\-\d.,… e]*\d[\d.,… e×µm/VNHzFSdB°%²³]*|–|")
-"""What stands right in a column: numbers, ranges, and nothing."""
+"""Pattern of cells that are aligned to the right: numbers, ranges, and nothing."""
 
 PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -69,17 +70,21 @@ $body
 </body>
 </html>
 """)
+"""Template of the page."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawing.
+    """An image of a report.
 
     Attributes
     ----------
-    image : bytes of an SVG or PNG file
-    alternative : what it shows, in words, for those who cannot see it
-    caption : below it
+    image : bytes
+        Content of an SVG or PNG file.
+    alternative : str
+        Description of the image for those who cannot see it.
+    caption : str
+        Caption below the image.
     """
 
     image: bytes
@@ -89,7 +94,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """Words in rows and columns; the first column names the row."""
+    """A table of a report.
+
+    Attributes
+    ----------
+    headings : tuple of str
+        Headings of the columns.
+    rows : tuple of tuple of str
+        Cells by row; the first cell names the row.
+    caption : str
+        Caption of the table.
+    """
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -98,19 +113,32 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report: its title, and paragraphs, pictures and tables in order."""
+    """A section of a report.
+
+    Attributes
+    ----------
+    title : str
+        Title.
+    content : tuple of str or Picture or Table
+        Paragraphs, images and tables in order.
+    """
 
     title: str
     content: tuple[str | Picture | Table, ...]
 
 
 def check_report(path: str | Path) -> None:
-    """Refuse a file that cannot be a report before anything is computed for it.
+    """Check that a path can be a report, before anything is computed for it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path of a .html file.
 
     Raises
     ------
     InputError
-        Where its name or folder is wrong.
+        If its name or folder is not possible.
     """
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report is a file that ends in .html")
@@ -121,18 +149,23 @@ def check_report(path: str | Path) -> None:
 def write_report(
     path: str | Path, title: str, sections: Sequence[Section], *, subtitle: str = ""
 ) -> None:
-    """Write a report to one HTML file that needs nothing else.
+    """Write a report as a single HTML file without external resources.
 
     Parameters
     ----------
-    path : of a .html file
-    title, subtitle : at its head
-    sections : in order
+    path : str or Path
+        Path of a .html file.
+    title : str
+        Title of the report.
+    sections : sequence of Section
+        Sections in order.
+    subtitle : str
+        Line below the title.
 
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If the file cannot be written.
     """
     check_report(path)
     try:
@@ -142,7 +175,22 @@ def write_report(
 
 
 def html_of(title: str, sections: Sequence[Section], *, subtitle: str = "") -> str:
-    """Return a report as HTML."""
+    """Return a report as HTML.
+
+    Parameters
+    ----------
+    title : str
+        Title of the report.
+    sections : sequence of Section
+        Sections in order.
+    subtitle : str
+        Line below the title.
+
+    Returns
+    -------
+    str
+        HTML document.
+    """
     contents = [
         f'<li><a href="#part-{k}">{escape(s.title)}</a></li>' for k, s in enumerate(sections, 1)
     ]
@@ -155,17 +203,20 @@ def html_of(title: str, sections: Sequence[Section], *, subtitle: str = "") -> s
 
 
 def _section(section: Section, name: str) -> str:
+    """Return a section as HTML."""
     parts = "\n".join(_part(part) for part in section.content)
     return f'<section id="{name}">\n<h2>{escape(section.title)}</h2>\n{parts}\n</section>'
 
 
 def _part(part: str | Picture | Table) -> str:
+    """Return a paragraph, image or table as HTML."""
     if isinstance(part, Picture):
         return _picture(part)
     return _table(part) if isinstance(part, Table) else f"<p>{escape(part)}</p>"
 
 
 def _picture(picture: Picture) -> str:
+    """Return an image as HTML, with its data inside."""
     kind = "image/png" if picture.image.startswith(PNG) else "image/svg+xml"
     data = base64.b64encode(picture.image).decode("ascii")
     return (
@@ -175,6 +226,7 @@ def _picture(picture: Picture) -> str:
 
 
 def _table(table: Table) -> str:
+    """Return a table as HTML; columns of numbers are aligned to the right."""
     right = [
         all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*table.rows, strict=True)
     ]
@@ -199,4 +251,5 @@ def _table(table: Table) -> str:
 
 
 def _cell(kind: str, text: str, how: str) -> str:
+    """Return a cell of a table as HTML, with attributes given as text."""
     return f"<{' '.join(filter(None, (kind, how.strip())))}>{escape(text)}</{kind}>"

@@ -1,4 +1,4 @@
-"""A folder with all that the paper shows and claims: pictures, data, a table, and one report."""
+"""Folder with all that the paper shows and claims: images, data, a table, and one report."""
 
 import csv
 import io
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import xarray
 
 TITLE = "A piezoelectric bender for a tactile display: the paper, and what we find"
+"""Title of the report."""
 SURROGATE = (
     "The paper's figure of parameters is not available as text. The design here is a surrogate "
     "from data sheets and assumptions, and the height of its shim was chosen to meet the paper's "
@@ -30,7 +31,9 @@ SURROGATE = (
     "numbers are those that our design page cites. Where it prints none, shapes can be compared, "
     "levels cannot."
 )
+"""Paragraph on the origin of the design."""
 MET = {True: "yes", False: "no"}
+"""Words in the column that says whether a claim is met."""
 
 
 def write_paper(
@@ -40,18 +43,20 @@ def write_paper(
 
     Parameters
     ----------
-    folder : made where it is missing; files of the same names are replaced
-    progress : is told of each part before it is made
+    folder : str or Path
+        Folder, created if it is missing; files of the same names are replaced.
+    progress : callable
+        Called with the name of each part before it is made.
 
     Returns
     -------
     list of Claim
-        As in ``claims.csv``.
+        Claims as in ``claims.csv``.
 
     Raises
     ------
     InputError
-        Where the folder cannot be written, or matplotlib or xarray is missing.
+        If the folder cannot be written, or matplotlib or xarray is missing.
     """
     folder = Path(folder)
     _prepare(folder)
@@ -61,19 +66,19 @@ def write_paper(
         data = solve_study(entry.study())
         sections.append(_write_figure(folder, entry, data))
     progress("claims")
-    found = claims()
-    _write(folder / "claims.csv", _claims_csv(found))
+    results = claims()
+    _write(folder / "claims.csv", _claims_csv(results))
     write_report(
         folder / "report.html",
         TITLE,
-        [*_claim_sections(found), *sections, *provenance_sections(data)],
+        [*_claim_sections(results), *sections, *provenance_sections(data)],
         subtitle=REFERENCE,
     )
-    return found
+    return results
 
 
 def _prepare(folder: Path) -> None:
-    """See that all libraries are there, make the folder, and see that it takes a file."""
+    """Check the libraries, create the folder, and check that it can be written."""
     with study_extra("a study"):
         import xarray  # noqa: F401
     new_figure(1.0, 1.0)
@@ -85,7 +90,7 @@ def _prepare(folder: Path) -> None:
 
 
 def _write_figure(folder: Path, entry: PaperFigure, data: "xarray.Dataset") -> Section:
-    """Write a figure and its data; return its part of the report."""
+    """Write a figure and its data; return its section of the report."""
     figure = figure_of(entry, data)
     save(figure, folder / f"{entry.name}.png")
     image = drawn(figure)
@@ -98,14 +103,27 @@ def _write_figure(folder: Path, entry: PaperFigure, data: "xarray.Dataset") -> S
 
 
 def figure_of(entry: PaperFigure, data: "xarray.Dataset") -> Any:
-    """Return a figure of the paper (matplotlib's), drawn from its data."""
+    """Draw a figure of the paper from its data.
+
+    Parameters
+    ----------
+    entry : PaperFigure
+        Description of the figure.
+    data : xarray.Dataset
+        Data set of its study.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure.
+    """
     if entry.is_map:
         return length_map_figure(data, entry.variable)
     return response_phase_figure(data, entry.variable)
 
 
 def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
-    """Return a figure's lines as CSV: size and phase, or the smallest along the length."""
+    """Return a figure's lines as CSV: magnitude and phase, or the smallest along the length."""
     if entry.is_map:
         columns = {"length_mm": data["length_mm"].values, SMALLEST: data[SMALLEST].values[0]}
     else:
@@ -120,21 +138,34 @@ def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
 
 
 def in_real_numbers(data: "xarray.Dataset") -> "xarray.Dataset":
-    """Return a data set whose complex variables are ``…_real`` and ``…_imaginary``, for NetCDF."""
-    found = data
+    """Return a data set whose complex variables are split for NetCDF.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+
+    Returns
+    -------
+    xarray.Dataset
+        Data set in which each complex variable is replaced by ``…_real`` and ``…_imaginary``.
+    """
+    result = data
     for name, values in data.data_vars.items():
         if values.dtype.kind == "c":
             parts = {f"{name}_real": values.real, f"{name}_imaginary": values.imag}
-            found = found.drop_vars(str(name)).assign(
+            result = result.drop_vars(str(name)).assign(
                 {key: part.assign_attrs(values.attrs) for key, part in parts.items()}
             )
-    return found
+    return result
 
 
 HEADINGS = ("claim", "unit", "stated", "found", "difference", "within", "met", "stated by", "kind")
+"""Headings of the table of claims."""
 
 
 def _row(claim: Claim) -> tuple[str, ...]:
+    """Return a claim as a row of the table of claims."""
     numbers = (claim.stated, claim.found, claim.difference, claim.limit)
     stated, found, difference, limit = (f"{number:.4g}" for number in numbers)
     return (
@@ -144,11 +175,12 @@ def _row(claim: Claim) -> tuple[str, ...]:
 
 
 def _claims_csv(found: list[Claim]) -> bytes:
+    """Return all claims as CSV."""
     return _csv([list(HEADINGS), *(list(_row(claim)) for claim in found)])
 
 
 def _claim_sections(found: list[Claim]) -> list[Section]:
-    """Return the claims by kind, each with what that kind means."""
+    """Return the claims by kind, each kind with its meaning."""
     met = sum(claim.is_met for claim in found)
     head = Section("What this is", (SURROGATE, f"{met} of {len(found)} claims are met."))
     sections = [head]
@@ -166,12 +198,14 @@ def _claim_sections(found: list[Claim]) -> list[Section]:
 
 
 def _csv(rows: list[list[str]]) -> bytes:
+    """Return rows as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()
 
 
 def _write(path: Path, content: bytes) -> None:
+    """Write a file, or raise InputError."""
     try:
         path.write_bytes(content)
     except OSError as error:

@@ -1,7 +1,7 @@
-"""Sections of a report on a study, and on a front of designs.
+"""Sections of a report on a study, and on a Pareto front of designs.
 
-What was asked, the best, ranges and where fingers agree, maps, tolerances, and how the data came to
-be; everything is read from the data set and its attributes.
+They give the axes, the best designs, ranges and where fingers agree, maps, tolerances, and the
+provenance of the data. Everything is read from the data set and its attributes.
 """
 
 import json
@@ -45,31 +45,38 @@ if TYPE_CHECKING:
     import xarray
 
 MOST_DESIGNS = 40
-"""Of a front that are told in a table, evenly picked."""
+"""Largest number of designs of a front in a table; more are sampled evenly."""
 DESIGN_ATTRIBUTES = ("base", "fixed", "fingers", "conditions", "bounds", "limits")
 """Attributes that hold values as JSON."""
 
 
 def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Section]:
-    """Return the sections of a study, as `tactile.study.sweep.solve_study` makes it.
+    """Return the sections of a report on a study.
 
     Parameters
     ----------
-    data : of `solve_study` or `load_study`
-    share : of the best that is good enough
+    data : xarray.Dataset
+        Data set of `solve_study` or `load_study`.
+    share : float
+        Share of the best that is good enough.
+
+    Returns
+    -------
+    list of Section
+        Sections in order.
 
     Raises
     ------
     InputError
-        Where matplotlib is missing.
+        If matplotlib is missing.
     """
     judged = [str(name) for name, values in data.data_vars.items() if "criterion" in values.attrs]
     curves = [str(name) for name, values in data.data_vars.items() if FREQUENCY in values.dims]
-    sections = [Section("What was asked", (_asked(data),))]
+    sections = [Section("What was asked", (_axes_table(data),))]
     ranked = [name for name in judged if sign_of(data[name])]
     if ranked:
         sections.append(
-            Section("The best", tuple(filter(None, (_best(data, ranked), _agreed(data)))))
+            Section("The best", tuple(filter(None, (_best(data, ranked), _agreed_sentence(data)))))
         )
     sections += [_criterion(data, name, share) for name in judged]
     sections += [_response(data, name, share) for name in curves]
@@ -81,18 +88,27 @@ def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Sectio
 def front_report(
     front: "xarray.Dataset", *, cloud: "xarray.Dataset | None" = None, knee: int | None = None
 ) -> list[Section]:
-    """Return the sections of a front.
+    """Return the sections of a report on a front.
 
     Parameters
     ----------
-    front : designs along ``design``; its attribute ``objectives`` names one to three of its
-        variables, divided by spaces
-    cloud, knee : see `tactile.show.plots.plot_pareto`
+    front : xarray.Dataset
+        Designs along ``design``. Its attribute ``objectives`` names one to three of its variables,
+        separated by spaces.
+    cloud : xarray.Dataset, optional
+        Other feasible designs; see `tactile.study.plots.plot_pareto`.
+    knee : int, optional
+        Position along the front of the design to mark.
+
+    Returns
+    -------
+    list of Section
+        Sections in order.
 
     Raises
     ------
     InputError
-        Where matplotlib or the objectives are missing.
+        If matplotlib or the objectives are missing.
     """
     objectives = str(front.attrs.get("objectives", "")).split()
     if not objectives:
@@ -100,17 +116,18 @@ def front_report(
     content: list[str | Picture | Table] = []
     if len(objectives) > 1:
         figure = pareto_figure(front, objectives, cloud=cloud, knee=knee)
-        told = ", ".join(label(front[name]) for name in objectives)
+        labels = ", ".join(label(front[name]) for name in objectives)
         words = "Designs that no other found beats in every objective"
-        content.append(Picture(drawn(figure), f"{words}: {told}", f"{words}: {told}."))
+        content.append(Picture(drawn(figure), f"{words}: {labels}", f"{words}: {labels}."))
     content.append(_designs(front, knee))
     return [Section("The front", tuple(content)), *provenance_sections(front)]
 
 
-# What was asked, and the best
+# Axes, and the best designs
 
 
-def _asked(data: "xarray.Dataset") -> Table:
+def _axes_table(data: "xarray.Dataset") -> Table:
+    """Return a table of the axes of a study."""
     rows = []
     for name in data.dims:
         axis = data[name]
@@ -125,7 +142,7 @@ def _asked(data: "xarray.Dataset") -> Table:
 
 
 def _best(data: "xarray.Dataset", names: list[str]) -> Table:
-    """Return the best of each criterion under each finger, and which design it is."""
+    """Return a table of the best of each criterion under each finger, and of its design."""
     rows = []
     for name in names:
         values = reached(data[name])
@@ -134,11 +151,11 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
             if not bool(np.isfinite(rest).any()):
                 continue
             place = rest.argmax(list(finger.values.dims))
-            found = finger.values.isel(place)
-            design = ", ".join(f"{d} = {_cell(found[d].item())}" for d in finger.values.dims)
+            best = finger.values.isel(place)
+            design = ", ".join(f"{d} = {_cell(best[d].item())}" for d in finger.values.dims)
             unit = str(values.attrs.get("units", ""))
             rows.append(
-                (label(values).split(" [")[0], finger.name, f"{found.item():.4g} {unit}", design)
+                (label(values).split(" [")[0], finger.name, f"{best.item():.4g} {unit}", design)
             )
     robust = (
         f"With scenarios: what {1 - WORST:.0%} of them attain." if SCENARIO in data.dims else ""
@@ -146,44 +163,54 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     return Table(("criterion", "finger", "best", "design"), tuple(rows), robust)
 
 
-def _agreed(data: "xarray.Dataset") -> str:
-    """Return the design that suits all fingers best."""
+def _agreed_sentence(data: "xarray.Dataset") -> str:
+    """Return a sentence on the design that suits all fingers best."""
     place = chosen_design(data)
-    told = ", ".join(told_of(data[d], k) for d, k in place.items())
-    return f"By the first criterion this suits the fingers best: {told}." if told else ""
+    design = ", ".join(told_of(data[d], k) for d, k in place.items())
+    return f"By the first criterion this suits the fingers best: {design}." if design else ""
 
 
 def _profiles(values: "xarray.DataArray") -> Mapping[str, "xarray.DataArray"]:
-    """Return a criterion along each axis of numbers, the best over all others but the finger."""
-    found = {}
+    """Return a criterion along each axis of numbers, at its best over all others but the finger."""
+    profiles = {}
     for axis in number_axes(values):
         others = [d for d in values.dims if d not in (FINGER, axis)]
         best = values.min if sign_of(values) < 0 else values.max
-        found[axis] = best(others, keep_attrs=True).rename(values.name)
-    return found
+        profiles[axis] = best(others, keep_attrs=True).rename(values.name)
+    return profiles
 
 
 def chosen_design(data: "xarray.Dataset") -> dict[str, int]:
-    """Return a place on each axis of numbers: what suits all fingers best, else the middle.
+    """Return the design that suits all fingers best by the first criterion that has a better side.
 
-    It is judged by the first criterion of which more or less is better.
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study.
+
+    Returns
+    -------
+    dict of str to int
+        Position on each axis of numbers; the middle if there is no such criterion.
     """
     for values in data.data_vars.values():
         if sign := sign_of(values):
-            kept = number_axes(values)
-            one = reached(values)
-            size = (agreed(one) if FINGER in one.dims else one * sign).transpose(*kept, ...)
-            worst = size.min([d for d in size.dims if d not in kept])
-            if kept and bool(np.isfinite(worst).any()):
-                return {str(d): int(k) for d, k in worst.argmax(kept).items()}
+            axes = number_axes(values)
+            attained = reached(values)
+            size = (agreed(attained) if FINGER in attained.dims else attained * sign).transpose(
+                *axes, ...
+            )
+            worst = size.min([d for d in size.dims if d not in axes])
+            if axes and bool(np.isfinite(worst).any()):
+                return {str(d): int(k) for d, k in worst.argmax(axes).items()}
     return {axis: data.sizes[axis] // 2 for axis in number_axes(data)}
 
 
 # Pictures
 
 
-def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Picture | str:
-    """Return a picture, or the reason why there is none."""
+def _picture_or_reason(draw: Callable[[], Any], alternative: str, caption: str) -> Picture | str:
+    """Return an image, or the reason why there is none."""
     try:
         return Picture(drawn(draw()), alternative, caption)
     except InputError as error:
@@ -191,7 +218,7 @@ def _pictured(draw: Callable[[], Any], alternative: str, caption: str) -> Pictur
 
 
 def _criterion(data: "xarray.Dataset", name: str, share: float) -> Section:
-    """Return a criterion along each axis, with what is good enough under each finger."""
+    """Return a section on a criterion along each axis, with the good range under each finger."""
     values = reached(data[name])
     content: list[str | Picture | Table] = []
     for axis, profile in _profiles(values).items():
@@ -201,33 +228,36 @@ def _criterion(data: "xarray.Dataset", name: str, share: float) -> Section:
         caption = f"{words}, the {extreme} over all other axes." if others else f"{words}."
         part = profile.to_dataset(name=name)
         draw = partial(criterion_figure, part, name, axis=axis, share=share)
-        content.append(_pictured(draw, words, caption))
+        content.append(_picture_or_reason(draw, words, caption))
         if sign_of(values):
             content.append(_ranges(profile, axis, share, is_all=not others))
     return Section(_sentence(label(values).split(" [")[0]), tuple(content))
 
 
 def _ranges(profile: "xarray.DataArray", axis: str, share: float, *, is_all: bool) -> Table:
-    """Return what is good enough under each finger, and what all share.
+    """Return a table of the good range under each finger, and of their overlap.
 
-    They share it only where there is no other axis, along which each might have its own best.
+    The overlap is only given where there is no other axis, along which each finger might have a
+    best value of its own.
     """
     profile = profile.sortby(axis)
     unit = str(profile[axis].attrs.get("units", ""))
     lines = lines_of(profile, (axis,))
-    found = [range_of(line.values, share) for line in lines]
-    rows = [(line.name or "all", told_range(r, unit)) for line, r in zip(lines, found, strict=True)]
-    if len(found) > 1 and is_all:
-        shared = overlap(found)
-        told = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
-        rows.append(("shared by all", told))
-    told = profile[axis].attrs.get("long_name", axis)
-    heads = ("finger", f"{told}, {told_share(share, profile)}")
+    ranges = [range_of(line.values, share) for line in lines]
+    rows = [
+        (line.name or "all", told_range(r, unit)) for line, r in zip(lines, ranges, strict=True)
+    ]
+    if len(ranges) > 1 and is_all:
+        shared = overlap(ranges)
+        text = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
+        rows.append(("shared by all", text))
+    text = profile[axis].attrs.get("long_name", axis)
+    heads = ("finger", f"{text}, {told_share(share, profile)}")
     return Table(heads, tuple(rows))
 
 
 def _response(data: "xarray.Dataset", name: str, share: float) -> Section:
-    """Return maps of a response over each axis of numbers, else the response itself."""
+    """Return a section with maps of a response over each axis of numbers, or its curves."""
     values = data[name]
     title = _sentence(label(values).split(" [")[0])
     if SCENARIO in values.dims:
@@ -238,25 +268,25 @@ def _response(data: "xarray.Dataset", name: str, share: float) -> Section:
         words = f"{label(values)} over {label(values[axis])} and frequency{at}"
         caption = f"Level of the {words}; below, the smallest in the band and what is good enough."
         draw = partial(length_map_figure, part, name, axis=axis, share=share)
-        content.append(_pictured(draw, words, caption))
+        content.append(_picture_or_reason(draw, words, caption))
     if not content:
         words = f"Size and phase of the {label(values)}"
         draw = partial(response_phase_figure, data, name)
-        content = [_pictured(draw, words, f"{words}.")]
+        content = [_picture_or_reason(draw, words, f"{words}.")]
     return Section(title, tuple(content))
 
 
 def _slice(data: "xarray.Dataset", name: str, axis: str = "") -> tuple["xarray.Dataset", str]:
-    """Return a variable with all axes of numbers but one at the chosen design, and those told."""
+    """Return a variable along one axis, at the chosen design, with a note on that design."""
     values = data[name]
     place = {d: k for d, k in chosen_design(data).items() if d in values.dims and d != axis}
     place = {d: k for d, k in place.items() if values.sizes[d] > 1}
-    told = ", ".join(told_of(values[d], k) for d, k in place.items())
-    return data[[name]].isel(place), f", at {told}" if told else ""
+    position = ", ".join(told_of(values[d], k) for d, k in place.items())
+    return data[[name]].isel(place), f", at {position}" if position else ""
 
 
 def _tolerance(data: "xarray.Dataset", name: str) -> Section:
-    """Return what scenarios make of a variable, along each axis or at the chosen design."""
+    """Return a section on the spread over scenarios, along each axis or for one design."""
     values = data[name]
     if SCENARIO not in values.dims:
         return Section("", ())
@@ -265,11 +295,12 @@ def _tolerance(data: "xarray.Dataset", name: str) -> Section:
         part, at = _slice(data, name, axis)
         words = f"Median and 5 to 95 % of the scenarios: {label(values)}{at}"
         draw = partial(tolerance_figure, part, name, axis=axis or None)
-        content.append(_pictured(draw, words, f"{words}."))
+        content.append(_picture_or_reason(draw, words, f"{words}."))
     return Section(f"Tolerance of the {label(values).split(' [')[0]}", tuple(content))
 
 
 def _sentence(words: str) -> str:
+    """Return words with a capital letter at the beginning."""
     return words[:1].upper() + words[1:]
 
 
@@ -277,31 +308,43 @@ def _sentence(words: str) -> str:
 
 
 def _designs(front: "xarray.Dataset", knee: int | None) -> Table:
-    """Return the designs of a front, each a row."""
+    """Return a table of the designs of a front."""
     columns = [
         name for name in (*front.coords, *front.data_vars) if front[name].dims == ("design",)
     ]
     size = front.sizes["design"]
-    shown = np.unique(np.linspace(0, size - 1, min(size, MOST_DESIGNS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, size - 1, min(size, MOST_DESIGNS)).round().astype(int))
     if knee is not None:
-        shown = np.union1d(shown, [knee])
+        chosen = np.union1d(chosen, [knee])
     rows = tuple(
         (
             f"{k + 1}" + (" (knee)" if k == knee else ""),
             *(_cell(front[c].values[k]) for c in columns),
         )
-        for k in shown
+        for k in chosen
     )
-    caption = "" if len(shown) == size else f"{len(shown)} of {size} designs."
+    caption = "" if len(chosen) == size else f"{len(chosen)} of {size} designs."
     return Table(("design", *(label(front[c]) for c in columns)), rows, caption)
 
 
 def _cell(value: Any) -> str:
+    """Return the text of a cell."""
     return f"{value:.4g}" if isinstance(value, float | int | np.number) else str(value)
 
 
 def provenance_sections(data: "xarray.Dataset") -> list[Section]:
-    """Return how a data set came to be, and the values of what was not varied."""
+    """Return sections on the provenance of a data set and the values of what was not varied.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Data set of a study or a front.
+
+    Returns
+    -------
+    list of Section
+        Sections in order.
+    """
     plain = [(k, str(v)) for k, v in data.attrs.items() if k not in DESIGN_ATTRIBUTES]
     rows = [
         (f"{name}: {path}" if path else name, text)
@@ -319,11 +362,12 @@ def provenance_sections(data: "xarray.Dataset") -> list[Section]:
 
 
 def _row(pair: tuple[Any, str]) -> tuple[str, ...]:
+    """Return an attribute as a row of a table."""
     return str(pair[0]).replace("_", " "), pair[1]
 
 
 def _leaves(value: Any, path: str = "") -> list[tuple[str, str]]:
-    """Return the numbers and words within JSON, with where they are."""
+    """Return the numbers and words within JSON, each with its path."""
     if isinstance(value, dict):
         return [
             leaf for key, part in value.items() for leaf in _leaves(part, f"{path} {key}".strip())

@@ -1,8 +1,9 @@
-"""Other people's formats: .haptic, AHAP, .hjif, WAV, OpenXR and Penn's texture models.
+"""Haptic file formats of others: .haptic, AHAP, .hjif, WAV, OpenXR and the texture models of Penn.
 
-`load_effect` reads a file into the effect document (`document.Effect`) and `save_effect` writes it
-in any format, each chosen by its suffix; `synthesize` renders it. Textures, which live in space and
-not in time, go through `surface_effect` and `hatt`; `conversion` puts all of it together.
+`load_effect` reads a file into the effect document (`document.Effect`), and `save_effect` writes
+one in any of the formats, chosen by the suffix of the file. `synthesize` renders an effect as
+samples. Textures, which are functions of space and not of time, are converted by `surface_effect`
+and `hatt`. `conversion` combines all of these.
 """
 
 from tactile.texture.formats.conversion import load_effect, save_effect

@@ -1,12 +1,14 @@
-"""AHAP, Apple's haptic patterns: events, and curves that change all of them.
+"""AHAP, the haptic patterns of Apple: events, and curves that modify all of them.
 
-As Core Haptics does, values out of range are limited, unknown keys ignored and missing ones given
-their default; each is told. An entry of the pattern that is no event, parameter or curve is an
-error, since nothing would play where somebody meant something. Intensity is taken as amplitude and
-sharpness 0 … 1 as 65 … 300 Hz (MPEG's encoder for AHAP; Apple states neither).
+As in Core Haptics, values out of range are limited, unknown keys are ignored and missing ones take
+their default; each of these is reported. An entry of the pattern that is not an event, parameter or
+curve is an error, since nothing would play where something was meant to. Intensity is taken as
+amplitude, and sharpness 0 … 1 as 65 … 300 Hz (from the encoder of MPEG for AHAP; Apple states
+neither).
 
-Times of a curve's points are from the curve's beginning. Lofelt Studio wrote them from the
-pattern's: a curve whose first point has the curve's own time, and not 0, is read so.
+Times of the points of a curve count from the beginning of the curve. Lofelt Studio counted them
+from the beginning of the pattern: a curve whose first point has the time of the curve itself, and
+not 0, is read in this way.
 """
 
 import itertools
@@ -37,26 +39,50 @@ from tactile.texture.formats.haptic_clip import FINE
 from tactile.texture.formats.synthesis import PLAIN
 
 MOST_POINTS = 16
-"""Of a curve (Core Haptics)."""
+"""Largest number of points of a curve (Core Haptics)."""
 LONGEST_EVENT = 30.0
-"""s of a continuous event (Core Haptics)."""
+"""Longest duration of a continuous event (Core Haptics) [s]."""
 DEFAULT = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
-"""Where an event says nothing (assumed: Apple states none for sharpness)."""
+"""Values of an event that does not state them (assumed: Apple states none for sharpness)."""
 KINDS = ("Event", "Parameter", "ParameterCurve")
+"""Keys that an entry of the pattern may have."""
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+"""Number of limited magnitude, −1e6 to 1e6."""
 Seconds = Annotated[float, Meta(ge=0, le=3600)]
+"""Time, 0 to 3600 [s]."""
 
 
 class EventParameter(Struct, frozen=True, rename="pascal"):
-    """A value of one event."""
+    """Object of ``EventParameters``: one value of an event.
+
+    Attributes
+    ----------
+    parameter_id : str
+        "HapticIntensity" or "HapticSharpness". Others are kept for writing and have no effect.
+    parameter_value : float
+        Value, −1e6 to 1e6. Intensity and sharpness are limited to 0 to 1.
+    """
 
     parameter_id: str = msgspec.field(name="ParameterID")
     parameter_value: Number
 
 
 class AhapEvent(Struct, frozen=True, rename="pascal"):
-    """A tap or an oscillation."""
+    """Object ``Event``: a tap or an oscillation.
+
+    Attributes
+    ----------
+    event_type : str
+        "HapticTransient" for a tap or "HapticContinuous" for an oscillation. Events of other types
+        are left out.
+    time : float
+        Beginning of the event, 0 to 3600, default 0 [s].
+    event_duration : float
+        Duration of an oscillation, 0 to 3600, default 0 [s].
+    event_parameters : tuple of EventParameter
+        Intensity and sharpness, by default those of `DEFAULT`.
+    """
 
     event_type: str
     time: Seconds = 0.0
@@ -65,14 +91,33 @@ class AhapEvent(Struct, frozen=True, rename="pascal"):
 
 
 class ControlPoint(Struct, frozen=True, rename="pascal"):
-    """Of a curve."""
+    """Object of ``ParameterCurveControlPoints``: one point of a curve.
+
+    Attributes
+    ----------
+    time : float
+        Time from the beginning of the curve, 0 to 3600 [s].
+    parameter_value : float
+        Value, limited to 0 to 1 for an intensity and to −1 to 1 for a sharpness.
+    """
 
     time: Seconds
     parameter_value: Number
 
 
 class AhapParameter(Struct, frozen=True, rename="pascal"):
-    """A value for all events from a time on."""
+    """Object ``Parameter``: a value that applies to all events from a time on.
+
+    Attributes
+    ----------
+    parameter_id : str
+        "HapticIntensityControl", which multiplies intensities, or "HapticSharpnessControl", which
+        is added to sharpnesses. Others are left out.
+    parameter_value : float
+        Value, limited to 0 to 1 for an intensity and to −1 to 1 for a sharpness.
+    time : float
+        Time from which on it applies, 0 to 3600, default 0 [s].
+    """
 
     parameter_id: str = msgspec.field(name="ParameterID")
     parameter_value: Number
@@ -80,7 +125,18 @@ class AhapParameter(Struct, frozen=True, rename="pascal"):
 
 
 class ParameterCurve(Struct, frozen=True, rename="pascal"):
-    """Values for all events over time."""
+    """Object ``ParameterCurve``: values that apply to all events over time.
+
+    Attributes
+    ----------
+    parameter_id : str
+        "HapticIntensityControl", which multiplies intensities, or "HapticSharpnessControl", which
+        is added to sharpnesses. Others are left out.
+    parameter_curve_control_points : tuple of ControlPoint
+        Points of the curve in ascending order of time, at least one.
+    time : float
+        Beginning of the curve, 0 to 3600, default 0 [s].
+    """
 
     parameter_id: str = msgspec.field(name="ParameterID")
     parameter_curve_control_points: tuple[ControlPoint, ...]
@@ -88,7 +144,17 @@ class ParameterCurve(Struct, frozen=True, rename="pascal"):
 
 
 class Entry(Struct, frozen=True, rename="pascal"):
-    """Of the pattern: one of them."""
+    """Entry of ``Pattern``, which holds exactly one of these objects.
+
+    Attributes
+    ----------
+    event : AhapEvent or None
+        Tap or oscillation.
+    parameter : AhapParameter or None
+        Value for all events.
+    parameter_curve : ParameterCurve or None
+        Values for all events over time.
+    """
 
     event: AhapEvent | None = None
     parameter: AhapParameter | None = None
@@ -96,7 +162,17 @@ class Entry(Struct, frozen=True, rename="pascal"):
 
 
 class Pattern(Struct, frozen=True, rename="pascal"):
-    """The file."""
+    """Contents of an AHAP file.
+
+    Attributes
+    ----------
+    pattern : tuple of Entry
+        Events, parameters and curves.
+    version : float
+        Version of the format, at least 1 and less than 2, default 1.
+    metadata : dict
+        Texts about the pattern, by name. Other values are ignored.
+    """
 
     pattern: tuple[Entry, ...]
     version: Number = 1.0
@@ -104,38 +180,52 @@ class Pattern(Struct, frozen=True, rename="pascal"):
 
 
 def load_ahap(path: Path) -> tuple[Effect, list[str]]:
-    """Return the effect of a file, and a line for each thing of it that is ignored or limited.
+    """Read an AHAP file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    effect : Effect
+        Effect of one channel.
+    notes : list of str
+        One line for each thing that was ignored, left out or limited.
 
     Raises
     ------
+    NotFoundError
+        If there is no such file.
     InputError
-        One line: file, field, value and limit.
+        If the file is invalid. The message is one line with the file, field, value and limit.
     """
     data = reading.parsed_json(path)
     pattern = reading.fitted(path, data, Pattern)
     if not 1 <= pattern.version < 2:
         raise InputError(f"{path}: Version = {pattern.version:g}: must be 1")
-    told = reading.told("ignored:", reading.unknown(data, msgspec.inspect.type_info(Pattern)))
+    notes = reading.told("ignored:", reading.unknown(data, msgspec.inspect.type_info(Pattern)))
     for i, raw in enumerate(data["Pattern"]):
-        said = [kind for kind in KINDS if raw.get(kind) is not None]
-        if len(said) != 1:
+        kinds = [kind for kind in KINDS if raw.get(kind) is not None]
+        if len(kinds) != 1:
             key = next((k for k in raw if k not in KINDS), "nothing")
-            reason = f"{' and '.join(said)} at once" if said else (
+            reason = f"{' and '.join(kinds)} at once" if kinds else (
                 f"{reading.one_line(str(key))!r}; {files.nearest(str(key), list(KINDS))}"
             )  # fmt: skip
             raise InputError(f"{path}: Pattern[{i}]: holds {reason}")
-    told += reading.told("ignored: metadata", [
+    notes += reading.told("ignored: metadata", [
         k for k, v in pattern.metadata.items() if not isinstance(v, str)
     ])  # fmt: skip
     limited: list[str] = []
     events = [e.event for e in pattern.pattern if e.event]
-    told += reading.told("left out:", [
+    notes += reading.told("left out:", [
         e.event_type for e in events if e.event_type not in ("HapticTransient", "HapticContinuous")
     ])  # fmt: skip
     bands = (
         _events("transient", [e for e in events if e.event_type == "HapticTransient"], limited),
         _events("wave", [e for e in events if e.event_type == "HapticContinuous"], limited),
-        _controls(path, pattern, told, limited),
+        _controls(path, pattern, notes, limited),
     )
     effect = single(
         tuple(band for band in bands if band.segments), origin="ahap", ticks_per_s=FINE,
@@ -145,26 +235,27 @@ def load_ahap(path: Path) -> tuple[Effect, list[str]]:
             if isinstance(v, str) and k != "Description"
         },
     )  # fmt: skip
-    return effect, told + reading.told("limited to its range:", limited)
+    return effect, notes + reading.told("limited to its range:", limited)
 
 
 def _limit(name: str, value: float, low: float, limited: list[str]) -> float:
+    """Return a value limited to at most 1 and at least ``low``; one out of range is noted."""
     if not low <= value <= 1:
         limited.append(f"{name} {value:g}")
     return min(max(value, low), 1.0)
 
 
 def _events(kind: str, events: list[AhapEvent], limited: list[str]) -> Band:
-    """Return events of one type as a band, a segment each; what is unknown here is kept."""
+    """Return events of one type as a band with a segment each. Unknown parameters are kept."""
     segments = []
     for event in events:
-        said = {p.parameter_id: p.parameter_value for p in event.event_parameters}
+        settings = {p.parameter_id: p.parameter_value for p in event.event_parameters}
         intensity, sharpness = (
-            _limit(name, said.pop(name, DEFAULT[name]), 0.0, limited) for name in DEFAULT
+            _limit(name, settings.pop(name, DEFAULT[name]), 0.0, limited) for name in DEFAULT
         )
         times = [0.0] if kind == "transient" else [0.0, event.event_duration]
         segments.append(KeyframeSegment(
-            start_s=event.time, other=dict(said),
+            start_s=event.time, other=dict(settings),
             keyframes=tuple(Keyframe(time_s=t, amplitude=intensity, frequency_hz=hertz(sharpness))
                             for t in times),
         ))  # fmt: skip
@@ -173,13 +264,15 @@ def _events(kind: str, events: list[AhapEvent], limited: list[str]) -> Band:
 
 
 def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str]) -> Band:
-    """Return parameters and curves as a band, a segment each."""
+    """Return parameters and curves as a band with a segment each."""
     segments = []
     for i, entry in enumerate(pattern.pattern):
-        one, curve = entry.parameter, entry.parameter_curve
-        if one:
+        parameter, curve = entry.parameter, entry.parameter_curve
+        if parameter:
             curve = ParameterCurve(
-                one.parameter_id, (ControlPoint(0.0, one.parameter_value),), one.time
+                parameter.parameter_id,
+                (ControlPoint(0.0, parameter.parameter_value),),
+                parameter.time,
             )
         if curve is None:
             continue
@@ -192,20 +285,21 @@ def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str])
 
 
 def _control(where: str, curve: ParameterCurve, limited: list[str]) -> KeyframeSegment:
-    found = curve.parameter_curve_control_points
-    if not found:
+    """Return a curve as a segment, its sharpness as a shift of frequency [Hz]."""
+    points = curve.parameter_curve_control_points
+    if not points:
         raise InputError(f"{where}: is empty; needs a point")
-    offset = curve.time if found[0].time == curve.time else 0.0
-    times = [p.time - offset for p in found]
+    offset = curve.time if points[0].time == curve.time else 0.0
+    times = [p.time - offset for p in points]
     for k, (before, after) in enumerate(itertools.pairwise(times)):
         if after < before:
             raise InputError(
-                f"{where}[{k + 1}].Time = {found[k + 1].time:g}: comes after {found[k].time:g}; "
+                f"{where}[{k + 1}].Time = {points[k + 1].time:g}: comes after {points[k].time:g}; "
                 "times must ascend"
             )
     intensity = curve.parameter_id == "HapticIntensityControl"
     low, keyframes = 0.0 if intensity else -1.0, []
-    for time, point in zip(times, found, strict=True):
+    for time, point in zip(times, points, strict=True):
         value = _limit(curve.parameter_id, point.parameter_value, low, limited)
         shift = value * (HIGHEST - LOWEST)
         keyframes.append(
@@ -217,13 +311,31 @@ def _control(where: str, curve: ParameterCurve, limited: list[str]) -> KeyframeS
 
 
 def saved_ahap(effect: Effect) -> tuple[bytes, list[str]]:
-    """Return an effect as a file, and a line for each thing that it cannot say."""
+    """Format an effect as an AHAP file.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect, of which the first channel is written.
+
+    Returns
+    -------
+    content : bytes
+        Contents of the file.
+    lost : list of str
+        One line for each thing that the format cannot express.
+
+    Raises
+    ------
+    InputError
+        If the effect has no channel, or nothing in it can be written.
+    """
     channels = channels_of(effect)
     lost: list[str] = []
     if len(channels) == 1 and _is_pattern(channels[0][1]):
-        entries = _as_it_is(channels[0][1])
+        entries = _direct_entries(channels[0][1])
     else:
-        entries, lost = _drawn(effect)
+        entries, lost = _outlined_entries(effect)
     other = effect.other if effect.origin == "ahap" else {}
     content = {
         "Version": 1.0,
@@ -234,7 +346,7 @@ def saved_ahap(effect: Effect) -> tuple[bytes, list[str]]:
 
 
 def _is_pattern(channel: EffectChannel) -> bool:
-    """Return whether a channel is what events and curves can say."""
+    """Return whether events and curves can express a channel without loss."""
     parts = [(b.kind, s) for b in channel.bands for s in b.segments]
     kinds = {kind for kind, _ in parts}
     plain = all(
@@ -252,7 +364,8 @@ def _is_pattern(channel: EffectChannel) -> bool:
     return kinds <= {"wave", "transient", "control"} and plain and steady and channel.gain == 1
 
 
-def _as_it_is(channel: EffectChannel) -> list[dict[str, Any]]:
+def _direct_entries(channel: EffectChannel) -> list[dict[str, Any]]:
+    """Return the entries of a channel that events and curves can express."""
     entries = []
     for band in channel.bands:
         for s in band.segments:
@@ -270,22 +383,22 @@ def _as_it_is(channel: EffectChannel) -> list[dict[str, Any]]:
     return entries
 
 
-def _drawn(effect: Effect) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return an effect's outline as events of intensity 1 under curves."""
-    drawn, lost = outline.of_effect(effect, "AHAP")
-    lost += outline.beyond_range(drawn, "AHAP")
-    end = drawn.amplitude[-1][0]
+def _outlined_entries(effect: Effect) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the outline of an effect as events of intensity 1 under curves, and what is lost."""
+    shape, lost = outline.of_effect(effect, "AHAP")
+    lost += outline.beyond_range(shape, "AHAP")
+    end = shape.amplitude[-1][0]
     entries: list[dict[str, Any]] = [
         _event(t, 1.0, 0.0, min(end - t, LONGEST_EVENT), {})
         for t in np.arange(0.0, end, LONGEST_EVENT).tolist()
     ]
-    pitch = [(t, min(max(f, LOWEST), HIGHEST) - LOWEST) for t, f in drawn.frequency]
+    pitch = [(t, min(max(f, LOWEST), HIGHEST) - LOWEST) for t, f in shape.frequency]
     if not pitch:
         pitch = [(0.0, PLAIN - LOWEST)]
-    entries += _curves("amplitude", drawn.amplitude, 0.0) + _curves("frequency_hz", pitch, 0.0)
+    entries += _curves("amplitude", shape.amplitude, 0.0) + _curves("frequency_hz", pitch, 0.0)
     changed = 0
-    for time, amplitude, frequency in drawn.transients:
-        under = float(np.interp(time, *np.array(drawn.amplitude).T))
+    for time, amplitude, frequency in shape.transients:
+        under = float(np.interp(time, *np.array(shape.amplitude).T))
         shift = sharpness_of(LOWEST + float(np.interp(time, *np.array(pitch).T)))
         intensity = amplitude / under if under > 0 else 1.0
         sharpness = sharpness_of(frequency) - shift
@@ -302,6 +415,7 @@ def _drawn(effect: Effect) -> tuple[list[dict[str, Any]], list[str]]:
 def _event(
     time: float, intensity: float, sharpness: float, duration: float | None, extra: dict[str, float]
 ) -> dict[str, Any]:
+    """Return the entry of an event, a transient one if it has no duration."""
     values = {"HapticIntensity": intensity, "HapticSharpness": sharpness, **extra}
     event: dict[str, Any] = {
         "Time": time,
@@ -316,14 +430,14 @@ def _event(
 
 
 def _curves(name: str, pairs: list[tuple[float, float]], start: float) -> list[dict[str, Any]]:
-    """Return points as curves of 16 at most, each from the last point of the one before."""
-    said = "HapticIntensityControl" if name == "amplitude" else "HapticSharpnessControl"
+    """Return points as curves of at most 16, each beginning at the last point of the previous."""
+    parameter = "HapticIntensityControl" if name == "amplitude" else "HapticSharpnessControl"
     scale = 1.0 if name == "amplitude" else HIGHEST - LOWEST
     curves = []
     for i in range(0, max(len(pairs) - 1, min(len(pairs), 1)), MOST_POINTS - 1):
         part = pairs[i : i + MOST_POINTS]
         begin = part[0][0]
         points = [{"Time": t - begin, "ParameterValue": v / scale} for t, v in part]
-        curves.append({"ParameterCurve": {"ParameterID": said, "Time": start + begin,
+        curves.append({"ParameterCurve": {"ParameterID": parameter, "Time": start + begin,
                                           "ParameterCurveControlPoints": points}})  # fmt: skip
     return curves

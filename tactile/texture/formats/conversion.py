@@ -1,9 +1,9 @@
-"""From one file to another, told by their suffixes, with a line for each thing that is lost.
+"""Conversion between files, whose formats follow from their suffixes, with a report of losses.
 
-A texture lives in space and an effect in time; a speed turns one into the other. So a texture
-(a shipped one's name, a ``.toml`` with ``[texture]``, a Penn model) becomes an effect at a stated
-speed, and a .hjif becomes a texture where its target is ``.toml`` and a speed is stated; without
-one it stays an effect, in a ``.toml`` with ``[effect]``.
+A texture is a function of space and an effect one of time; a speed converts one to the other. So a
+texture (the name of a shipped one, a ``.toml`` with ``[texture]``, a Penn model) becomes an effect
+at a stated speed. A .hjif becomes a texture where its target is ``.toml`` and a speed is stated.
+Without a speed it stays an effect, in a ``.toml`` with ``[effect]``.
 """
 
 import os
@@ -26,15 +26,19 @@ from tactile.texture.formats.document import Effect, EffectFile, channels_of, se
 from tactile.texture.formats.synthesis import duration
 
 Loaded = tuple[Effect, list[str]]
+"""Effect of a file, and notes on what was ignored or changed."""
 Saved = tuple[bytes, list[str]]
+"""Contents of a file, and notes on what was lost."""
 
 
 def _load_toml(path: Path) -> Loaded:
+    """Read an effect from a TOML file."""
     reading.contents(path, 4 * reading.LARGEST_FILE)
     return files.read(path, EffectFile).effect, []
 
 
 def _saved_toml(effect: Effect) -> Saved:
+    """Format an effect as a TOML file."""
     return _as_toml(EffectFile(effect=effect)), []
 
 
@@ -45,6 +49,7 @@ LOADERS: dict[str, Callable[[Path], Loaded]] = {
     ".wav": pcm.load_wav,
     ".toml": _load_toml,
 }
+"""Readers of effects by the suffix of a file."""
 SAVERS: dict[str, Callable[[Effect], Saved]] = {
     ".haptic": haptic_clip.saved_clip,
     ".ahap": ahap.saved_ahap,
@@ -53,22 +58,28 @@ SAVERS: dict[str, Callable[[Effect], Saved]] = {
     ".json": pcm.saved_openxr,
     ".toml": _saved_toml,
 }
+"""Writers of effects by the suffix of a file."""
 UNTOLD = {
     "version", "profile", "level", "date", "unit_exponent", "perception_unit_exponent",
     "sample_count", "block_length",
 }  # fmt: skip
-"""Fields that say how a .hjif is written, and nothing of the effect."""
+"""Fields that state how a .hjif file is written and nothing about the effect."""
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """What was done.
+    """Result of a conversion.
 
     Attributes
     ----------
-    became : "effect" or "texture"
-    lost : a line for each thing that the target does not have as the source had it
-    channels, seconds : of an effect
+    became : str
+        What was written, "effect" or "texture".
+    lost : tuple of str
+        One line for each thing in which the target differs from the source.
+    channels : int
+        Number of channels of an effect.
+    seconds : float
+        Duration of an effect [s].
     """
 
     became: Literal["effect", "texture"]
@@ -78,17 +89,30 @@ class Conversion:
 
 
 def load_effect(path: str | Path) -> Effect:
-    """Return the effect of a .haptic, .ahap, .hjif, .wav or .toml file.
+    """Read the effect of a .haptic, .ahap, .hjif, .wav or .toml file.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read.
+
+    Returns
+    -------
+    Effect
+        The effect.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: file, field, value and limit.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file is invalid. The message is one line with the file, field, value and limit.
     """
     return _loaded(Path(path))[0]
 
 
 def _loaded(path: Path) -> Loaded:
+    """Read the effect of a file by its suffix, with notes."""
     suffix = path.suffix.lower()
     if suffix not in LOADERS:
         raise InputError(f"{path}: cannot be read; {files.nearest(suffix, list(LOADERS))}")
@@ -98,15 +122,25 @@ def _loaded(path: Path) -> Loaded:
 def save_effect(effect: Effect, path: str | Path, *, force: bool = False) -> list[str]:
     """Write an effect as .haptic, .ahap, .hjif, .wav, .json (OpenXR) or .toml.
 
+    Parameters
+    ----------
+    effect : Effect
+        Effect to write.
+    path : str or Path
+        File to create, whose suffix selects the format.
+    force : bool
+        Whether to overwrite an existing file.
+
     Returns
     -------
     list of str
-        A line for each thing that the format cannot say.
+        One line for each thing that the format cannot express.
 
     Raises
     ------
     InputError
-        Where the format cannot hold it, or the file is there already; ``force`` overwrites it.
+        If the format cannot hold the effect, the folder does not exist, or the file exists already
+        and ``force`` is false.
     """
     path = Path(path)
     _checked_target(path, force=force)
@@ -115,11 +149,11 @@ def save_effect(effect: Effect, path: str | Path, *, force: bool = False) -> lis
     except (OverflowError, TypeError, UnicodeEncodeError) as error:
         raise InputError(reading.one_line(f"{path}: cannot be written: {error}")) from error
     _write(path, content, force=force)
-    return _foreign(effect, path.suffix.lower()) + lost
+    return _lost_fields(effect, path.suffix.lower()) + lost
 
 
-def _foreign(effect: Effect, suffix: str) -> list[str]:
-    """Return a line for what only the effect's own format has a place for."""
+def _lost_fields(effect: Effect, suffix: str) -> list[str]:
+    """Return lines on what only the format that the effect came from can hold."""
     if suffix in (".toml", f".{effect.origin}"):
         return []
     parts: list[Any] = [effect, *effect.perceptions]
@@ -128,12 +162,12 @@ def _foreign(effect: Effect, suffix: str) -> list[str]:
         parts += [*(b for c in perception.channels for b in c.bands), *segments_of(perception)]
     names = [k for part in parts for k, v in part.other.items() if v and k not in UNTOLD]
     return reading.told(f"{suffix} has no place for", names) + (
-        _unsaid(effect, suffix) if suffix != ".hjif" else []
+        _lost_features(effect, suffix) if suffix != ".hjif" else []
     )
 
 
-def _unsaid(effect: Effect, suffix: str) -> list[str]:
-    """Return a line for what .hjif and ours alone can say."""
+def _lost_features(effect: Effect, suffix: str) -> list[str]:
+    """Return lines on what only .hjif and the TOML form of an effect can hold."""
     segments = [s for p in effect.perceptions for s in [*p.library, *segments_of(p)]]
     channels = [channel for _, channel in channels_of(effect)]
     words = [s.keywords for s in segments if s.keywords]
@@ -154,46 +188,62 @@ def convert_file(
 
     Parameters
     ----------
-    source, target : of a format each, told by the suffix
-    speed : of the finger [m/s], where space becomes time or time becomes space
-    force : overwrite the target
+    source : str
+        File to read, whose suffix selects the format, or name of a shipped texture.
+    target : Path
+        File to create, whose suffix selects the format.
+    speed : float or None
+        Speed of the finger, where space becomes time or time becomes space [m/s].
+    force : bool
+        Whether to overwrite an existing file.
+
+    Returns
+    -------
+    Conversion
+        What was written, and what was lost.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: what, where, and what would do.
+    NotFoundError
+        If there is no such file or texture.
+    InputError
+        If the file cannot be converted. The message is one line with what, where, and what would
+        help.
     """
     _checked_target(target, force=force)
     path = Path(source)
-    texture, told = _texture_of(source, path, speed)
+    texture, notes = _texture_of(source, path, speed)
     if texture is None:
-        effect, told = _loaded(path)
+        effect, notes = _loaded(path)
         if speed is None or target.suffix != ".toml":
             if speed is not None:
                 raise InputError("--speed-mm-s: has no use where an effect stays an effect")
-            lost = told + save_effect(effect, target, force=force)
-            return _effect_done(effect, lost)
-        texture, more = surface_effect.texture_from(effect, speed, target.stem, path.name)
-        told += more
+            lost = notes + save_effect(effect, target, force=force)
+            return _effect_conversion(effect, lost)
+        texture, further_notes = surface_effect.texture_from(effect, speed, target.stem, path.name)
+        notes += further_notes
     if target.suffix == ".toml":
         _save_texture(texture, target, force=force)
-        return Conversion("texture", tuple(told))
+        return Conversion("texture", tuple(notes))
     if speed is None:
         raise InputError(
             f"{target}: a texture lives in space: --speed-mm-s says how fast the finger moves"
         )
-    effect, more = surface_effect.effect_of(texture, speed)
-    return _effect_done(effect, told + more + save_effect(effect, target, force=force))
+    effect, further_notes = surface_effect.effect_of(texture, speed)
+    return _effect_conversion(
+        effect, notes + further_notes + save_effect(effect, target, force=force)
+    )
 
 
-def _effect_done(effect: Effect, lost: list[str]) -> Conversion:
+def _effect_conversion(effect: Effect, lost: list[str]) -> Conversion:
+    """Return the result of a conversion to an effect."""
     return Conversion("effect", tuple(lost), len(channels_of(effect)), duration(effect))
 
 
 def _texture_of(
     source: str, path: Path, speed: float | None
 ) -> tuple[Descriptor | None, list[str]]:
-    """Return the texture that a source is, or None where it is an effect."""
+    """Return the texture that a source is, or None if it is an effect, and notes."""
     if path.suffix == ".xml":
         model = hatt.load_model(path)
         return hatt.texture_from(model, speed or hatt.REFERENCE_SPEED)
@@ -210,12 +260,13 @@ def _texture_of(
 
 
 def _has_texture(path: Path) -> bool:
-    """Return whether a TOML file says [texture] somewhere at the beginning of a line."""
+    """Return whether a TOML file has a line ``[texture]``."""
     lines = reading.contents(path, 4 * reading.LARGEST_FILE).splitlines()
     return any(line.strip() == b"[texture]" for line in lines)
 
 
 def _checked_target(path: Path, *, force: bool) -> None:
+    """Raise `InputError` if a file cannot be written."""
     if path.suffix.lower() not in SAVERS:
         raise InputError(f"{path}: cannot be written; {files.nearest(path.suffix, list(SAVERS))}")
     if not path.parent.is_dir():
@@ -225,9 +276,9 @@ def _checked_target(path: Path, *, force: bool) -> None:
 
 
 def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
-    """Write a texture under its file's name, and see that it can be read."""
-    about = msgspec.structs.replace(texture.texture, id=target.stem)
-    content = _as_toml(msgspec.structs.replace(texture, texture=about))
+    """Write a texture under the name of its file, after a check that it can be read back."""
+    identity = msgspec.structs.replace(texture.texture, id=target.stem)
+    content = _as_toml(msgspec.structs.replace(texture, texture=identity))
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / target.name
         trial.write_bytes(content)
@@ -239,19 +290,19 @@ def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
 
 
 def _as_toml(part: msgspec.Struct) -> bytes:
-    """Return a Struct as TOML, without what it leaves to its defaults."""
-    return tomli_w.dumps(_set_fields(msgspec.to_builtins(part))).encode()
+    """Return a Struct as TOML, without the fields that equal their defaults."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(part))).encode()
 
 
-def _set_fields(value: Any) -> Any:
+def _without_none(value: Any) -> Any:
     """Return data without None, which TOML does not have."""
     if isinstance(value, dict):
-        return {k: _set_fields(v) for k, v in value.items() if v is not None}
-    return [_set_fields(v) for v in value] if isinstance(value, list | tuple) else value
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def _write(path: Path, content: bytes, *, force: bool) -> None:
-    """Write a file whole or not at all."""
+    """Write a file completely or not at all."""
     handle, name = tempfile.mkstemp(prefix=".tactile-", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:

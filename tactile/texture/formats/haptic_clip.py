@@ -1,9 +1,10 @@
 """``.haptic`` 1.x, of Meta Haptics Studio and Nice Vibrations: envelopes of one signal.
 
-Amplitude and frequency over time, 0 … 1, straight between breakpoints; a breakpoint may be
-emphasized, which is a transient. What the format's own validator rejects is rejected (breakpoints
-out of order or range, no amplitude, an emphasis below its envelope); unknown fields are ignored, as
-there. Frequencies are taken as 65 … 300 Hz (`document.hertz`), amplitudes as they are.
+Amplitude and frequency are functions of time from 0 to 1, linear between breakpoints. A breakpoint
+may have an emphasis, which is a transient. What the validator of the format rejects is rejected
+here as well (breakpoints out of order or range, no amplitude, an emphasis below its envelope).
+Unknown fields are ignored, as there. Frequencies are taken as 65 … 300 Hz (`document.hertz`),
+amplitudes as they are.
 """
 
 from pathlib import Path
@@ -28,13 +29,26 @@ from tactile.texture.formats.document import (
 )
 
 Fraction = Annotated[float, Meta(ge=0, le=1)]
+"""Fraction, 0 to 1."""
 Seconds = Annotated[float, Meta(ge=0, le=3600)]
+"""Time, 0 to 3600 [s]."""
 FINE = 48_000
-"""Ticks a second when a time of seconds goes to a format that counts: the most that MPEG takes."""
+"""Resolution of a document whose times were given in seconds, for formats that count ticks [1/s].
+It is the highest that MPEG allows."""
 
 
 class Version(Struct, frozen=True):
-    """Of the format."""
+    """Object ``version``: version of the format.
+
+    Attributes
+    ----------
+    major : int
+        Major version, which must be 1.
+    minor : int
+        Minor version, default 0.
+    patch : int
+        Patch version, default 0.
+    """
 
     major: int
     minor: int = 0
@@ -42,7 +56,23 @@ class Version(Struct, frozen=True):
 
 
 class Metadata(Struct, frozen=True):
-    """Of the clip."""
+    """Object ``metadata``: information about the clip, all of it optional.
+
+    Attributes
+    ----------
+    editor : str
+        Program that wrote the file.
+    author : str
+        Author of the clip.
+    source : str
+        Source of the clip, such as an audio file.
+    project : str
+        Name of the project.
+    tags : tuple of str
+        Tags.
+    description : str
+        Description for people.
+    """
 
     editor: str = ""
     author: str = ""
@@ -53,14 +83,32 @@ class Metadata(Struct, frozen=True):
 
 
 class Emphasis(Struct, frozen=True):
-    """A transient."""
+    """Object ``emphasis``: a transient at a breakpoint.
+
+    Attributes
+    ----------
+    amplitude : float
+        Amplitude, 0 to 1, at least that of the breakpoint.
+    frequency : float
+        Frequency, 0 to 1, taken as 65 to 300 Hz.
+    """
 
     amplitude: Fraction
     frequency: Fraction
 
 
 class AmplitudePoint(Struct, frozen=True, omit_defaults=True):
-    """A breakpoint."""
+    """Breakpoint of the envelope of amplitude.
+
+    Attributes
+    ----------
+    time : float
+        Time, 0 to 3600 [s].
+    amplitude : float
+        Amplitude, 0 to 1.
+    emphasis : Emphasis or None
+        Transient at this time.
+    """
 
     time: Seconds
     amplitude: Fraction
@@ -68,33 +116,71 @@ class AmplitudePoint(Struct, frozen=True, omit_defaults=True):
 
 
 class ClipFrequencyPoint(Struct, frozen=True):
-    """A breakpoint."""
+    """Breakpoint of the envelope of frequency.
+
+    Attributes
+    ----------
+    time : float
+        Time, 0 to 3600 [s].
+    frequency : float
+        Frequency, 0 to 1, taken as 65 to 300 Hz.
+    """
 
     time: Seconds
     frequency: Fraction
 
 
 class Envelopes(Struct, frozen=True, omit_defaults=True):
-    """Of the continuous signal."""
+    """Object ``envelopes``: amplitude and frequency over time.
+
+    Attributes
+    ----------
+    amplitude : tuple of AmplitudePoint
+        Breakpoints in ascending order of time, at least one.
+    frequency : tuple of ClipFrequencyPoint or None
+        Breakpoints in ascending order of time.
+    """
 
     amplitude: tuple[AmplitudePoint, ...]
     frequency: tuple[ClipFrequencyPoint, ...] | None = None
 
 
 class Continuous(Struct, frozen=True):
-    """The one signal."""
+    """Object ``continuous``: the signal of the clip.
+
+    Attributes
+    ----------
+    envelopes : Envelopes
+        Amplitude and frequency.
+    """
 
     envelopes: Envelopes
 
 
 class Signals(Struct, frozen=True):
-    """The one signal."""
+    """Object ``signals``: signals of the clip, of which there is one.
+
+    Attributes
+    ----------
+    continuous : Continuous
+        The signal.
+    """
 
     continuous: Continuous
 
 
 class Clip(Struct, frozen=True):
-    """The file."""
+    """Contents of a .haptic file.
+
+    Attributes
+    ----------
+    version : Version
+        Version of the format.
+    signals : Signals
+        The signal.
+    metadata : Metadata
+        Information about the clip.
+    """
 
     version: Version
     signals: Signals
@@ -102,12 +188,26 @@ class Clip(Struct, frozen=True):
 
 
 def load_clip(path: Path) -> tuple[Effect, list[str]]:
-    """Return the effect of a file, and a line for each thing of it that is ignored.
+    """Read a .haptic file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    effect : Effect
+        Effect of one channel, with a wave and its transients.
+    notes : list of str
+        One line for each thing that was ignored.
 
     Raises
     ------
+    NotFoundError
+        If there is no such file.
     InputError
-        One line: file, field, value and limit.
+        If the file is invalid. The message is one line with the file, field, value and limit.
     """
     data = reading.parsed_json(path)
     version = data.get("version")
@@ -132,15 +232,15 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
     if taps:
         bands.append(Band(kind="transient", lower_frequency_hz=LOWEST, upper_frequency_hz=HIGHEST,
                           segments=(KeyframeSegment(keyframes=taps),)))  # fmt: skip
-    about = {**msgspec.to_builtins(clip.metadata), "tags": list(clip.metadata.tags)}
-    other = {k: v for k, v in about.items() if v and k != "description"}
+    metadata = {**msgspec.to_builtins(clip.metadata), "tags": list(clip.metadata.tags)}
+    other = {k: v for k, v in metadata.items() if v and k != "description"}
     effect = single(tuple(bands), origin="haptic", ticks_per_s=FINE, other=other,
                     description=clip.metadata.description)  # fmt: skip
     return effect, ignored
 
 
 def _check(path: Path, envelopes: Envelopes) -> None:
-    """See what types cannot say: order, and that an emphasis is above its envelope."""
+    """Check what types cannot express: order, and that an emphasis is not below its envelope."""
     where = "signals.continuous.envelopes"
     if not envelopes.amplitude:
         raise InputError(f"{path}: {where}.amplitude: is empty; needs a breakpoint")
@@ -162,14 +262,32 @@ def _check(path: Path, envelopes: Envelopes) -> None:
 
 
 def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:
-    """Return an effect as a file, and a line for each thing that it cannot say."""
-    drawn, lost = outline.of_effect(effect, ".haptic")
-    taps = sorted(drawn.transients)
-    times = np.array([time for time, _ in drawn.amplitude])
-    points = [AmplitudePoint(time=t, amplitude=a) for t, a in drawn.amplitude]
+    """Format an effect as a .haptic file.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect, of which the first channel is written.
+
+    Returns
+    -------
+    content : bytes
+        Contents of the file.
+    lost : list of str
+        One line for each thing that the format cannot express.
+
+    Raises
+    ------
+    InputError
+        If the effect has no channel, or nothing in it can be written.
+    """
+    shape, lost = outline.of_effect(effect, ".haptic")
+    taps = sorted(shape.transients)
+    times = np.array([time for time, _ in shape.amplitude])
+    points = [AmplitudePoint(time=t, amplitude=a) for t, a in shape.amplitude]
     raised = 0
     for time, amplitude, frequency in taps:
-        under = float(np.interp(time, *np.array(drawn.amplitude).T))
+        under = float(np.interp(time, *np.array(shape.amplitude).T))
         raised += amplitude < under
         point = AmplitudePoint(
             time=time, amplitude=under,
@@ -182,14 +300,14 @@ def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:
             points.append(point)
     if raised:
         lost.append(f"{raised} transients are weaker than what lies under them: raised to it")
-    lost += outline.beyond_range(drawn, ".haptic")
+    lost += outline.beyond_range(shape, ".haptic")
     clip = Clip(
         version=Version(1),
         metadata=_metadata(effect),
         signals=Signals(Continuous(Envelopes(
             amplitude=tuple(sorted(points, key=lambda p: p.time)),
             frequency=tuple(
-                ClipFrequencyPoint(t, _within(sharpness_of(f))) for t, f in drawn.frequency
+                ClipFrequencyPoint(t, _within(sharpness_of(f))) for t, f in shape.frequency
             ) or None,
         ))),
     )  # fmt: skip
@@ -197,10 +315,12 @@ def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:
 
 
 def _metadata(effect: Effect) -> Metadata:
+    """Return the metadata of an effect, those of its own file included."""
     other = effect.other if effect.origin == "haptic" else {}
-    about = {**other, "description": effect.description}
-    return reading.fitted(Path("effect.other"), about, Metadata)
+    fields = {**other, "description": effect.description}
+    return reading.fitted(Path("effect.other"), fields, Metadata)
 
 
 def _within(value: float) -> float:
+    """Return a value limited to 0 … 1."""
     return min(max(value, 0.0), 1.0)

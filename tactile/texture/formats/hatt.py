@@ -1,13 +1,13 @@
-"""Penn Haptic Texture Toolkit: texture models as XML, of a user's own copy (nothing is shipped).
+"""Penn Haptic Texture Toolkit: texture models as XML, from the copy of the user (none is shipped).
 
-A model is an ARMA filter for the acceleration [m/s²] of a hand-held tool at a speed and a force,
-driven by white Gaussian noise (Culbertson, Unwin & Kuchenbecker, "Modeling and Rendering Realistic
-Textures from Unconstrained Tool-Surface Interactions", IEEE ToH 2014). Between the models of a set
-the line spectral frequencies, variance and gain are interpolated in the triangle of (speed, force)
-around the point asked for, which is held at the set's largest speed and force.
+A model is an ARMA filter, driven by white Gaussian noise, for the acceleration [m/s²] of a
+hand-held tool at a speed and a force (Culbertson, Unwin & Kuchenbecker, "Modeling and Rendering
+Realistic Textures from Unconstrained Tool-Surface Interactions", IEEE ToH 2014). Between the models
+of a set, the line spectral frequencies, the variance and the gain are interpolated in the triangle
+of (speed, force) around the given point, which is limited to the range of the set.
 
-The toolkit's licence is for research and does not allow redistribution: a texture made from a
-model says so in its file.
+The license of the toolkit is for research and does not allow redistribution. A texture that was
+made from a model says so in its file.
 """
 
 import math
@@ -36,14 +36,17 @@ from tactile.texture.descriptor import (
 from tactile.texture.formats import reading
 
 REFERENCE_SPEED, REFERENCE_FORCE = 0.1, 1.0
-"""m/s and N at which a texture is made: in the middle of what was recorded (assumed)."""
+"""Default speed [m/s] and normal force [N] of a texture: in the middle of what was recorded
+(assumed)."""
 HAND = 20.0
-"""Hz below which acceleration is the hand's; displacement is held there (assumed)."""
+"""Frequency below which acceleration is that of the hand. Displacement is held there (assumed)
+[Hz]."""
 TOP = 1000.0
-"""Hz that a texture goes up to at most."""
+"""Highest frequency of a texture [Hz]."""
 MOST_MODELS, MOST_COEFFICIENTS = 1000, 64
+"""Largest number of models, and of coefficients of a model."""
 SETTLE = 4096
-"""Samples of noise before the first that is kept."""
+"""Number of samples of noise that pass through the filter before the first sample that is used."""
 CATEGORIES = {
     "wood": "wood", "mdf": "wood", "cork": "wood", "leather": "leather", "plastic": "plastic",
     "acrylic": "plastic", "foam": "foam", "styrofoam": "foam", "metal": "metal",
@@ -52,11 +55,22 @@ CATEGORIES = {
     "glove": "rubber", "paper": "paper", "card": "paper", "cardboard": "paper", "folder": "paper",
     "book": "paper", "glass": "glass",
 }  # fmt: skip
-"""By a word in a material's name, the first that fits; all else is taken for a textile."""
+"""Category by a word in the name of a material. The last word that occurs here counts; a material
+without one is taken as a textile."""
 
 
 class Filter(NamedTuple):
-    """Of the noise: numerator and denominator, and the noise's variance."""
+    """Filter of white noise.
+
+    Attributes
+    ----------
+    b : (Q + 1,) array of float
+        Numerator.
+    a : (P + 1,) array of float
+        Denominator.
+    variance : float
+        Variance of the noise [(m/s²)²].
+    """
 
     b: Floats
     a: Floats
@@ -65,17 +79,28 @@ class Filter(NamedTuple):
 
 @dataclass(frozen=True)
 class ModelSet:
-    """A material's models.
+    """Models of one material.
 
     Attributes
     ----------
-    material : its name
-    sample_rate : [Hz]
-    friction : kinetic coefficient, of the tool
-    point : (M, 2) speed [m/s] and force [N] of each model
-    triangle : (T, 3) indices of models
-    ar_lsf, ma_lsf : (M, P) and (M, Q) [rad/sample]; Q is 0 for AR models
-    variance, gain : (M,)
+    material : str
+        Name of the material.
+    sample_rate : float
+        Sample rate of the models [Hz].
+    friction : float
+        Kinetic coefficient of friction of the tool.
+    point : (M, 2) array of float
+        Speed [m/s] and force [N] of each model.
+    triangle : (T, 3) array of int
+        Indices of the models at the corners of each triangle.
+    ar_lsf : (M, P) array of float
+        Line spectral frequencies of the denominators [rad/sample].
+    ma_lsf : (M, Q) array of float
+        Line spectral frequencies of the numerators [rad/sample]. Q is 0 for AR models.
+    variance : (M,) array of float
+        Variances of the noise [(m/s²)²].
+    gain : (M,) array of float
+        Gains of the numerators.
     """
 
     material: str
@@ -89,7 +114,20 @@ class ModelSet:
     gain: Floats
 
     def filter_at(self, speed: float, normal_force: float) -> Filter:
-        """Return the interpolated filter at a speed [m/s] and force [N]."""
+        """Interpolate the filter at a speed and force.
+
+        Parameters
+        ----------
+        speed : float
+            Speed, of either sign [m/s].
+        normal_force : float
+            Normal force [N].
+
+        Returns
+        -------
+        Filter
+            Filter for the acceleration of the tool.
+        """
         model, weight = self._around(abs(speed), normal_force)
         gain = float(weight @ self.gain[model])
         return Filter(
@@ -101,22 +139,36 @@ class ModelSet:
     def _around(self, speed: float, normal_force: float) -> tuple[NDArray[np.intp], Floats]:
         """Return the models of the triangle around a point, and their weights."""
         largest = self.point.max(axis=0)
-        asked = np.clip([speed, normal_force], self.point.min(axis=0), largest) / largest
+        target = np.clip([speed, normal_force], self.point.min(axis=0), largest) / largest
         corner = (self.point / largest)[self.triangle]
         edges = np.stack([corner[:, 0] - corner[:, 2], corner[:, 1] - corner[:, 2]], axis=2)
+        # Barycentric weights of the point in each triangle; flat triangles have none.
         flat = np.abs(np.linalg.det(edges)) < 1e-12
         edges[flat] = np.eye(2)
-        part = np.linalg.solve(edges, (asked - corner[:, 2])[:, :, None])[:, :, 0]
+        part = np.linalg.solve(edges, (target - corner[:, 2])[:, :, None])[:, :, 0]
         weight = np.column_stack([part, 1 - part.sum(axis=1)])
         weight[flat] = -np.inf
+        # If no triangle contains the point, the one that comes nearest to doing so is taken.
         best = int(np.argmax(weight.min(axis=1)))
         inside = np.clip(weight[best], 0, None)
         return self.triangle[best], inside / inside.sum()
 
     def acceleration_psd(self, frequency: Floats, speed: float, normal_force: float) -> Floats:
-        """Return the one-sided power spectral density [(m/s²)²/Hz] at frequencies (F,) [Hz].
+        """Compute the one-sided power spectral density of acceleration, 2 σ² |B/A|² / fs.
 
-        2 σ² |B/A|² / fs, in closed form; 0 above half the models' sample rate.
+        Parameters
+        ----------
+        frequency : (F,) array of float
+            Frequencies [Hz].
+        speed : float
+            Speed, of either sign [m/s].
+        normal_force : float
+            Normal force [N].
+
+        Returns
+        -------
+        (F,) array of float
+            Density, 0 above half of the sample rate [(m/s²)²/Hz].
         """
         b, a, variance = self.filter_at(speed, normal_force)
         _, response = freqz(b, a, worN=2 * np.pi * frequency / self.sample_rate)
@@ -124,18 +176,47 @@ class ModelSet:
         return np.asarray(np.where(frequency <= self.sample_rate / 2, density, 0.0))
 
     def acceleration(self, count: int, speed: float, normal_force: float, seed: int = 0) -> Floats:
-        """Return (count,) samples of acceleration [m/s²] at the models' sample rate."""
+        """Synthesize acceleration at the sample rate of the models.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples.
+        speed : float
+            Speed, of either sign [m/s].
+        normal_force : float
+            Normal force [N].
+        seed : int
+            Seed of the noise.
+
+        Returns
+        -------
+        (count,) array of float
+            Acceleration of the tool [m/s²].
+        """
         b, a, variance = self.filter_at(speed, normal_force)
         noise = np.random.default_rng(seed).standard_normal(count + SETTLE)
         return np.asarray(lfilter(b, a, math.sqrt(variance) * noise)[SETTLE:])
 
 
 def polynomial(lsf: Floats) -> Floats:
-    """Return the monic polynomial of line spectral frequencies (P,) [rad/sample], (P + 1,).
+    """Compute the monic polynomial of line spectral frequencies.
 
-    A = (S + D)/2; the first, third … frequency are zeros of the symmetric S, the others of the
-    antisymmetric D, which have a zero at −1 and at 1 besides where P is even, and D both where it
-    is odd (Itakura 1975).
+    Parameters
+    ----------
+    lsf : (P,) array of float
+        Line spectral frequencies in ascending order [rad/sample].
+
+    Returns
+    -------
+    (P + 1,) array of float
+        Coefficients, beginning with 1.
+
+    Notes
+    -----
+    The polynomial is A = (S + D)/2. The first, third, … frequency are zeros of the symmetric S, the
+    others are zeros of the antisymmetric D. Where P is even, S has a further zero at −1 and D one
+    at 1; where P is odd, D has both (Itakura 1975).
     """
     if not len(lsf):
         return np.ones(1)
@@ -145,20 +226,34 @@ def polynomial(lsf: Floats) -> Floats:
 
 
 def _circle(angle: Floats, real: list[float]) -> Floats:
+    """Return the polynomial with pairs of zeros on the unit circle and given real zeros."""
     zeros = np.concatenate([np.exp(1j * angle), np.exp(-1j * angle), real])
     return np.asarray(np.real(np.poly(zeros)))
 
 
-# Reading
+# Reading of a file
 
 
 def load_model(path: Path) -> ModelSet:
-    """Return the models of a file.
+    """Read the models of a material from an XML file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    ModelSet
+        Models of the material.
 
     Raises
     ------
-    NotFoundError, InputError
-        One line: file, what, and what is allowed.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file is invalid. The message is one line with the file, what is wrong and what is
+        allowed.
     """
     root = _parsed(path)
     models = root.findall("model")
@@ -185,7 +280,7 @@ def load_model(path: Path) -> ModelSet:
 
 
 def _parsed(path: Path) -> ElementTree.Element:
-    """Return a file's root; its text is UTF-8 and defines no entities."""
+    """Return the root of a file. Its text must be UTF-8 and must not define entities."""
     raw = reading.contents(path)
     if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
         raise InputError(f"{path}: has a document type: must be plain XML")
@@ -199,11 +294,13 @@ def _parsed(path: Path) -> ElementTree.Element:
 
 
 def _number(path: Path, element: ElementTree.Element, name: str, low: float, high: float) -> float:
+    """Return the number in a child of an element."""
     text = (element.findtext(name) or "").strip()
     return _within(path, name, text, low, high)
 
 
 def _within(path: Path, name: str, text: str, low: float, high: float) -> float:
+    """Return a text as a number, or raise `InputError` if it is outside its limits."""
     try:
         value = float(text)
     except ValueError:
@@ -216,10 +313,12 @@ def _within(path: Path, name: str, text: str, low: float, high: float) -> float:
 def _values(
     path: Path, element: ElementTree.Element, name: str, low: float, high: float
 ) -> list[float]:
+    """Return the numbers in all ``value`` elements below an element."""
     return [_within(path, name, v.text or "", low, high) for v in element.iter("value")]
 
 
 def _lsf(path: Path, models: list[ElementTree.Element], name: str) -> Floats:
+    """Return the line spectral frequencies of all models (M, P) [rad/sample]."""
     rows = []
     for i, model in enumerate(models):
         element = model.find(name)
@@ -236,28 +335,44 @@ def _lsf(path: Path, models: list[ElementTree.Element], name: str) -> Floats:
 
 
 def _triangles(path: Path, root: ElementTree.Element, count: int) -> NDArray[np.intp]:
-    """Return the triangles (T, 3), a file's numbers counting from 1."""
+    """Return the triangles (T, 3), whose numbers count from 1 in a file and from 0 here."""
     rows = [_values(path, element, "tri", 1, count) for element in root.findall("tri")]
     if not rows or {len(row) for row in rows} != {3}:
         raise InputError(f"{path}: needs triangles, <tri> of three values each")
     return np.array(rows).astype(np.intp) - 1
 
 
-# As a texture
+# Conversion to a texture
 
 
 def texture_from(
     model: ModelSet, speed: float = REFERENCE_SPEED, normal_force: float = REFERENCE_FORCE
 ) -> tuple[Descriptor, list[str]]:
-    """Return a texture with a model's spectrum at a speed and force, and what was assumed.
+    """Make a texture with the spectrum of a model at a speed and force.
 
-    The acceleration of the tool, which Penn made one signal of three axes, is taken for that of
-    the skin along the stroke; twice integrated it is displacement, held below 20 Hz.
+    The acceleration of the tool, which Penn reduced from three axes to one signal, is taken as that
+    of the skin along the stroke. Integrated twice it is displacement, which is held below 20 Hz.
+
+    Parameters
+    ----------
+    model : ModelSet
+        Models of a material.
+    speed : float
+        Reference speed of the texture [m/s].
+    normal_force : float
+        Reference normal force of the texture, limited to what was recorded [N].
+
+    Returns
+    -------
+    texture : Descriptor
+        The texture.
+    assumptions : list of str
+        What was assumed, one line each.
 
     Raises
     ------
     InputError
-        Where the speed is beyond what was recorded, or the model is still there.
+        If the speed is outside of what was recorded, or there is no vibration at it.
     """
     largest = model.point.max(axis=0)
     force = min(normal_force, float(largest[1]))
@@ -279,7 +394,7 @@ def texture_from(
             description=f"{material}, under a tool",
             source=f"Penn Haptic Texture Toolkit, {material}: its spectrum at {speed * 1e3:g} mm/s "
                    f"and {force:g} N, tool acceleration taken for skin acceleration",
-            licence="Penn Haptic Texture Toolkit: research only, not to be redistributed",
+            license="Penn Haptic Texture Toolkit: research only, not to be redistributed",
         ),
         reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=force),
         stochastic=Stochastic(
@@ -298,13 +413,15 @@ def texture_from(
 
 
 def _top(model: ModelSet) -> float:
+    """Return the highest frequency of a texture [Hz]."""
     return min(model.sample_rate / 2, TOP)
 
 
 def _category(material: str) -> str:
+    """Return the category of a material by its name."""
     words = re.findall("[a-z]+", material.lower())
-    found = [CATEGORIES[word] for word in reversed(words) if word in CATEGORIES]
-    return found[0] if found else "textile"
+    categories = [CATEGORIES[word] for word in reversed(words) if word in CATEGORIES]
+    return categories[0] if categories else "textile"
 
 
 def _displacement_power(model: ModelSet, center: float, speed: float, force: float) -> float:
@@ -314,16 +431,17 @@ def _displacement_power(model: ModelSet, center: float, speed: float, force: flo
 
 
 def _displacement_psd(model: ModelSet, frequency: Floats, speed: float, force: float) -> Floats:
+    """Return the spectral density of displacement, held below `HAND` [m²/Hz]."""
     held = np.maximum(frequency, HAND)
     density = model.acceleration_psd(held, speed, force) / (2 * np.pi * held) ** 4
     return np.asarray(density)
 
 
 def _laws(model: ModelSet, speed: float, force: float) -> Laws:
-    """Return exponents from the models at half and twice the speed and force, where they are.
+    """Return exponents from the models at half and twice the speed and force, as far as they go.
 
-    The speed's is what is left of the displacement between 20 Hz and the top when a surface that
-    stays the same has moved in frequency.
+    A surface that stays the same moves in frequency as the speed changes. The speed exponent is
+    what remains of the displacement between 20 Hz and the top after this shift.
     """
     fastest, strongest = model.point.max(axis=0)
     slow, fast = speed / 2, min(2 * speed, fastest)
@@ -331,9 +449,11 @@ def _laws(model: ModelSet, speed: float, force: float) -> Laws:
     f = np.geomspace(HAND, _top(model), 400)
 
     def power(v: float, n: float) -> float:
+        """Return the power of the displacement at a speed and force [m²]."""
         return float(np.trapezoid(_displacement_psd(model, f, v, n), f))
 
     def moved(v: float) -> float:
+        """Return the power of the reference displacement, shifted in frequency to a speed [m²]."""
         density = _displacement_psd(model, np.minimum(f * speed / v, _top(model)), speed, force)
         return float(np.trapezoid(density * speed / v, f))
 
@@ -348,10 +468,12 @@ def _laws(model: ModelSet, speed: float, force: float) -> Laws:
 
 
 def _exponent(power: float, ratio: float) -> float:
+    """Return the exponent of an amplitude from the ratios of power and of its cause."""
     return min(max(math.log(power) / 2 / math.log(ratio), -4.0), 4.0) if power > 0 else 0.0
 
 
 def _friction(model: ModelSet) -> Friction | None:
+    """Return the friction of the tool, or None if it is 0."""
     if not model.friction:
         return None
     return Friction(static_coefficient=model.friction, kinetic_coefficient=model.friction)

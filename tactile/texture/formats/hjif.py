@@ -1,9 +1,10 @@
-"""``.hjif``, MPEG-I Haptics as JSON (ISO/IEC 23090-31): read and written whole.
+"""``.hjif``, MPEG-I Haptics as JSON (ISO/IEC 23090-31), read and written without loss.
 
-The effect document has the same layers, so a file comes back as it was: ids, effect types, phases,
-base signals, keywords, gains, devices, and in ``other`` what means nothing here (avatars, targets
-on the body, wavelet streams …). ``effect_semantic_scheme`` is left out when writing: the reference
-conformance check takes any for an error. The binary form, .hmpg, is not read.
+The effect document has the same layers, so that a file is written as it was read: ids, effect
+types, phases, base signals, keywords, gains, devices, and in ``other`` whatever has no meaning here
+(avatars, targets on the body, wavelet streams …). ``effect_semantic_scheme`` is left out when
+writing, since the reference conformance check takes any as an error. The binary form, .hmpg, is not
+read.
 """
 
 import datetime
@@ -37,17 +38,32 @@ from tactile.texture.formats.synthesis import without_control
 KINDS = {
     "Curve": "curve", "VectorialWave": "wave", "WaveletWave": "wavelet", "Transient": "transient",
 }  # fmt: skip
+"""Kind of a band in the effect document by its ``band_type``."""
 BANDS_AT_LEVEL_1, CHANNELS_AT_LEVEL_1 = 7, 128
+"""Largest numbers of bands of a channel and of channels of a perception at level 1."""
 SCHEME = "effect_semantic_scheme"
-"""Left out when writing."""
+"""Field that is left out when writing."""
 
 Ticks = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+"""Time in ticks, or another unsigned integer of 32 bits."""
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+"""Number of limited magnitude, −1e6 to 1e6."""
 Name = Annotated[str, Meta(max_length=10_000)]
+"""Text of at most 10000 characters."""
 
 
 class HjifKeyframe(Struct, frozen=True):
-    """As in the file."""
+    """Object of ``keyframes``: one keyframe of an effect.
+
+    Attributes
+    ----------
+    relative_position : int
+        Time from the beginning of the effect, 0 to 2^32 − 1 [ticks].
+    amplitude_modulation : float or None
+        Amplitude, −1 to 1.
+    frequency_modulation : float or None
+        Frequency, 0 to 24000 [Hz].
+    """
 
     relative_position: Ticks
     amplitude_modulation: Annotated[float, Meta(ge=-1, le=1)] | None = None
@@ -55,7 +71,25 @@ class HjifKeyframe(Struct, frozen=True):
 
 
 class HjifEffect(Struct, frozen=True):
-    """As in the file."""
+    """Object of ``effects`` or ``effect_library``: keyframes from a time on.
+
+    Attributes
+    ----------
+    effect_type : str
+        "Basis", "Reference" or "Composite".
+    position : int
+        Beginning of the effect, 0 to 2^32 − 1, default 0 [ticks].
+    id : int or None
+        Number of the effect in the library.
+    phase : float or None
+        Phase at the beginning, −1000 to 1000 [rad].
+    base_signal : str or None
+        "Sine", "Square", "Triangle", "SawToothUp" or "SawToothDown".
+    semantic_keywords : str or None
+        Keywords, at most 10000 characters.
+    keyframes : tuple of HjifKeyframe
+        Keyframes in ascending order of time, default none.
+    """
 
     effect_type: EffectType
     position: Ticks = 0
@@ -67,7 +101,21 @@ class HjifEffect(Struct, frozen=True):
 
 
 class HjifBand(Struct, frozen=True):
-    """As in the file."""
+    """Object of ``bands``: effects in one range of frequency.
+
+    Attributes
+    ----------
+    band_type : str
+        "Curve", "VectorialWave", "WaveletWave" or "Transient".
+    lower_frequency_limit : float
+        Lower end of the range, 0 to 1e6 [Hz].
+    upper_frequency_limit : float
+        Upper end of the range, 0 to 1e6 [Hz].
+    effects : tuple of HjifEffect
+        Effects.
+    curve_type : str or None
+        "Cubic", "Linear", "Akima", "Bezier", "Bspline" or "Unknown".
+    """
 
     band_type: str
     lower_frequency_limit: Annotated[float, Meta(ge=0, le=1e6)]
@@ -77,7 +125,25 @@ class HjifBand(Struct, frozen=True):
 
 
 class HjifChannel(Struct, frozen=True):
-    """As in the file."""
+    """Object of ``channels``: one signal.
+
+    Attributes
+    ----------
+    id : int
+        Number of the channel.
+    description : str
+        Description, at most 10000 characters.
+    gain : float
+        Factor of the signal, −1000 to 1000.
+    mixing_coefficient : float
+        Weight with which channels are mixed for one actuator, −1000 to 1000.
+    body_part_mask : int
+        Bits of the parts of the body, 0 to 2^32 − 1.
+    bands : tuple of HjifBand
+        Bands, which add up.
+    reference_device_id : int or None
+        Number of the device in ``reference_devices`` of the perception.
+    """
 
     id: int
     description: Name
@@ -89,7 +155,27 @@ class HjifChannel(Struct, frozen=True):
 
 
 class HjifDevice(Struct, frozen=True):
-    """As in the file; lengths in the perception's unit."""
+    """Object of ``reference_devices``: actuator that an effect was made for.
+
+    Attributes
+    ----------
+    id : int
+        Number of the device.
+    name : str
+        Name of the device, at most 10000 characters.
+    type : str
+        "LRA", "VCA", "ERM", "Piezo" or "Unknown" (the default).
+    minimum_frequency : float or None
+        Lowest frequency, 0 to 1e6 [Hz].
+    maximum_frequency : float or None
+        Highest frequency, 0 to 1e6 [Hz].
+    resonance_frequency : float or None
+        Resonance frequency, 0 to 1e6 [Hz].
+    maximum_voltage : float or None
+        Highest voltage, 0 to 1e6 [V].
+    maximum_displacement : float or None
+        Largest displacement, 0 to 1e6, in the unit of length of the perception.
+    """
 
     id: int
     name: Name
@@ -102,7 +188,27 @@ class HjifDevice(Struct, frozen=True):
 
 
 class HjifPerception(Struct, frozen=True):
-    """As in the file."""
+    """Object of ``perceptions``: channels that make up one impression.
+
+    Attributes
+    ----------
+    id : int
+        Number of the perception.
+    avatar_id : int
+        Number of its avatar.
+    description : str
+        Description, at most 10000 characters.
+    perception_modality : str
+        Modality, such as "Vibrotactile Texture".
+    effect_library : tuple of HjifEffect
+        Effects that others refer to.
+    channels : tuple of HjifChannel
+        Channels.
+    reference_devices : tuple of HjifDevice
+        Actuators that the channels were made for, default none.
+    unit_exponent : int
+        Unit of length as a power of ten of a meter, −12 to 12, default −3 (millimeters).
+    """
 
     id: int
     avatar_id: int
@@ -115,7 +221,29 @@ class HjifPerception(Struct, frozen=True):
 
 
 class HjifFile(Struct, frozen=True):
-    """As in the file: all of it is required."""
+    """Contents of a .hjif file, all of which are required.
+
+    Attributes
+    ----------
+    version : str
+        Version of the format, such as "2023".
+    profile : str
+        "Main" or "Simple Parametric".
+    level : int
+        Level of the profile, 1 or 2.
+    date : str
+        Date of the file.
+    description : str
+        Description, at most 10000 characters.
+    timescale : int
+        Ticks per second, 1 to 48000 [1/s].
+    avatars : tuple of dict
+        Avatars, which are kept as they are.
+    perceptions : tuple of HjifPerception
+        Perceptions.
+    syncs : tuple of dict
+        Synchronization, which is kept as it is.
+    """
 
     version: Annotated[str, Meta(pattern="^[0-9]{4}(-[0-9])?$")]
     profile: Annotated[str, Meta(pattern="^(Main|Simple Parametric)$")]
@@ -129,12 +257,26 @@ class HjifFile(Struct, frozen=True):
 
 
 def load_hjif(path: Path) -> tuple[Effect, list[str]]:
-    """Return the effect of a file, and a line for each thing of it that is changed.
+    """Read a .hjif file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    effect : Effect
+        Effect with all of the layers of the file.
+    notes : list of str
+        Always empty, since nothing is changed.
 
     Raises
     ------
+    NotFoundError
+        If there is no such file.
     InputError
-        One line: file, field, value and limit.
+        If the file is invalid. The message is one line with the file, field, value and limit.
     """
     data = reading.parsed_json(path, null=False)
     file = reading.fitted(path, data, HjifFile)
@@ -142,24 +284,25 @@ def load_hjif(path: Path) -> tuple[Effect, list[str]]:
         _perception(path, p, raw, f"perceptions[{i}]", file.timescale)
         for i, (p, raw) in enumerate(zip(file.perceptions, data["perceptions"], strict=True))
     )
-    kept = {k: v for k, v in data.items()
+    other_fields = {k: v for k, v in data.items()
             if k not in ("description", "timescale", "perceptions")}  # fmt: skip
     try:
         effect = Effect(description=file.description, origin="hjif", ticks_per_s=file.timescale,
-                        perceptions=perceptions, other=kept)  # fmt: skip
+                        perceptions=perceptions, other=other_fields)  # fmt: skip
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
     return effect, []
 
 
 def _other(raw: dict[str, Any], shape: type[Struct], *unsaid: str) -> dict[str, Any]:
-    """Return the fields of an object that its Struct does not have, and others by name."""
+    """Return the fields of an object that its Struct does not have, and further ones by name."""
     return {k: v for k, v in raw.items() if k not in shape.__struct_encode_fields__ or k in unsaid}
 
 
 def _perception(
     path: Path, p: HjifPerception, raw: dict[str, Any], where: str, timescale: int
 ) -> Perception:
+    """Return a perception of a file as one of the document."""
     millimeters = 10.0 ** (p.unit_exponent + 3)
     return Perception(
         id=p.id, avatar_id=p.avatar_id, description=p.description, modality=p.perception_modality,
@@ -182,6 +325,7 @@ def _perception(
 
 
 def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> ReferenceDevice:
+    """Return a device of a file as one of the document."""
     reach = d.maximum_displacement
     return ReferenceDevice(
         id=d.id, name=d.name, type=d.type, minimum_frequency_hz=d.minimum_frequency,
@@ -195,15 +339,16 @@ def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> Reference
 def _channel(
     path: Path, c: HjifChannel, raw: dict[str, Any], where: str, timescale: int
 ) -> EffectChannel:
+    """Return a channel of a file as one of the document."""
     bands = []
     for i, (band, raw_band) in enumerate(zip(c.bands, raw["bands"], strict=True)):
-        at = f"{where}.bands[{i}]"
+        field = f"{where}.bands[{i}]"
         if band.band_type not in KINDS:
             raise InputError(reading.one_line(
-                f"{path}: {at}.band_type = {band.band_type!r}: must be one of {', '.join(KINDS)}"
+                f"{path}: {field}.band_type = {band.band_type!r}: must be one of {', '.join(KINDS)}"
             ))  # fmt: skip
         segments = [
-            _segment(path, e, raw_effect, f"{at}.effects[{k}]", timescale)
+            _segment(path, e, raw_effect, f"{field}.effects[{k}]", timescale)
             for k, (e, raw_effect) in enumerate(zip(band.effects, raw_band["effects"], strict=True))
         ]
         bands.append(Band(
@@ -221,14 +366,15 @@ def _channel(
 def _segment(
     path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timescale: int
 ) -> KeyframeSegment:
-    at = [k.relative_position for k in e.keyframes]
-    for i, (before, after) in enumerate(itertools.pairwise(at)):
+    """Return an effect of a file as a segment of the document."""
+    positions = [k.relative_position for k in e.keyframes]
+    for i, (before, after) in enumerate(itertools.pairwise(positions)):
         if after < before:
             raise InputError(
                 f"{path}: {where}.keyframes[{i + 1}].relative_position = {after}: comes after "
                 f"{before}; must ascend"
             )
-    if (e.position + max(at, default=0)) / timescale > 3600:
+    if (e.position + max(positions, default=0)) / timescale > 3600:
         raise InputError(f"{path}: {where}: ends after more than an hour")
     return KeyframeSegment(
         start_s=e.position / timescale, type=e.effect_type, id=e.id, phase_rad=e.phase,
@@ -241,11 +387,11 @@ def _segment(
     )  # fmt: skip
 
 
-# Writing
+# Writing of a file
 
 
 class _Writer:
-    """What is told of an effect as it is written, and how much was rounded."""
+    """Notes and counts of rounded values that accumulate while an effect is written."""
 
     def __init__(self, effect: Effect) -> None:
         self.timescale, self.ours = effect.ticks_per_s, effect.origin == "hjif"
@@ -253,26 +399,41 @@ class _Writer:
         self.lost: list[str] = []
 
     def ticks(self, seconds: float) -> int:
-        whole = round(seconds * self.timescale)
-        self.rounded_times += abs(whole - seconds * self.timescale) > 1e-6
-        return whole
+        """Return a time in whole ticks, and count it if it was rounded."""
+        ticks = round(seconds * self.timescale)
+        self.rounded_times += abs(ticks - seconds * self.timescale) > 1e-6
+        return ticks
 
     def hertz(self, frequency: float) -> int:
-        whole = round(max(frequency, 0.0))
-        self.rounded_hertz += whole != frequency
-        return whole
+        """Return a frequency in whole Hz, and count it if it was rounded."""
+        hertz = round(max(frequency, 0.0))
+        self.rounded_hertz += hertz != frequency
+        return hertz
 
     def other(self, fields: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields of ``other`` to write, none for a document of another origin."""
         return {k: v for k, v in fields.items() if k != SCHEME} if self.ours else {}
 
 
 def saved_hjif(effect: Effect) -> tuple[bytes, list[str]]:
-    """Return an effect as a file, and a line for each thing that it cannot say.
+    """Format an effect as a .hjif file.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to write.
+
+    Returns
+    -------
+    content : bytes
+        Contents of the file.
+    lost : list of str
+        One line for each thing that the format cannot express.
 
     Raises
     ------
     InputError
-        Where samples are too many for keyframes.
+        If there are too many samples to be written as keyframes.
     """
     effect = _with_ticks_for_samples(effect)
     writer = _Writer(effect)
@@ -294,7 +455,7 @@ def saved_hjif(effect: Effect) -> tuple[bytes, list[str]]:
 
 
 def _with_ticks_for_samples(effect: Effect) -> Effect:
-    """Return an effect whose ticks are those of its samples, where it has any."""
+    """Return an effect whose ticks are those of its samples, if it has any."""
     sampled = [
         (b.sample_rate_hz or 1.0, sum(len(s.samples) // 4 for s in b.segments))
         for _, c in channels_of(effect) for b in c.bands if b.kind == "samples"
@@ -307,11 +468,12 @@ def _with_ticks_for_samples(effect: Effect) -> Effect:
             "file would do"
         )
     rate = max(rate for rate, _ in sampled)
-    whole = rate if rate == int(rate) and rate <= 48_000 else 48_000
-    return msgspec.structs.replace(effect, ticks_per_s=int(whole))
+    ticks_per_s = rate if rate == int(rate) and rate <= 48_000 else 48_000
+    return msgspec.structs.replace(effect, ticks_per_s=int(ticks_per_s))
 
 
 def _perception_out(writer: _Writer, p: Perception) -> dict[str, Any]:
+    """Return a perception as an object of the file."""
     if writer.ours and SCHEME in p.other:
         writer.lost.append(f"perception {p.id}: {SCHEME} is left out: conformance checks refuse it")
     units = {"unit_exponent": -3, "perception_unit_exponent": 0}
@@ -327,31 +489,34 @@ def _perception_out(writer: _Writer, p: Perception) -> dict[str, Any]:
 
 
 def _device_out(writer: _Writer, d: ReferenceDevice, unit: float) -> dict[str, Any]:
+    """Return a device as an object of the file."""
     reach = d.maximum_displacement_mm
-    said = {
+    limits = {
         "minimum_frequency": d.minimum_frequency_hz, "maximum_frequency": d.maximum_frequency_hz,
         "resonance_frequency": d.resonance_frequency_hz, "maximum_voltage": d.maximum_voltage_v,
         "maximum_displacement": None if reach is None else reach * unit,
     }  # fmt: skip
-    known = {k: v for k, v in said.items() if v is not None}
-    return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **known}
+    present = {k: v for k, v in limits.items() if v is not None}
+    return {**writer.other(d.other), "id": d.id, "name": d.name, "type": d.type, **present}
 
 
 def _channel_out(writer: _Writer, perception: Perception, channel: EffectChannel) -> dict[str, Any]:
-    whole = without_control(perception, channel)
-    if whole is not channel:
+    """Return a channel as an object of the file."""
+    plain = without_control(perception, channel)
+    if plain is not channel:
         writer.lost.append(f"channel {channel.id}: control curves are worked into its keyframes")
-    device = whole.reference_device_id
+    device = plain.reference_device_id
     return {
-        **writer.other(whole.other), "id": whole.id, "description": whole.description,
-        "gain": whole.gain, "mixing_coefficient": whole.mixing_coefficient,
-        "body_part_mask": whole.body_part_mask,
+        **writer.other(plain.other), "id": plain.id, "description": plain.description,
+        "gain": plain.gain, "mixing_coefficient": plain.mixing_coefficient,
+        "body_part_mask": plain.body_part_mask,
         **({} if device is None else {"reference_device_id": device}),
-        "bands": [_band_out(writer, b) for b in whole.bands if b.kind != "control"],
+        "bands": [_band_out(writer, b) for b in plain.bands if b.kind != "control"],
     }  # fmt: skip
 
 
 def _band_out(writer: _Writer, band: Band) -> dict[str, Any]:
+    """Return a band as an object of the file."""
     names = {ours: theirs for theirs, ours in KINDS.items()}
     curve_type = "Linear" if band.kind == "samples" else band.curve_type
     return {
@@ -365,7 +530,7 @@ def _band_out(writer: _Writer, band: Band) -> dict[str, Any]:
 
 
 def _as_keyframes(band: Band, segment: KeyframeSegment) -> KeyframeSegment:
-    """Return samples as keyframes; the last is held for one more sample, as long as it lasts."""
+    """Return samples as keyframes, with one more that holds the last sample for its interval."""
     if band.kind != "samples":
         return segment
     values = np.clip(np.frombuffer(segment.samples, "<f4").astype(np.float64), -1, 1).tolist()
@@ -377,22 +542,24 @@ def _as_keyframes(band: Band, segment: KeyframeSegment) -> KeyframeSegment:
 
 
 def _segment_out(writer: _Writer, kind: str, s: KeyframeSegment) -> dict[str, Any]:
-    said = {
+    """Return a segment as an object of the file."""
+    optional = {
         "id": s.id, "phase": s.phase_rad, "base_signal": s.base_signal,
         "semantic_keywords": s.keywords,
     }  # fmt: skip
     if kind == "wave" and not writer.ours and s.type == "Basis":
-        said["phase"], said["base_signal"] = s.phase_rad or 0.0, s.base_signal or "Sine"
-    out = {
+        optional["phase"], optional["base_signal"] = s.phase_rad or 0.0, s.base_signal or "Sine"
+    fields = {
         **writer.other(s.other), "effect_type": s.type, "position": writer.ticks(s.start_s),
-        **{k: v for k, v in said.items() if v is not None},
+        **{k: v for k, v in optional.items() if v is not None},
     }  # fmt: skip
     if s.keyframes or not (s.other or s.type == "Reference"):
-        out["keyframes"] = [_keyframe_out(writer, k) for k in s.keyframes]
-    return out
+        fields["keyframes"] = [_keyframe_out(writer, k) for k in s.keyframes]
+    return fields
 
 
 def _keyframe_out(writer: _Writer, k: Keyframe) -> dict[str, Any]:
+    """Return a keyframe as an object of the file."""
     out: dict[str, Any] = {"relative_position": writer.ticks(k.time_s)}
     if k.amplitude is not None:
         out["amplitude_modulation"] = k.amplitude

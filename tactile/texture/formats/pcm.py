@@ -1,9 +1,10 @@
-"""Samples: WAV files of any number of channels, and the buffers of OpenXR's XR_FB_haptic_pcm.
+"""Samples: WAV files of any number of channels, and the buffers of XR_FB_haptic_pcm of OpenXR.
 
 WAV is read as int16, int24, int32, uint8, float32 or float64 and written as float32. A float file
-that goes beyond ± 1 keeps its shape, the channel's gain carrying what is above. OpenXR plays
-float32 of one channel in buffers of 4000 (XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB), the first with
-``append`` false and the others true; JSON is ours, the names are the specification's.
+that exceeds ± 1 keeps its waveform, and the gain of the channel carries the excess. OpenXR plays
+float32 of one channel in buffers of 4000 samples (XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB), the first with
+``append`` false and the others with true. The JSON form is our own; its names are those of the
+specification.
 """
 
 import io
@@ -31,27 +32,42 @@ from tactile.texture.formats.document import (
 from tactile.texture.formats.synthesis import synthesize, unplayed
 
 LARGEST_WAV = 64 * 1024 * 1024
-"""Bytes: a minute of 24 channels at 8 kHz is 44 MiB."""
+"""Largest size of a file [bytes]. A minute of 24 channels at 8 kHz takes 44 MiB."""
 MOST_CHANNELS = 1024
+"""Largest number of channels."""
 BUFFER = 4000
-"""XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB."""
+"""Largest number of samples of a buffer, XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB."""
 RATE = 8000.0
-"""Hz where nothing else is said: that of the displays here."""
+"""Sample rate of effects without samples, which is that of the displays [Hz]."""
 BROKEN = (ValueError, TypeError, KeyError, IndexError, EOFError, ZeroDivisionError, OverflowError,
           AttributeError, UnboundLocalError, MemoryError, struct.error)  # fmt: skip
-"""What scipy's reader raises of a file that is none."""
+"""Errors that the reader of scipy raises for an invalid file."""
 
 
 def read_wav(path: Path) -> tuple[float, Floats]:
-    """Return a file's sample rate [Hz] and samples (S, C), 1 being full scale.
+    """Read the samples of a WAV file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    rate : float
+        Sample rate [Hz].
+    samples : (S, C) array of float
+        Samples of each channel, relative to full scale.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where it is not there, is no WAV, is cut short, or holds what is no finite number.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file is not a WAV file, is truncated, or holds a value that is not finite.
     """
     data = reading.contents(path, LARGEST_WAV)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             rate, samples = wavfile.read(io.BytesIO(data))
@@ -61,7 +77,7 @@ def read_wav(path: Path) -> tuple[float, Floats]:
             ) from error
     if not samples.size:
         raise InputError(f"{path}: has no samples")
-    if any("EOF" in str(warning.message) for warning in said):
+    if any("EOF" in str(warning.message) for warning in caught):
         raise InputError(f"{path}: is cut short: its header promises more than there is")
     if samples.dtype not in (np.uint8, np.int16, np.int32, np.float32, np.float64):
         raise InputError(f"{path}: samples are {samples.dtype}: must be 8 to 32 bits or float")
@@ -77,6 +93,7 @@ def read_wav(path: Path) -> tuple[float, Floats]:
 
 
 def _full_scale(samples: NDArray[np.generic]) -> Floats:
+    """Return samples relative to full scale."""
     if samples.dtype == np.uint8:
         return np.asarray((samples.astype(np.float64) - 128) / 128)
     bits = 8 * samples.dtype.itemsize
@@ -85,12 +102,26 @@ def _full_scale(samples: NDArray[np.generic]) -> Floats:
 
 
 def load_wav(path: Path) -> tuple[Effect, list[str]]:
-    """Return the effect of a file: a channel of samples for each of its own.
+    """Read a WAV file as an effect with one channel of samples for each of its channels.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    effect : Effect
+        The effect.
+    lost : list of str
+        A line if samples were rounded.
 
     Raises
     ------
-    NotFoundError, InputError
-        As of `read_wav`.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file is invalid, as in `read_wav`, or exceeds 1000 times full scale.
     """
     rate, samples = read_wav(path)
     peaks = np.maximum(np.abs(samples).max(axis=0, initial=0.0), 1.0)
@@ -111,14 +142,38 @@ def load_wav(path: Path) -> tuple[Effect, list[str]]:
 
 
 def rate_of(effect: Effect) -> float:
-    """Return the rate that an effect is written with [Hz]: its samples', or 8 kHz."""
+    """Determine the sample rate that an effect is written with.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to write.
+
+    Returns
+    -------
+    float
+        Highest rate of its samples up to 192 kHz, or 8000 without samples [Hz].
+    """
     rates = {b.sample_rate_hz for _, c in channels_of(effect) for b in c.bands
              if b.kind == "samples" and b.sample_rate_hz}  # fmt: skip
     return max([r for r in rates if r <= 192_000], default=RATE)
 
 
 def saved_wav(effect: Effect) -> tuple[bytes, list[str]]:
-    """Return an effect as float32 WAV, and a line for each thing that it cannot say."""
+    """Format an effect as a float32 WAV file.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to write.
+
+    Returns
+    -------
+    content : bytes
+        Contents of the file.
+    lost : list of str
+        One line for each thing that the format cannot express.
+    """
     rate, file = round(rate_of(effect)), io.BytesIO()
     lost = _flattened(effect, "WAV")
     wavfile.write(file, rate, synthesize(effect, rate).astype(np.float32))
@@ -126,7 +181,20 @@ def saved_wav(effect: Effect) -> tuple[bytes, list[str]]:
 
 
 def saved_openxr(effect: Effect) -> tuple[bytes, list[str]]:
-    """Return an effect's first channel as buffers, and a line for each thing that is lost."""
+    """Format the first channel of an effect as buffers of OpenXR.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to write.
+
+    Returns
+    -------
+    content : bytes
+        Contents of a JSON file.
+    lost : list of str
+        One line for each thing that the format cannot express.
+    """
     rate, lost = rate_of(effect), _flattened(effect, "OpenXR")
     played = synthesize(effect, rate)
     if played.shape[1] > 1:
@@ -146,7 +214,7 @@ def saved_openxr(effect: Effect) -> tuple[bytes, list[str]]:
 
 
 def _flattened(effect: Effect, said: str) -> list[str]:
-    """Return what is lost where only samples are left."""
+    """Return what is lost if only samples are left of an effect."""
     lost = unplayed(effect)
     if any(b.kind != "samples" for _, c in channels_of(effect) for b in c.bands):
         lost.append(f"{said} has samples only: keyframes are rendered at {rate_of(effect):g} Hz")

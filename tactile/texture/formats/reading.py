@@ -1,7 +1,8 @@
-"""Reading what anybody may have written: JSON within limits, checked before anything uses it.
+"""Reading of untrusted files: JSON within limits, which is checked before anything uses it.
 
-Whatever is wrong becomes one line: file, field, value, what is allowed. Size is checked before the
-file is read, and depth, numbers, text and twice-named fields before it is taken for anything.
+Whatever is wrong is reported in one line with the file, field, value and what is allowed. The size
+is checked before the file is read; depth, numbers, text and duplicate fields are checked before the
+contents are interpreted.
 """
 
 import json
@@ -21,22 +22,39 @@ from tactile.errors import InputError, NotFoundError
 Shape = TypeVar("Shape", bound=msgspec.Struct)
 
 LARGEST_FILE = 8 * 1024 * 1024
-"""Bytes of JSON or XML: minutes of effects; as Python objects some 200 MB at worst."""
+"""Largest size of a JSON or XML file [bytes]. That is minutes of effects, and some 200 MB as Python
+objects at worst."""
 DEEPEST = 32
+"""Largest number of nested levels."""
 LARGEST_WHOLE = 2**53
-"""Integers beyond it are not the same in every JSON reader (RFC 8259, 6)."""
+"""Largest integer. Beyond it not every JSON reader gives the same value (RFC 8259, 6)."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
+"""Characters that no valid text contains."""
 MOST_LINES = 8
-"""Told of one kind; the rest is counted."""
+"""Largest number of notes of one kind. The remaining ones are counted."""
 
 
 def contents(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return a file's bytes.
+    """Read the contents of a file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    largest : int
+        Largest size [bytes].
+
+    Returns
+    -------
+    bytes
+        Contents.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where it is not there, cannot be read or is too large.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file cannot be read or is too large.
     """
     if not files.is_file(path):
         raise NotFoundError(f"{path}: no such file")
@@ -52,17 +70,31 @@ def contents(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def parsed_json(path: Path, *, null: bool = True) -> dict[str, Any]:
-    """Return a JSON file's object; ``null`` says whether the format has any use for null.
+    """Read the object of a JSON file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    null : bool
+        Whether the format allows null.
+
+    Returns
+    -------
+    dict
+        The object.
 
     Raises
     ------
-    NotFoundError, InputError
-        Where it cannot be read, is no JSON, or holds what no format has any use for: numbers that
-        are not finite or too large, text that is no text, a field twice, too many levels.
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file cannot be read, is not JSON, or holds what no format allows: numbers that are
+        not finite or too large, invalid text, duplicate fields, too many levels.
     """
     raw = contents(path)
     try:
-        data = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_without_twins)
+        data = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_unique_fields)
     except RecursionError as error:
         raise InputError(f"{path}: more than {DEEPEST} levels deep") from error
     except ValueError as error:
@@ -76,12 +108,24 @@ def parsed_json(path: Path, *, null: bool = True) -> dict[str, Any]:
 
 
 def one_line(text: str) -> str:
-    """Return text as one line of printable characters, cut where it is very long."""
+    """Convert a text to one line of printable characters.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        Line of at most 300 characters.
+    """
     line = " ".join(re.sub(r"[^ -~\u00a0-\ud7ff\ue000-\ufffd]", " ", text).split())
     return line if len(line) <= 300 else line[:299] + "…"
 
 
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the fields of an object, or raise `ValueError` if one occurs twice."""
     fields = dict(pairs)
     if len(fields) < len(pairs):
         (name, _), *_ = Counter(name for name, _ in pairs).most_common(1)
@@ -90,7 +134,7 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _fault(value: Any, null: bool, depth: int) -> tuple[str, str] | None:
-    """Return where in a value, and what, cannot be used; None where all can."""
+    """Return the place and kind of what is not allowed in a value, or None if there is nothing."""
     if depth > DEEPEST:
         return "", f": is more than {DEEPEST} levels deep"
     if isinstance(value, dict):
@@ -113,27 +157,42 @@ def _fault(value: Any, null: bool, depth: int) -> tuple[str, str] | None:
 
 
 def fitted(path: Path, data: Any, shape: type[Shape]) -> Shape:
-    """Return data as a Struct.
+    """Convert data to a Struct.
+
+    Parameters
+    ----------
+    path : Path
+        File that the data was read from, for the message.
+    data : object
+        Data of JSON.
+    shape : type
+        Struct to convert to.
+
+    Returns
+    -------
+    Struct
+        Instance of ``shape``.
 
     Raises
     ------
     InputError
-        Where it does not fit: file, field, value and limit.
+        If the data does not fit. The message has the file, field, value and limit.
     """
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        found = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", str(error))
-        assert found is not None
-        field = (found[2] or "").replace("[...]", "[…]")
+        match = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", str(error))
+        assert match is not None
+        field = (match[2] or "").replace("[...]", "[…]")
         value = _value_at(data, field)
         plain = isinstance(value, int | float | str)
         where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
-        problem = found[1].replace("Expected", "expected").replace("`", "")
+        problem = match[1].replace("Expected", "expected").replace("`", "")
         raise InputError(one_line(f"{path}: {where}{problem}")) from error
 
 
 def _value_at(data: Any, field: str) -> Any:
+    """Return the value of a field of nested data by its path, or None if there is none."""
     for key in re.findall(r"[^.\[\]]+", field):
         try:
             data = data[int(key)] if isinstance(data, list) else data[key]
@@ -143,7 +202,20 @@ def _value_at(data: Any, field: str) -> Any:
 
 
 def unknown(data: Any, kind: msgspec.inspect.Type) -> Iterator[str]:
-    """Yield the name of each field that a Struct does not know, in data that fits it."""
+    """Find the fields of data that a Struct does not have.
+
+    Parameters
+    ----------
+    data : object
+        Data of JSON that fits the type.
+    kind : msgspec.inspect.Type
+        Type that the data is converted to.
+
+    Yields
+    ------
+    str
+        Name of a field, once for each occurrence.
+    """
     if isinstance(kind, msgspec.inspect.UnionType):
         for member in kind.types:
             yield from unknown(data, member)
@@ -160,11 +232,24 @@ def unknown(data: Any, kind: msgspec.inspect.Type) -> Iterator[str]:
 
 
 def told(what: str, names: Iterator[str] | list[str]) -> list[str]:
-    """Return a line for each name, with how often it came; a last one for those beyond a few."""
+    """Format names as notes, one line each.
+
+    Parameters
+    ----------
+    what : str
+        Beginning of each line.
+    names : iterator or list of str
+        Names, which are counted if they repeat.
+
+    Returns
+    -------
+    list of str
+        Lines. After a few of them, the last one counts the remaining names.
+    """
     counts = Counter(one_line(name) for name in names)
     lines = [
         f"{what} {name}" + (f" ({count} times)" if count > 1 else "")
         for name, count in counts.items()
     ]
-    more = len(lines) - MOST_LINES
-    return lines if more <= 1 else [*lines[:MOST_LINES], f"{what} {more} more names"]
+    remaining = len(lines) - MOST_LINES
+    return lines if remaining <= 1 else [*lines[:MOST_LINES], f"{what} {remaining} more names"]

@@ -1,9 +1,9 @@
-"""Between a texture, which lives in space, and an effect, which lives in time: by a speed.
+"""Conversion between a texture, a function of space, and an effect, one of time, by a speed.
 
-A stroke at a steady speed turns every wave of the surface into an oscillation, of its spatial
-frequency along the stroke times the speed. An effect made so is one second that repeats: its
-oscillations are those of the surface's waves, in whole Hz, waves that fall on the same one added in
-power. The way back takes each oscillation for a grating.
+A stroke at a steady speed turns every wave of the surface into an oscillation, whose frequency is
+the spatial frequency along the stroke times the speed. An effect made in this way is one second
+that repeats. Its oscillations are those of the waves of the surface in whole Hz; waves that fall on
+the same frequency are added in power. In the other direction each oscillation becomes a grating.
 """
 
 import numpy as np
@@ -25,31 +25,49 @@ from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_c
 from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
 
 MODALITY = "Vibrotactile Texture"
+"""Modality of textures in MPEG-I Haptics."""
 KEYWORDS = {
     "wood": "Wood", "metal": "Metal", "plastic": "Plastic", "stone": "Rock", "abrasive": "Sand",
 }  # fmt: skip
-"""MPEG's texture keyword of a category; there is none for the others."""
+"""Texture keyword of MPEG for a category. There is none for the others."""
 CATEGORIES = {
     "Wood": "wood", "Metal": "metal", "Plastic": "plastic", "Rock": "stone", "Gravel": "stone",
     "Sand": "abrasive",
 }  # fmt: skip
+"""Category for a texture keyword of MPEG."""
 SECONDS = 1.0
+"""Duration of the effect of a texture [s]."""
 TOP = 1000
-"""Hz."""
+"""Highest frequency of the effect of a texture [Hz]."""
 PARTIALS = 384
-"""Waves of a surface, as of `load_texture`."""
+"""Number of waves of a surface, as in `load_texture`."""
 MOST_GRATINGS = 300
+"""Largest number of gratings of a texture made of an effect."""
 ASSUMED_REACH_UM = 10.0
-"""Of an amplitude of 1 where no device tells its maximum_displacement (assumed)."""
+"""Displacement of an amplitude of 1 if no device states its maximum_displacement (assumed) [µm]."""
 
 
 def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
-    """Return a texture as it sounds along x at a speed [m/s], and a line for each thing lost.
+    """Convert a texture to the effect of a stroke along x.
+
+    Parameters
+    ----------
+    texture : Descriptor
+        Texture to convert.
+    speed : float
+        Speed of the stroke, 0.001 to 1 [m/s].
+
+    Returns
+    -------
+    effect : Effect
+        One second of oscillations, which repeats.
+    lost : list of str
+        One line for each thing that is lost.
 
     Raises
     ------
     InputError
-        Where the speed is out of range, or nothing of it would sound.
+        If the speed is out of range, or no wave of the texture lies between 1 and 1000 Hz.
     """
     if not 1e-3 <= speed <= 1.0:
         raise InputError(f"--speed-mm-s {speed * 1e3:g}: must be 1 … 1000")
@@ -84,31 +102,33 @@ def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
     )  # fmt: skip
     effect = Effect(description=texture.texture.description, origin="texture",
                     perceptions=(perception,))  # fmt: skip
-    return effect, _lost(texture, speed, float(reach), share)
+    return effect, _losses(texture, speed, float(reach), share)
 
 
 def _partials(texture: Descriptor) -> Partials:
-    """Return the waves of a texture, of seed 0."""
+    """Return the waves of a texture with seed 0."""
     gratings = sum(
         len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in texture.periodic
     )
-    drawn = np.zeros((0, 2)), np.zeros(0)
+    stochastic_part = np.zeros((0, 2)), np.zeros(0)
     if texture.stochastic:
-        drawn = stochastic_waves(texture.stochastic, max(PARTIALS - gratings, PARTIALS // 2))
-    return Texture(texture.texture.id, texture, *drawn, np.zeros(0), np.zeros(0)).partials
+        stochastic_part = stochastic_waves(
+            texture.stochastic, max(PARTIALS - gratings, PARTIALS // 2)
+        )
+    return Texture(texture.texture.id, texture, *stochastic_part, np.zeros(0), np.zeros(0)).partials
 
 
 def _lines(partials: Partials, speed: float) -> tuple[Floats, Floats, Floats, float]:
     """Return whole Hz, peaks [m], phases of a sine [rad], and the share of power left out."""
     signed = partials.wave_vector[:, 0] * speed / (2 * np.pi)
-    whole = np.rint(np.abs(signed)).astype(np.intp)
+    rounded = np.rint(np.abs(signed)).astype(np.intp)
     phase = np.where(signed < 0, -partials.phase, partials.phase) + np.pi / 2
-    heard = (whole >= 1) & (whole <= TOP) & (partials.amplitude > 0)
-    power = np.bincount(whole[heard], partials.amplitude[heard] ** 2, TOP + 1)
+    in_range = (rounded >= 1) & (rounded <= TOP) & (partials.amplitude > 0)
+    power = np.bincount(rounded[in_range], partials.amplitude[in_range] ** 2, TOP + 1)
     order = np.argsort(partials.amplitude)
     strongest = np.zeros(TOP + 1)
-    kept = order[heard[order]]
-    strongest[whole[kept]] = phase[kept]
+    ascending = order[in_range[order]]
+    strongest[rounded[ascending]] = phase[ascending]
     hertz = np.flatnonzero(power)
     share = 1 - power.sum() / max(float(np.sum(partials.amplitude**2)), 1e-30)
     turned = (strongest[hertz] + np.pi) % (2 * np.pi) - np.pi
@@ -116,12 +136,14 @@ def _lines(partials: Partials, speed: float) -> tuple[Floats, Floats, Floats, fl
 
 
 def _speed_law(texture: Descriptor, speed: float) -> float:
+    """Return the factor of the amplitude at a speed."""
     low, high = texture.laws.speed_range_mm_s
     v, v0 = (min(max(s, low), high) for s in (speed * 1e3, texture.reference.speed_mm_s))
     return float((v / v0) ** texture.laws.speed_exponent)
 
 
-def _lost(texture: Descriptor, speed: float, reach: float, share: float) -> list[str]:
+def _losses(texture: Descriptor, speed: float, reach: float, share: float) -> list[str]:
+    """Return what an effect does not have of its texture."""
     lost = [
         f"a texture is rendered at {speed * 1e3:g} mm/s along x, 1 s that repeats, in whole Hz",
         f"an amplitude of 1 is {reach * 1e6:.3g} µm of displacement",
@@ -143,43 +165,62 @@ def _lost(texture: Descriptor, speed: float, reach: float, share: float) -> list
 def texture_from(
     effect: Effect, speed: float, name: str, source: str
 ) -> tuple[Descriptor, list[str]]:
-    """Return an effect's texture at a speed [m/s], and a line for each thing assumed or lost.
+    """Convert an effect to a texture of gratings.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect with a perception of modality "Vibrotactile Texture".
+    speed : float
+        Speed at which the effect was made, 0.001 to 1 [m/s].
+    name : str
+        Id of the texture.
+    source : str
+        Name of the file of the effect, for the source line and messages.
+
+    Returns
+    -------
+    texture : Descriptor
+        The texture.
+    notes : list of str
+        One line for each thing that was assumed or lost.
 
     Raises
     ------
     InputError
-        Where the effect has no "Vibrotactile Texture", or nothing of it can be a grating.
+        If the speed is out of range, the effect has no such perception, or no oscillation of it can
+        be a grating.
     """
     if not 1e-3 <= speed <= 1.0:
         raise InputError(f"--speed-mm-s {speed * 1e3:g}: must be 1 … 1000")
-    found = [p for p in effect.perceptions if p.modality == MODALITY and p.channels]
-    if not found:
+    perceptions = [p for p in effect.perceptions if p.modality == MODALITY and p.channels]
+    if not perceptions:
         raise InputError(
             f"{source}: has no perception {MODALITY!r}: without --speed-mm-s it is an effect"
         )
-    perception, channel = found[0], found[0].channels[0]
+    perception, channel = perceptions[0], perceptions[0].channels[0]
     lost = [f"each oscillation is a grating, as at {speed * 1e3:g} mm/s"]
     others = sum(len(p.channels) for p in effect.perceptions) - 1
     if others:
         lost.append(f"a texture is one surface: {others} more channels left out")
-    reach, told = _reach(perception, channel)
+    reach, assumed = _reach(perception, channel)
     gratings, dropped = _gratings(perception, channel, speed * 1e3, reach * abs(channel.gain))
     if not gratings:
         raise InputError(f"{source}: has no oscillation that could be a grating")
-    category, more = _category(perception, channel)
+    category, category_notes = _category(perception, channel)
     texture = Descriptor(
         texture=About(
             id=name, category=category, provenance="authored", source=reading.one_line(source),  # type: ignore[arg-type]
-            description=reading.one_line(effect.description) or name, licence="as of its source",
+            description=reading.one_line(effect.description) or name, license="as of its source",
         ),
         reference=Reference(speed_mm_s=speed * 1e3, normal_force_n=1.0),
         periodic=tuple(gratings),
     )  # fmt: skip
-    return texture, lost + told + dropped + more
+    return texture, lost + assumed + dropped + category_notes
 
 
 def _reach(perception: Perception, channel: EffectChannel) -> tuple[float, list[str]]:
-    """Return the displacement of an amplitude of 1 [µm]."""
+    """Return the displacement of an amplitude of 1 [µm], and a note if it is assumed."""
     for device in perception.reference_devices:
         reach = device.maximum_displacement_mm
         if device.id == channel.reference_device_id and reach is not None:
@@ -214,15 +255,15 @@ def _gratings(
     gratings.sort(key=lambda p: -p.harmonics_um[0])
     lost = []
     if wrong or len(gratings) > MOST_GRATINGS:
-        left = wrong + max(len(gratings) - MOST_GRATINGS, 0)
-        lost.append(f"{left} effects are no grating of 0.02 … 100 mm, or too many: left out")
+        dropped = wrong + max(len(gratings) - MOST_GRATINGS, 0)
+        lost.append(f"{dropped} effects are no grating of 0.02 … 100 mm, or too many: left out")
     if varying:
         lost.append(f"{varying} oscillations change over time: their mean is taken")
     return gratings[:MOST_GRATINGS], lost
 
 
 def _mean(segment: KeyframeSegment, name: str, empty: float) -> tuple[float, bool]:
-    """Return the mean of a curve over its time, and whether it changes."""
+    """Return the mean of a curve over time, and whether the curve varies."""
     at, value = points(segment.keyframes, name)
     if not len(at):
         return empty, False
@@ -232,6 +273,7 @@ def _mean(segment: KeyframeSegment, name: str, empty: float) -> tuple[float, boo
 
 
 def _category(perception: Perception, channel: EffectChannel) -> tuple[str, list[str]]:
+    """Return the category by the texture keywords, and a note if there are none."""
     words = [
         resolved(perception, s).keywords or s.keywords or ""
         for band in channel.bands for s in band.segments

@@ -1,10 +1,11 @@
-"""An effect as samples: bands added up, each channel limited to ± 1 and scaled by its gain.
+"""Synthesis of an effect as samples: the sum of bands, each channel limited to ± 1 and scaled.
 
-The rules are those of the reference software of MPEG-I Haptics (ISO/IEC 23090-31), re-stated:
-amplitude and frequency straight between keyframes, the phase the integral of the frequency; curves
-Cubic (flat at each keyframe) unless they say otherwise; a transient two periods of a sine in 22 ms.
-A transient that has a frequency of its own, which MPEG does not know, is as many whole periods of
-it as come nearest to 22 ms. Wavelets and composite effects are left out; `unplayed` says so.
+The rules are those of the reference software of MPEG-I Haptics (ISO/IEC 23090-31), restated.
+Amplitude and frequency are linear between keyframes, and the phase is the integral of the
+frequency. Curves are Cubic (flat at each keyframe) unless they state otherwise. A transient is two
+periods of a sine in 22 ms. A transient with its own frequency, which MPEG does not have, is the
+number of whole periods of it that comes nearest to 22 ms. Wavelets and composite effects are left
+out, which `unplayed` reports.
 """
 
 from collections.abc import Callable
@@ -27,12 +28,14 @@ from tactile.texture.formats.document import (
 )
 
 TRANSIENT = 22e-3
-"""s that a transient lasts (MPEG)."""
+"""Duration of a transient (MPEG) [s]."""
 PLAIN = 160.0
-"""Hz of a wave without a frequency: that of most phones' actuators (assumed)."""
+"""Frequency of a wave that does not state one: that of the actuators of most phones (assumed)
+[Hz]."""
 MOST_SAMPLES = 32_000_000
-"""Of all channels."""
+"""Largest number of samples of all channels together."""
 LOWEST_RATE, HIGHEST_RATE = 100.0, 192_000.0
+"""Lowest and highest sample rate [Hz]."""
 
 SHAPES: dict[str, Callable[[Floats], Floats]] = {
     "Sine": lambda turns: np.sin(2 * np.pi * turns),
@@ -41,10 +44,22 @@ SHAPES: dict[str, Callable[[Floats], Floats]] = {
     "SawToothUp": lambda turns: 2 * (turns - np.floor(turns + 0.5)),
     "SawToothDown": lambda turns: 2 * (np.floor(turns + 0.5) - turns),
 }
+"""Waveforms as functions of the phase in turns."""
 
 
 def duration(effect: Effect) -> float:
-    """Return when the last of an effect is over [s]."""
+    """Compute the duration of an effect.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+
+    Returns
+    -------
+    float
+        Time at which its last segment ends [s].
+    """
     ends = [
         end_of(band, resolved(perception, segment))
         for perception, channel in channels_of(effect)
@@ -55,7 +70,20 @@ def duration(effect: Effect) -> float:
 
 
 def end_of(band: Band, segment: KeyframeSegment) -> float:
-    """Return when a segment of a band is over [s]."""
+    """Compute the end of a segment.
+
+    Parameters
+    ----------
+    band : Band
+        Band that the segment belongs to.
+    segment : KeyframeSegment
+        The segment.
+
+    Returns
+    -------
+    float
+        Time at which it ends, 0 for a segment of a control band [s].
+    """
     end = segment.start_s + (segment.keyframes[-1].time_s if segment.keyframes else 0.0)
     if band.kind == "transient":
         taps = [(k.time_s, *_tap_shape(k)) for k in segment.keyframes]
@@ -66,12 +94,25 @@ def end_of(band: Band, segment: KeyframeSegment) -> float:
 
 
 def resolved(perception: Perception, segment: KeyframeSegment) -> KeyframeSegment:
-    """Return a segment, or what it refers to, at its time.
+    """Replace a reference by the segment that it refers to.
+
+    Parameters
+    ----------
+    perception : Perception
+        Perception with the library.
+    segment : KeyframeSegment
+        A segment of any type.
+
+    Returns
+    -------
+    KeyframeSegment
+        Segment of the library at the time of the reference, or the segment itself if it is not a
+        reference.
 
     Raises
     ------
     InputError
-        Where the library does not have it.
+        If the library does not have it.
     """
     if segment.type != "Reference":
         return segment
@@ -84,22 +125,24 @@ def resolved(perception: Perception, segment: KeyframeSegment) -> KeyframeSegmen
 
 
 def synthesize(effect: Effect, sample_rate: float) -> Floats:
-    """Return an effect as samples.
+    """Render an effect as samples.
 
     Parameters
     ----------
-    effect : the document
-    sample_rate : [Hz], 100 … 192 000; what oscillates faster than half of it is left out
+    effect : Effect
+        Effect to render.
+    sample_rate : float
+        Sample rate, 100 to 192000 [Hz]. Oscillations above half of it are left out.
 
     Returns
     -------
-    (S, C) ndarray
-        One column per channel, all perceptions' in order; 1 is what the device can do.
+    (S, C) array of float
+        One column per channel, those of all perceptions in order. 1 is the maximum of the device.
 
     Raises
     ------
     InputError
-        Where the rate is out of range, the result too long, or a reference leads nowhere.
+        If the rate is out of range, the result too long, or a reference is not in the library.
     """
     if not LOWEST_RATE <= sample_rate <= HIGHEST_RATE:
         raise InputError(
@@ -117,21 +160,21 @@ def synthesize(effect: Effect, sample_rate: float) -> Floats:
 
 
 def _signal(perception: Perception, channel: EffectChannel, count: int, rate: float) -> Floats:
-    """Return a channel's samples (S,)."""
-    whole, out = without_control(perception, channel), np.zeros(count)
-    for band in whole.bands:
+    """Return the samples (S,) of a channel."""
+    uncontrolled, samples = without_control(perception, channel), np.zeros(count)
+    for band in uncontrolled.bands:
         for segment in band.segments:
             played = resolved(perception, segment)
             first = min(int(np.ceil(played.start_s * rate - 1e-9)), count)
             last = min(int(np.floor(end_of(band, played) * rate + 1e-9)) + 1, count)
             time = np.arange(first, max(last, first)) / rate - played.start_s
             if len(time) and (played.keyframes or played.samples):
-                out[first : first + len(time)] += _played(band, played, time, rate)
-    return np.asarray(np.clip(out, -1, 1) * channel.gain)
+                samples[first : first + len(time)] += _segment_samples(band, played, time, rate)
+    return np.asarray(np.clip(samples, -1, 1) * channel.gain)
 
 
-def _played(band: Band, segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
-    """Return a segment at times after its start [s]."""
+def _segment_samples(band: Band, segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
+    """Return the samples of a segment at times after its beginning [s]."""
     if band.kind == "wave":
         return _wave(segment, time, rate)
     if band.kind == "curve":
@@ -146,12 +189,26 @@ def _played(band: Band, segment: KeyframeSegment, time: Floats, rate: float) -> 
 
 
 def points(keyframes: tuple[Keyframe, ...], name: str) -> Floats:
-    """Return time [s] and value (2, P) of the keyframes that have a value of that name."""
+    """Collect the keyframes that have a value of a given name.
+
+    Parameters
+    ----------
+    keyframes : tuple of Keyframe
+        Keyframes of a segment.
+    name : str
+        "amplitude" or "frequency_hz".
+
+    Returns
+    -------
+    (2, P) array of float
+        Times [s] and values.
+    """
     pairs = [(k.time_s, v) for k in keyframes if (v := getattr(k, name)) is not None]
     return np.array(pairs, np.float64).reshape(-1, 2).T
 
 
 def _wave(segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
+    """Return the samples of an oscillation at times after its beginning [s]."""
     amplitude, frequency = (points(segment.keyframes, n) for n in ("amplitude", "frequency_hz"))
     size = np.interp(time, *amplitude) if amplitude.size else np.ones(len(time))
     if not frequency.size:
@@ -163,18 +220,19 @@ def _wave(segment: KeyframeSegment, time: Floats, rate: float) -> Floats:
 
 
 def _turns(time: Floats, at: Floats, frequency: Floats) -> Floats:
-    """Return the integral from 0 of a frequency that is straight between points, held beyond."""
+    """Return the integral from 0 of a frequency, linear between points and held beyond them."""
     if at[0] > 0:
         at, frequency = np.append(0.0, at), np.append(frequency[0], frequency)
     step = np.diff(at)
-    whole = np.append(0.0, np.cumsum(step * (frequency[1:] + frequency[:-1]) / 2))
+    turns_at_points = np.append(0.0, np.cumsum(step * (frequency[1:] + frequency[:-1]) / 2))
     slope = np.append(np.diff(frequency) / np.where(step > 0, step, np.inf), 0.0)
     k = np.maximum(np.searchsorted(at, time, side="right") - 1, 0)
-    rest = time - at[k]
-    return np.asarray(whole[k] + rest * (frequency[k] + slope[k] * rest / 2))
+    elapsed = time - at[k]
+    return np.asarray(turns_at_points[k] + elapsed * (frequency[k] + slope[k] * elapsed / 2))
 
 
 def _curve(segment: KeyframeSegment, curve_type: str, time: Floats) -> Floats:
+    """Return the samples of a curve at times after its beginning [s]."""
     at, value = points(segment.keyframes, "amplitude")
     if not len(at):
         return np.zeros(len(time))
@@ -190,6 +248,7 @@ def _curve(segment: KeyframeSegment, curve_type: str, time: Floats) -> Floats:
 
 
 def _tap(keyframe: Keyframe, time: Floats) -> Floats:
+    """Return the samples of a transient at times after the beginning of its segment [s]."""
     periods, frequency = _tap_shape(keyframe)
     way = (time - keyframe.time_s) * frequency
     size = 1.0 if keyframe.amplitude is None else keyframe.amplitude
@@ -197,34 +256,60 @@ def _tap(keyframe: Keyframe, time: Floats) -> Floats:
 
 
 def _tap_shape(keyframe: Keyframe) -> tuple[int, float]:
-    """Return a transient's number of periods and frequency [Hz]."""
+    """Return the number of periods and the frequency [Hz] of a transient."""
     frequency = abs(keyframe.frequency_hz or 0.0) or 2 / TRANSIENT
     return max(1, round(frequency * TRANSIENT)), max(frequency, 1.0)
 
 
-# Control
+# Control curves
 
 
 def control(channel: EffectChannel, name: str) -> Floats | None:
-    """Return time [s] and value (2, P) of what a channel's control bands say, all in one.
+    """Merge the control bands of a channel to one curve.
 
-    Held before the first point at its neutral value, and between and after segments at the last.
-    None where there is none.
+    The curve has its neutral value before the first point, and holds the last value between and
+    after segments.
+
+    Parameters
+    ----------
+    channel : EffectChannel
+        Channel with any bands.
+    name : str
+        "amplitude" for a factor, whose neutral value is 1, or "frequency_hz" for a shift, whose
+        neutral value is 0.
+
+    Returns
+    -------
+    (2, P) array of float or None
+        Times [s] and values, or None if no control band has any.
     """
     parts = [s for band in channel.bands if band.kind == "control" for s in band.segments]
-    said = [(0.0, 1.0 if name == "amplitude" else 0.0)]
+    values = [(0.0, 1.0 if name == "amplitude" else 0.0)]
     for segment in sorted(parts, key=lambda s: s.start_s):
         time, value = points(segment.keyframes, name)
         if len(time):
             begin = segment.start_s + time[0]
-            while len(said) > 1 and said[-1][0] > begin:
-                said.pop()
-            said += [(begin, said[-1][1]), *zip(segment.start_s + time, value, strict=True)]
-    return np.array(said).T if len(said) > 1 else None
+            while len(values) > 1 and values[-1][0] > begin:
+                values.pop()
+            values += [(begin, values[-1][1]), *zip(segment.start_s + time, value, strict=True)]
+    return np.array(values).T if len(values) > 1 else None
 
 
 def without_control(perception: Perception, channel: EffectChannel) -> EffectChannel:
-    """Return a channel with its control bands worked into its waves and transients."""
+    """Apply the control bands of a channel to its waves and transients.
+
+    Parameters
+    ----------
+    perception : Perception
+        Perception with the library.
+    channel : EffectChannel
+        Channel with any bands.
+
+    Returns
+    -------
+    EffectChannel
+        Channel without control bands, or the channel itself if it has none.
+    """
     amplitude, frequency = control(channel, "amplitude"), control(channel, "frequency_hz")
     if amplitude is None and frequency is None:
         return channel
@@ -244,16 +329,16 @@ def without_control(perception: Perception, channel: EffectChannel) -> EffectCha
 def _controlled(
     band: Band, segment: KeyframeSegment, amplitude: Floats | None, frequency: Floats | None
 ) -> KeyframeSegment:
-    """Return a segment multiplied and shifted; keyframes at all points of either."""
+    """Return a segment multiplied and shifted, with keyframes at the points of all three curves."""
     a, f = (points(segment.keyframes, name) for name in ("amplitude", "frequency_hz"))
     at = np.array([k.time_s for k in segment.keyframes])
     factor = np.array([[0.0], [1.0]]) if amplitude is None else amplitude
     shift = np.array([[0.0], [0.0]]) if frequency is None else frequency
     if band.kind == "wave" and len(at):
         extra = np.concatenate([factor[0], shift[0]]) - segment.start_s
-        at = _steps(np.concatenate([at, extra[(extra > at[0]) & (extra < at[-1])]]))
-    size = _read(at, a, 1.0) * _read(at + segment.start_s, factor, 1.0)
-    pitch = _read(at, f, PLAIN) + _read(at + segment.start_s, shift, 0.0)
+        at = _with_steps(np.concatenate([at, extra[(extra > at[0]) & (extra < at[-1])]]))
+    size = _curve_values(at, a, 1.0) * _curve_values(at + segment.start_s, factor, 1.0)
+    pitch = _curve_values(at, f, PLAIN) + _curve_values(at + segment.start_s, shift, 0.0)
     keyframes = tuple(
         Keyframe(time_s=float(t), amplitude=float(s), frequency_hz=float(max(p, 0.0)))
         for t, s, p in zip(at, np.clip(size, -1, 1), pitch, strict=True)
@@ -261,14 +346,14 @@ def _controlled(
     return msgspec.structs.replace(segment, type="Basis", keyframes=keyframes)
 
 
-def _steps(at: Floats) -> Floats:
-    """Return times in order, each once, or twice where something may step there."""
+def _with_steps(at: Floats) -> Floats:
+    """Return times in order, each of them once, or twice where a curve may have a step."""
     value, count = np.unique(at, return_counts=True)
     return np.asarray(np.repeat(value, np.minimum(count, 2)))
 
 
-def _read(at: Floats, pairs: Floats, empty: float) -> Floats:
-    """Return a curve at ascending times; of a time that is there twice, before and after a step."""
+def _curve_values(at: Floats, pairs: Floats, empty: float) -> Floats:
+    """Return a curve at ascending times; a time that occurs twice is either side of a step."""
     if not pairs.size:
         return np.full(len(at), empty)
     value = np.interp(at, *pairs)
@@ -283,7 +368,18 @@ def _read(at: Floats, pairs: Floats, empty: float) -> Floats:
 
 
 def unplayed(effect: Effect) -> list[str]:
-    """Return a line for each thing that `synthesize` leaves out or draws in another way."""
+    """List what `synthesize` leaves out or renders in another way.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect to render.
+
+    Returns
+    -------
+    list of str
+        One line for each thing.
+    """
     lines = []
     for perception, channel in channels_of(effect):
         where = f"perception {perception.id}, channel {channel.id}"

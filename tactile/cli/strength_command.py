@@ -1,44 +1,55 @@
-"""Commands about what is felt: ``strength``."""
+"""The command ``tactile strength``."""
 
-import json
 import math
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 import tactile
-from tactile.cli.app import AsJson, app, print_table, within
+from tactile.cli.options import (
+    AngleOption,
+    AsJson,
+    ForceOption,
+    SpeedOption,
+    TextureArgument,
+    emit,
+    within,
+)
+from tactile.cli.printing import print_facts, print_table, right
 
 SMALLEST_DB = -40.0
-"""dB SL of a band from which on it is shown."""
+"""Level in dB SL above which a band is printed."""
 
 
-@app.command("strength")
-def tell_strength(
-    texture: Annotated[str, typer.Argument(help="A texture's name, or a TOML file.")],
+def run(
+    texture: TextureArgument,
     display: Annotated[
         list[str] | None,
-        typer.Option(help="reference-24, reference-64, or a TOML file; several are made equal."),
+        typer.Option(
+            help="Name or TOML file of a display; reference-24 by default. If given several times, "
+            "the gains at which the texture feels equally strong are also reported."
+        ),
     ] = None,
-    speed_mm_s: Annotated[
-        float | None, typer.Option(help="Straight stroke, 80 by default.")
+    speed_mm_s: SpeedOption = None,
+    normal_force_n: ForceOption = None,
+    angle_deg: AngleOption = None,
+    gain: Annotated[
+        float | None, typer.Option(help="Factor that multiplies the texture; 1 by default.")
     ] = None,
-    normal_force_n: Annotated[
-        float | None, typer.Option(help="Of the finger, 0.5 by default.")
-    ] = None,
-    angle_deg: Annotated[
-        float | None, typer.Option(help="Of the stroke, from the x axis; 0 by default.")
-    ] = None,
-    gain: Annotated[float | None, typer.Option(help="Of the texture, 1 by default.")] = None,
     spend: Annotated[
         bool,
-        typer.Option("--spend", help="Where drive is short, lower first what is felt least."),
+        typer.Option(
+            "--spend",
+            help="If the drive voltage is not sufficient, reduce the bands that are felt least "
+            "first.",
+        ),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tell what of a texture is felt on a display, by band and by kind of receptor.
+    """Report how strongly a texture is felt on a display.
+
+    Levels are given for each frequency band and each kind of mechanoreceptor, in dB above the
+    detection threshold (dB SL).
 
     Example: tactile strength wood-oak --display reference-24 --speed-mm-s 80
     """
@@ -48,31 +59,22 @@ def tell_strength(
         angle=math.radians(within("--angle-deg", angle_deg, -360.0, 360.0, 0.0)),
     )
     factor = within("--gain", gain, 0.0, 1e3, 1.0)
-    shown, felt = [tactile.load_display(d) for d in display or ["reference-24"]], texture
+    shown = [tactile.load_display(d) for d in display or ["reference-24"]]
     facts = []
     for one in shown:
-        played = tactile.load_texture(felt)
+        played = tactile.load_texture(texture)
         if spend:
             played = tactile.spend(one, played, stroke, gain=factor)
         facts.append(_facts(one, played, stroke, factor))
-    equal = _equal(shown, tactile.load_texture(felt), stroke) if len(shown) > 1 else None
-    if as_json:
-        typer.echo(json.dumps({"displays": facts, "equal": equal}))
-        return
-    for one_facts in facts:
-        _print(one_facts)
-    if equal is not None:
-        rows = dict(zip(equal["displays"], map("gain {:.3g}".format, equal["gains"]), strict=True))
-        print_table(
-            rows, f"Equal at {equal['level_db_sl']:.1f} dB SL, limited by {equal['weakest']}"
-        )
+    equal = _equal(shown, tactile.load_texture(texture), stroke) if len(shown) > 1 else None
+    emit({"displays": facts, "equal": equal}, as_json, _print)
 
 
 def _facts(
     display: "tactile.Display", texture: "tactile.Texture", stroke: "tactile.SteadyStroke",
     gain: float,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the figures of one display; levels of nothing are null."""
+    """Return the levels and the drive of one display; the level of no motion is None."""
     s = tactile.texture_strength(display, texture, stroke, gain=gain)
     best = s.automatic
     rows = zip(
@@ -104,12 +106,14 @@ def _facts(
 
 
 def _finite(value: float) -> float | None:
+    """Return a number, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def _equal(
     displays: "list[tactile.Display]", texture: "tactile.Texture", stroke: "tactile.SteadyStroke"
 ) -> dict[str, Any]:
+    """Return the gains at which a texture is equally strong on several displays."""
     found = tactile.equal_gain(displays, texture, stroke)
     return {
         "displays": [display.name for display in displays],
@@ -120,19 +124,31 @@ def _equal(
 
 
 def _print(facts: dict[str, Any]) -> None:
+    """Print the levels on each display, and the gains that make them equal."""
+    for one in facts["displays"]:
+        _print_display(one)
+    if (equal := facts["equal"]) is not None:
+        gains = (f"gain {gain:.3g}" for gain in equal["gains"])
+        rows = dict(zip(equal["displays"], gains, strict=True))
+        level = f"{equal['level_db_sl']:.1f} dB SL"
+        print_facts(rows, f"Equally strong at {level}, limited by {equal['weakest']}")
+
+
+def _print_display(facts: dict[str, Any]) -> None:
+    """Print the bands, the levels of the receptors and the drive of one display."""
     title = (
         f"{facts['texture']} on {facts['display']}, {facts['speed_mm_s']:g} mm/s, "
         f"{facts['normal_force_n']:g} N, gain {facts['gain']:g}"
     )
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    headings = ("Hz", "commanded µm", "played µm", "attainable µm pk", "threshold µm pk", "dB SL")
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    columns = right(
+        "Hz", "commanded µm", "played µm", "attainable µm pk", "threshold µm pk", "dB SL"
+    )
+    cells = []
     for band in facts["bands"]:
         *sizes, level, _ = band.values()
         if level is not None and level > SMALLEST_DB:
-            table.add_row(*(f"{size:.3g}" for size in sizes), f"{level:+.1f}")
-    Console().print(table)
+            cells.append((*(f"{size:.3g}" for size in sizes), f"{level:+.1f}"))
+    print_table(columns, cells, title)
     rows = {
         f"{name}, {tactile.TOUCH_CHANNELS[name].receptor}": _level(level)
         for name, level in facts["channels_db_sl"].items()
@@ -145,10 +161,11 @@ def _print(facts: dict[str, Any]) -> None:
     if facts["limit"] is not None:
         rows["automatic gain"] = (
             f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, "
-            f"then the {facts['limit']} limits"
+            f"limited by the {facts['limit']}"
         )
-    print_table(rows, "Levels above detection, ± 5 dB from person to person")
+    print_facts(rows, "Level above the detection threshold, ± 5 dB between people")
 
 
 def _level(level: float | None) -> str:
-    return "nothing" if level is None else f"{level:+.1f} dB SL"
+    """Return a level as text."""
+    return "no motion" if level is None else f"{level:+.1f} dB SL"

@@ -1,41 +1,48 @@
-"""The command ``relief``: a texture from a picture of a surface's relief."""
+"""The command ``tactile relief``."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 import tactile
-from tactile.cli.app import AsJson, app, print_table
+from tactile.cli.options import AsJson, Force, emit
+from tactile.cli.printing import print_bands, print_facts
 
 LOST_DB = 1.0
-"""A band that the realized surface misses by more is named."""
+"""Error in dB above which a band that the surface cannot realize is listed."""
 
 
-@app.command("relief")
-def make_relief(
+def run(
     picture: Annotated[
-        Path, typer.Argument(help="Height map: PNG of 8- or 16-bit gray, bright is high.")
+        Path,
+        typer.Argument(
+            help="Height map: PNG file with 8 or 16 bits of gray, in which brighter is higher."
+        ),
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="TOML file; its name becomes the texture's.")
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="Texture file to write (.toml); its name becomes the texture's."
+        ),
     ],
-    category: Annotated[str, typer.Option(help="Of the material, such as wood.")],
+    category: Annotated[str, typer.Option(help="Category of the texture, such as wood.")],
     um_per_level: Annotated[
-        float | None, typer.Option(help="Height of one gray level; there is no default.")
+        float | None, typer.Option(help="Height of one gray level in µm. Required.")
     ] = None,
     mm_per_pixel: Annotated[
-        float | None, typer.Option(help="At most 0.0625, for 8 cycles/mm.")
+        float | None,
+        typer.Option(
+            help="Width of one pixel in mm, at most 0.0625 to resolve 8 cycles/mm. Required."
+        ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make a texture from a height map, by a model of how skin follows relief.
+    """Create a texture from a height map of a surface.
 
-    Wavelengths, directions and shapes are measured; levels are good to a factor of 2.
+    A model of skin that follows relief converts heights to skin displacement. Wavelengths,
+    directions and shapes are measured in the picture; levels are accurate to a factor of 2.
 
     Example: tactile relief bark.png -o bark.toml --um-per-level 0.5 --mm-per-pixel 0.02
     --category wood
@@ -44,22 +51,19 @@ def make_relief(
     from tactile.texture.picture import read_height
     from tactile.texture.relief_texture import check_name, texture_of
 
-    check_name(output.stem, category)
-    descriptor_file.check_target(output, output.stem, force=force)
+    check_name(out.stem, category)
+    descriptor_file.check_target(out, out.stem, force=force)
     heights = read_height(picture, um_per_level=um_per_level, mm_per_pixel=mm_per_pixel)
-    made = texture_of(heights, name=output.stem, category=category, picture=picture.name)
-    descriptor_file.write(made.descriptor, output, made.comments, force=force)
-    facts = _facts(made, tactile.load_texture(output), output)
-    if as_json:
-        typer.echo(json.dumps(facts))
-    else:
-        _print(facts)
+    made = texture_of(heights, name=out.stem, category=category, picture=picture.name)
+    descriptor_file.write(made.descriptor, out, made.comments, force=force)
+    emit(_facts(made, tactile.load_texture(out), out), as_json, _print)
 
 
-def _facts(made: Any, texture: "tactile.Texture", output: Path) -> dict[str, Any]:
+def _facts(made: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]:
+    """Return what was measured in the picture and what the surface realizes."""
     random = made.descriptor.stochastic
     return {
-        "file": str(output),
+        "file": str(out),
         "name": texture.name,
         "roughness_um": made.roughness_um,
         "rms_um": made.rms_um,
@@ -90,12 +94,13 @@ def _facts(made: Any, texture: "tactile.Texture", output: Path) -> dict[str, Any
 
 
 def _print(f: dict[str, Any]) -> None:
+    """Print the measured relief, the parts of the texture and its bands."""
     rows = {
-        "relief": f"Ra {f['roughness_um']:.3g} µm, {f['rms_um']:.3g} µm rms, leveled; "
-        f"a curvature of {f['sag_um']:.3g} µm is left in it",
-        "contact": f"rms slope {f['rms_slope']:.2g}: skin touches {f['contact_share']:.0%} of the "
-        "finest relief",
-        "skin": f"{f['skin_rms_um']:.2g} µm rms, known within a factor of 2",
+        "relief": f"Ra {f['roughness_um']:.3g} µm, {f['rms_um']:.3g} µm rms after "
+        f"leveling; a curvature of {f['sag_um']:.3g} µm remains",
+        "contact": f"rms slope {f['rms_slope']:.2g}; the skin touches {f['contact_share']:.0%} of "
+        "the finest relief",
+        "skin": f"{f['skin_rms_um']:.2g} µm rms, accurate to a factor of 2",
     }
     for i, part in enumerate(f["periodic"], 1):
         harmonics = ", ".join(f"{a:g}" for a in part["harmonics_um"])
@@ -114,29 +119,18 @@ def _print(f: dict[str, Any]) -> None:
         if abs(e) > LOST_DB
     ]
     if lost:
-        rows["lost"] = f"bands that such a surface cannot have, in cycles/mm: {', '.join(lost)}"
+        rows["lost"] = f"bands in cycles/mm that the surface cannot realize: {', '.join(lost)}"
     rows |= {f"note {i}": note for i, note in enumerate(f["notes"], 1)}
-    print_table(rows, f"{f['file']}: a texture from relief")
-    _print_bands(f)
+    print_facts(rows, f"{f['file']}: a texture from relief")
+    if f["level_db"]:
+        print_bands(f["frequency_per_mm"], f["level_db"], f["band_error_db"])
 
 
 def _random(f: dict[str, Any]) -> str:
+    """Return the description of the random part."""
     if f["direction_deg"] is None:
         return "none"
     unsteady = f"excess kurtosis {f['excess_kurtosis']:g}, envelope {f['am_depth']:g} deep"
     if f["direction_spread_deg"] is None:
         return f"isotropic (resultant {f['resultant']:.2f}), {unsteady}"
     return f"across {f['direction_deg']:g}° ± {f['direction_spread_deg']:g}°, {unsteady}"
-
-
-def _print_bands(f: dict[str, Any]) -> None:
-    if not f["level_db"]:
-        return
-    table = Table(title="Bands along a stroke", title_justify="left", box=None, pad_edge=False)
-    for heading in ("cycles/mm", "level dB re 1 µm²·mm", "realized − descriptor dB"):
-        table.add_column(heading, justify="right")
-    for c, level, error in zip(
-        f["frequency_per_mm"], f["level_db"], f["band_error_db"], strict=True
-    ):
-        table.add_row(f"{c:g}", f"{level:.1f}", f"{error:+.2f}")
-    Console().print(table)

@@ -1,17 +1,15 @@
-"""Commands about what benders are made of: ``materials``."""
+"""The command ``tactile materials``."""
 
-import json
 from typing import Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 import tactile
-from tactile.cli.app import AsJson, app
+from tactile.cli.options import AsJson, emit
+from tactile.cli.printing import print_table, right, unwrapped
 
 VACUUM_PF_PER_M = 8.8541878128
-"""ε0, CODATA 2018."""
+"""Permittivity of vacuum in pF/m, CODATA 2018."""
 HEADINGS = {
     "d31_pm_per_v": "d31 pm/V",
     "eps33t_relative": "ε33T/ε0",
@@ -33,29 +31,26 @@ HEADINGS = {
     "capacitance_nf": "nF",
     "first_resonance_hz": "Hz",
 }
-"""Of the columns that are printed."""
+"""Heading of each value that is printed."""
 
 
-@app.command("materials")
-def list_materials(as_json: AsJson = False) -> None:
-    """List piezoceramics, shims and benders that a display or a study can name.
+def run(as_json: AsJson = False) -> None:
+    """List the known piezoceramics, shims and benders.
+
+    Their names can be used in a display file and as values of a study.
 
     Example: tactile materials
     """
-    piezos = {name: _piezo(piezo) | _note(name) for name, piezo in tactile.PIEZOS.items()}
-    shims = {name: _shim(shim) | _note(name) for name, shim in tactile.SHIMS.items()}
-    benders = {name: _bender(bender) for name, bender in tactile.BENDERS.items()}
-    if as_json:
-        typer.echo(json.dumps({"piezos": piezos, "shims": shims, "benders": benders}))
-        return
-    _print("Piezoceramics", piezos)
-    _print("Shims", shims)
-    _print("Benders, as the model has them", benders)
-    for name, note in tactile.MATERIAL_NOTES.items():
-        typer.echo(f"{name}: {note.description}. Source: {note.source}.")
+    facts = {
+        "piezos": {name: _piezo(piezo) | _note(name) for name, piezo in tactile.PIEZOS.items()},
+        "shims": {name: _shim(shim) | _note(name) for name, shim in tactile.SHIMS.items()},
+        "benders": {name: _bender(bender) for name, bender in tactile.BENDERS.items()},
+    }
+    emit(facts, as_json, _print)
 
 
 def _piezo(piezo: "tactile.PiezoMaterial") -> dict[str, Any]:
+    """Return the constants of a piezoceramic."""
     return {
         "d31_pm_per_v": float(piezo.d31) * 1e12,
         "eps33t_relative": float(piezo.eps33T) * 1e12 / VACUUM_PF_PER_M,
@@ -68,6 +63,7 @@ def _piezo(piezo: "tactile.PiezoMaterial") -> dict[str, Any]:
 
 
 def _shim(shim: "tactile.ShimMaterial") -> dict[str, Any]:
+    """Return the constants of a shim."""
     return {
         "e_gpa": 1e-9 / float(shim.s11),
         "g_gpa": 1e-9 / float(shim.s55),
@@ -77,16 +73,19 @@ def _shim(shim: "tactile.ShimMaterial") -> dict[str, Any]:
 
 
 def _note(name: str) -> dict[str, Any]:
+    """Return the description, the source and for a piezoceramic the coercive field."""
     note = tactile.MATERIAL_NOTES[name]
     field = {} if name in tactile.SHIMS else {"coercive_v_per_mm": _per_mm(note.coercive_field)}
     return {**field, "description": note.description, "source": note.source}
 
 
 def _per_mm(field: float | None) -> float | None:
+    """Convert a field from V/m to V/mm."""
     return None if field is None else field * 1e-3
 
 
 def _bender(bender: "tactile.Bimorph") -> dict[str, Any]:
+    """Return the dimensions and the performance of a bender."""
     return {
         "width_mm": float(bender.width) * 1e3,
         "length_mm": float(bender.length) * 1e3,
@@ -96,16 +95,23 @@ def _bender(bender: "tactile.Bimorph") -> dict[str, Any]:
     }
 
 
-def _print(title: str, rows: dict[str, dict[str, Any]]) -> None:
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+def _print(facts: dict[str, dict[str, dict[str, Any]]]) -> None:
+    """Print a table of each kind, and the source of each material."""
+    _print_kind("Piezoceramics", facts["piezos"])
+    _print_kind("Shims", facts["shims"])
+    _print_kind("Benders, computed by the model", facts["benders"])
+    for name, note in tactile.MATERIAL_NOTES.items():
+        typer.echo(f"{name}: {note.description}. Source: {note.source}.")
+
+
+def _print_kind(title: str, rows: dict[str, dict[str, Any]]) -> None:
+    """Print the values of all materials or benders of one kind."""
     names = [name for name in next(iter(rows.values())) if name in HEADINGS]
-    table.add_column("", no_wrap=True)
-    for name in names:
-        table.add_column(HEADINGS[name], justify="right")
-    for name, row in rows.items():
-        table.add_row(name, *(_cell(row[key]) for key in names))
-    Console().print(table)
+    columns = [unwrapped(""), *right(*(HEADINGS[name] for name in names))]
+    cells = ((name, *(_cell(row[key]) for key in names)) for name, row in rows.items())
+    print_table(columns, cells, title)
 
 
 def _cell(value: Any) -> str:
+    """Return a value as text; an unknown one is empty."""
     return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"

@@ -1,17 +1,14 @@
-"""The command ``adjust``: a display's finger or bimorph, fitted to what was measured of it."""
+"""The command ``tactile adjust``."""
 
-import json
 import math
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 import tactile
-from tactile.cli.app import AsJson, DisplayOption, app
+from tactile.cli.options import AsJson, DisplayOption, Finger, Force, PlotOption, check_plot, emit
+from tactile.cli.printing import print_table, right
 from tactile.display.edit import write_tables
 from tactile.errors import InputError
 
@@ -20,74 +17,81 @@ if TYPE_CHECKING:
     from tactile.study.load_fit import LoadFit
 
 STIFFNESS = "s11e_um2_per_n"
+"""Key of the compliance s11E in a display file."""
 
 
-class Tip(StrEnum):
-    """What is on the tip while a bimorph is measured."""
-
-    LOW = "low"
-    HIGH = "high"
-    AIR = "none"
-
-
-@app.command("adjust")
-def adjust_display(
+def run(
     load: Annotated[
-        Path | None, typer.Option(help="CSV of the loaded tip: fits the finger's load.")
+        Path | None,
+        typer.Option(
+            help="CSV file with the response of the loaded tip. The load of the finger is fitted "
+            "to it."
+        ),
     ] = None,
     admittance: Annotated[
-        Path | None, typer.Option(help="CSV of the electrical admittance: fits the bimorph.")
+        Path | None,
+        typer.Option(help="CSV file with the electrical admittance. The bimorph is fitted to it."),
     ] = None,
     velocity: Annotated[
-        Path | None, typer.Option(help="CSV of the tip's motion: fits the bimorph.")
+        Path | None,
+        typer.Option(
+            help="CSV file with the velocity or displacement of the tip. The bimorph is fitted to "
+            "it."
+        ),
     ] = None,
     finger: Annotated[
-        Tip, typer.Option(help="On the tip with --admittance and --velocity: low, high or none.")
-    ] = Tip.AIR,
+        Finger,
+        typer.Option(
+            help="Finger on the tip during the measurements of --admittance and --velocity."
+        ),
+    ] = Finger.AIR,
     stiffness: Annotated[
-        bool, typer.Option("--stiffness", help="Fit s11E too, so that the resonance may move.")
+        bool,
+        typer.Option(
+            "--stiffness", help="Also fit the compliance s11E, which moves the resonance."
+        ),
     ] = False,
     branches: Annotated[
-        int | None, typer.Option(help="Of the load, 1 to 3; as many as tell by default.")
+        int | None,
+        typer.Option(
+            help="Number of branches of the load of the finger, 1 to 3; by default as many as the "
+            "measurement supports."
+        ),
     ] = None,
     display: DisplayOption = "reference-24",
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Display file to write, with the result.")
+        Path | None,
+        typer.Option("--out", "-o", help="Display file to write, with the fitted values."),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw it to a PNG, SVG or PDF.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    plot: PlotOption = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fit a display's finger, or its bimorph, to CSVs of frequency_hz, magnitude, phase_deg, unit.
+    """Fit the finger or the bimorph of a display to measurements.
 
-    Volts are those at the bimorph's electrodes.
+    The CSV files have the columns frequency_hz, magnitude, phase_deg and unit. Voltages are those
+    at the electrodes of the bimorph.
 
     Example: tactile adjust --load finger.csv --display reference-24 --out mine.toml --plot fit.png
     """
     _check_options(load, admittance, velocity, stiffness=stiffness, branches=branches)
-    if plot is not None:
-        from tactile.show.plots import check_file
-
-        check_file(plot)
+    check_plot(plot)
     shown = tactile.load_display(display)
     result: LoadFit | BimorphFit
     if load is not None:
         result, tables = _fit_finger(shown, load, branches)
     else:
-        air = getattr(tactile.FingerLoad, finger.value)()
-        result, tables = _fit_bender(shown, admittance, velocity, air, stiffness=stiffness)
+        on_tip = getattr(tactile.FingerLoad, finger.value)()
+        result, tables = _fit_bender(shown, admittance, velocity, on_tip, stiffness=stiffness)
     if out is not None:
         write_tables(display, out, **tables, force=force)
     if plot is not None:
         from tactile.study.plots import plot_adjusted
 
         plot_adjusted(plot, result.comparisons)
-    if as_json:
-        typer.echo(json.dumps(_facts(result)))
-        return
-    _print_result(result, shown.name)
+    emit(_facts(result), as_json, lambda _: _print(result, shown.name))
     for done, path in (("written", out), ("drawn", plot)):
-        if path is not None:
+        if path is not None and not as_json:
             typer.echo(f"{done}: {path}")
 
 
@@ -99,20 +103,20 @@ def _check_options(
     stiffness: bool,
     branches: int | None,
 ) -> None:
-    """Refuse options that do not go together."""
+    """Raise InputError for options that cannot be combined."""
     electric = admittance is not None or velocity is not None
     if (load is not None) == electric:
-        raise InputError("needs either --load, or --admittance or --velocity or both")
+        raise InputError("give either --load, or one or both of --admittance and --velocity")
     if branches is not None and load is None:
-        raise InputError("--branches is for --load")
+        raise InputError("--branches can only be used with --load")
     if stiffness and load is not None:
-        raise InputError("--stiffness is for --admittance and --velocity")
+        raise InputError("--stiffness can only be used with --admittance and --velocity")
 
 
 def _fit_finger(
     shown: tactile.Display, path: Path, branches: int | None
 ) -> tuple["LoadFit", dict[str, Any]]:
-    """Return the fit of a load, and what it says in a display file."""
+    """Return the fit of a load, and the tables of a display file that contain it."""
     from tactile.study.load_fit import KINDS, fit_load
     from tactile.study.measurement import load_measurement
 
@@ -132,7 +136,7 @@ def _fit_bender(
     *,
     stiffness: bool,
 ) -> tuple["BimorphFit", dict[str, Any]]:
-    """Return the fit of a bimorph, and what it says in a display file."""
+    """Return the fit of a bimorph, and the tables of a display file that contain it."""
     from tactile.study.admittance_fit import ADJUSTED, fit_bimorph
     from tactile.study.measurement import load_measurement
 
@@ -147,11 +151,12 @@ def _fit_bender(
 
 
 def _rounded(value: float) -> float:
-    """Return a value with six digits, more than any fit tells."""
+    """Return a value with six digits, which is more than the accuracy of any fit."""
     return float(f"{value:.6g}")
 
 
 def _facts(fit: "LoadFit | BimorphFit") -> dict[str, Any]:
+    """Return the fitted constants and the misfit of each measurement."""
     return {
         "constants": {
             c.name: {
@@ -171,26 +176,26 @@ def _facts(fit: "LoadFit | BimorphFit") -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _print_result(fit: "LoadFit | BimorphFit", name: str) -> None:
+def _print(fit: "LoadFit | BimorphFit", name: str) -> None:
+    """Print the fitted constants and the misfit of each measurement."""
     from tactile.study.load_fit import EXACT_BENDER
 
     bender = len(fit.told) != len(fit.constants)
-    title = f"{'Bimorph' if bender else 'Finger'} of {name}"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column("constant")
-    for heading in (*(["before"] if bender else []), "fitted", "95 % from", "to"):
-        table.add_column(heading, justify="right")
-    for c in fit.told:
-        values = [*([c.start] if bender else []), c.value, c.low, c.high]
-        table.add_row(c.name, *(f"{value:.4g}" for value in values))
-    Console().print(table)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("misfit of")
-    for heading in ("before, rms dB", "rms dB", "worst dB", "points"):
-        table.add_column(heading, justify="right")
-    for one in fit.comparisons:
-        figures = (f"{value:.3g}" for value in (one.start_rms_db, one.rms_db, one.worst_db))
-        table.add_row(one.measurement.name, *figures, str(len(one.measurement.frequency)))
-    Console().print(table)
+    columns = right(*(["before"] if bender else []), "fitted", "95 % from", "to")
+    rows = (
+        (c.name, *(f"{v:.4g}" for v in (*([c.start] if bender else []), c.value, c.low, c.high)))
+        for c in fit.told
+    )
+    print_table(["constant", *columns], rows, f"{'Bimorph' if bender else 'Finger'} of {name}")
+    misfits = (
+        (
+            one.measurement.name,
+            *(f"{v:.3g}" for v in (one.start_rms_db, one.rms_db, one.worst_db)),
+            str(len(one.measurement.frequency)),
+        )
+        for one in fit.comparisons
+    )
+    columns = right("before, rms dB", "rms dB", "worst dB", "points")
+    print_table(["misfit of", *columns], misfits)
     for note in (*fit.notes, *([] if bender else [EXACT_BENDER])):
         typer.echo(f"note: {note}")

@@ -1,6 +1,5 @@
-"""The command ``fit``: from recordings to a texture."""
+"""The command ``tactile fit``."""
 
-import json
 import math
 from dataclasses import asdict
 from functools import partial
@@ -10,11 +9,9 @@ from typing import Annotated, Any, get_args, get_type_hints
 import msgspec
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from tactile.cli.app import AsJson, app, print_table
+from tactile.cli.options import AsJson, Force, PlotOption, check_plot, emit
+from tactile.cli.printing import print_facts, print_table, progress_bar, right, unwrapped
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.texture.descriptor import About
@@ -24,55 +21,81 @@ from tactile.texture.judging import Candidate, Verdict, fit_texture
 from tactile.texture.recorded_slide import UNITS, load_recorded
 
 STEPS = 8
-"""Of the progress bar: strokes, lines and bands twice, statistics and surface."""
+"""Number of steps of the progress bar: four to read and fit, four to judge the fit."""
 
 
-@app.command("fit")
-def fit_recordings(
+def run(
     recordings: Annotated[
-        list[Path], typer.Argument(help="WAV, CSV or NPZ files of one surface, one slide each.")
+        list[Path],
+        typer.Argument(help="WAV, CSV or NPZ files of one surface, with one slide in each."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="TOML file; its name is the texture's.")],
-    category: Annotated[str, typer.Option(help="wood, leather, plastic, textile, …")] = "test",
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="Texture file to write (.toml); its name becomes the texture's."
+        ),
+    ],
+    category: Annotated[
+        str, typer.Option(help="Category of the texture, such as wood, leather or textile.")
+    ] = "test",
     speed_mm_s: Annotated[
-        list[float] | None, typer.Option(help="Of each recording in turn, or one for all.")
+        list[float] | None,
+        typer.Option(
+            help="Speed of the slide in mm/s. Give it once for all recordings, or once for each in "
+            "order."
+        ),
     ] = None,
     normal_force_n: Annotated[
-        list[float] | None, typer.Option(help="Of each recording in turn, or one for all.")
+        list[float] | None,
+        typer.Option(
+            help="Normal force of the slide in N. Give it once for all recordings, or once for "
+            "each in order."
+        ),
     ] = None,
     quantity: Annotated[
-        str, typer.Option(help="In a WAV: acceleration, velocity, displacement or force.")
+        str,
+        typer.Option(
+            help="Quantity that a WAV file contains: acceleration, velocity, displacement or force."
+        ),
     ] = "acceleration",
     full_scale: Annotated[
         float | None,
-        typer.Option(help="Of a WAV, in m/s², mm/s, µm or N; without it the level is assumed."),
+        typer.Option(
+            help="Value of a full-scale WAV sample in m/s², mm/s, µm or N. Without it, the level "
+            "of the texture is assumed."
+        ),
     ] = None,
     noise: Annotated[
-        Path | None, typer.Option(help="The same sensor with nothing sliding.")
+        Path | None, typer.Option(help="Recording of the same sensor while nothing slides.")
     ] = None,
     reference_speed_mm_s: Annotated[
-        float | None, typer.Option(help="At which it is to be true; by default the recordings'.")
+        float | None,
+        typer.Option(
+            help="Speed in mm/s at which the texture matches the recordings; by default their own "
+            "speed."
+        ),
     ] = None,
-    description: Annotated[str, typer.Option(help="For people.")] = "",
-    source: Annotated[str, typer.Option(help="Where the recordings come from.")] = "",
-    licence: Annotated[str, typer.Option(help="Of the texture.")] = "unstated",
-    plot: Annotated[Path | None, typer.Option(help="Draw the fit to a PNG, SVG or PDF.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    description: Annotated[str, typer.Option(help="One-line description of the texture.")] = "",
+    source: Annotated[str, typer.Option(help="Origin of the recordings.")] = "",
+    license_: Annotated[
+        str, typer.Option("--license", help="License of the texture file.")
+    ] = "unstated",
+    plot: PlotOption = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fit a texture to recordings of a finger or a sensor that slides over it.
+    """Fit a texture to recordings of a sliding finger or sensor.
+
+    The result is compared with recordings that were left out of the fit.
 
     Example: tactile fit denim1.wav denim2.wav --speed-mm-s 20 --speed-mm-s 30 --full-scale 104.6
     --category textile -o denim.toml --plot denim.png
     """
-    about = _about(out, category, description, source, licence)
+    about = _about(out, category, description, source, license_)
     check_target(out, about.id, force=force)
-    if plot is not None:
-        from tactile.show.plots import check_file
-
-        check_file(plot)
+    check_plot(plot)
     if quantity not in UNITS:
-        raise InputError(f"--quantity {quantity!r}; {nearest(quantity, list(UNITS))}")
+        raise InputError(f"--quantity {quantity!r}: {nearest(quantity, list(UNITS))}")
     scale = None if full_scale is None else full_scale * UNITS[quantity][1]
     read = partial(load_recorded, quantity=quantity, full_scale=scale)
     speeds = _one_each(speed_mm_s, recordings, "--speed-mm-s", 1e-3)
@@ -83,11 +106,7 @@ def fit_recordings(
     ]
     silent = None if noise is None else read(noise, speed=1.0)
     reference = None if reference_speed_mm_s is None else reference_speed_mm_s * 1e-3
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-        console=Console(stderr=True), transient=True, disable=as_json,
-    )  # fmt: skip
-    with bar:
+    with progress_bar(shown=not as_json) as bar:
         task = bar.add_task("reading", total=STEPS)
         fit, verdict = fit_texture(
             slides, about, noise=silent, reference_speed=reference,
@@ -98,66 +117,67 @@ def fit_recordings(
         from tactile.show.plots import plot_fit
 
         plot_fit(plot, fit, verdict)
-    if as_json:
-        typer.echo(json.dumps(_facts(fit, verdict)))
-        return
-    _print_report(fit, verdict)
-    typer.echo(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))
+    emit(_facts(fit, verdict), as_json, lambda _: _print_report(fit, verdict))
+    if not as_json:
+        typer.echo(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))
 
 
-def _about(out: Path, category: str, description: str, source: str, licence: str) -> About:
-    told = {
+def _about(out: Path, category: str, description: str, source: str, license_: str) -> About:
+    """Return the first table of the texture file."""
+    given = {
         "id": out.stem,
         "category": category,
         "description": description or out.stem,
         "provenance": "fitted",
-        "source": source or "not told; fitted by tactile fit",
-        "licence": licence,
+        "source": source or "not stated; fitted by tactile fit",
+        "license": license_,
     }
     try:
-        return msgspec.convert(told, About)
+        return msgspec.convert(given, About)
     except msgspec.ValidationError as error:
         if "category" in str(error):
             known = list(get_args(get_type_hints(About)["category"]))
-            raise InputError(f"--category {category!r}; {nearest(category, known)}") from error
+            raise InputError(f"--category {category!r}: {nearest(category, known)}") from error
         raise InputError(
-            f"{out}: a texture is named in lower case and hyphens, as in denim-blue.toml"
+            f"{out}: the name of a texture consists of lower-case letters, digits and hyphens, for "
+            "example denim-blue.toml"
         ) from error
 
 
 def _one_each(
     given: list[float] | None, recordings: list[Path], name: str, unit: float
 ) -> list[float | None]:
-    """Return an option's value for each recording."""
+    """Return the value of an option for each recording, in SI units."""
     if not given:
         return [None] * len(recordings)
     if len(given) not in (1, len(recordings)):
         raise InputError(
-            f"{name} is given {len(given)} times for {len(recordings)} recordings: "
-            "once for all, or for each in turn"
+            f"{name} is given {len(given)} times for {len(recordings)} recordings; give it once "
+            "for all, or once for each"
         )
     for value in given:
         if not 0 < value < math.inf:
-            raise InputError(f"{name} {value:g}: must be above 0")
+            raise InputError(f"{name} {value:g}: must be greater than 0")
     whole = given * (len(recordings) if len(given) == 1 else 1)
     return [value * unit for value in whole]
 
 
 def _comments(fit: Fit) -> dict[str, str]:
-    """Return what the file says of its numbers."""
+    """Return the comments of the texture file, by the path of the key they are about."""
     slides = ", ".join(
         f"{name} at {v * 1e3:.3g} mm/s" for name, v in zip(fit.names, fit.speed, strict=True)
     )
     speed_error, force_error = fit.exponent_error
     return {
         "": "\n".join([f"Fitted to {slides}.", *fit.notes]),
-        "stochastic.level_db": "mean over recordings, brought to the reference by the laws",
+        "stochastic.level_db": "mean of the recordings, scaled to the reference by [laws]",
         "laws.speed_exponent": f"± {speed_error:.2f}",
         "laws.force_exponent": f"± {force_error:.2f}",
     }
 
 
 def _facts(fit: Fit, verdict: Verdict) -> dict[str, Any]:
+    """Return the texture, its errors and its comparison with other models."""
     return {
         "descriptor": msgspec.to_builtins(fit.descriptor),
         "recordings": [
@@ -178,10 +198,12 @@ def _facts(fit: Fit, verdict: Verdict) -> dict[str, Any]:
 
 
 def _plain(values: Any) -> list[float | None]:
+    """Return numbers for JSON, with None for those that are not finite."""
     return [round(float(x), 3) if math.isfinite(x) else None for x in values]
 
 
 def _sides(verdict: Verdict) -> dict[str, Candidate]:
+    """Return the models that are compared with the recordings, by name."""
     return {
         "this texture": verdict.rendering,
         "the recordings themselves": verdict.ceiling,
@@ -191,6 +213,7 @@ def _sides(verdict: Verdict) -> dict[str, Candidate]:
 
 
 def _print_report(fit: Fit, verdict: Verdict) -> None:
+    """Print the parameters of the texture and its comparison with other models."""
     d, s = fit.descriptor, fit.descriptor.stochastic
     assert s is not None
     surface = (
@@ -198,7 +221,7 @@ def _print_report(fit: Fit, verdict: Verdict) -> None:
         if s.direction_spread_deg is None
         else (
             f"along its direction, ± {s.direction_spread_deg:g}°; an isotropic surface would be "
-            f"off by {np.abs(fit.isotropic_loss).max():.1f} dB"
+            f"wrong by up to {np.abs(fit.isotropic_loss).max():.1f} dB"
         )
     )
     rows = {
@@ -210,19 +233,18 @@ def _print_report(fit: Fit, verdict: Verdict) -> None:
         f"force^{d.laws.force_exponent:g} ± {fit.exponent_error[1]:.2f}",
         "gratings": "; ".join(
             f"{p.wavelength_mm:g} mm, {max(p.harmonics_um):.3g} µm" for p in d.periodic
-        ) or "none stands out",
+        ) or "none found",
     }  # fmt: skip
     if d.friction is not None:
         rows["friction"] = (
             f"{d.friction.static_coefficient:g} at rest, {d.friction.kinetic_coefficient:g} sliding"
         )
-    print_table(rows, f"{d.texture.id}, from {len(fit.names)} recordings")
-    table = Table(title="Against recordings held out, 16 bands", title_justify="left", box=None)
-    table.add_column("", no_wrap=True)
-    for heading in ("rms dB", "mean abs. dB", "bias dB"):
-        table.add_column(heading, justify="right")
-    for name, side in _sides(verdict).items():
-        table.add_row(name, f"{side.rms_db:.2f}", f"{side.absolute_db:.2f}", f"{side.bias_db:+.2f}")
-    Console().print(table)
+    print_facts(rows, f"{d.texture.id}, from {len(fit.names)} recordings")
+    columns = [unwrapped("model"), *right("rms dB", "mean abs. dB", "bias dB")]
+    errors = [
+        (name, f"{side.rms_db:.2f}", f"{side.absolute_db:.2f}", f"{side.bias_db:+.2f}")
+        for name, side in _sides(verdict).items()
+    ]
+    print_table(columns, errors, "Difference from the recordings left out, in 16 bands")
     for note in fit.notes:
         typer.echo(f"note: {note}")

@@ -1,6 +1,5 @@
-"""Commands that play: ``play`` and ``serve``."""
+"""The command ``tactile play``."""
 
-import json
 import math
 import sys
 from contextlib import nullcontext
@@ -10,8 +9,19 @@ from typing import Annotated, Any
 import typer
 
 import tactile
-from tactile.cli.app import AcceptHold, AsJson, DisplayOption, app, print_table, within
-from tactile.errors import BusError, InputError
+from tactile.cli.options import (
+    AcceptHold,
+    AngleOption,
+    AsJson,
+    DisplayOption,
+    ForceOption,
+    SpeedOption,
+    TextureArgument,
+    emit,
+    within,
+)
+from tactile.cli.printing import print_facts
+from tactile.errors import InputError
 
 STROKE = {
     "--speed-mm-s": (0.0, 2000.0, 80.0),
@@ -19,48 +29,63 @@ STROKE = {
     "--angle-deg": (-360.0, 360.0, 0.0),
     "--normal-force-n": (0.0, 20.0, 0.5),
 }
-"""Least, most and default."""
+"""Least value, greatest value and default of each option that describes a straight stroke."""
 LARGEST_GAIN = 1e3
 
 
-@app.command()
-def play(
-    texture: Annotated[str, typer.Argument(help="A texture's name, or a TOML file.")],
-    speed_mm_s: Annotated[
-        float | None, typer.Option(help="Straight stroke, 80 by default.")
-    ] = None,
+def run(
+    texture: TextureArgument,
+    speed_mm_s: SpeedOption = None,
     seconds: Annotated[
-        float | None, typer.Option(help="Length of the stroke, 5 by default.")
+        float | None, typer.Option(help="Duration of the stroke in s; 5 by default.")
     ] = None,
-    angle_deg: Annotated[
-        float | None, typer.Option(help="Of the stroke, from the x axis; 0 by default.")
-    ] = None,
-    normal_force_n: Annotated[
-        float | None, typer.Option(help="Of the finger, 0.5 by default.")
-    ] = None,
+    angle_deg: AngleOption = None,
+    normal_force_n: ForceOption = None,
     path: Annotated[
         Path | None,
-        typer.Option(help="Follow a CSV (time_s, x_mm, y_mm, normal_force_n) instead."),
+        typer.Option(
+            help="Follow the path of a CSV file with the columns time_s, x_mm, y_mm and "
+            "normal_force_n instead of a straight stroke."
+        ),
     ] = None,
     display: DisplayOption = "reference-24",
-    device: Annotated[str, typer.Option(help="sim:, mock:, or another device's URL.")] = "sim:",
+    device: Annotated[
+        str,
+        typer.Option(
+            help="URL of the device to play on: sim: simulates the display, mock: an amplifier; "
+            "tactile devices lists the URLs of connected devices."
+        ),
+    ] = "sim:",
     gain: Annotated[
-        str, typer.Option(help="Of the texture, or auto: the largest within the limits.")
+        str,
+        typer.Option(
+            help="Factor that multiplies the texture, or auto for the largest one that the display "
+            "can play."
+        ),
     ] = "1",
-    record: Annotated[Path | None, typer.Option(help="Write an .npz of what was played.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the surface.")] = 0,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Write the drive voltages and the shear to this NumPy file (.npz)."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random surface.")] = 0,
     sample_rate_hz: Annotated[
-        float | None, typer.Option(help="Of the drive; by default the device's choice.")
+        float | None,
+        typer.Option(help="Sample rate of the drive in Hz; by default the device chooses it."),
     ] = None,
     accept_unsafe_hold: AcceptHold = False,
     as_json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No picture and no report.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Print neither the live picture nor the report.")
+    ] = False,
 ) -> None:
     """Play a texture under a moving finger.
 
+    In a terminal it plays in real time and shows a live picture; otherwise it plays as fast as the
+    device allows.
+
     Example: tactile play wood-oak --speed-mm-s 80 --seconds 5 --record oak.npz
     """
-    from tactile.playback.runs import run
+    from tactile.playback import runs
 
     stroke = {
         "--speed-mm-s": speed_mm_s,
@@ -77,22 +102,22 @@ def play(
         _live(shown, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
     )
     with live:
-        summary = run(
+        summary = runs.run(
             shown, felt, trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
             watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
-    if as_json:
-        typer.echo(json.dumps(summary.as_dict()))
-    elif not quiet:
-        print_table(_report(summary.as_dict()), f"Played {felt.descriptor.texture.description}")
+    if as_json or not quiet:
+        title = f"Played {felt.descriptor.texture.description}"
+        emit(summary.as_dict(), as_json, lambda facts: print_facts(_report(facts), title))
 
 
 def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.Trajectory":
+    """Return the path of a file, or the straight stroke that the options describe."""
     if path is not None:
         given = [name for name, value in stroke.items() if value is not None]
         if given:
-            raise InputError(f"{given[0]} and --path exclude each other: the path says where to go")
+            raise InputError(f"{given[0]} cannot be used with --path, which gives the whole stroke")
         return tactile.Trajectory.from_csv(path)
     speed, seconds, angle, force = (
         within(name, stroke[name], *bounds) for name, bounds in STROKE.items()
@@ -103,24 +128,24 @@ def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.
 
 
 def _gain(
-    told: str,
+    given: str,
     display: "tactile.Display",
     texture: "tactile.Texture",
     stroke: dict[str, float | None],
     path: Path | None,
 ) -> float:
-    """Return the gain that was told, or for "auto" the largest for the stroke."""
-    if told != "auto":
+    """Return the gain as a number; "auto" is the largest one for the straight stroke."""
+    if given != "auto":
         try:
-            return within("--gain", float(told), 0.0, LARGEST_GAIN, 1.0)
+            return within("--gain", float(given), 0.0, LARGEST_GAIN, 1.0)
         except ValueError:
             raise InputError(
-                f"--gain {told}: must be auto or a number 0 … {LARGEST_GAIN:g}"
+                f"--gain {given}: must be auto or a number between 0 and {LARGEST_GAIN:g}"
             ) from None
     if path is not None:
         raise InputError(
-            "--gain auto and --path exclude each other: it is found for a straight stroke; "
-            "`tactile strength` tells it for any speed"
+            "--gain auto cannot be used with --path, because it is computed for a straight stroke; "
+            "tactile strength reports it for any speed"
         )
     speed, _, angle, force = (within(name, stroke[name], *STROKE[name]) for name in STROKE)
     line = tactile.SteadyStroke(speed=speed * 1e-3, normal_force=force, angle=math.radians(angle))
@@ -128,7 +153,7 @@ def _gain(
 
 
 def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple[Any, Any]:
-    """Return a live terminal picture and what feeds it."""
+    """Return a live picture for the terminal, and the function that updates it with a block."""
     from rich.live import Live
 
     from tactile.playback.offline import PlayedBlock
@@ -146,6 +171,7 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
 
 
 def _report(s: dict[str, Any]) -> dict[str, str]:
+    """Return the lines of the report by name, from a summary."""
     rows = {
         "on": f"{s['display']} at {s['device']}, {s['sample_rate_hz']:g} Hz",
         "length": f"{s['seconds']:.3f} s, {s['samples']} samples",
@@ -164,46 +190,27 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
 
 
 def _frames(s: dict[str, Any]) -> dict[str, str]:
+    """Return the lines about a device that takes spectrum frames."""
     return {
-        "frames": f"{s['frames']} of the spectrum, {s['limited_samples']} limited; without events",
+        "frames": f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the "
+        "events of the texture are not played",
     }
 
 
 def _samples(s: dict[str, Any]) -> dict[str, str]:
+    """Return the lines about a device that takes samples."""
     rows = {
         "shear": f"{s['rms_shear_um']:.2f} µm rms, {s['peak_shear_um']:.2f} µm peak; "
-        f"full drive attains {s['attainable_um']:.1f} µm up to 1 kHz",
+        f"at most {s['attainable_um']:.1f} µm peak can be reached at every frequency up to 1 kHz",
         "drive": f"{s['peak_drive_v']:.1f} V peak of {s['voltage_limit_v']:.0f} V, "
         f"{s['limited_samples']} samples limited",
-        "equalizer": f"within {s['equalizer_error_db']:.2f} dB of the inverse, 10–1000 Hz",
+        "equalizer": f"within {s['equalizer_error_db']:.2f} dB of the inverse response, 10–1000 Hz",
     }
     if s["signal_to_error_db"] is not None:
         rows["played"] = (
-            f"{s['signal_to_error_db']:.1f} dB signal-to-error against what was commanded, "
+            f"{s['signal_to_error_db']:.1f} dB signal-to-error ratio of the displacement, "
             "20–1000 Hz"
         )
     if s["peak_current_ma"] is not None:
         rows["current"] = f"{s['peak_current_ma']:.2f} mA peak per contactor"
     return rows
-
-
-@app.command("serve")
-def serve_displays(
-    config: Annotated[
-        Path | None, typer.Option(help="TOML file; a simulated display without one.")
-    ] = None,
-) -> None:
-    """Play for other programs, such as VR apps, which connect by WebSocket or OSC.
-
-    Example: tactile serve --config tactile.toml
-    """
-    from tactile.server.config import load_config
-    from tactile.server.server import serve
-
-    told = load_config(config)
-    names = ", ".join(f"{one.name} ({one.device})" for one in told.display)
-    try:
-        serve(told, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
-    except BusError as error:  # not 2: a device may be there when systemd tries again
-        typer.echo(f"tactile: {error}", err=True)
-        raise typer.Exit(1) from error

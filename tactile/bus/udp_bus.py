@@ -1,0 +1,306 @@
+"""``udp:``, amplifiers on a local network, one datagram for each packet.
+
+``udp:192.168.4.1:7412`` or ``udp:[fe80::1%eth0]:7412``. A datagram holds frames of the serial link
+(SPEC.md, 3.4), so that a board with Ethernet or Wi-Fi reads it with the decoder of that link. A
+datagram that is lost, repeated or late on the way is a packet that is lost, repeated or late.
+"""
+
+import selectors
+import socket
+import threading
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated
+from urllib.parse import urlsplit
+
+from msgspec import Meta
+
+from firmware_protocol.packet import Packet, encode_packet
+from firmware_protocol.serial_link import (
+    COBS_RUN,
+    DELIMITER,
+    SerialDecoder,
+    coded_limit,
+    encode_frame,
+)
+from tactile.bus.base import DisplayLike
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.link_url import LinkOptions, open_link
+from tactile.bus.registry import Address, register_bus
+from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire_time import Link
+from tactile.clock import MONOTONIC, Clock
+from tactile.errors import InputError
+
+HEADERS = 66
+"""Bytes around a datagram on Ethernet: preamble, MAC header, FCS and gap (IEEE 802.3: 38), IPv4
+(RFC 791: 20) and UDP (RFC 768: 8)."""
+LARGEST_DATAGRAM = 1472
+"""Bytes of a datagram that Ethernet carries in one piece: 1500 less the headers of IPv4 and UDP."""
+LARGEST_READ = 65536
+"""Bytes that are read at once; no datagram is longer."""
+MOST_READS = 64
+"""Datagrams that are read before what waits is sent again."""
+
+
+@dataclass(frozen=True)
+class Udp(Link):
+    """Ethernet or Wi-Fi of ``bit_rate`` [bit/s], both ways at once."""
+
+    bit_rate: float
+    cap = 0.5
+
+    @property
+    def name(self) -> str:  # noqa: D102
+        return f"UDP {self.bit_rate / 1e6:g} Mbit/s"
+
+    def seconds(self, packet: bytes) -> float:  # noqa: D102
+        return 8 * (HEADERS + coded_limit(len(packet)) + len(DELIMITER)) / self.bit_rate
+
+    def largest(self) -> int:
+        """Return the most bytes of a packet whose datagram Ethernet carries in one piece.
+
+        Returns
+        -------
+        int
+            Size of the packet [bytes].
+        """
+        coded = LARGEST_DATAGRAM - len(DELIMITER) - 1
+        return coded * COBS_RUN // (COBS_RUN + 1)
+
+
+class UdpWire(Wire):
+    """Packets in datagrams.
+
+    Parameters
+    ----------
+    connection : socket.socket
+        UDP socket that is connected to the amplifier; the wire closes it.
+    link : Link
+        How long packets take.
+    clock : Clock
+        Clock by which the wire waits.
+    """
+
+    def __init__(self, connection: socket.socket, link: Link, clock: Clock) -> None:
+        super().__init__(link)
+        self._socket, self._clock = connection, clock
+        self._decoder = SerialDecoder(counters=self.counters)
+        self._queue: deque[tuple[bytes, float]] = deque()
+        """Datagrams that the kernel has not taken, each with the time since which it waits [s]."""
+        self._order = threading.Lock()
+        self._woken, self._waker = socket.socketpair()
+        for end in (self._socket, self._woken, self._waker):
+            end.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._selector.register(self._socket, selectors.EVENT_READ)
+
+    @property
+    def busy(self) -> bool:
+        """Whether the kernel has not taken all."""
+        return bool(self._queue)
+
+    def send(self, packet: Packet) -> float:
+        """Send a packet without waiting.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        float
+            Time that it takes on the link [s].
+
+        Raises
+        ------
+        WireError
+            If nothing listens at the other end, or the network is down.
+        """
+        data = encode_packet(packet)
+        with self._order:
+            self._queue.append((encode_frame(data), self._clock.now()))
+            self._flush()
+        return self.link.seconds(data)
+
+    def urge(self, packet: Packet) -> None:
+        """Send a packet in place of what waits.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Raises
+        ------
+        WireError
+            If nothing listens at the other end, or the network is down.
+        """
+        with self._order:
+            self._queue.clear()
+            self._queue.append((encode_frame(encode_packet(packet)), self._clock.now()))
+            self._flush()
+
+    def _flush(self) -> None:
+        """Send what waits, as far as the kernel takes it."""
+        try:
+            while self._queue:
+                self._socket.send(self._queue[0][0])
+                self._queue.popleft()
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise WireError(_reason(error)) from error
+
+    def waited(self) -> float:
+        """Return for how long the oldest datagram has waited that the kernel has not taken.
+
+        Returns
+        -------
+        float
+            Time [s]; 0 if none waits.
+        """
+        with self._order:
+            return self._clock.now() - self._queue[0][1] if self._queue else 0.0
+
+    def receive(self, until: float) -> list[Packet]:
+        """Return the packets that have come, and wait for some.
+
+        Parameters
+        ----------
+        until : float
+            Time of the host's clock up to which to wait [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets in the order in which they came.
+
+        Raises
+        ------
+        WireError
+            If nothing listens at the other end, the network is down, or the kernel takes nothing.
+        """
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.busy else 0)
+        self._selector.modify(self._socket, events)
+        ready = {key.fileobj for key, _ in self._selector.select(max(until - MONOTONIC.now(), 0.0))}
+        if self._woken in ready:
+            with suppress(BlockingIOError):
+                self._woken.recv(4096)
+        with self._order:
+            self._flush()
+        if self.waited() > STALL:
+            raise WireError(f"the network takes nothing more; {len(self._queue)} datagrams wait")
+        packets: list[Packet] = []
+        for _ in range(MOST_READS):
+            try:
+                datagram = self._socket.recv(LARGEST_READ)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                raise WireError(_reason(error)) from error
+            packets += self._decoder.feed(DELIMITER + datagram)
+        return packets
+
+    def wake(self) -> None:
+        """Let `receive` return."""
+        with suppress(OSError):
+            self._waker.send(b"\0")
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._selector.close()
+        for end in (self._socket, self._woken, self._waker):
+            end.close()
+
+
+class UdpOptions(LinkOptions, frozen=True, kw_only=True):
+    """Options of a ``udp:`` URL.
+
+    Attributes
+    ----------
+    bit_rate : float
+        Bit rate of the slowest part of the way [bit/s], by which packets are paced.
+    """
+
+    bit_rate: Annotated[float, Meta(ge=1e5, le=1e10)] = 10e6
+
+
+def link_of(options: UdpOptions) -> Udp:
+    """Return how long packets take on the network.
+
+    Parameters
+    ----------
+    options : UdpOptions
+        Options of the device's URL.
+
+    Returns
+    -------
+    Udp
+        A network of that bit rate.
+    """
+    return Udp(options.bit_rate)
+
+
+def connect(path: str, link: Link, clock: Clock) -> UdpWire:
+    """Open a socket to an amplifier.
+
+    Parameters
+    ----------
+    path : str
+        Host and port, such as ``192.168.4.1:7412``.
+    link : Link
+        How long packets take.
+    clock : Clock
+        Clock by which the wire waits.
+
+    Returns
+    -------
+    UdpWire
+        The open wire; whether anything listens there shows only when it answers.
+
+    Raises
+    ------
+    InputError
+        If the path names no host and port.
+    WireError
+        If the host is not known or cannot be reached.
+    """
+    try:
+        parts = urlsplit(f"//{path}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError(f"udp: {path}: {error}") from None
+    if not host or not port or parts.path or parts.username:
+        raise InputError(f"udp: {path!r}: give host and port, as udp:192.168.4.1:7412")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[
+            0
+        ]
+        connection = socket.socket(family, kind, protocol)
+    except (OSError, UnicodeError) as error:  # UnicodeError: a name that no host can have
+        raise WireError(f"udp: {path}: {_reason(error)}") from error
+    try:
+        connection.connect(address)
+        return UdpWire(connection, link, clock)
+    except OSError as error:
+        connection.close()
+        raise WireError(f"udp: {path}: {_reason(error)}") from error
+
+
+def _reason(error: OSError | UnicodeError) -> str:
+    """Return why the network does not carry a packet."""
+    if isinstance(error, ConnectionRefusedError):
+        return "nothing listens at that port"
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _open(address: Address[UdpOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
+    path, options, link = address.path, address.options, link_of(address.options)
+    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
+
+
+register_bus("udp", _open, UdpOptions, takes_path=True, link=link_of)

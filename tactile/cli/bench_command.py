@@ -1,0 +1,43 @@
+"""The command ``tactile bench``."""
+
+from typing import Annotated
+
+import typer
+
+import tactile
+from tactile.cli.options import AsJson, DisplayOption, emit
+from tactile.cli.printing import print_figures
+from tactile.errors import InputError
+from tactile.files import nearest
+
+
+def run(
+    only: Annotated[
+        list[str] | None,
+        typer.Argument(help="Benchmarks to run: speed, memory or jitter; all by default."),
+    ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="URL of a device. The round trip of its link is measured instead of the machine."
+        ),
+    ] = None,
+    display: DisplayOption = "reference-24",
+    as_json: AsJson = False,
+) -> None:
+    """Measure the performance of this machine or of a link.
+
+    Of the machine, the rendering speed, the memory and the timing jitter are measured.
+
+    Example: tactile bench speed jitter
+    """
+    from tactile.bench import BENCHMARKS, measure, measure_link
+
+    for name in only or []:
+        if name not in BENCHMARKS:
+            raise InputError(f"no benchmark {name!r}; {nearest(name, list(BENCHMARKS))}")
+    chosen = [BENCHMARKS[name] for name in only or ([] if device else BENCHMARKS)]
+    if device is not None:
+        shown = tactile.load_display(display)
+        chosen.append(lambda: measure_link(device, shown))
+    emit([figure.as_dict() for figure in measure(chosen)], as_json, print_figures)

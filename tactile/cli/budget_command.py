@@ -1,0 +1,49 @@
+"""The command ``tactile budget``."""
+
+from contextlib import suppress
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+import tactile
+from tactile.cli.options import AsJson, emit
+from tactile.cli.printing import print_budget
+
+
+def run(
+    display: Annotated[
+        str,
+        typer.Argument(help="Name of a shipped display, or path of a display file (TOML)."),
+    ],
+    url: Annotated[
+        str, typer.Argument(help="URL of the device that the link leads to; it is not opened.")
+    ],
+    band_hz: Annotated[
+        float, typer.Option(help="Highest frequency in Hz that the display must play.")
+    ] = 1000.0,
+    as_json: AsJson = False,
+) -> None:
+    """List the sample formats and rates that fit on a link.
+
+    Formats are listed from the best to the smallest; the one that will be used is marked.
+
+    Example: tactile budget reference-24 "can:socketcan/can0?fd=true"
+    """
+    from tactile.bus.budget import BudgetError, plan, table
+    from tactile.devices import link_at
+
+    shown, link = tactile.load_display(display), link_at(url)
+    chosen = None
+    with suppress(BudgetError):
+        chosen = plan(link, shown.channels, band=band_hz)
+    rows = table(link, shown.channels, band=band_hz)
+    title = f"{shown.channels} channels on {link.name}, of which {link.cap:.0%} may be used"
+    facts = {
+        "link": link.name,
+        "channels": shown.channels,
+        "cap": link.cap,
+        "plan": None if chosen is None else asdict(chosen),
+        "rows": [asdict(row) | {"fits": row.fits} for row in rows],
+    }
+    emit(facts, as_json, lambda _: print_budget(rows, title, has_plan=chosen is not None))

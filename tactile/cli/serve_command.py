@@ -1,0 +1,35 @@
+"""The command ``tactile serve``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tactile.errors import BusError
+
+
+def run(
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration file of the daemon (TOML); without it, one simulated display is "
+            "served."
+        ),
+    ] = None,
+) -> None:
+    """Serve displays to other programs by WebSocket and OSC.
+
+    The daemon runs until it is interrupted. The exit code is 1 if a device cannot be opened.
+
+    Example: tactile serve --config tactile.toml
+    """
+    from tactile.server.config import load_config
+    from tactile.server.server import serve
+
+    settings = load_config(config)
+    names = ", ".join(f"{one.name} ({one.device})" for one in settings.display)
+    try:
+        serve(settings, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
+    except BusError as error:  # not 2: a device may be there when systemd tries again
+        typer.echo(f"tactile: {error}", err=True)
+        raise typer.Exit(1) from error

@@ -1,0 +1,37 @@
+"""The command ``tactile sheet``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import tactile
+from tactile.cli.options import SpeedOption, check_plot, within
+from tactile.cli.printing import progress_bar
+from tactile.cli.show_command import SPEED
+
+
+def run(
+    plot: Annotated[Path, typer.Argument(help="PNG, SVG or PDF file to write.")],
+    category: Annotated[
+        str | None, typer.Option(help="Draw only the textures of this category, such as wood.")
+    ] = None,
+    speed_mm_s: SpeedOption = None,
+) -> None:
+    """Draw an overview of the shipped textures.
+
+    Each texture has a tile that shows its surface and a strip that shows its spectrum.
+
+    Example: tactile sheet textures.png --category wood
+    """
+    from tactile.show.plots import plot_sheet
+    from tactile.show.views import names_of, tile
+
+    speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
+    check_plot(plot)
+    names = names_of(category)
+    with progress_bar(shown=True) as bar:
+        watched = bar.track(names, description="textures")
+        tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
+    plot_sheet(plot, tiles, speed=speed)
+    typer.echo(f"drawn: {plot}, {len(tiles)} textures")

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, assert_type
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, u
 from tactile import client
 from tactile import messages as m
 from tactile.client import aio, waiting
-from tactile.errors import ClientError, ClientTimeoutError, NotFoundError, RequestError
+from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError, RequestError
 
 
 @pytest.mark.parametrize(("call", "message"), MESSAGES)
@@ -73,6 +73,34 @@ def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> 
     expected.pop("open", None)  # which the synchronous one does when it is made
     assert calls(synchronous) == expected
     assert "close" in expected or "connect" in expected
+
+
+def test_the_synchronous_twin_is_typed(daemon: Daemon) -> None:
+    """A type checker reads this as well, and an ignore that nothing needs is an error for it."""
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        assert_type(display, client.RemoteDisplay)
+        assert_type(display.connection.estop(), dict[str, int])
+        assert_type(display.stats(timeout=PATIENCE), client.Stats)
+        assert_type(display.play([0.5], sample_rate=8000, amplitude=1e-6), int)
+        with pytest.raises(InputError):
+            display.gain("loud")  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match="loudness"):
+            display.gain(loudness=0.5)  # type: ignore[call-arg]
+
+
+def test_the_asyncio_twin_is_typed(daemon: Daemon) -> None:
+    async def main() -> None:
+        async with aio.connect(daemon.url, timeout=PATIENCE) as display:
+            assert_type(display, aio.AsyncDisplay)
+            assert_type(await display.connection.estop(), dict[str, int])
+            assert_type(await display.stats(timeout=PATIENCE), client.Stats)
+            with pytest.raises(InputError):
+                await display.gain("loud")  # type: ignore[arg-type]
+        connection = await aio.open_connection(daemon.url, timeout=PATIENCE)
+        assert_type(connection, aio.AsyncConnection)
+        await connection.close()
+
+    asyncio.run(main())
 
 
 def test_what_would_be_suspended_for_good_in_the_synchronous_twin_is_an_error() -> None:

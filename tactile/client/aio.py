@@ -64,6 +64,6 @@ def _opening(function: Callable[P, Coroutine[Any, Any, C]]) -> Callable[P, Openi
     return call
 
 
-_opener = Opener(AsyncConnection, AsyncDisplay)
+_opener = Opener(AsyncConnection, AsyncDisplay, threaded=False)
 open_connection = _opening(_opener.open_connection)
 connect = _opening(_opener.connect)

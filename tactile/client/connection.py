@@ -189,10 +189,13 @@ class Opener(Generic[C, D]):
         Kind of the connections.
     display : type
         Kind of their displays.
+    threaded : bool
+        Whether the network has a thread of its own, or uses the running event loop.
     """
 
     connection: type[C]
     display: type[D]
+    threaded: bool
 
     async def open_connection(
         self,
@@ -242,7 +245,7 @@ class Opener(Generic[C, D]):
         """
         from tactile.client.websocket import TaskTransport, ThreadTransport
 
-        kind = ThreadTransport if issubclass(self.connection, Closing) else TaskTransport
+        kind = ThreadTransport if self.threaded else TaskTransport
         transport = kind(endpoint(url), timeout=timeout, reconnect=reconnect, encoding=encoding)
         connection = self.connection(
             transport, client_name=client_name, token=secret(token), timeout=timeout, rearm=rearm
@@ -318,6 +321,6 @@ class Opener(Generic[C, D]):
             raise
 
 
-_opener = Opener(Connection, RemoteDisplay)
+_opener = Opener(Connection, RemoteDisplay, threaded=True)
 open_connection = blocking(_opener.open_connection)
 connect = blocking(_opener.connect)

@@ -43,7 +43,6 @@ from benchmarks.floods import (
     touch_together,
 )
 from benchmarks.virtual import can_be_built
-from tactile import messages as m
 from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.client import RemoteDisplay
 from tactile.display.display import load_display
@@ -290,13 +289,13 @@ def is_refused(display: RemoteDisplay) -> bool:
 
 def _clear(display: RemoteDisplay) -> None:
     """Clear the active e-stop."""
-    ask, deadline = display.connection._ask, time.monotonic() + PATIENCE
+    deadline = time.monotonic() + PATIENCE
     while True:
         try:
-            estop = ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE).estop
+            estop = display.stats(timeout=PATIENCE).estop
             if not estop:
                 return
-            ask(m.ClearEstop(display=NAME, estop=estop), m.Done, PATIENCE)
+            display.clear(estop=estop, timeout=PATIENCE)
         except ClientError:
             if time.monotonic() > deadline:
                 raise

@@ -31,7 +31,6 @@ from benchmarks.daemon import (
 )
 from benchmarks.floods import Burden, burdened, drain, open_websocket
 from benchmarks.virtual import can_be_built
-from tactile import messages as m
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
 from tactile.client import RemoteDisplay
 from tactile.errors import ClientError
@@ -147,8 +146,7 @@ def free_places(daemon: Daemon, most: int = PLACES) -> int:
 def counters_of(daemon: Daemon) -> dict[str, int]:
     """Return the counters of playback."""
     with tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as display:
-        ask = display.connection._ask
-        return ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE).counters
+        return display.stats(timeout=PATIENCE).counters
 
 
 def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
@@ -195,10 +193,9 @@ def _observed(
 
 def clear_and_arm(display: RemoteDisplay) -> None:
     """Clear and arm a display that random messages stopped."""
-    ask = display.connection._ask
-    stats = ask(m.GetStats(display=NAME), m.StatsReply, PATIENCE)
+    stats = display.stats(timeout=PATIENCE)
     if stats.estop:
-        ask(m.ClearEstop(display=NAME, estop=stats.estop), m.Done, PATIENCE)
+        display.clear(estop=stats.estop, timeout=PATIENCE)
     if stats.state != "armed":
         display.arm(timeout=PATIENCE)
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tactile.actuator.response import tip_response as tip_response
     from tactile.bus.base import DriveBlock as DriveBlock
     from tactile.bus.base import DriveFrame as DriveFrame
-    from tactile.client.sync import connect as connect
+    from tactile.client.connection import connect as connect
     from tactile.devices import find_devices as find_devices
     from tactile.devices import open_bus as open_bus
     from tactile.display.display import Display as Display
@@ -83,7 +83,7 @@ _HOMES = {
     "actuator.plant": ("Plant",),
     "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
     "bus.base": ("DriveBlock", "DriveFrame"),
-    "client.sync": ("connect",),
+    "client.connection": ("connect",),
     "devices": ("find_devices", "open_bus"),
     "display.display": ("Display", "load_display"),
     "errors": (

@@ -42,7 +42,7 @@ from tactile.bus.registry import Address
 from tactile.bus.simulated.line_model import Model
 from tactile.bus.simulated.modeled_bus import MockOptions, ModeledBus
 from tactile.client import aio
-from tactile.client.base import UNIX
+from tactile.client.address import UNIX
 from tactile.errors import ClientError, RequestError
 from tactile.server.config import DaemonConfig, DisplayConfig, OscConfig, ServerConfig
 

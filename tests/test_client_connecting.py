@@ -17,7 +17,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from tactile import client, local, paths
 from tactile import messages as m
-from tactile.client import base, websocket
+from tactile.client import address, websocket
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
 from tactile.server.config import DaemonConfig
 
@@ -37,7 +37,7 @@ def test_what_an_address_leaves_open(
 ) -> None:
     monkeypatch.delenv("TACTILE_URL", raising=False)
     monkeypatch.setattr(paths, "find_sockets", list)
-    assert base.endpoint(url) == made
+    assert address.endpoint(url) == made
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Unix sockets of Linux")
@@ -47,7 +47,7 @@ def test_the_daemons_unix_socket_comes_first(
     path = tmp_path / "tactile.sock"
     monkeypatch.delenv("TACTILE_URL", raising=False)
     monkeypatch.setattr(paths, "find_sockets", lambda: [path])
-    assert base.default_url() == f"ws+unix://{path}"
+    assert address.default_url() == f"ws+unix://{path}"
     with pytest.raises(DisconnectedError, match=f"{path}: nobody listens there"):
         twin.connect(timeout=PATIENCE)
     listener = socket.socket(socket.AF_UNIX)

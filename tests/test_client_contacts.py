@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, samples_of, until
+from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, floats, samples_of, until
 
 from tactile import client
 from tactile import messages as m
-from tactile.client import base
-from tactile.client.waveform import Waveform
+from tactile.client.waveform import pause_after
+from tactile.client.wire import Appended
 from tactile.clock import ModelClock
 from tactile.errors import ClientTimeoutError
 
@@ -134,13 +134,10 @@ def test_play_hands_over_all_although_the_daemon_takes_only_part(
 def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
     taken: int, buffered_ms: float, pause: float
 ) -> None:
-    display = base.BaseDisplay("left", owns=False)
-    waveform = Waveform("left", [0.0] * 10, sample_rate=8000, amplitude=1e-6)
-    playback = base.Playback(display, waveform, PATIENCE, ModelClock())
-    message = playback.message()
-    assert message is not None
-    reply = m.AppendedReply(samples_consumed=taken, buffered_ms=buffered_ms)
-    assert playback.taken(message, reply) == pytest.approx(pause)
+    message = m.Append(
+        display="left", sample_rate_hz=8000.0, amplitude_um=1.0, samples=floats(*[0.0] * 10)
+    )
+    assert pause_after(message, Appended(taken, buffered_ms * 1e-3)) == pytest.approx(pause)
 
 
 def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemon: Daemon) -> None:

@@ -9,7 +9,7 @@ import pytest
 from client_rig import PATIENCE, Daemon, Script, Twin, opened_session, until
 
 from tactile import messages as m
-from tactile.client import aio, base, websocket
+from tactile.client import address, waiting, websocket
 from tactile.errors import ClientError, DisconnectedError, InputError
 
 
@@ -165,8 +165,8 @@ def test_a_cancellation_that_comes_with_the_result_is_not_lost() -> None:
             await task
 
     async def main() -> None:
-        transport = websocket.TaskTransport(base.EXAMPLE_URL, timeout=PATIENCE)
-        await wait(lambda future: aio._wait(future, PATIENCE, "it"))
+        transport = websocket.TaskTransport(address.EXAMPLE_URL, timeout=PATIENCE)
+        await wait(lambda future: waiting.suspend(future, PATIENCE, "it"))
         await wait(lambda future: transport._answer(future, PATIENCE, "it"))
 
     asyncio.run(main())
@@ -177,7 +177,7 @@ def test_sending_without_end_leaves_others_their_turn() -> None:
     contact = m.Contact(display="left", position_mm=(0.0, 0.0), normal_force_n=0.5)
 
     async def main() -> None:
-        transport = websocket.TaskTransport(base.EXAMPLE_URL, timeout=PATIENCE)
+        transport = websocket.TaskTransport(address.EXAMPLE_URL, timeout=PATIENCE)
         transport._receiver = opened_session()[0]
         sent: list[Any] = []
 

@@ -1,18 +1,22 @@
 """The SDK says each call as its message, and takes the daemon's answers, in both twins."""
 
+import asyncio
+import inspect
 import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, assert_type
 
 import msgspec
 import numpy as np
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, until
 
+from tactile import client
 from tactile import messages as m
-from tactile.errors import ClientError, ClientTimeoutError, NotFoundError, RequestError
+from tactile.client import aio, waiting
+from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFoundError, RequestError
 
 
 @pytest.mark.parametrize(("call", "message"), MESSAGES)
@@ -43,6 +47,74 @@ def test_positions_may_be_arrays_of_numpy(remote: Any, daemon: Daemon) -> None:
     remote.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
     (said,) = until(lambda: daemon.of(m.Contact))
     assert list(said.position_mm) == pytest.approx([1.0, 2.0], rel=1e-6)  # of float32
+
+
+@pytest.mark.parametrize(
+    ("synchronous", "asynchronous"),
+    [
+        (client.Connection, aio.AsyncConnection),
+        (client.RemoteDisplay, aio.AsyncDisplay),
+        (client.TelemetryStream, aio.AsyncTelemetryStream),
+        (client, aio),
+    ],
+)
+def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> None:
+    """As one is made of the other, what could be missing is its line."""
+
+    def calls(twin: Any) -> dict[str, list[str]]:
+        found = {name: getattr(twin, name) for name in dir(twin) if not name.startswith("_")}
+        return {
+            name: [str(parameter) for parameter in inspect.signature(call).parameters.values()]
+            for name, call in found.items()
+            if inspect.isfunction(call) and call.__doc__
+        }
+
+    expected = calls(asynchronous)
+    expected.pop("open", None)  # which the synchronous one does when it is made
+    assert calls(synchronous) == expected
+    assert "close" in expected or "connect" in expected
+
+
+def test_the_synchronous_twin_is_typed(daemon: Daemon) -> None:
+    """A type checker reads this as well, and an ignore that nothing needs is an error for it."""
+    with client.connect(daemon.url, timeout=PATIENCE) as display:
+        assert_type(display, client.RemoteDisplay)
+        assert_type(display.connection.estop(), dict[str, int])
+        assert_type(display.stats(timeout=PATIENCE), client.Stats)
+        assert_type(display.play([0.5], sample_rate=8000, amplitude=1e-6), int)
+        with pytest.raises(InputError):
+            display.gain("loud")  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match="loudness"):
+            display.gain(loudness=0.5)  # type: ignore[call-arg]
+
+
+def test_the_asyncio_twin_is_typed(daemon: Daemon) -> None:
+    async def main() -> None:
+        async with aio.connect(daemon.url, timeout=PATIENCE) as display:
+            assert_type(display, aio.AsyncDisplay)
+            assert_type(await display.connection.estop(), dict[str, int])
+            assert_type(await display.stats(timeout=PATIENCE), client.Stats)
+            with pytest.raises(InputError):
+                await display.gain("loud")  # type: ignore[arg-type]
+        connection = await aio.open_connection(daemon.url, timeout=PATIENCE)
+        assert_type(connection, aio.AsyncConnection)
+        await connection.close()
+
+    asyncio.run(main())
+
+
+def test_what_would_be_suspended_for_good_in_the_synchronous_twin_is_an_error() -> None:
+    ended: list[bool] = []
+
+    async def suspended() -> None:
+        try:
+            await asyncio.sleep(0)
+        finally:
+            ended.append(True)
+
+    with pytest.raises(RuntimeError, match="suspended"):
+        waiting.finish(suspended())
+    assert ended == [True]
 
 
 # Answers

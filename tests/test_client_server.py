@@ -16,8 +16,8 @@ from daemon_rig import Hands
 
 from tactile import client
 from tactile import messages as m
-from tactile.client import base
-from tactile.client.wire import from_telemetry
+from tactile.client.connection import Encoding
+from tactile.client.wire import Telemetry, from_message
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
 from tactile.server.config import DaemonConfig, ServerConfig
 from tactile.server.server import running
@@ -58,9 +58,7 @@ def real() -> Iterator[RealServer]:
 
 
 @pytest.mark.parametrize("encoding", ["msgpack", "json"])
-def test_the_real_server_hears_each_call(
-    twin: Twin, real: RealServer, encoding: base.Encoding
-) -> None:
+def test_the_real_server_hears_each_call(twin: Twin, real: RealServer, encoding: Encoding) -> None:
     def log() -> list[Any]:
         return [plain(said) for _, said in list(real.hands.log) if said is not None]
 
@@ -108,7 +106,7 @@ def test_the_real_server_wants_its_token(twin: Twin, tmp_path: Path) -> None:
 
 
 def test_telemetry_of_the_wire_in_si() -> None:
-    assert from_telemetry(telemetry(7_000_000), 5.0).time == pytest.approx(2.0)
+    assert from_message(Telemetry, telemetry(7_000_000)).time == pytest.approx(7.0)
 
 
 def test_a_session_of_the_sdk_never_needs_numpy(daemon: Daemon) -> None:

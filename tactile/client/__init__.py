@@ -1,18 +1,26 @@
 """The SDK: connect a program, such as a VR application, to the daemon that drives the displays.
 
-`connect` gives a `RemoteDisplay`; `open_connection` a `Connection` to all displays of a daemon, as
-for two hands. `tactile.client.aio` has the same for asyncio. SI everywhere: m, m/s, N, s, Hz, and
-times of `time.monotonic` (on Linux, that is OpenXR's XrTime in seconds).
+`connect` returns a `RemoteDisplay`; `open_connection` returns a `Connection` to all displays of a
+daemon, for example for two hands. `tactile.client.aio` has the same for asyncio. Values are in SI:
+m, m/s, N, s, Hz. Times are those of `time.monotonic` (on Linux, OpenXR's XrTime in seconds).
+
+Calls wait for the daemon, except `RemoteDisplay.touch` and `RemoteDisplay.lift`.
+
+>>> import tactile
+>>> with tactile.connect() as display:  # doctest: +SKIP
+...     display.select("wood-oak")
+...     display.arm()
+...     display.touch((0.012, 0.003), velocity=(0.08, 0.0), normal_force=0.5)
 """
 
 from tactile.client import aio as aio
 from tactile.client.base import BaseConnection as BaseConnection
-from tactile.client.base import BaseDisplay as BaseDisplay
-from tactile.client.sync import Connection as Connection
-from tactile.client.sync import RemoteDisplay as RemoteDisplay
-from tactile.client.sync import TelemetryStream as TelemetryStream
-from tactile.client.sync import connect as connect
-from tactile.client.sync import open_connection as open_connection
+from tactile.client.connection import Connection as Connection
+from tactile.client.connection import connect as connect
+from tactile.client.connection import open_connection as open_connection
+from tactile.client.display import BaseDisplay as BaseDisplay
+from tactile.client.display import RemoteDisplay as RemoteDisplay
+from tactile.client.telemetry import TelemetryStream as TelemetryStream
 from tactile.client.transport import Receiver as Receiver
 from tactile.client.transport import Transport as Transport
 from tactile.client.wire import Appended as Appended

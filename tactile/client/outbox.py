@@ -1,4 +1,4 @@
-"""What is to be sent: everything that was asked, and of each finger only the newest contact."""
+"""Messages that are to be sent: each request, and of each finger only the newest contact."""
 
 import threading
 from collections import deque
@@ -8,13 +8,14 @@ from tactile.messages import Command, Contact, EStop
 
 
 class Outbox:
-    """Messages on their way out; never waits, does not grow with time.
+    """Messages that wait to be sent; its methods never wait, and contacts do not accumulate.
 
-    E-stops come first, then contacts, then one request at a time in the order they came.
+    E-stops come first, then contacts, then one request at a time in the order in which they came.
 
     Parameters
     ----------
-    dropped : called with the display's name for each contact that a newer one replaced
+    dropped : Callable
+        Function that takes the display's name for each contact that a newer one replaced.
     """
 
     def __init__(self, dropped: Callable[[str], None]) -> None:
@@ -23,10 +24,21 @@ class Outbox:
         self._urgent: deque[Command] = deque()
         self._contacts: dict[str, Contact] = {}
         self._requests: deque[Command] = deque()
-        self._told = False
+        self._awake = False
 
     def put(self, command: Command) -> bool:
-        """Add a message and return whether the sender is to be woken."""
+        """Add a message.
+
+        Parameters
+        ----------
+        command : Command
+            Message to send.
+
+        Returns
+        -------
+        bool
+            Whether the sender has to be woken.
+        """
         replaced = False
         with self._lock:
             if isinstance(command, Contact):
@@ -36,13 +48,24 @@ class Outbox:
                 self._urgent.append(command)
             else:
                 self._requests.append(command)
-            wake, self._told = not self._told, True
+            wake, self._awake = not self._awake, True
         if replaced:
             self._dropped(command.display)  # type: ignore[union-attr, arg-type]
         return wake
 
     def take(self, contacts: bool = True) -> list[Command]:
-        """Return what is to be sent next, nothing where the sender may sleep until it is woken."""
+        """Take what is to be sent next.
+
+        Parameters
+        ----------
+        contacts : bool
+            Whether contacts may be sent now.
+
+        Returns
+        -------
+        list of Command
+            Messages; none if the sender may sleep until it is woken.
+        """
         with self._lock:
             batch = list(self._urgent)
             self._urgent.clear()
@@ -51,16 +74,16 @@ class Outbox:
                 self._contacts.clear()
             if self._requests:
                 batch.append(self._requests.popleft())
-            self._told = bool(batch)
+            self._awake = bool(batch)
             return batch
 
     @property
     def contacts(self) -> int:
-        """How many contacts wait."""
+        """Number of contacts that wait."""
         return len(self._contacts)
 
     def clear(self) -> None:
-        """Forget all of it; contacts count as dropped, and a session sends its e-stops again."""
+        """Forget all messages; contacts count as dropped, and a session sends e-stops again."""
         with self._lock:
             names = list(self._contacts)
             self._urgent.clear()

@@ -1,9 +1,10 @@
-"""What both twins share: requests and their answers, and what is to be restored; no I/O, no clock.
+"""Requests and their answers, and what is restored after a reconnection; without input or output.
 
-A `ClientSession` stands between a twin (`sync`, `aio`), which asks, and a `Transport`, which
-carries. Everything here may be called from any thread, and nothing waits.
+A `ClientSession` stands between a connection, which asks, and a `Transport`, which carries
+messages. Everything here may be called from any thread, and nothing waits.
 """
 
+import dataclasses
 import threading
 import weakref
 from collections import Counter, deque
@@ -16,7 +17,7 @@ from typing import Any
 import msgspec
 
 from tactile.client import wire
-from tactile.client.telemetry import TelemetryQueue
+from tactile.client.telemetry_queue import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.client.wishes import EStops, Wishes
 from tactile.clock import Clock
@@ -51,40 +52,70 @@ from tactile.messages import (
 )  # fmt: skip
 
 MOST_WAITING = 256
-"""Requests at a time."""
+"""Maximum number of requests that wait for an answer at a time."""
 QUIETER = StopPlaying | DisarmDisplay | EStop
-"""Requests that are never too many, and sent also where nobody waits for the answer any more."""
+"""Requests that are never too many, and are sent even if nobody waits for the answer any more."""
 RAISING = ArmDisplay | ClearEstop | Play
-"""Requests that an e-stop withdraws while they wait; disarming withdraws `ArmDisplay` alone."""
+"""Requests that an e-stop withdraws while they wait; disarming withdraws only `ArmDisplay`."""
 DISARMED_BY = {"disarmed", "estopped", "lost"}
-"""Events after which a display is not armed."""
+"""Kinds of events after which a display is not armed."""
 REFUSALS: dict[str, type[RequestError]] = {
     "unknown_texture": UnknownNameError,
     "unknown_display": UnknownNameError,
     "invalid_field": RefusedInputError,
     "too_large": RefusedInputError,
 }
+"""Exceptions by the code of a failure; others are a `RequestError`."""
 
 
 def refusal(failure: Failure) -> RequestError:
-    """Return the exception for a failure."""
+    """Return the exception for a failure.
+
+    Parameters
+    ----------
+    failure : Failure
+        Answer of the daemon.
+
+    Returns
+    -------
+    RequestError
+        Exception with the code, field and text of the failure.
+    """
     where = f"{failure.field}: " if failure.field else ""
-    made = REFUSALS.get(failure.code, RequestError)
-    return made(f"{where}{failure.message}", code=failure.code, field=failure.field)
+    kind = REFUSALS.get(failure.code, RequestError)
+    return kind(f"{where}{failure.message}", code=failure.code, field=failure.field)
 
 
 @dataclass
 class ClockOffset:
-    """What lies between two clocks: the quickest of the last exchanges tells it best."""
+    """Offset between two clocks, from the quickest of the last exchanges, which is the best.
+
+    Attributes
+    ----------
+    seconds : float
+        Their clock less ours [s].
+    round_trip : float
+        Duration of the quickest exchange [s].
+    """
 
     seconds: float = 0.0
     round_trip: float = 0.0
-    _seen: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    _exchanges: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
 
     def exchange(self, asked: float, theirs: float, answered: float) -> None:
-        """Take one exchange: our time at either end, and theirs between [s]."""
-        self._seen.append((answered - asked, theirs - (asked + answered) / 2))
-        self.round_trip, self.seconds = min(self._seen)
+        """Take one exchange.
+
+        Parameters
+        ----------
+        asked : float
+            Time of the question on our clock [s].
+        theirs : float
+            Time of the answer on their clock [s].
+        answered : float
+            Time at which the answer came on our clock [s].
+        """
+        self._exchanges.append((answered - asked, theirs - (asked + answered) / 2))
+        self.round_trip, self.seconds = min(self._exchanges)
 
 
 class ClientSession:
@@ -92,10 +123,39 @@ class ClientSession:
 
     Parameters
     ----------
-    transport : carries the messages; opened and closed by the twin
-    hello : what to say first
-    clock : the program's
-    rearm : whether to arm again after a reconnection what was armed before
+    transport : Transport
+        Way to the daemon, which the connection opens and closes.
+    hello : ClientHello
+        First message over each connection.
+    clock : Clock
+        Clock of the program.
+    rearm : bool
+        Whether to arm again after a reconnection what was armed before.
+
+    Attributes
+    ----------
+    clock : Clock
+        Clock of the program.
+    estops : EStops
+        E-stops that are not confirmed, and those that hold.
+    notify : Callable
+        Function that takes each `Event`.
+    welcome : Welcome or None
+        What the daemon said about itself when it was last connected to.
+    ready : Future
+        Future of the first `Welcome`.
+    connected : bool
+        Whether the daemon is there now.
+    closed : bool
+        Whether the program has closed the session.
+    reason : str
+        Why there is no connection.
+    offset : ClockOffset
+        Offset of the daemon's clock from the program's.
+    counters : Counter
+        Counts by name, as in `BaseConnection.counters`.
+    dropped_contacts : Counter
+        Number of contacts not sent by the name of their display.
     """
 
     def __init__(
@@ -113,7 +173,7 @@ class ClientSession:
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
         self._wishes: dict[str, Wishes] = {}
         self._queues: dict[str, weakref.WeakSet[TelemetryQueue]] = {}
-        self._refused: tuple[str, float] = ("", 0.0)
+        self._last_refusal = ("", 0.0)
         self.estops = EStops()
         self.notify: Callable[[wire.Event], None] = lambda event: None
         self.welcome: Welcome | None = None
@@ -129,20 +189,30 @@ class ClientSession:
         )  # fmt: skip
         self.dropped_contacts: Counter[str] = Counter()
 
-    # What a twin asks
+    # Called by a connection
 
     def ask(self, command: Request) -> "Future[Any]":
-        """Send a request and return the future of its answer; cancel it to stop waiting.
+        """Send a request.
 
         `EStop` and `DisarmDisplay` first withdraw the wish to be armed, whatever becomes of them.
         An `EStop` that cannot be sent, or is not confirmed, is sent first over the next connection.
 
+        Parameters
+        ----------
+        command : Request
+            Request, which gets an id here.
+
+        Returns
+        -------
+        Future
+            Future of the answer; cancel it to stop waiting.
+
         Raises
         ------
         DisconnectedError
-            Where there is no connection.
+            If there is no connection.
         ClientError
-            Where too many requests wait already; not for what makes a display quieter.
+            If too many requests wait already, unless the request makes a display quieter.
         """
         if isinstance(command, EStop | DisarmDisplay):
             self._withdraw(command)
@@ -154,7 +224,7 @@ class ClientSession:
             return self._ask(command)
 
     def _withdraw(self, command: EStop | DisarmDisplay) -> None:
-        """Forget the wish to be armed, and fail what would raise voltage: it is not sent then."""
+        """Forget the wish to be armed, and fail requests that would raise voltage: none is sent."""
         stopping = isinstance(command, EStop)
         with self._lock:
             if stopping:
@@ -191,26 +261,67 @@ class ClientSession:
         return future
 
     def tell(self, contact: Contact) -> None:
-        """Send a contact, or count it where there is no connection."""
+        """Send a contact, or count it if there is no connection.
+
+        Parameters
+        ----------
+        contact : Contact
+            Newest contact.
+        """
         if self.connected:
             self._transport.send(contact)
         else:
             self.dropped(contact.display)
 
     def wanted(self, command: Command) -> bool:
-        """Tell whether a message that was handed over is still to be sent."""
+        """Return whether a message that was handed over is still to be sent.
+
+        Parameters
+        ----------
+        command : Command
+            Message that a transport is about to send.
+
+        Returns
+        -------
+        bool
+            False for a request whose answer nobody waits for, unless it makes a display quieter.
+        """
         number = getattr(command, "id", None)
         return number is None or number in self._waiting or isinstance(command, QUIETER)
 
     def listen(self, queue: TelemetryQueue) -> "Future[Any]":
-        """Fill a queue with telemetry for as long as anyone holds it."""
+        """Fill a queue with telemetry for as long as the program holds it.
+
+        Parameters
+        ----------
+        queue : TelemetryQueue
+            Queue with the name of a display and a rate.
+
+        Returns
+        -------
+        Future
+            Future of the daemon's answer.
+
+        Raises
+        ------
+        InputError
+            If the daemon gives no telemetry at that rate.
+        DisconnectedError
+            If there is no connection.
+        """
         wire.checked(Subscribe(display=queue.display, rate_hz=queue.rate))
         with self._lock:
             self._queues.setdefault(queue.display, weakref.WeakSet()).add(queue)
         return self.ask(self._subscription(queue.display))
 
     def leave(self, queue: TelemetryQueue) -> None:
-        """Fill a queue no longer."""
+        """Stop filling a queue.
+
+        Parameters
+        ----------
+        queue : TelemetryQueue
+            Queue as given to `listen`.
+        """
         with self._lock:
             self._queues.get(queue.display, weakref.WeakSet()).discard(queue)
         queue.close()
@@ -223,7 +334,7 @@ class ClientSession:
         return Subscribe(display=display, rate_hz=max(rates, default=0.0))
 
     def close(self) -> None:
-        """End it: nothing is answered any more."""
+        """End the session: no request is answered any more."""
         self.closed = True
         self.lost("closed", final=True)
         with self._lock:
@@ -232,10 +343,16 @@ class ClientSession:
         for queue in queues:
             queue.close()
 
-    # What a transport tells
+    # Called by a transport, see `Receiver`
 
     def opened(self) -> "Future[Welcome]":
-        """Say hello; the future is done when the daemon has answered."""
+        """Say hello over a new connection.
+
+        Returns
+        -------
+        Future
+            Future that is done when the daemon has answered.
+        """
         future = self._ask(self._hello)
         future.add_done_callback(self._set_ready)
         return future
@@ -250,7 +367,15 @@ class ClientSession:
                 self.ready.set_result(hello.result())
 
     def lost(self, reason: str, *, final: bool = False) -> None:
-        """Fail what waits; until the next `opened`, if there is one, nothing can be asked."""
+        """Fail requests that wait; further ones fail until the next connection.
+
+        Parameters
+        ----------
+        reason : str
+            Why there is no connection.
+        final : bool
+            Whether no other connection follows.
+        """
         with self._lock:
             was, self.connected, self.reason = self.connected, False, reason
             self._final = final
@@ -265,22 +390,46 @@ class ClientSession:
             self.notify(wire.Event("disconnected", detail=reason))
 
     def dropped(self, display: str) -> None:
-        """Count a contact that was not sent."""
+        """Count a contact that was not sent.
+
+        Parameters
+        ----------
+        display : str
+            Name of its display.
+        """
         with self._lock:
             self.counters["dropped_contacts"] += 1
             self.dropped_contacts[display] += 1
 
     def ignored(self, message: str) -> None:
-        """Count an answer that cannot be read."""
+        """Count a message of the daemon that cannot be read.
+
+        Parameters
+        ----------
+        message : str
+            What is wrong with it.
+        """
         with self._lock:
             self.counters["ignored_messages"] += 1
 
     def ping(self) -> "Future[Pong]":
-        """Ask what time it is there."""
+        """Ask for the time of the daemon.
+
+        Returns
+        -------
+        Future
+            Future of its answer.
+        """
         return self._ask(Ping(time_us=wire.to_microseconds(self.clock.now())))
 
     def received(self, answer: Answer) -> None:
-        """Take what the daemon says."""
+        """Take a message of the daemon.
+
+        Parameters
+        ----------
+        answer : Answer
+            Answer, event or telemetry.
+        """
         if isinstance(answer, TelemetryMessage):
             self._fill(answer)
             return
@@ -306,22 +455,23 @@ class ClientSession:
                 self._queues.pop(telemetry.display, None)
         if not queues and known:
             self._transport.send(Subscribe(display=telemetry.display, rate_hz=0))
-        made = wire.from_telemetry(telemetry, self.offset.seconds)
-        lost = sum(queue.put(made) for queue in queues)
+        item = wire.from_message(wire.Telemetry, telemetry)
+        item = dataclasses.replace(item, time=item.time - self.offset.seconds)
+        lost = sum(queue.put(item) for queue in queues)
         if lost:
             with self._lock:
                 self.counters["dropped_telemetry"] += lost
 
     def _answered(self, reply: Reply) -> None:
-        command, future, asked = self._waiting.get(reply.id or 0, (None, None, 0.0))
+        command, future, sent = self._waiting.get(reply.id or 0, (None, None, 0.0))
         if command is None or future is None:
             if isinstance(reply, Failure) and reply.id is None:
                 self._refuse(reply)
             return
         if isinstance(reply, Welcome):
-            self._welcomed(reply, asked)
+            self._welcomed(reply, sent)
         elif isinstance(reply, Pong):
-            self.offset.exchange(asked, reply.server_time_us * 1e-6, self.clock.now())
+            self.offset.exchange(sent, reply.server_time_us * 1e-6, self.clock.now())
         elif not isinstance(reply, Failure):
             self._granted(command)
         elif isinstance(command, ArmDisplay) and reply.code == "estopped":
@@ -338,24 +488,24 @@ class ClientSession:
                 self._of(display).grant(command)  # type: ignore[arg-type]
 
     def _refuse(self, failure: Failure) -> None:
-        """Tell once a second what is wrong with a stream, rather than at its rate."""
+        """Count a contact that was refused; notify of it once a second, not at its rate."""
         now = self.clock.now()
         with self._lock:
             self.counters["refused_contacts"] += 1
-            code, told = self._refused
-            if code == failure.code and now - told < 1.0:
+            code, notified = self._last_refusal
+            if code == failure.code and now - notified < 1.0:
                 return
-            self._refused = (failure.code, now)
+            self._last_refusal = (failure.code, now)
         self.notify(wire.Event("refused", detail=f"{failure.code}: {refusal(failure)}"))
 
-    def _welcomed(self, welcome: Welcome, asked: float) -> None:
+    def _welcomed(self, welcome: Welcome, sent: float) -> None:
         self.offset = ClockOffset()
-        self.offset.exchange(asked, welcome.time_us * 1e-6, self.clock.now())
-        with self._lock:  # nothing is asked or withdrawn between what is restored
+        self.offset.exchange(sent, welcome.time_us * 1e-6, self.clock.now())
+        with self._lock:  # no other request comes between those that restore
             again = self.welcome is not None
             self.welcome = welcome
             for estop in self.estops.unsent():
-                self._ask(estop).add_done_callback(self._told)
+                self._ask(estop).add_done_callback(self._report)
             if again:
                 self._restore(welcome)
             self.connected = not self.closed
@@ -373,9 +523,10 @@ class ClientSession:
             for wish in self._wishes.values():
                 wish.disarm()
         for command in commands:
-            self._ask(command).add_done_callback(self._told)
+            self._ask(command).add_done_callback(self._report)
 
-    def _told(self, restored: "Future[Any]") -> None:
+    def _report(self, restored: "Future[Any]") -> None:
+        """Notify of a request that restores and was refused."""
         error = None if restored.cancelled() else restored.exception()
         if isinstance(error, RequestError):
             self.notify(wire.Event("refused", detail=f"{error.code}: {error}"))

@@ -1,67 +1,64 @@
-"""Telemetry as it is waited for: a queue that keeps the newest."""
+"""Streams of telemetry: `TelemetryStream`, and `AsyncTelemetryStream` for asyncio."""
 
-import threading
-from collections import deque
-from concurrent.futures import Future
+from collections.abc import AsyncIterator, Iterator
+from typing import TYPE_CHECKING
 
-from tactile.client.wire import Telemetry, to_number
-from tactile.errors import InputError
+from tactile.client.telemetry_queue import TelemetryQueue
+from tactile.client.waiting import AsyncClosing, Closing, blocking, finish
+from tactile.client.wire import Telemetry
 
-LONGEST = 64
-"""Of a queue; what is older is dropped."""
+if TYPE_CHECKING:
+    from tactile.client.display import BaseDisplay
 
 
-class TelemetryQueue:
-    """What came and was not read yet; `get` by one reader at a time.
+class BaseTelemetryStream:
+    """Stream of what a display does; the newest 64 items wait until they are read.
+
+    Reading raises `ClientTimeoutError` if nothing comes, and may go on afterwards. The stream goes
+    on after a reconnection, and ends when the connection is closed.
 
     Parameters
     ----------
-    display : its name
-    rate : how often it is to come [Hz]
-
-    Raises
-    ------
-    InputError
-        Where that is never.
+    display : BaseDisplay
+        Display that the telemetry is of.
+    rate : float
+        Rate of the telemetry [Hz].
+    timeout : float, optional
+        Longest wait for each item, beyond its period [s]; by default that of the connection.
     """
 
-    def __init__(self, display: str, rate: float) -> None:
-        rate = to_number(rate, "rate [Hz]")
-        if not rate > 0:
-            raise InputError(f"rate: {rate:g} Hz is not above 0")
-        self.display, self.rate = display, rate
-        self._lock = threading.Lock()
-        self._items: deque[Telemetry] = deque(maxlen=LONGEST)
-        self._reader: Future[Telemetry | None] | None = None
-        self._closed = False
+    def __init__(self, display: "BaseDisplay", rate: float, timeout: float | None) -> None:
+        self._connection = display._connection
+        self._queue = TelemetryQueue(display.name, rate)
+        self._timeout, self._subscribed = self._connection._patience(timeout), False
 
-    def put(self, telemetry: Telemetry) -> int:
-        """Hand one over and return how many were dropped for it."""
-        with self._lock:
-            reader, self._reader = self._reader, None
-            if reader is None or not reader.set_running_or_notify_cancel():
-                full = len(self._items) == LONGEST
-                self._items.append(telemetry)
-                return int(full)
-        reader.set_result(telemetry)
-        return 0
 
-    def get(self) -> "Future[Telemetry | None]":
-        """Return the future of the next one; None where no more will come."""
-        future: Future[Telemetry | None] = Future()
-        with self._lock:
-            if self._items:
-                future.set_result(self._items.popleft())
-            elif self._closed:
-                future.set_result(None)
-            else:
-                self._reader = future
-        return future
+class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Telemetry]):
+    """Stream of what a display does, for ``async for``. Get it from `AsyncDisplay.telemetry`."""
 
-    def close(self) -> None:
-        """Let no more come; what came may still be read."""
-        with self._lock:
-            self._closed = True
-            reader, self._reader = self._reader, None
-        if reader is not None and reader.set_running_or_notify_cancel():
-            reader.set_result(None)
+    async def __anext__(self: BaseTelemetryStream) -> Telemetry:
+        connection, queue = self._connection, self._queue
+        if not self._subscribed:
+            await connection._wait(connection._session.listen(queue), self._timeout, "telemetry")
+            self._subscribed = True
+        patience = self._timeout + 1 / queue.rate
+        telemetry = await connection._wait(queue.get(), patience, "telemetry")
+        if telemetry is None:
+            raise StopAsyncIteration
+        return telemetry
+
+    async def close(self: BaseTelemetryStream) -> None:
+        """End the telemetry; this also happens when nobody holds the stream any more."""
+        self._connection._session.leave(self._queue)
+
+
+class TelemetryStream(Closing, BaseTelemetryStream, Iterator[Telemetry]):
+    """Iterator over what a display does. Get it from `RemoteDisplay.telemetry`."""
+
+    def __next__(self) -> Telemetry:
+        try:
+            return finish(AsyncTelemetryStream.__anext__(self))
+        except StopAsyncIteration:
+            raise StopIteration from None
+
+    close = blocking(AsyncTelemetryStream.close)

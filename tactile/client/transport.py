@@ -1,7 +1,7 @@
-"""What carries messages between a session and a daemon: over a network, or inside one process.
+"""The interface of what carries messages to a daemon: over a network, or inside one process.
 
-A `Transport` takes `Command` objects and delivers `Answer` objects; whether it encodes them is its
-own affair. A display in the same process needs nothing but this::
+A `Transport` takes `Command` objects and delivers `Answer` objects, whether or not it encodes them.
+A display in the same process needs only this::
 
     class LocalTransport:
         def open(self, receiver: Receiver) -> None:
@@ -22,51 +22,118 @@ from tactile.messages import Answer, Command, Pong, Welcome
 
 
 class Receiver(Protocol):
-    """What a transport tells; `tactile.client.session.Session` is one. From any thread."""
+    """Interface that a transport calls, from any thread; `ClientSession` implements it."""
 
     def opened(self) -> "Future[Welcome]":
-        """Say `Hello` over a new connection; the future is done when that is answered."""
+        """Say hello over a new connection.
+
+        Returns
+        -------
+        Future
+            Future that is done when the daemon has answered.
+        """
         ...
 
     def received(self, answer: Answer) -> None:
-        """Take what the daemon says."""
+        """Take a message of the daemon.
+
+        Parameters
+        ----------
+        answer : Answer
+            Answer, event or telemetry.
+        """
         ...
 
     def lost(self, reason: str, *, final: bool = False) -> None:
-        """Forget the connection, or the attempt to make one; finally where no other follows."""
+        """Take note that a connection, or the attempt to make one, has failed.
+
+        Parameters
+        ----------
+        reason : str
+            Why there is no connection.
+        final : bool
+            Whether no other connection follows.
+        """
         ...
 
     def wanted(self, command: Command) -> bool:
-        """Tell whether a message that waited to be sent is still to be sent."""
+        """Return whether a message that waited to be sent is still to be sent.
+
+        Parameters
+        ----------
+        command : Command
+            Message that is about to be sent.
+
+        Returns
+        -------
+        bool
+            Whether to send it.
+        """
         ...
 
     def dropped(self, display: str) -> None:
-        """Count a contact that was not sent, because a newer one came or there is no way."""
+        """Count a contact that was not sent: a newer one came, or there is no connection.
+
+        Parameters
+        ----------
+        display : str
+            Name of its display.
+        """
         ...
 
     def ignored(self, message: str) -> None:
-        """Count an answer that cannot be read."""
+        """Count a message of the daemon that cannot be read.
+
+        Parameters
+        ----------
+        message : str
+            What is wrong with it.
+        """
         ...
 
     def ping(self) -> "Future[Pong]":
-        """Ask what time it is there."""
+        """Ask for the time of the daemon.
+
+        Returns
+        -------
+        Future
+            Future of its answer.
+        """
         ...
 
 
 class Transport(Protocol):
     """A way to a daemon.
 
-    None of these blocks, and none raises for what the network does: that is told to the receiver.
+    No method blocks or raises for what the network does: the receiver learns of that.
     """
 
     def open(self, receiver: Receiver) -> None:
-        """Begin to connect; `Receiver.opened` or `Receiver.lost` says how it went."""
+        """Begin to connect; `Receiver.opened` or `Receiver.lost` is called with the outcome.
+
+        Parameters
+        ----------
+        receiver : Receiver
+            Receiver of the messages of the daemon.
+        """
         ...
 
     def send(self, command: Command) -> None:
-        """Hand over a message, from any thread; of contacts, only the newest must arrive."""
+        """Hand over a message, from any thread.
+
+        Parameters
+        ----------
+        command : Command
+            Message to send; of contacts, only the newest must arrive.
+        """
         ...
 
     def close(self) -> "Future[None]":
-        """Begin to close; the future is done when threads and sockets are. Idempotent."""
+        """Begin to close; idempotent.
+
+        Returns
+        -------
+        Future
+            Future that is done when threads and sockets are closed.
+        """
         ...

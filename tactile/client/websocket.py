@@ -1,7 +1,7 @@
 """The transport over a WebSocket: an asyncio task, in the program's loop or in a thread of its own.
 
-A connection is dropped, and made again where that is wanted, when the daemon closes it or does not
-answer a ping within `SILENCE`.
+A connection is dropped, and made again if the program wants that, when the daemon closes it or does
+not answer a ping within `SILENCE`.
 """
 
 import asyncio
@@ -20,10 +20,11 @@ from websockets.asyncio.client import ClientConnection, connect, unix_connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
-from tactile.client.base import UNIX
+from tactile.client.address import UNIX
 from tactile.client.outbox import Outbox
 from tactile.client.transport import Receiver
-from tactile.errors import ClientError, InputError
+from tactile.client.waiting import suspend
+from tactile.errors import ClientError, ClientTimeoutError, InputError
 from tactile.messages import (
     JSON_PROTOCOL,
     MSGPACK_PROTOCOL,
@@ -39,34 +40,35 @@ from tactile.messages import (
 logger = logging.getLogger("tactile.client")
 
 LARGEST_ANSWER = 2**20
-"""Bytes; a display of 4096 contactors has room in it."""
+"""Largest message that is read [byte]; the description of a display of 4096 contactors fits."""
 PING_INTERVAL = 1.0
-"""s between pings, each of which also measures the clocks."""
+"""Interval between pings, each of which also measures the clocks [s]."""
 SILENCE = 3.0
-"""s without an answer to a ping after which a connection is given up."""
+"""Time without an answer to a ping after which a connection is given up [s]."""
 SEND_BUFFER = 32 * 1024
-"""Bytes that the system may hold: less, and an append takes long; more, and contacts grow old."""
+"""Size of the system's send buffer [byte]: less slows appends down, more lets contacts get old."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
-"""s between attempts to reconnect: doubled each time, less up to half by chance."""
+"""Limits of the pause before a reconnection [s]; it doubles each time, less a random half."""
 SHARE_OF_CONTACTS = 0.9
-"""Of the messages per second that the daemon takes; the rest is for requests."""
+"""Share of the daemon's messages per second that contacts may use; the rest is for requests."""
 
 
 class _SilentError(ClientError):
-    """Raised where the daemon does not answer in time."""
+    """Raised if the daemon does not answer in time."""
 
 
 class _Codec:
-    """Messages to what goes over the WebSocket and back."""
+    """Converter between messages and the data of WebSocket frames."""
 
     def __init__(self, protocol: str) -> None:
         self.text = protocol == JSON_PROTOCOL
         module = msgspec.json if self.text else msgspec.msgpack
         self._encoder = module.Encoder()
         self._decoder: Any = module.Decoder(Answer)
-        self._loose: Any = module.Decoder(_Unread)
+        self._fallback: Any = module.Decoder(_Unread)
 
     def encode(self, command: Command) -> bytes:
+        """Return a message as data; JSON holds samples as a list."""
         if self.text and isinstance(command, Append) and isinstance(command.samples, bytes):
             samples = struct.unpack(f"<{len(command.samples) // 4}f", command.samples)
             command = msgspec.structs.replace(command, samples=samples)
@@ -74,27 +76,27 @@ class _Codec:
         return encoded
 
     def decode(self, data: bytes) -> Answer:
-        """Return what was said; where it cannot be read but is an answer, a failure.
+        """Return a message of the daemon; an answer that cannot be read is a failure.
 
         Raises
         ------
         msgspec.MsgspecError
-            Where it cannot be read and is no answer.
+            If it cannot be read and is no answer.
         """
         try:
             answer: Answer = self._decoder.decode(data)
         except msgspec.ValidationError as error:
-            loose: _Unread = self._loose.decode(data)
-            if loose.id is None:
+            unread: _Unread = self._fallback.decode(data)
+            if unread.id is None:
                 raise
-            code: Any = loose.code or "internal"
-            text = loose.message or f"{loose.type} cannot be read: {error}"
-            return Failure(id=loose.id, code=code, message=text)
+            code: Any = unread.code or "internal"
+            text = unread.message or f"{unread.type} cannot be read: {error}"
+            return Failure(id=unread.id, code=code, message=text)
         return answer
 
 
 class _Unread(msgspec.Struct):
-    """What is read of an answer that a later version of the API may give."""
+    """The part that is read of an answer of a later version of the API."""
 
     type: str = ""
     id: int | None = None
@@ -103,19 +105,23 @@ class _Unread(msgspec.Struct):
 
 
 class WebSocketTransport(ABC):
-    """Carries messages over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
+    """A way to a daemon over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
 
     Parameters
     ----------
-    url : as ``ws://127.0.0.1:7411/v1`` or ``ws+unix:///run/tactile/tactile.sock``
-    timeout : to open a connection, and to close one [s]
-    reconnect : whether to connect again, for as long as it takes
-    encoding : "msgpack" or "json"
+    url : str
+        Address as ``ws://127.0.0.1:7411/v1`` or ``ws+unix:///run/tactile/tactile.sock``.
+    timeout : float
+        Longest time to open a connection, and to close one [s].
+    reconnect : bool
+        Whether to connect again, for as long as it takes.
+    encoding : str
+        "msgpack" or "json".
 
     Raises
     ------
     InputError
-        Where the encoding is neither.
+        If the encoding is neither.
     """
 
     def __init__(
@@ -133,25 +139,43 @@ class WebSocketTransport(ABC):
         self._rate = 0
         self._next_contact = 0.0
         self._closed: Future[None] = Future()
-        self._closed.set_running_or_notify_cancel()  # who waits for it may give up, it goes on
+        self._closed.set_running_or_notify_cancel()  # a waiter that gives up does not cancel it
 
     def open(self, receiver: Receiver) -> None:
-        """Begin to connect."""
+        """Begin to connect.
+
+        Parameters
+        ----------
+        receiver : Receiver
+            Receiver of the messages of the daemon.
+        """
         self._receiver = receiver
         self._outbox = Outbox(receiver.dropped)
         self._launch()
 
     @abstractmethod
     def _launch(self) -> None:
-        """Run `_run` somewhere."""
+        """Run `_run` in an event loop."""
 
     def send(self, command: Command) -> None:
-        """Hand over a message, from any thread."""
+        """Hand over a message, from any thread.
+
+        Parameters
+        ----------
+        command : Command
+            Message to send; of contacts, only the newest is sent.
+        """
         if self._outbox.put(command):
             self._set(self._more)
 
     def close(self) -> "Future[None]":
-        """Begin to close; idempotent."""
+        """Begin to close; idempotent.
+
+        Returns
+        -------
+        Future
+            Future that is done when the thread or task and its sockets are closed.
+        """
         self._closing = True
         self._set(self._stop)
         return self._closed
@@ -187,13 +211,13 @@ class WebSocketTransport(ABC):
         return longest * random.uniform(0.5, 1.0)
 
     async def _attempt(self) -> str:
-        """Connect and talk; return why it ended."""
+        """Connect, carry messages, and return why the connection ended."""
         try:
             connection = await self._connect()
             try:
                 await self._talk(connection)
             except _SilentError:
-                connection.transport.abort()  # who is silent does not answer a farewell either
+                connection.transport.abort()  # a silent daemon does not answer a close frame either
                 raise
             finally:
                 await self._hang_up(connection)
@@ -208,15 +232,15 @@ class WebSocketTransport(ABC):
 
     async def _connect(self) -> ClientConnection:
         path = self._url.removeprefix(UNIX)
-        to = (self._url,) if path == self._url else (path, f"ws://localhost{PATH}")
-        connection = await (connect if path == self._url else unix_connect)(
-            *to,
+        unix = path != self._url
+        connection = await (unix_connect if unix else connect)(
+            *((path, f"ws://localhost{PATH}") if unix else (self._url,)),
             subprotocols=[Subprotocol(self._protocol)],
             compression=None,
-            proxy=None,  # the daemon is in the room
+            proxy=None,  # the daemon is on this machine or in its local network
             open_timeout=self._timeout,
             close_timeout=self._timeout / 2,
-            ping_interval=None,  # ours measure the clocks as well
+            ping_interval=None,  # those of `_keep` also measure the clocks
             max_size=LARGEST_ANSWER,
             write_limit=0,
         )
@@ -228,7 +252,7 @@ class WebSocketTransport(ABC):
         return connection
 
     async def _hang_up(self, connection: ClientConnection) -> None:
-        """Close politely; at once where the daemon does not even read, or nobody waits for it."""
+        """Close with a close frame; at once if the daemon does not read it, or if cancelled."""
         try:
             with suppress(TimeoutError):
                 async with asyncio.timeout(self._timeout / 2):
@@ -271,12 +295,12 @@ class WebSocketTransport(ABC):
                     if self._receiver.wanted(command):
                         self._spend(command, loop.time())
                         await connection.send(self._codec.encode(command), text=self._codec.text)
-                await asyncio.sleep(0)  # sending does not wait: others must get their turn
+                await asyncio.sleep(0)  # sending need not suspend: other tasks must get their turn
             if self._outbox.contacts:
                 loop.call_at(self._next_contact, self._more.set)
 
     def _spend(self, command: Command, now: float) -> None:
-        """Keep contacts to the rate that the daemon takes."""
+        """Set when the next contact may be sent, by the rate that the daemon takes."""
         if self._rate and isinstance(command, Contact):
             share = 1.0 / (SHARE_OF_CONTACTS * self._rate)
             self._next_contact = max(self._next_contact, now) + share
@@ -290,20 +314,20 @@ class WebSocketTransport(ABC):
 
     async def _answer(self, future: "Future[Any]", timeout: float, what: str) -> Any:
         try:
-            async with asyncio.timeout(timeout):
-                return await asyncio.wrap_future(future)
-        except TimeoutError:
+            return await suspend(future, timeout, what)
+        except ClientTimeoutError:
             raise _SilentError(f"no answer to {what} in {timeout:g} s") from None
 
 
 async def _end(*tasks: "asyncio.Task[Any]") -> None:
+    """Cancel tasks and wait until they have ended."""
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
 class ThreadTransport(WebSocketTransport):
-    """Runs in a thread of its own, so that a frame loop never waits for it."""
+    """A WebSocket in a thread of its own, so that a frame loop never waits for it."""
 
     def _launch(self) -> None:
         threading.Thread(target=self._main, name="tactile-client", daemon=True).start()
@@ -316,7 +340,7 @@ class ThreadTransport(WebSocketTransport):
 
 
 class TaskTransport(WebSocketTransport):
-    """Runs in the event loop that opens it."""
+    """A WebSocket in the event loop that opens it."""
 
     def _launch(self) -> None:
         self._task = asyncio.create_task(self._run(), name="tactile-client")

@@ -1,8 +1,10 @@
-"""Between SI, which a program speaks, and the units of the wire, which carry them in their names.
+"""Conversion between SI, which a program uses, and messages, whose fields are named by their units.
 
-`to_` makes messages, checked as the daemon will check them; `from_` reads them.
+Functions ``to_…`` make messages and check them as the daemon will; `from_message` reads them.
 """
 
+import dataclasses
+import functools
 import math
 import operator
 import reprlib
@@ -13,7 +15,6 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tactile import messages
 from tactile.errors import InputError
 from tactile.messages import (
     MOST_LAYERS,
@@ -29,15 +30,16 @@ from tactile.messages import (
 )
 
 M = TypeVar("M", bound=ApiMessage)
+S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry")
 
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
-"""A texture or several, each with its gain where it is a pair; none is ``()``."""
+"""One texture or several, each with its gain if it is a pair; ``()`` for none."""
 Pair = tuple[float, float]
 
 AMPLITUDE_POINT = "amplitude_points", "time [s], value"
 FREQUENCY_POINT = "frequency_points", "time [s], frequency [Hz]"
 TRANSIENT = "transients", "time [s], value, frequency [Hz]"
-"""What the points of an effect are called, and what each consists of."""
+"""Argument that holds points of an effect, and the values of each point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +48,20 @@ class DisplayInfo:
 
     Attributes
     ----------
-    name : what it is called
-    contactors : (N, 2) places in the display [m]
-    shear_direction : (N,) from the x axis [rad]
-    sample_rate : of its drive [Hz]
-    voltage_limit : of its drive [V]
-    waveforms : whether it has room for `play`, `append` and `effect`
-    latency : from a contact to the skin, about [s]
+    name : str
+        Name of the display.
+    contactors : (N, 2) tuple of float
+        Positions of the contactors in the display [m].
+    shear_direction : (N,) tuple of float
+        Direction of the shear of each contactor, from the x axis [rad].
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    voltage_limit : float
+        Largest voltage of the drive [V].
+    waveforms : bool
+        Whether the link has room for `play`, `append` and `effect`.
+    latency : float
+        Approximate time from a contact to the skin [s].
     """
 
     name: str
@@ -66,12 +75,14 @@ class DisplayInfo:
 
 @dataclass(frozen=True, slots=True)
 class Appended:
-    """What became of an `append`.
+    """Result of an `append`.
 
     Attributes
     ----------
-    samples_consumed : how many samples, from the first, were taken; send the rest again
-    buffered : for how long what waits will play [s]
+    samples_consumed : int
+        Number of samples, from the first, that were taken; send the rest again.
+    buffered : float
+        Time for which what waits will play [s].
     """
 
     samples_consumed: int
@@ -80,19 +91,28 @@ class Appended:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """How a display stands.
+    """State of a display.
 
     Attributes
     ----------
-    display : its name
-    state : "disarmed", "armed", "estopped" or "lost"
-    link : to the amplifier, "up" or "down"
-    detail : what is wrong, or nothing
-    touching : whether a finger is on it
-    owner : whether that finger is this client's
-    latency : from a contact to the skin [s]
-    counters : what playback, bus and amplifier count
-    estop : number of the e-stop that holds, 0 for none
+    display : str
+        Name of the display.
+    state : str
+        "disarmed", "armed", "estopped" or "lost".
+    link : str
+        Link to the amplifier, "up" or "down".
+    detail : str
+        What is wrong, or nothing.
+    touching : bool
+        Whether a finger is on the display.
+    owner : bool
+        Whether that finger is this client's.
+    latency : float
+        Time from a contact to the skin [s].
+    counters : dict of str to int
+        Counts of playback, bus and amplifier.
+    estop : int
+        Number of the e-stop that holds, 0 for none.
     """
 
     display: str
@@ -108,17 +128,28 @@ class Stats:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """What a display does at a time.
+    """State of a display and its finger at a time.
 
     Attributes
     ----------
-    display : its name
-    time : on this program's monotonic clock [s]
-    state : as in `Stats`
-    position, velocity, normal_force : of the finger [m], [m/s], [N]
-    shear : (N,) commanded of each contactor [m]
-    drive : (N,) of each contactor [V]
-    counters : as in `Stats`
+    display : str
+        Name of the display.
+    time : float
+        Time on this program's monotonic clock [s].
+    state : str
+        State as in `Stats`.
+    position : (2,) tuple of float
+        Position of the finger [m].
+    velocity : (2,) tuple of float
+        Velocity of the finger [m/s].
+    normal_force : float
+        Normal force of the finger [N].
+    shear : (N,) tuple of float
+        Commanded shear of each contactor [m].
+    drive : (N,) tuple of float
+        Voltage of each contactor [V].
+    counters : dict of str to int
+        Counts as in `Stats`.
     """
 
     display: str
@@ -134,15 +165,19 @@ class Telemetry:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that a program should know.
+    """Event that a program should know of.
 
     Attributes
     ----------
-    kind : of `tactile.messages.EventMessage`, or one of this side: "connected" (again),
-        "disconnected", "refused" (a contact, or what was to be restored after a reconnection)
-    display : its name, or "" where it concerns all
-    detail : in one line
-    estop : number of the e-stop, of "estopped"
+    kind : str
+        Kind of a `tactile.messages.EventMessage`, or one of this side: "connected" (again),
+        "disconnected", "refused" (a contact, or what was to be restored after a reconnection).
+    display : str
+        Name of the display, or "" if the event concerns all.
+    detail : str
+        Description in one line.
+    estop : int
+        Number of the e-stop, of "estopped".
     """
 
     kind: str
@@ -154,10 +189,20 @@ class Event:
 def checked(message: M) -> M:
     """Return a message as the daemon would read it.
 
+    Parameters
+    ----------
+    message : ApiMessage
+        Message that may hold any values.
+
+    Returns
+    -------
+    ApiMessage
+        Message whose values are of the declared types.
+
     Raises
     ------
     InputError
-        Where a value is not one that may be sent; names the field on the wire, with its unit.
+        If a value is not one that may be sent; the text names the field, which has a unit.
     """
     try:
         plain = msgspec.to_builtins(message, builtin_types=(bytes,))
@@ -167,6 +212,7 @@ def checked(message: M) -> M:
 
 
 def _read(plain: dict[str, Any], kind: type[M]) -> M:
+    """Return a message of plain values, or raise `InputError`."""
     try:
         return msgspec.convert(plain, kind)
     except msgspec.ValidationError as error:
@@ -176,7 +222,7 @@ def _read(plain: dict[str, Any], kind: type[M]) -> M:
 
 
 def _value_at(plain: Any, path: str) -> str:
-    """Return what stands at a path as "layers[0].gain", for a text."""
+    """Return the value at a path such as "layers[0].gain", for an error message."""
     for part in path.replace("[", ".").replace("]", "").split("."):
         try:
             plain = plain[int(part) if part.isdigit() else part]
@@ -186,34 +232,71 @@ def _value_at(plain: Any, path: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value for a text: in one line, and not too long."""
+    """Return a value for an error message.
+
+    Parameters
+    ----------
+    value : object
+        Value as the program gave it.
+
+    Returns
+    -------
+    str
+        Value in one short line.
+    """
     return " ".join(reprlib.repr(value).split())
 
 
 def to_number(value: Any, what: str) -> float:
-    """Return a finite number; ``what`` names the value and its unit.
+    """Return a finite number.
+
+    Parameters
+    ----------
+    value : object
+        Value as the program gave it.
+    what : str
+        Name of the value and its unit, for the error message.
+
+    Returns
+    -------
+    float
+        Value as a number.
 
     Raises
     ------
     InputError
-        Where it is none.
+        If it is not a finite number.
     """
     try:
-        made = float(value * 1.0)  # float() alone takes texts as well
+        number = float(value * 1.0)  # float() alone takes texts as well
     except (TypeError, ValueError, OverflowError):
-        made = math.nan
-    if not math.isfinite(made):
+        number = math.nan
+    if not math.isfinite(number):
         raise InputError(f"{what}: {shown(value)} is not a finite number")
-    return made
+    return number
 
 
 def to_items(values: Any, what: str, most: int | None = None) -> Iterator[Any]:
-    """Return an iterator over values, over at most one more than there may be.
+    """Return an iterator over values.
+
+    Parameters
+    ----------
+    values : object
+        Values as the program gave them.
+    what : str
+        Name of the values, for the error message.
+    most : int, optional
+        Largest number of values; at most one more is read, so that too many are noticed.
+
+    Returns
+    -------
+    iterator
+        Values.
 
     Raises
     ------
     InputError
-        Where they are no sequence.
+        If they are not a sequence.
     """
     try:
         return islice(values, None if most is None else most + 1)
@@ -224,10 +307,22 @@ def to_items(values: Any, what: str, most: int | None = None) -> Iterator[Any]:
 def to_index(value: Any, what: str) -> int:
     """Return a whole number.
 
+    Parameters
+    ----------
+    value : object
+        Value as the program gave it.
+    what : str
+        Name of the value, for the error message.
+
+    Returns
+    -------
+    int
+        Value as a number.
+
     Raises
     ------
     InputError
-        Where it is none.
+        If it is not a whole number.
     """
     try:
         return operator.index(value)
@@ -236,12 +331,22 @@ def to_index(value: Any, what: str) -> int:
 
 
 def to_microseconds(time: float) -> int:
-    """Return a time [s] in whole microseconds.
+    """Return a time in whole microseconds.
+
+    Parameters
+    ----------
+    time : float
+        Time [s].
+
+    Returns
+    -------
+    int
+        Time [µs].
 
     Raises
     ------
     InputError
-        Where it is not a finite number, or too long.
+        If it is not a finite number, or too large.
     """
     try:
         return round(time * 1e6)
@@ -256,14 +361,32 @@ def to_contact(
     velocity: Sequence[float] | None,
     time_us: int,
 ) -> Contact:
-    """Return a contact of [m], [N] and [m/s].
+    """Return the message of a contact.
+
+    Parameters
+    ----------
+    display : str
+        Name of the display.
+    position : (2,) sequence of float
+        Position [m].
+    normal_force : float
+        Normal force [N].
+    velocity : (2,) sequence of float or None
+        Velocity [m/s].
+    time_us : int
+        Time of the contact [µs].
+
+    Returns
+    -------
+    Contact
+        Message with these values.
 
     Raises
     ------
     InputError
-        Where a value is not of that form, or out of range.
+        If a value is not of that form, or out of range.
     """
-    try:  # every frame: what is wrong is looked for only where something is
+    try:  # this runs every frame, so the wrong value is looked for only if there is one
         x, y = position
         plain = {
             "type": "contact",
@@ -284,6 +407,7 @@ def to_contact(
 
 
 def _to_pair(values: Any, complaint: str) -> Pair:
+    """Return two numbers, or raise `InputError` with a complaint about the values."""
     try:
         x, y = values
         return float(x * 1.0), float(y * 1.0)
@@ -292,12 +416,22 @@ def _to_pair(values: Any, complaint: str) -> Pair:
 
 
 def to_layers(layers: Layers) -> tuple[Layer, ...]:
-    """Return what may be given as textures as layers.
+    """Return textures as layers.
+
+    Parameters
+    ----------
+    layers : str, tuple, Layer, or sequence of these
+        One texture or several.
+
+    Returns
+    -------
+    tuple of Layer
+        Layers of a message.
 
     Raises
     ------
     InputError
-        Where it is none of what `Layers` says.
+        If it is none of what `Layers` allows.
     """
     match layers:
         case str() | Layer() | (str(), int() | float()):
@@ -326,7 +460,33 @@ def to_effect(
     transients: Iterable[tuple[float, ...]],
     stream: bool,
 ) -> PlayEffect:
-    """Return an effect of [m], [s] and [Hz]."""
+    """Return the message of an effect.
+
+    Parameters
+    ----------
+    display : str
+        Name of the display.
+    amplitude : float
+        Shear of an amplitude of 1 [m].
+    amplitude_points : iterable of (float, float)
+        Pairs of time [s] and amplitude, 0 … 1.
+    frequency_points : iterable of (float, float)
+        Pairs of time [s] and frequency [Hz].
+    transients : iterable of tuple of float
+        Taps: time [s], amplitude, and frequency [Hz] if it is not 160 Hz.
+    stream : bool
+        Whether the effect continues the last one.
+
+    Returns
+    -------
+    PlayEffect
+        Message with these values.
+
+    Raises
+    ------
+    InputError
+        If a value is not of that form, or out of range.
+    """
     return checked(
         PlayEffect(
             display=display,
@@ -347,7 +507,7 @@ def to_effect(
 
 
 def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list[float]]:
-    """Yield each of the points of an effect, whose values have these names."""
+    """Yield the values of each point of an effect, which are called by these names."""
     most = names.count(",") + 1
     for index, row in enumerate(to_items(rows, what, MOST_POINTS)):
         where = f"{what}[{index}]"
@@ -357,50 +517,55 @@ def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 
-def from_info(info: messages.DisplayDescription) -> DisplayInfo:
-    """Return a display's description in SI."""
-    return DisplayInfo(
-        name=info.name,
-        contactors=tuple((x * 1e-3, y * 1e-3) for x, y in info.contactors_mm),
-        shear_direction=tuple(math.radians(angle) for angle in info.shear_direction_deg),
-        sample_rate=info.sample_rate_hz,
-        voltage_limit=info.voltage_limit_v,
-        waveforms=info.waveforms,
-        latency=info.latency_ms * 1e-3,
-    )
+UNITS = {
+    "_mm_s": 1e-3,
+    "_mm": 1e-3,
+    "_um": 1e-6,
+    "_ms": 1e-3,
+    "_us": 1e-6,
+    "_deg": math.pi / 180,
+    "_hz": 1.0,
+    "_n": 1.0,
+    "_v": 1.0,
+}
+"""Value in SI of each unit that the name of a field may end with."""
 
 
-def from_appended(reply: messages.AppendedReply) -> Appended:
-    """Return what became of an append in SI."""
-    return Appended(reply.samples_consumed, reply.buffered_ms * 1e-3)
+@functools.cache
+def _units(message: type[msgspec.Struct]) -> dict[str, tuple[str, float | None]]:
+    """Return each field of a message and the value of its unit, by its name without the unit."""
+    units = {}
+    for field in message.__struct_fields__:
+        suffix = next((suffix for suffix in UNITS if field.endswith(suffix)), "")
+        units[field.removesuffix(suffix)] = field, UNITS.get(suffix)
+    return units
 
 
-def from_stats(stats: messages.StatsReply) -> Stats:
-    """Return how a display stands in SI."""
-    return Stats(
-        display=stats.display,
-        state=stats.state,
-        link=stats.link,
-        detail=stats.detail,
-        touching=stats.touching,
-        owner=stats.owner,
-        latency=stats.latency_ms * 1e-3,
-        counters=stats.counters,
-        estop=stats.estop,
-    )
+def _scaled(value: Any, unit: float) -> Any:
+    """Return a number, or all numbers of nested tuples, times a unit."""
+    if isinstance(value, tuple):
+        return tuple(_scaled(item, unit) for item in value)
+    return value * unit
 
 
-def from_telemetry(telemetry: messages.TelemetryMessage, clock_offset: float) -> Telemetry:
-    """Return telemetry in SI; the daemon's clock less the offset [s] is this program's."""
-    (x, y), (vx, vy) = telemetry.position_mm, telemetry.velocity_mm_s
-    return Telemetry(
-        display=telemetry.display,
-        time=telemetry.time_us * 1e-6 - clock_offset,
-        state=telemetry.state,
-        position=(x * 1e-3, y * 1e-3),
-        velocity=(vx * 1e-3, vy * 1e-3),
-        normal_force=telemetry.normal_force_n,
-        shear=tuple(shear * 1e-6 for shear in telemetry.shear_um),
-        drive=telemetry.drive_v,
-        counters=telemetry.counters,
-    )
+def from_message(kind: type[S], message: msgspec.Struct) -> S:
+    """Return what a message holds in SI.
+
+    Parameters
+    ----------
+    kind : type
+        Data class whose fields are those of the message, without their units.
+    message : Struct
+        Message of the daemon.
+
+    Returns
+    -------
+    kind
+        Values in SI.
+    """
+    units, values = _units(type(message)), {}
+    for name in (field.name for field in dataclasses.fields(kind)):
+        field, unit = units[name]
+        value = getattr(message, field)
+        values[name] = value if unit is None else _scaled(value, unit)
+    return kind(**values)

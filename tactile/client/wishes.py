@@ -1,4 +1,4 @@
-"""What a program has of its displays over any number of connections: wishes, and e-stops."""
+"""State of displays that outlasts a connection: wishes of the program, and e-stops."""
 
 from dataclasses import dataclass
 
@@ -22,11 +22,20 @@ from tactile.messages import (
 
 @dataclass
 class Wishes:
-    """What a program has of one display, as far as the daemon confirmed it.
+    """Wishes of a program for one display, as far as the daemon confirmed them.
 
     Attributes
     ----------
-    arming : id of the `ArmDisplay` whose confirmation makes the display one to be armed again, or 0
+    layers : Select or None
+        Last choice of textures.
+    gain : SetGain or None
+        Last gain.
+    stop : StopPlaying or None
+        Last stop, unless the program resumed since.
+    armed : ArmDisplay or None
+        Request that armed the display, if it is to be armed again.
+    arming : int
+        Id of the `ArmDisplay` whose confirmation makes the display one to be armed again, or 0.
     """
 
     layers: Select | None = None
@@ -36,7 +45,13 @@ class Wishes:
     arming: int = 0
 
     def grant(self, command: Command) -> None:
-        """Remember a command that was done, but no `ArmDisplay` that was withdrawn meanwhile."""
+        """Remember a command that was done, unless it is an `ArmDisplay` that was withdrawn.
+
+        Parameters
+        ----------
+        command : Command
+            Request that the daemon confirmed.
+        """
         match command:
             case Select():
                 self.layers = command
@@ -50,13 +65,24 @@ class Wishes:
                 self.armed = command
 
     def disarm(self) -> None:
-        """Forget that the display was to be armed, also where the answer is still to come."""
+        """Forget that the display was to be armed, even if the answer is still to come."""
         self.armed, self.arming = None, 0
 
     def restored(self, rearm: bool) -> list[Request]:
-        """Return what to ask of a daemon that knows nothing of us; high voltage comes last."""
-        wished = [self.gain, self.layers, self.stop, self.armed if rearm else None]
-        return [command for command in wished if command is not None]
+        """Return the requests that restore the wishes after a reconnection.
+
+        Parameters
+        ----------
+        rearm : bool
+            Whether the display may be armed again.
+
+        Returns
+        -------
+        list of Request
+            Requests, of which the one for high voltage comes last.
+        """
+        wishes = [self.gain, self.layers, self.stop, self.armed if rearm else None]
+        return [command for command in wishes if command is not None]
 
 
 class EStops:
@@ -64,30 +90,52 @@ class EStops:
 
     Attributes
     ----------
-    numbers : by display, as they were last reported; 0 for none
-    missed : displays that were e-stopped, and perhaps cleared, while there was no connection
+    numbers : dict of str to int
+        Number of the e-stop that holds by display, as it was last reported; 0 for none.
+    missed : set of str
+        Displays that were e-stopped, and perhaps cleared, while there was no connection.
     """
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
         self.missed: set[str] = set()
-        self._latest: dict[str, int] = {}
+        self._latest: dict[str, int] = {}  # number of the latest e-stop, also if cleared
         self._pending: dict[str | None, int] = {}  # id of the newest request, 0 for none
 
     def request(self, display: str | None, number: int = 0) -> None:
-        """Keep an e-stop until it is confirmed; the number is the id of its request, if any."""
+        """Keep an e-stop until it is confirmed.
+
+        Parameters
+        ----------
+        display : str or None
+            Name of the display, None for all.
+        number : int
+            Id of its newest request, 0 if it was not sent.
+        """
         self._pending[display] = number
 
     def disconnect(self) -> None:
-        """Take all that was not confirmed as not sent."""
+        """Take all e-stops that were not confirmed as not sent."""
         self._pending = dict.fromkeys(self._pending, 0)
 
     def unsent(self) -> list[EStop]:
-        """Return what is to be sent first over a new connection."""
+        """Return the e-stops that are to be sent first over a new connection.
+
+        Returns
+        -------
+        list of EStop
+            One for each that is neither confirmed nor under way.
+        """
         return [EStop(display=display) for display, number in self._pending.items() if not number]
 
     def report(self, answer: Answer) -> None:
-        """Take what an answer tells of e-stops; one that was refused is kept."""
+        """Take what an answer says about e-stops; an e-stop that was refused is kept.
+
+        Parameters
+        ----------
+        answer : Answer
+            Message of the daemon.
+        """
         match answer:
             case Welcome():
                 latest = {info.name: info.latest_estop for info in answer.displays}
@@ -97,18 +145,18 @@ class EStops:
                 self.numbers = {info.name: info.estop for info in answer.displays}
             case EventMessage(kind="estopped" | "cleared"):
                 self.numbers[answer.display] = answer.estop if answer.kind == "estopped" else 0
-                self._see(answer.display, answer.estop)
+                self._note(answer.display, answer.estop)
             case StatsReply():
                 self.numbers[answer.display] = answer.estop
-                self._see(answer.display, answer.estop)
+                self._note(answer.display, answer.estop)
             case Done():
                 self.numbers.update(answer.estops)
                 for display, number in answer.estops.items():
-                    self._see(display, number)
+                    self._note(display, number)
         if isinstance(answer, Done | Failure) and answer.id:
             self._settle(answer)
 
-    def _see(self, display: str, number: int) -> None:
+    def _note(self, display: str, number: int) -> None:
         self._latest[display] = max(number, self._latest.get(display, 0))
 
     def _settle(self, reply: Done | Failure) -> None:

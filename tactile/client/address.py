@@ -1,0 +1,82 @@
+"""The address of a daemon and the secret that it asks for, as given or from the environment."""
+
+import os
+import socket
+from urllib.parse import urlsplit
+
+from tactile import paths
+from tactile.errors import InputError
+from tactile.messages import PATH
+
+PORT = 7411
+"""Port that a daemon listens on by default."""
+EXAMPLE_URL = f"ws://127.0.0.1:{PORT}{PATH}"
+"""Address of a daemon on this machine, which messages show as an example."""
+UNIX = "ws+unix://"
+"""Prefix of the address of a Unix socket; its path follows."""
+
+
+def default_url() -> str:
+    """Return the address of the daemon on this machine.
+
+    Returns
+    -------
+    str
+        Address of its Unix socket if it has one, otherwise `EXAMPLE_URL`.
+    """
+    sockets = paths.find_sockets()
+    return f"{UNIX}{sockets[0]}" if sockets else EXAMPLE_URL
+
+
+def endpoint(url: str | None) -> str:
+    """Return the complete address of a daemon.
+
+    Parameters
+    ----------
+    url : str, optional
+        Address as the program gives it; by default that of ``TACTILE_URL`` in the environment,
+        otherwise `default_url`.
+
+    Returns
+    -------
+    str
+        Address with port and path.
+
+    Raises
+    ------
+    InputError
+        If it is not the address of a WebSocket.
+    """
+    url = url or os.environ.get("TACTILE_URL") or default_url()
+    if not isinstance(url, str):
+        raise InputError(f"url {url!r} is not a text as {EXAMPLE_URL!r}")
+    if url.startswith(UNIX):
+        if not hasattr(socket, "AF_UNIX") or not url.startswith(f"{UNIX}/"):
+            raise InputError(f"url {url!r}: not as {UNIX}/run/tactile/tactile.sock, on Linux")
+        return url
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise InputError(f"url {url!r}: {error}") from None
+    if parts.scheme not in ("ws", "wss") or not parts.hostname:
+        raise InputError(f"url {url!r} is not as {EXAMPLE_URL}")
+    where = parts.netloc if port or parts.scheme == "wss" else f"{parts.netloc}:{PORT}"
+    path = parts.path if parts.path.strip("/") else PATH
+    return parts._replace(netloc=where, path=path).geturl()
+
+
+def secret(token: str | None) -> str:
+    """Return the token that the daemon asks for.
+
+    Parameters
+    ----------
+    token : str, optional
+        Token as the program gives it; by default that of ``TACTILE_TOKEN`` in the environment.
+
+    Returns
+    -------
+    str
+        Token, empty if there is none.
+    """
+    return token if token is not None else os.environ.get("TACTILE_TOKEN", "")

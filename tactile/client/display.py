@@ -1,0 +1,549 @@
+"""Displays of a connection: `RemoteDisplay`, and `AsyncDisplay` for asyncio.
+
+Each call is written once, as a coroutine of `AsyncDisplay`: it checks what the program gave, makes
+the message and reads the reply. It works on either display, as its ``self`` says, so that
+`RemoteDisplay` has it as an ordinary method; see `tactile.client.waiting`.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from tactile import messages
+from tactile.client import wire
+from tactile.client.base import BaseConnection
+from tactile.client.events import Callback, as_callback
+from tactile.client.telemetry import AsyncTelemetryStream, TelemetryStream
+from tactile.client.waiting import AsyncClosing, Closing, blocking
+from tactile.client.waveform import Waveform, pause_after
+from tactile.errors import ClientTimeoutError, NotFoundError
+from tactile.messages import Done, Request, TextureInfo
+
+if TYPE_CHECKING:
+    from tactile.client.connection import AsyncConnection, Connection
+
+NORMAL_FORCE = 0.5
+"""Normal force where a program knows only that there is contact [N]. Assumed: light exploration."""
+
+
+class BaseDisplay:
+    """One display of a connection, with one finger on it.
+
+    Parameters
+    ----------
+    connection : BaseConnection
+        Connection that the display is of.
+    name : str
+        Name of the display.
+    owns : bool
+        Whether the connection is closed together with the display.
+
+    Attributes
+    ----------
+    name : str
+        Name of the display.
+    """
+
+    def __init__(self, connection: BaseConnection, name: str, *, owns: bool = False) -> None:
+        self.name = name
+        self._connection, self._owns = connection, owns
+        self._position = (0.0, 0.0)
+        self._turn = 0  # a `play` of an earlier turn sends no more
+        connection._displays.setdefault(name, self)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the daemon is there now."""
+        return self._connection.connected
+
+    @property
+    def info(self) -> wire.DisplayInfo:
+        """Contactors and limits of the display.
+
+        Raises
+        ------
+        NotFoundError
+            If the daemon, after a reconnection, has no such display any more.
+        """
+        for info in self._connection.welcome.displays:
+            if info.name == self.name:
+                return wire.from_message(wire.DisplayInfo, info)
+        raise NotFoundError(f"no display {self.name!r} any more")
+
+    @property
+    def estopped(self) -> int:
+        """Number of the e-stop that holds as far as the daemon last reported, 0 for none."""
+        return self._connection._session.estops.numbers.get(self.name, 0)
+
+    @property
+    def dropped_contacts(self) -> int:
+        """Number of contacts not sent: a newer one came first, or the daemon was not there."""
+        return self._connection._session.dropped_contacts[self.name]
+
+    def on_event(self, callback: Callback) -> Callback:
+        """Call back with each `Event` of this display or of all; as `BaseConnection.on_event`.
+
+        Parameters
+        ----------
+        callback : Callable
+            Function that takes an `Event`.
+
+        Returns
+        -------
+        Callable
+            The callback.
+
+        Raises
+        ------
+        InputError
+            If it cannot be called.
+        """
+        as_callback(callback)
+
+        def called(event: wire.Event) -> Any:
+            return callback(event) if event.display in ("", self.name) else None
+
+        self._connection.on_event(called)
+        return callback
+
+    async def _do(self, request: Request, timeout: float | None) -> None:
+        """Send a request that is answered by `Done`."""
+        await self._connection._ask(request, Done, timeout)
+
+    def _touch(
+        self,
+        position: Sequence[float],
+        normal_force: float,
+        velocity: Sequence[float] | None,
+        time: float | None,
+    ) -> None:
+        """Send a contact without waiting."""
+        session = self._connection._session
+        time_us = wire.to_microseconds(session.clock.now() if time is None else time)
+        contact = wire.to_contact(self.name, position, normal_force, velocity, time_us)
+        x, y = contact.position_mm
+        self._position = (x * 1e-3, y * 1e-3)
+        session.tell(contact)
+
+
+class AsyncDisplay(AsyncClosing, BaseDisplay):
+    """One display of a connection from asyncio, with one finger on it. Get it from `aio.connect`.
+
+    Every call but `touch` and `lift` waits for the daemon, and may be given a timeout [s]. It
+    raises `DisconnectedError` at once if the daemon is not there, `ClientTimeoutError` if it does
+    not answer, `RequestError` if it refuses, and `InputError` for values out of range.
+    """
+
+    _connection: "AsyncConnection"
+
+    @property
+    def connection(self) -> "AsyncConnection":
+        """Connection that the display is of."""
+        return self._connection
+
+    async def touch(
+        self: BaseDisplay,
+        position: Sequence[float],
+        *,
+        velocity: Sequence[float] | None = None,
+        normal_force: float = NORMAL_FORCE,
+        time: float | None = None,
+    ) -> None:
+        """Say where the finger is; this never waits, whatever the network does.
+
+        Only the newest contact is sent; those that it overtakes are counted, as are those while
+        the daemon is not there (`dropped_contacts`).
+
+        Parameters
+        ----------
+        position : (2,) sequence of float
+            Position on the surface [m].
+        velocity : (2,) sequence of float, optional
+            Velocity [m/s]; by default the daemon derives it from the positions.
+        normal_force : float
+            Normal force [N]; 0 means that the finger is lifted.
+        time : float, optional
+            Time of the sample on the clock of `time.monotonic` [s]; by default now.
+
+        Raises
+        ------
+        InputError
+            If a value is not finite, or out of range.
+        """
+        self._touch(position, normal_force, velocity, time)
+
+    async def lift(self: BaseDisplay, *, time: float | None = None) -> None:
+        """Say that the finger has left the surface; this never waits.
+
+        Parameters
+        ----------
+        time : float, optional
+            Time of the sample on the clock of `time.monotonic` [s]; by default now.
+        """
+        self._touch(self._position, 0.0, None, time)
+
+    async def select(
+        self: BaseDisplay, layers: wire.Layers, *, timeout: float | None = None
+    ) -> None:
+        """Choose what the finger feels; the old and the new texture cross-fade.
+
+        Parameters
+        ----------
+        layers : str, tuple, Layer, or sequence of these
+            Name of a texture, pair of name and gain (0 … 1), `Layer`, or several of these, which
+            are added up; ``()`` for nothing.
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        await self._do(messages.Select(display=self.name, layers=wire.to_layers(layers)), timeout)
+
+    async def gain(self: BaseDisplay, gain: float, *, timeout: float | None = None) -> None:
+        """Scale everything that this program plays.
+
+        Parameters
+        ----------
+        gain : float
+            Factor, 0 … 1.
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        number = wire.to_number(gain, "gain")
+        await self._do(messages.SetGain(display=self.name, gain=number), timeout)
+
+    async def stop(self: BaseDisplay, *, timeout: float | None = None) -> None:
+        """Fade out: textures until `resume`, waveforms for good.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        self._turn += 1
+        await self._do(messages.StopPlaying(display=self.name), timeout)
+
+    async def resume(self: BaseDisplay, *, timeout: float | None = None) -> None:
+        """Let the textures play again after `stop`.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        await self._do(messages.Play(display=self.name), timeout)
+
+    async def arm(self: BaseDisplay, *, timeout: float | None = None) -> None:
+        """Switch high voltage on. A person should know of it.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        await self._do(messages.ArmDisplay(display=self.name), timeout)
+
+    async def disarm(self: BaseDisplay, *, timeout: float | None = None) -> None:
+        """Fade out and switch high voltage off.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        self._turn += 1
+        await self._do(messages.DisarmDisplay(display=self.name), timeout)
+
+    async def estop(self: BaseDisplay, *, timeout: float | None = None) -> int:
+        """Set this display to 0 V at once, until `clear`; that of the connection sets all.
+
+        The display is armed again only by `arm`, whatever becomes of this call. If the daemon is
+        not there, or does not confirm, this raises, and the e-stop is sent first over the next
+        connection.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+
+        Returns
+        -------
+        int
+            Number of the e-stop, which `clear` takes.
+        """
+        self._turn += 1
+        done = await self._connection._ask(messages.EStop(display=self.name), Done, timeout)
+        return done.estops.get(self.name, 0)
+
+    async def clear(
+        self: BaseDisplay, *, estop: int | None = None, timeout: float | None = None
+    ) -> None:
+        """End an e-stop, after a person has decided so; the display is disarmed then.
+
+        Parameters
+        ----------
+        estop : int, optional
+            Number of the e-stop, by default `estopped`; a newer e-stop still holds.
+        timeout : float, optional
+            Longest wait for each answer [s].
+        """
+        if estop is None:
+            estop = self.estopped or (await AsyncDisplay.stats(self, timeout=timeout)).estop or None
+        if estop is not None:
+            await self._do(messages.ClearEstop(display=self.name, estop=estop), timeout)
+
+    async def append(
+        self: BaseDisplay,
+        samples: Iterable[float],
+        *,
+        sample_rate: float,
+        amplitude: float,
+        contactors: Iterable[int] = (),
+        timeout: float | None = None,
+    ) -> wire.Appended:
+        """Send one message of a waveform, to play after what waits, as XR_FB_haptic_pcm does.
+
+        Parameters
+        ----------
+        samples : iterable of float
+            Samples −1 … 1, any sequence or buffer; those beyond 4000 are cut off.
+        sample_rate : float
+            Sample rate [Hz].
+        amplitude : float
+            Shear of a sample of 1 [m].
+        contactors : iterable of int
+            Contactors that play it, by default all.
+        timeout : float, optional
+            Longest wait for the answer [s].
+
+        Returns
+        -------
+        Appended
+            How many samples the daemon took; send the rest again.
+        """
+        waveform = Waveform(
+            self.name, samples, sample_rate=sample_rate, amplitude=amplitude,
+            contactors=contactors, append=True,
+        )  # fmt: skip
+        message = waveform.message()
+        if message is None:
+            return wire.Appended(0, 0.0)
+        reply = await self._connection._ask(message, messages.AppendedReply, timeout)
+        return wire.from_message(wire.Appended, reply)
+
+    async def play(
+        self: BaseDisplay,
+        samples: Iterable[float],
+        *,
+        sample_rate: float,
+        amplitude: float,
+        contactors: Iterable[int] = (),
+        timeout: float | None = None,
+    ) -> int:
+        """Play a waveform in place of what waits; return when the daemon has taken all of it.
+
+        Parameters
+        ----------
+        samples : iterable of float
+            Samples −1 … 1, any number of them; an iterator is read as it plays.
+        sample_rate : float
+            Sample rate [Hz].
+        amplitude : float
+            Shear of a sample of 1 [m].
+        contactors : iterable of int
+            Contactors that play it, by default all.
+        timeout : float, optional
+            Longest wait for each answer, and for the daemon to take any sample [s].
+
+        Returns
+        -------
+        int
+            Number of samples that were taken: fewer if another thread or task stopped it or played
+            something else.
+
+        Raises
+        ------
+        ClientTimeoutError
+            If the daemon takes no sample for the timeout.
+        """
+        waveform = Waveform(
+            self.name, samples, sample_rate=sample_rate, amplitude=amplitude, contactors=contactors
+        )
+        self._turn = turn = self._turn + 1
+        connection = self._connection
+        limit, clock = connection._patience(timeout), connection._session.clock
+        count, progress = 0, clock.now()
+        while turn == self._turn and (message := waveform.message()) is not None:
+            reply = await connection._ask(message, messages.AppendedReply, timeout)
+            appended = wire.from_message(wire.Appended, reply)
+            waveform.taken(appended.samples_consumed)
+            if appended.samples_consumed:
+                count += appended.samples_consumed
+                progress = clock.now()
+            elif clock.now() - progress > limit:
+                raise ClientTimeoutError(f"play on {self.name}: no sample was taken in {limit:g} s")
+            await connection._sleep(pause_after(message, appended))
+        return count
+
+    async def effect(
+        self: BaseDisplay,
+        amplitude: float,
+        *,
+        amplitude_points: Iterable[tuple[float, float]] = (),
+        frequency_points: Iterable[tuple[float, float]] = (),
+        transients: Iterable[tuple[float, ...]] = (),
+        stream: bool = False,
+        timeout: float | None = None,
+    ) -> None:
+        """Play amplitude and frequency over time, as XR_EXT_haptic_parametric.
+
+        Parameters
+        ----------
+        amplitude : float
+            Shear of an amplitude of 1 [m].
+        amplitude_points : iterable of (float, float)
+            Pairs of time [s] and amplitude, 0 … 1, joined by straight lines.
+        frequency_points : iterable of (float, float)
+            Pairs of time [s] and frequency [Hz], joined by straight lines.
+        transients : iterable of tuple of float
+            Taps: time [s], amplitude, and frequency [Hz] if it is not 160 Hz.
+        stream : bool
+            Whether the effect continues the last one.
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        effect = wire.to_effect(
+            self.name, amplitude, amplitude_points, frequency_points, transients, stream
+        )
+        await self._do(effect, timeout)
+
+    async def transient(
+        self: BaseDisplay,
+        amplitude: float,
+        *,
+        frequency: float = 160.0,
+        timeout: float | None = None,
+    ) -> None:
+        """Play one tap now.
+
+        Parameters
+        ----------
+        amplitude : float
+            Shear of the tap [m].
+        frequency : float
+            Frequency [Hz].
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        tap = (0.0, 1.0, frequency)
+        await AsyncDisplay.effect(self, amplitude, transients=[tap], timeout=timeout)
+
+    async def stats(self: BaseDisplay, *, timeout: float | None = None) -> wire.Stats:
+        """Return the state of the display.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+
+        Returns
+        -------
+        Stats
+            State, link, latency and counters.
+        """
+        request = messages.GetStats(display=self.name)
+        reply = await self._connection._ask(request, messages.StatsReply, timeout)
+        return wire.from_message(wire.Stats, reply)
+
+    async def textures(
+        self: BaseDisplay, *, timeout: float | None = None
+    ) -> tuple[TextureInfo, ...]:
+        """Return the textures that may be selected.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+
+        Returns
+        -------
+        tuple of TextureInfo
+            Textures that the daemon has.
+        """
+        request = messages.ListTextures()
+        return (await self._connection._ask(request, messages.Textures, timeout)).textures
+
+    def telemetry(
+        self, rate: float = 30.0, *, timeout: float | None = None
+    ) -> AsyncTelemetryStream:
+        """Return a stream of what the display does, for ``async for``.
+
+        Parameters
+        ----------
+        rate : float
+            Rate of the telemetry [Hz].
+        timeout : float, optional
+            Longest wait for each item, beyond its period [s].
+
+        Returns
+        -------
+        AsyncTelemetryStream
+            Stream that ends with the connection.
+        """
+        return AsyncTelemetryStream(self, rate, timeout)
+
+    async def close(self: BaseDisplay) -> None:
+        """Stop, and close the connection if `connect` made it for this display."""
+        if self._owns:
+            await self._connection._close()
+        else:
+            self._turn += 1
+            await self._connection._stop([self.name])
+
+
+class RemoteDisplay(Closing, BaseDisplay):
+    """One display of a connection, with one finger on it. Get it from `connect`.
+
+    Every call but `touch` and `lift` waits for the daemon, and may be given a timeout [s]. It
+    raises `DisconnectedError` at once if the daemon is not there, `ClientTimeoutError` if it does
+    not answer, `RequestError` if it refuses, and `InputError` for values out of range.
+    """
+
+    _connection: "Connection"
+
+    @property
+    def connection(self) -> "Connection":
+        """Connection that the display is of."""
+        return self._connection
+
+    touch = blocking(AsyncDisplay.touch)
+    lift = blocking(AsyncDisplay.lift)
+    select = blocking(AsyncDisplay.select)
+    gain = blocking(AsyncDisplay.gain)
+    stop = blocking(AsyncDisplay.stop)
+    resume = blocking(AsyncDisplay.resume)
+    arm = blocking(AsyncDisplay.arm)
+    disarm = blocking(AsyncDisplay.disarm)
+    estop = blocking(AsyncDisplay.estop)
+    clear = blocking(AsyncDisplay.clear)
+    append = blocking(AsyncDisplay.append)
+    play = blocking(AsyncDisplay.play)
+    effect = blocking(AsyncDisplay.effect)
+    transient = blocking(AsyncDisplay.transient)
+    stats = blocking(AsyncDisplay.stats)
+    textures = blocking(AsyncDisplay.textures)
+    close = blocking(AsyncDisplay.close)
+
+    def telemetry(self, rate: float = 30.0, *, timeout: float | None = None) -> TelemetryStream:
+        """Return a stream of what the display does: an iterator without end.
+
+        Parameters
+        ----------
+        rate : float
+            Rate of the telemetry [Hz].
+        timeout : float, optional
+            Longest wait for each item, beyond its period [s].
+
+        Returns
+        -------
+        TelemetryStream
+            Stream that ends with the connection.
+        """
+        return TelemetryStream(self, rate, timeout)

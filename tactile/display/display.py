@@ -28,6 +28,7 @@ from tactile.actuator.materials import (
     PiezoMaterial,
     ShimMaterial,
 )
+from tactile.actuator.voice_coil import VoiceCoil
 from tactile.arrays import Complex, Floats
 from tactile.display.tables import (
     AmplifierTable,
@@ -333,7 +334,7 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
         channel=np.array([c.channel for c in contactors], np.intp),
         opening=(content.display.opening_mm[0] * 1e-3, content.display.opening_mm[1] * 1e-3),
         projected=content.display.shear_projection == "motion",
-        actuator=BimorphActuator(_bimorph(content.bimorph)),
+        actuator=_actuator(content, path),
         load=_load(content.finger) if load is None else load,
         amplifier=_amplifier(content.amplifier),
         limits=_limits(content.limits),
@@ -368,6 +369,19 @@ def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
             polarity=g.polarity,
         )
         for i in range(g.columns * g.rows)
+    )
+
+
+def _actuator(content: DisplayFile, path: Path) -> Actuator:
+    coil = content.voice_coil
+    if coil is None:
+        return BimorphActuator(_bimorph(content.bimorph or BimorphTable()))
+    return VoiceCoil(
+        measured=load_response(path.parent / coil.response).at,
+        resistance=coil.resistance_ohm,
+        inductance=coil.inductance_mh * 1e-3,
+        largest_current=coil.current_a,
+        room=(coil.size_mm[0] * 1e-3, coil.size_mm[1] * 1e-3),
     )
 
 

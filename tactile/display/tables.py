@@ -169,6 +169,29 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
                 raise ValueError(f"{name} = {value:g}: must be 0 or at least {least:g}")
 
 
+class VoiceCoilTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Table ``[voice_coil]``, in place of ``[bimorph]``: an actuator by its measured response.
+
+    Attributes
+    ----------
+    response : str
+        File of the shear displacement per volt at the terminals, measured under a finger; relative
+        to the display file.
+    resistance_ohm, inductance_mh : float
+        Resistance [Ω] and inductance [mH] of the coil.
+    current_a : float
+        Current that the coil withstands for good [A].
+    size_mm : tuple of float
+        Size at rest along and across the shear direction [mm].
+    """
+
+    response: str
+    resistance_ohm: Annotated[float, Meta(gt=0, le=1e6)]
+    inductance_mh: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    current_a: Annotated[float, Meta(gt=0, le=100)]
+    size_mm: tuple[Millimeters, Millimeters]
+
+
 class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Table ``[[finger.table]]``: the load of the finger at one normal force.
 
@@ -291,8 +314,10 @@ class DisplayFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         Contactors one by one.
     group : tuple of Group
         Measured responses of several contactors.
-    bimorph : BimorphTable
-        Bender of every contactor.
+    bimorph : BimorphTable or None
+        Bender of every contactor; one with all defaults if no other actuator is given.
+    voice_coil : VoiceCoilTable or None
+        Actuator of every contactor, in place of a bender.
     amplifier : AmplifierTable
         Amplifier of every channel.
     """
@@ -303,9 +328,12 @@ class DisplayFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     grid: Grid | None = None
     contactor: tuple[Contactor, ...] = ()
     group: tuple[Group, ...] = ()
-    bimorph: BimorphTable = BimorphTable()
+    bimorph: BimorphTable | None = None
+    voice_coil: VoiceCoilTable | None = None
     amplifier: AmplifierTable = AmplifierTable()
 
     def __post_init__(self) -> None:
         if (self.grid is None) == (not self.contactor):
             raise ValueError("needs either [grid] or [[contactor]]")
+        if self.bimorph is not None and self.voice_coil is not None:
+            raise ValueError("has both [bimorph] and [voice_coil]; a display has one actuator")

@@ -1,21 +1,42 @@
-"""README.md says what runs: its Python lines, and commands and files that exist."""
+"""README.md and the pages of docs/ say what runs: Python lines, commands and files that exist."""
 
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+import tactile
+
 ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+README = ROOT / "README.md"
+DOCUMENTS = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/*.md"),
+        *ROOT.glob("docs/guide/*.md"),
+        *ROOT.glob("docs/tutorials/*.md"),
+    ]
+}
+"""Text by path. What is made of them when the site is built is not among them."""
+LINKS = [(name, target) for name, text in DOCUMENTS.items() for target in
+         re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)]  # fmt: skip
+MADE = ("generated/", "/generated/", "../generated/")
+"""Where links of the site lead to pages that `docs/generate.py` writes; Sphinx checks these."""
+PYTHON = r"^```python\n(.*?)^```"
+RUN = [name for name, text in DOCUMENTS.items() if "docs/tutorials" not in name and
+       re.search(PYTHON, text, re.DOTALL | re.MULTILINE)]  # fmt: skip
+MOST_WORDS = 1500
 
 
 @pytest.mark.realtime
-def test_its_python_lines_run() -> None:
-    """One plays in real time, with the timeouts that programs have by default."""
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert blocks
+@pytest.mark.parametrize("name", RUN)
+def test_their_python_lines_run(name: str) -> None:
+    """Some play in real time, with the timeouts that programs have by default."""
+    blocks = re.findall(PYTHON, DOCUMENTS[name], re.DOTALL | re.MULTILINE)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", "\n".join(blocks)],
         capture_output=True,
@@ -23,19 +44,37 @@ def test_its_python_lines_run() -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "(8000, 24)" in done.stdout
+    if name == "README.md":
+        assert "(8000, 24)" in done.stdout
 
 
-@pytest.mark.parametrize("target", re.findall(r"\]\(([^)#]+)\)", README))
-def test_its_links_within_the_project_lead_somewhere(target: str) -> None:
-    assert target.startswith("https://") or (ROOT / target).exists()
+@pytest.mark.parametrize(("name", "target"), LINKS)
+def test_their_links_within_the_project_lead_somewhere(name: str, target: str) -> None:
+    if target.startswith("https://") or (name.startswith("docs/") and target.startswith(MADE)):
+        return
+    assert (ROOT / name).parent.joinpath(target).exists()
 
 
-def test_it_names_the_commands_that_there_are() -> None:
-    said = set(re.findall(r"tactile (\w+)", " ".join(re.findall(r"`(tactile [^`]+)`", README))))
+def test_they_name_the_commands_that_there_are() -> None:
+    text = "\n".join(DOCUMENTS.values())
+    blocks = "\n".join(re.findall(r"^```(?:sh)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    quoted = re.findall(r"`(tactile [^`]+)`", text)
+    said = {word for line in [*quoted, *blocks.splitlines()]
+            for word in re.findall(r"^tactile ([a-z]+)", line)}  # fmt: skip
     shown = subprocess.run(
         [sys.executable, "-m", "tactile", "--help"], capture_output=True, text=True, check=True
     ).stdout
     commands = set(re.findall(r"^  (\w+) {2,}", shown, re.MULTILINE))
-    assert said
+    assert len(said) > 10
     assert said <= commands
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text(encoding="utf-8").split()) <= MOST_WORDS
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert tactile.__version__ == project["version"]
+    assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"\n## [{project['version']}]" in DOCUMENTS["CHANGELOG.md"]

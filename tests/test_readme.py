@@ -57,7 +57,7 @@ def test_their_links_within_the_project_lead_somewhere(name: str, target: str) -
 
 def test_they_name_the_commands_that_there_are() -> None:
     text = "\n".join(DOCUMENTS.values())
-    blocks = "\n".join(re.findall(r"^```(?:sh)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    blocks = "\n".join(re.findall(r"^```[^\n]*\n(.*?)^```$", text, re.DOTALL | re.MULTILINE))
     quoted = re.findall(r"`(tactile [^`]+)`", text)
     said = {word for line in [*quoted, *blocks.splitlines()]
             for word in re.findall(r"^tactile ([a-z]+)", line)}  # fmt: skip

@@ -43,15 +43,22 @@ numpydoc_class_members_toctree = False
 generate(HERE / "generated")
 
 
+ARRAY = r"~?numpy\.ndarray\[tuple\[.*?\], .*?\[~?numpy\.\w+\]\]"
+ARRAY_LIKE = (
+    r"~?numpy\._typing\._array_like\._Buffer \| .*?_NestedSequence\[complex \| bytes \| str\]"
+)
+
+
 def shorten(*arguments: Any) -> tuple[str | None, str | None]:
-    """Return a signature and what it returns with arrays named as briefly as in numpy's own."""
-    signature, returns = (
-        text
-        and re.sub(
-            r"~?numpy\.ndarray\[tuple\[.*?\], .*?\[(~?numpy\.\w+)\]\]", "~numpy.ndarray", text
-        )
-        for text in arguments[-2:]
-    )
+    """Return a signature and what it returns, with arrays named as briefly as numpy names them."""
+    signature, returns = arguments[-2:]
+    for long, short in (
+        (ARRAY, "~numpy.ndarray"),
+        (ARRAY_LIKE, "~numpy.typing.ArrayLike"),
+        ("<factory>", "..."),
+    ):
+        signature = signature and re.sub(long, short, signature)
+        returns = returns and re.sub(long, short, returns)
     return signature, returns
 
 

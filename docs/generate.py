@@ -20,7 +20,6 @@ import typer
 from numpydoc.docscrape import NumpyDocString
 
 import tactile
-import tactile.cli.commands
 from tactile.cli.app import app
 from tactile.display.tables import DisplayFile
 from tactile.texture.descriptor import Descriptor
@@ -260,6 +259,7 @@ def command_page() -> str:
         "in a terminal.",
         "",
     ]
+    importlib.import_module("tactile.cli.commands")  # which adds them
     for name, command in sorted(commands("tactile", typer.main.get_command(app))):
         lines += [f"## {name}", "", *command_section(name, command)]
     return "\n".join(lines)
@@ -267,8 +267,10 @@ def command_page() -> str:
 
 def commands(name: str, command: Any) -> Iterator[tuple[str, Any]]:
     """Yield the commands of a group, and of groups within it, by their full names."""
-    for word, inner in getattr(command, "commands", {}).items():
-        if getattr(inner, "commands", None):
+    context = typer.Context(command)
+    for word in command.list_commands(context):
+        inner = command.get_command(context, word)
+        if hasattr(inner, "list_commands"):
             yield from commands(f"{name} {word}", inner)
         elif not inner.hidden:
             yield f"{name} {word}", inner

@@ -8,6 +8,7 @@ picture and study. Friction is left out of strokes whose drive is drawn: its ste
 what the texture does.
 """
 
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,12 +19,10 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import typer
 from matplotlib.axes import Axes
 from PIL import Image
 
 import tactile
-import tactile.cli.commands
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.config import AmplifierConfig
@@ -32,7 +31,6 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
 from tactile.bus.simulated.modeled_bus import Heard, ModeledBus
-from tactile.cli.app import app
 from tactile.show.plots import plot_played
 from tactile.study.paper import FINGERS, over_length
 from tactile.study.plots import plot_length_map
@@ -48,7 +46,7 @@ RATE, BLOCK = 8000, 16
 
 def command(*words: str) -> None:
     """Run a command of tactile."""
-    typer.main.get_command(app).main([*words], standalone_mode=False)
+    subprocess.run([sys.executable, "-m", "tactile", *words], check=True)
 
 
 # What commands draw

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from test_architecture import MAP
 
 import tactile
 
@@ -67,6 +68,13 @@ def test_they_name_the_commands_that_there_are() -> None:
     commands = set(re.findall(r"^  (\w+) {2,}", shown, re.MULTILINE))
     assert len(said) > 10
     assert said <= commands
+
+
+def test_the_map_of_the_rooms_is_the_one_that_is_tested() -> None:
+    rows = re.findall(r"^\| `(\w+)/?` \|.*\| (.*) \|$", DOCUMENTS["docs/architecture.md"], re.M)
+    told = {room: set(re.findall(r"`(\w+)`", imports)) for room, imports in rows if room in MAP}
+    expected = {room: MAP[room] for room in set(MAP) - {"__main__"}}
+    assert told == expected
 
 
 def test_the_readme_is_short() -> None:

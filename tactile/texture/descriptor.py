@@ -4,7 +4,7 @@ A descriptor states **tangential skin displacement**, not surface height, at a r
 force: the spatial spectrum of lateral skin displacement identifies a texture well (Wiertlewski,
 Lozada & Hayward, IEEE T-RO 2011). Its 16 third-octave bands of spatial frequency become bands of
 temporal frequency as the finger moves, frequency = spatial frequency × speed.
-`docs/guide/rendering.md` explains why there are 16 bands. The names of fields carry their units, and
+`docs/guide/rendering.md` explains why there are 16 bands. Field names carry their units, and
 unknown keys are errors.
 """
 

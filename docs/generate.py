@@ -20,7 +20,7 @@ import typer
 from numpydoc.docscrape import NumpyDocString
 
 import tactile
-from tactile.cli.app import app
+from tactile.cli.app import COMMANDS, load_command
 from tactile.display.tables import DisplayFile
 from tactile.texture.descriptor import Descriptor
 
@@ -259,21 +259,13 @@ def command_page() -> str:
         "in a terminal.",
         "",
     ]
-    importlib.import_module("tactile.cli.commands")  # which adds them
-    for name, command in sorted(commands("tactile", typer.main.get_command(app))):
-        lines += [f"## {name}", "", *command_section(name, command)]
+    for heading in dict.fromkeys(entry.group for entry in COMMANDS.values()):
+        lines += [f"## {heading}", ""]
+        for name, entry in COMMANDS.items():
+            if entry.group == heading:
+                section = command_section(f"tactile {name}", load_command(name))
+                lines += [f"### tactile {name}", "", *section]
     return "\n".join(lines)
-
-
-def commands(name: str, command: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the commands of a group, and of groups within it, by their full names."""
-    context = typer.Context(command)
-    for word in command.list_commands(context):
-        inner = command.get_command(context, word)
-        if hasattr(inner, "list_commands"):
-            yield from commands(f"{name} {word}", inner)
-        elif not inner.hidden:
-            yield f"{name} {word}", inner
 
 
 def command_section(name: str, command: Any) -> Iterator[str]:

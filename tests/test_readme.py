@@ -10,6 +10,7 @@ import pytest
 from test_architecture import MAP
 
 import tactile
+from tactile.cli.app import COMMANDS, load_command
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -56,18 +57,32 @@ def test_their_links_within_the_project_lead_somewhere(name: str, target: str) -
     assert (ROOT / name).parent.joinpath(target).exists()
 
 
-def test_they_name_the_commands_that_there_are() -> None:
-    text = "\n".join(DOCUMENTS.values())
-    blocks = "\n".join(re.findall(r"^```[^\n]*\n(.*?)^```$", text, re.DOTALL | re.MULTILINE))
-    quoted = re.findall(r"`(tactile [^`]+)`", text)
-    said = {word for line in [*quoted, *blocks.splitlines()]
-            for word in re.findall(r"^tactile ([a-z]+)", line)}  # fmt: skip
-    shown = subprocess.run(
-        [sys.executable, "-m", "tactile", "--help"], capture_output=True, text=True, check=True
-    ).stdout
-    commands = set(re.findall(r"^  (\w+) {2,}", shown, re.MULTILINE))
-    assert len(said) > 10
-    assert said <= commands
+def commands_in(text: str) -> list[tuple[str, list[str]]]:
+    """Return the commands in quotes and blocks of code, each with its options."""
+    blocks = re.findall(r"^```[^\n]*\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    called = [
+        re.match(r"tactile ([a-z]+)(.*)", line, re.DOTALL)
+        for line in [*re.findall(r"`(tactile [^`]+)`", text), *lines]
+    ]
+    return [(m[1], re.findall(r"(?<!\S)--?[a-z][a-z-]*", m[2])) for m in called if m]
+
+
+def test_they_name_commands_and_options_that_there_are() -> None:
+    known = {
+        name: {"--help"}.union(*(parameter.opts for parameter in load_command(name).params))
+        for name in COMMANDS
+    }
+    said = [(name, *call) for name, text in DOCUMENTS.items() for call in commands_in(text)]
+    assert len(said) > 100
+    wrong = [
+        (document, command, option)
+        for document, command, options in said
+        for option in options
+        if option not in known.get(command, ())
+    ]
+    assert wrong == []
+    assert {command for _, command, _ in said} <= set(known)
 
 
 def test_the_map_of_the_rooms_is_the_one_that_is_tested() -> None:

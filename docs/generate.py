@@ -7,6 +7,7 @@ or a line without a key, ends the build. Documents from elsewhere in the checkou
 they are, with links that lead to the site or to the repository.
 """
 
+import ast
 import importlib
 import inspect
 import re
@@ -319,15 +320,28 @@ def python_page(title: str, names: list[str]) -> Iterator[str]:
 
 
 def public(module: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the classes and functions of a module that `tactile` itself does not name."""
-    for name, value in vars(module).items():
-        named = name.startswith("_") or (name in tactile._HOME and getattr(tactile, name) is value)
-        if named or not (inspect.isclass(value) or inspect.isfunction(value)):
-            continue
-        package = module.__file__.endswith("__init__.py")
-        home = str(value.__module__)
-        if home == module.__name__ or (package and home.startswith(("tactile.", module.__name__))):
-            yield name, value
+    """Yield the classes and functions of a module that `tactile` itself does not name.
+
+    They are those that it defines, and those that it imports in the form ``X as X`` or lists in its
+    ``__all__``.
+    """
+    exported = getattr(module, "__all__", ())
+    for node in ast.parse(inspect.getsource(module)).body:
+        match node:
+            case ast.ClassDef() | ast.FunctionDef() | ast.AsyncFunctionDef():
+                names = [node.name]
+            case ast.ImportFrom():
+                names = [a.name for a in node.names if a.asname == a.name or a.name in exported]
+            case ast.Assign():
+                names = [target.id for target in node.targets if isinstance(target, ast.Name)]
+            case _:
+                names = []
+        for name in names:
+            value = getattr(module, name)
+            named = name in tactile._HOME and getattr(tactile, name) is value
+            listed = inspect.isclass(value) or inspect.isfunction(value)
+            if listed and not named and not name.startswith("_"):
+                yield name, value
 
 
 def entry(module: str, name: str, value: Any) -> list[str]:

@@ -128,10 +128,12 @@ __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("tactile-display")
     if name not in _HOME:
         raise AttributeError(f"module 'tactile' has no attribute {name!r}")
     return getattr(import_module(f"tactile.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return [*__all__, *globals()]
+    return [*__all__, "__version__", *globals()]

@@ -1,10 +1,10 @@
 """DRV2667, BOS1921 and TCA9548A as their registers behave, on a virtual clock.
 
-Written from design/parts.md, not from the driver. A chip has ``write(data)`` and ``read(size)``,
-each a transfer on the wire, which raise OSError(ENXIO) where the address is not acknowledged and
-OSError(EREMOTEIO) where a byte is not. Samples are played by the chip's own clock; what was put out
-is remembered tick by tick. `ModelBus` makes an adapter of chips, with faults and wire time,
-`VirtualRunner` calls a driver's step by the same clock.
+Written from what is published of the chips, not from the driver. A chip has ``write(data)`` and
+``read(size)``, each a transfer on the wire, which raise OSError(ENXIO) where the address is not
+acknowledged and OSError(EREMOTEIO) where a byte is not. Samples are played by the chip's own clock;
+what was put out is remembered tick by tick. `ModelBus` makes an adapter of chips, with faults and
+wire time, `VirtualRunner` calls a driver's step by the same clock.
 """
 
 import errno

@@ -84,10 +84,10 @@ def test_figures_are_in_milliseconds_and_have_their_limits() -> None:
     figures = {figure.name: figure for figure in times.figures("x")}
     assert figures["x.answered.p50"].value == pytest.approx(51)
     assert figures["x.answered.p99"].value == pytest.approx(100)
-    assert figures["x.answered.p99"].goal == "≤ 50"  # ms, as README says
+    assert figures["x.answered.p99"].goal == "≤ 50"  # ms, as docs/benchmarks.md says
     assert figures["x.answered.p99"].reached is False
     assert figures["x.answered.worst"].value == pytest.approx(101)
-    assert figures["x.silent.worst"].goal == "≤ 100"  # ms, as README says
+    assert figures["x.silent.worst"].goal == "≤ 100"  # ms, as docs/benchmarks.md says
     assert figures["x.silent.worst"].value == pytest.approx(150)
     assert figures["x.unanswered"].reached is False
     assert figures["x.forgotten"].reached is True

@@ -65,7 +65,9 @@ def test_one_texture_as_json_says_what_a_surface_can_have(command: Command) -> N
     assert facts["category"] == "wood"
     assert facts["partials"] == len(texture.partials.amplitude)
     waves = math.sqrt(float(np.sum(texture.partials.amplitude**2)) / 2) * 1e6
-    assert facts["rms_um"] == pytest.approx(math.hypot(waves, 0.50), rel=0.01)  # README: 0.50 pores
+    assert facts["rms_um"] == pytest.approx(
+        math.hypot(waves, 0.50), rel=0.01
+    )  # textures/README.md: 0.50 pores
     assert len(facts["band_frequency_per_mm"]) == len(facts["band_error_db"]) > 0
     for key in ("description", "provenance", "source", "license"):
         assert facts[key].strip()

@@ -251,7 +251,7 @@ def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(
     runner: Loop, host: Host, program: Program
 ) -> None:
     other = Program(runner, host)
-    now, silence = time.monotonic(), 0.1  # s, as README says
+    now, silence = time.monotonic(), 0.1  # s, as docs/guide/server.md says
     program.touch(arrival=now)
     other.touch(arrival=now + 0.9 * silence)
     assert (program.stats().owner, other.stats().owner) == (True, False)

@@ -59,7 +59,7 @@ def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
 def test_playback_hangs_that_long_says_nothing_but_not_before_it_could() -> None:
     """One that was opened a moment ago has reported nothing yet: its last report is of time 0."""
     assert not hangs(100.0, 0.0, 99.9)
-    still = 4.0  # s, many times what README's machine ever stood still for
+    still = 4.0  # s, many times what the machine of docs/benchmarks.md ever stood still for
     assert not hangs(100.0 + still, 100.0, 50.0)
     assert hangs(100.0 + still + 0.1, 0.0, 100.0)
     assert hangs(100.0 + still + 0.1, 100.0, 50.0)

@@ -14,7 +14,7 @@ from tactile.bench.metronome import beat, beating
 
 BLOCKS, HELD_UP_AT, HELD_UP = 200, 80, 37e-3
 PERIOD = 2e-3
-"""s of README's bare loop: a block of 16 samples at 8 kHz."""
+"""s of docs/benchmarks.md's bare loop: a block of 16 samples at 8 kHz."""
 STEP = 1e-4
 """s of lateness that count as one in what a beat tells."""
 

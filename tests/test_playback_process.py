@@ -33,7 +33,7 @@ ME = 1
 WATCH = 5e-3
 """s between looks at the latch and the server."""
 SILENCE = 0.15
-"""s without a heartbeat after which all fades and is disarmed, as README says."""
+"""s without a heartbeat after which all fades and is disarmed, as docs/guide/server.md says."""
 
 
 @dataclass

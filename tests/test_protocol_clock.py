@@ -23,7 +23,7 @@ TICK_HZ = 1e9
 START = 5_000_000_000
 OUT, BACK, HOLD = 150e-6, 150e-6, 20e-6
 LIMITS_US = {"jitter": 20.0, "can_usb": 50.0, "can_usb_padded": 50.0}
-"""Standard deviations that README promises [µs]."""
+"""Standard deviations that docs/benchmarks.md promises [µs]."""
 
 
 def ticks(host_time: float, drift_ppm: float = 0.0, start: int = START) -> int:
@@ -366,7 +366,7 @@ def test_probes_that_keep_step_with_a_poll_are_what_the_interval_avoids() -> Non
 
 @pytest.mark.parametrize("link", LIMITS_US)
 def test_the_promised_error_is_kept(link: str) -> None:
-    assert bench.LIMITS_US[link] == LIMITS_US[link], "the benchmark's figure is judged by README's"
+    assert bench.LIMITS_US[link] == LIMITS_US[link], "the benchmark's figure is judged by its page"
     error = bench.settled(bench.trial(bench.LINKS[link], bench.ESTIMATORS["error"]))
     assert error.std() <= LIMITS_US[link]
     assert np.abs(error).max() <= 6 * LIMITS_US[link]

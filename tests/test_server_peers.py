@@ -31,7 +31,7 @@ pytestmark = [
 ]
 PROTOCOL = Subprotocol(JSON_PROTOCOL)
 ALL_ROLES: frozenset[Role] = frozenset({"watch", "play", "arm", "stop"})
-"""Those that README names."""
+"""Those that docs/guide/server.md names."""
 
 # Users
 

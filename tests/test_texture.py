@@ -29,7 +29,9 @@ def test_shipped_descriptors_load_and_are_realized() -> None:
         assert texture.descriptor.texture.category == name.split("-")[0]
         assert texture.band_error_db.shape == texture.band_frequency.shape == (16,)
         places = np.random.default_rng(1).uniform(-1, 1, (1000, 2))
-        assert 0.2e-6 < rms(texture.partials.at(places)) < 3e-6  # its README: 0.46 … 1.75 µm
+        assert (
+            0.2e-6 < rms(texture.partials.at(places)) < 3e-6
+        )  # textures/README.md: 0.46 … 1.75 µm
 
 
 def test_a_texture_of_nothing_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tactile.tracking.finger_motion import MotionFilter, Noise
 from tactile.tracking.tracker import ContactTracker, Path
 
 GOAL = 0.3
-"""mm by which a tracked place may be off, rms: README's goal."""
+"""mm by which a tracked place may be off, rms: the goal of docs/benchmarks.md."""
 HORIZON, BRAKING = 0.060, 0.020
 """s for which a course is trusted beyond its newest sample, two periods of 90 Hz, a delay and the
 latency of 12 ms; and s in which a finger that says nothing more is brought to rest after that."""
@@ -29,7 +29,7 @@ ONSET, FALL = 0.010, 0.018
 
 @pytest.mark.parametrize("delay", ["jitter", "even"])
 def test_a_swing_of_200_mm_s_is_met_within_300_um(delay: str) -> None:
-    assert bench.GOAL == GOAL, "the benchmark's figure is judged by README's goal"
+    assert bench.GOAL == GOAL, "the benchmark's figure is judged by its page's goal"
     found = misses(bench.sine(3.0), SamplingClient(delay=delay), 2)
     assert rms(found) <= GOAL
     assert found.max() <= 1.2

@@ -46,7 +46,7 @@ HELD_UP = 20e-3
 """Delay from which on a block is skipped on a bus that is never late [s]."""
 IN_AIR = 10 ** (-34 / 20)
 """Gain of waves while nothing touches the display: an unloaded bimorph rings up by 34 dB
-(physics.md)."""
+(docs/guide/physics.md)."""
 REPORTED = 5
 """Number of blocks from one report of shear and drive to the next."""
 SMOOTHED = 0.02

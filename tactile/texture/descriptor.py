@@ -3,8 +3,9 @@
 A descriptor states **tangential skin displacement**, not surface height, at a reference speed and
 force: the spatial spectrum of lateral skin displacement identifies a texture well (Wiertlewski,
 Lozada & Hayward, IEEE T-RO 2011). Its 16 third-octave bands of spatial frequency become bands of
-temporal frequency as the finger moves, frequency = spatial frequency × speed. `textures/README.md`
-explains why there are 16 bands. The names of fields carry their units, and unknown keys are errors.
+temporal frequency as the finger moves, frequency = spatial frequency × speed.
+`docs/guide/rendering.md` explains why there are 16 bands. Field names carry their units, and
+unknown keys are errors.
 """
 
 from pathlib import Path

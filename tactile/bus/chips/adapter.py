@@ -22,7 +22,7 @@ CLOCK = 400_000
 CLOCKS = (10_000, 3_400_000)
 """Hz, the range of I2C buses."""
 CAP = 0.8
-"""Of a bus's time that may be used; the rest is for retries and the kernel (design/protocol.md)."""
+"""Of a bus's time that may be used; the rest is for retries and the kernel."""
 
 
 class ChipOptions(Options, frozen=True, kw_only=True):

@@ -1,9 +1,8 @@
 """Write the pages of the site that are made of the code and of other files; `conf.py` calls it.
 
-The display file and the texture file come from their schemas, the command line from the commands,
-and the Python interface from the names that `tactile` and its rooms make public. Only what each
-key of a file means is written by hand, in ``reference/meanings.toml``: a key without a line there,
-or a line without a key, ends the build. Documents from elsewhere in the checkout become pages as
+The display file and the texture file come from their schemas and the docstrings of these, the
+command line from the commands, and the Python interface from the names that `tactile` and its rooms
+make public. Documents from elsewhere in the checkout become pages as
 they are, with links that lead to the site or to the repository.
 """
 
@@ -11,7 +10,6 @@ import ast
 import importlib
 import inspect
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,6 @@ from tactile.display.tables import DisplayFile
 from tactile.texture.descriptor import Descriptor
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-MEANINGS = CHECKOUT / "docs" / "reference" / "meanings.toml"
 REPOSITORY = "https://github.com/tactile-display/tactile/blob/main"
 
 COPIED = {
@@ -92,13 +89,12 @@ MODULES = {
 
 def generate(folder: Path) -> None:
     """Write all generated pages into a folder; what is the same already stays as it is."""
-    meanings = tomllib.loads(MEANINGS.read_text("utf-8"))
     pages = {
         "display-file.md": file_page(
-            "The display file", DisplayFile, meanings["display"], "`displays/reference-24.toml`"
+            "The display file", DisplayFile, "`displays/reference-24.toml`"
         ),
         "texture-file.md": file_page(
-            "The texture file", Descriptor, meanings["texture"], "`textures/wood/wood-oak.toml`"
+            "The texture file", Descriptor, "`textures/wood/wood-oak.toml`"
         ),
         "command-line.md": command_page(),
         **python_pages(),
@@ -136,29 +132,28 @@ def copied(source: str) -> str:
 # Files
 
 
-def file_page(title: str, schema: type, meanings: dict[str, Any], example: str) -> str:
+def file_page(title: str, schema: type, example: str) -> str:
     """Return the reference of a TOML file, a section for each of its tables."""
-    lines = [
-        f"# {title}",
-        "",
-        meanings["about"].strip(),
-        "",
-        f"A complete example is {example}.",
-        "",
-    ]
-    said = {name: dict(keys) for name, keys in meanings.items() if name != "about"}
+    lines = [f"# {title}", "", *prose(schema), "", f"A complete example is {example}.", ""]
     for heading, struct, needed in tables(schema):
-        name = heading.strip("[]")
-        keys = said.pop(name)
+        meanings = meanings_of(struct)
         lines += [f"## `{heading}`", "", *prose(struct), "", *([needed, ""] if needed else [])]
         lines += ["| key | unit | value | default | meaning |", "|---|---|---|---|---|"]
         for field in msgspec.inspect.type_info(struct).fields:  # type: ignore[attr-defined]
             if struct_of(field.type) is None:
-                lines.append(row(field, keys.pop(field.encode_name)))
-        assert not keys, f"meanings.toml: {name} has no {', '.join(keys)}"
+                lines.append(row(field, meanings[field.name]))
         lines.append("")
-    assert not said, f"meanings.toml: there is no {', '.join(said)}"
     return "\n".join(lines)
+
+
+def meanings_of(struct: type) -> dict[str, str]:
+    """Return what each attribute of a struct means, as its docstring says."""
+    documented = NumpyDocString(inspect.getdoc(struct) or "")["Attributes"]
+    return {
+        name: " ".join(line.strip() for line in attribute.desc)
+        for attribute in documented
+        for name in attribute.name.split(", ")
+    }
 
 
 def tables(schema: type, prefix: str = "") -> Iterator[tuple[str, type, str]]:

@@ -30,13 +30,16 @@ class AboutTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes
     ----------
     id : str
-        Name of the display, in lower case with hyphens.
+        Name of the display: lower-case words joined by hyphens.
     description : str
-        Description in plain text.
+        One line for people.
     opening_mm : tuple of float
-        Size of the opening of a contactor along and across its shear direction [mm].
+        Opening in the surface around each contactor: along and across its shear direction. It
+        must hold the bender with its travel at the voltage limit.
     shear_projection : {"none", "motion"}
-        Whether shear is projected on the direction of motion.
+        `none` plays each texture along the contactor's own axis in whatever direction the
+        finger moves; `motion` multiplies it by the cosine of the angle between that axis and
+        the motion.
     """
 
     id: Annotated[str, Meta(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
@@ -50,16 +53,18 @@ class Grid(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Attributes
     ----------
-    columns, rows : int
-        Number of contactors along x and along y.
+    columns : int
+        Contactors along x. A file has either `[grid]` or `[[contactor]]` tables.
+    rows : int
+        Contactors along y.
     pitch_mm : tuple of float
-        Distance between neighbors along x and along y [mm].
+        Distance between neighbors along x and along y; the grid is centered on the origin.
     shear_direction_deg : float
-        Shear direction of all contactors, from the x axis [°].
+        Direction in which positive shear of every contactor points, from the x axis.
     polarity : {-1, 1}
-        Sign of the shear along the shear direction for a positive drive.
+        −1 where positive volts shear against the shear direction.
     first_channel : int
-        Channel of the first contactor; the others follow in order.
+        Channel of the first contactor; the others follow along x first.
     """
 
     columns: Annotated[int, Meta(ge=1, le=64)]
@@ -81,15 +86,17 @@ class Contactor(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes
     ----------
     position_mm : tuple of float
-        Position (x, y) under the finger [mm].
+        Place under the finger, x and y.
     channel : int
-        Channel that drives the contactor.
+        Drive line; each drives one contactor.
     shear_direction_deg : float
-        Shear direction, from the x axis [°].
+        Direction in which positive shear points, from the x axis.
     polarity : {-1, 1}
-        Sign of the shear along the shear direction for a positive drive.
+        −1 where positive volts shear against the shear direction.
     response : str or None
-        File of a measured response, relative to the display file.
+        File with a measured response that replaces the model for this contactor: a CSV beside
+        the display file with the columns `frequency_hz,magnitude,phase_deg,unit`, where the
+        unit is `m/V`, `um/V` or `nm/V`; it must cover 20 … 1000 Hz.
     """
 
     position_mm: tuple[Place, Place]
@@ -107,9 +114,10 @@ class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes
     ----------
     response : str
-        File of the measured response, relative to the display file.
+        File with a measured response, as of a contactor.
     contactors : tuple of int
-        Numbers of the contactors; empty for all of them.
+        Numbers of the contactors that share it; all where none are named. A contactor's own
+        response has priority.
     """
 
     response: str
@@ -124,26 +132,39 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes
     ----------
-    width_mm, length_mm, clamped_length_mm : float
-        Width, free length and clamped length [mm].
-    piezo_height_mm, shim_height_mm : float
-        Thickness of one piezo layer and of the shim [mm].
+    width_mm : float
+        Width of the bender.
+    length_mm : float
+        Free length, from the clamp to the tip.
+    clamped_length_mm : float
+        Length within the clamp, which adds capacitance only: 0, or at least 0.1.
+    piezo_height_mm : float
+        Height of each of the two piezo layers.
+    shim_height_mm : float
+        Height of the layer between them: 0, or at least 0.005.
     layer_stiffening : bool
-        Whether the stiffening by the field within the layers is modeled (see `Bimorph`).
-    piezo, shim : str
-        Names of the materials in `PIEZOS` and `SHIMS`.
+        Whether the field that bending induces within each piezo layer stiffens it; the paper's
+        model leaves this out (see [the physics](/guide/physics.md)).
+    piezo : str
+        Name of the piezoceramic; `tactile materials` lists them.
+    shim : str
+        Name of the material of the shim; `tactile materials` lists them.
     wiring : {"parallel", "series"}
-        Wiring of the piezo layers.
+        `parallel`: the shim against both outer electrodes; `series`: one outer electrode
+        against the other.
     s11e_um2_per_n : float or None
-        Compliance s11E of the piezo layers [µm²/N].
+        Compliance that replaces the named material's. This key and those below are constants as
+        `tactile adjust` fits them to a measurement.
     d31_pm_per_v : float or None
-        Piezoelectric charge constant d31 [pm/V].
+        Piezoelectric constant that replaces the named material's.
     eps33t_relative : float or None
-        Relative permittivity ε33T/ε0.
-    piezo_quality, shim_quality : float or None
-        Mechanical quality factors of the piezo layers and of the shim.
+        Relative permittivity at constant stress that replaces the named material's.
+    piezo_quality : float or None
+        Mechanical quality factor of the piezoceramic.
+    shim_quality : float or None
+        Mechanical quality factor of the shim.
     loss_tangent : float or None
-        Dielectric loss tangent tanδ of the piezo layers.
+        Dielectric loss tangent of the piezoceramic.
     """
 
     width_mm: Annotated[float, Meta(ge=0.1, le=50)] = 2.1
@@ -198,13 +219,13 @@ class FingerRow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes
     ----------
     normal_force_n : float
-        Normal force [N].
+        Normal force at which this row was measured; between rows the load is interpolated.
     k0_n_per_m : float
-        Parallel stiffness [N/m].
+        As in `[finger]`.
     d0_n_s_per_m : float
-        Parallel damping [N s/m].
+        As in `[finger]`.
     branches : tuple of (float, float)
-        Stiffness [N/m] and damping [N s/m] of each Maxwell branch.
+        As in `[finger]`.
     """
 
     normal_force_n: Annotated[float, Meta(gt=0, le=50)]
@@ -219,13 +240,15 @@ class FingerLoadTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     Attributes
     ----------
     preset : {"low", "high", "none"} or None
-        Name of a preset of `FingerLoad`.
+        One of the two fingers of Hofmann & Twiefel 2014, `low` and `high` normal load, or
+        `none` for air.
     k0_n_per_m : float or None
-        Parallel stiffness [N/m].
+        Stiffness of the parallel spring. The table needs exactly one of: `preset`; `k0_n_per_m`
+        with `d0_n_s_per_m` and any `branches`; `[[finger.table]]`.
     d0_n_s_per_m : float or None
-        Parallel damping [N s/m].
+        Damping of the parallel damper.
     branches : tuple of (float, float)
-        Stiffness [N/m] and damping [N s/m] of each Maxwell branch.
+        Maxwell branches, each a stiffness in N/m and a damping in N s/m in series.
     table : tuple of FingerRow
         Loads at several normal forces.
     """
@@ -252,19 +275,20 @@ class AmplifierTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     Attributes
     ----------
     gain : float
-        Output voltage per volt of drive.
+        Volts at the electrodes per volt of drive.
     bandwidth_hz : float or None
-        Corner frequency of the first-order low-pass [Hz].
+        Corner of the amplifier's first-order low-pass.
     output_resistance_ohm : float
-        Resistance in series with the bimorph [Ω].
+        Resistance in series with the bender.
     hold : {"none", "zoh"}
-        Whether each sample is held until the next one ("zoh").
+        `none`: the output is band-limited through the samples; `zoh`: each sample is held until
+        the next, which needs a bandwidth or an output resistance.
     delay_us : float
-        Delay of the output [µs].
+        Delay of the amplifier.
     audio_full_scale_v : float or None
-        Drive at digital full scale of an audio card [V].
+        Volts of drive at digital full scale of a sound card; needed by `audio:` devices.
     ac_coupling_hz : float or None
-        Corner frequency of the first-order high-pass at the outputs of an audio card [Hz].
+        Corner of the high-pass of a sound card whose outputs are coupled by capacitors.
     """
 
     gain: Annotated[float, Meta(gt=0, le=1000)] = 1.0
@@ -282,13 +306,14 @@ class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     Attributes
     ----------
     voltage_v : float
-        Largest magnitude of the drive [V].
+        Largest drive on either side of 0 V. The electrodes see the amplifier's gain times that.
     slew_v_per_us : float
-        Largest rate of change of the drive [V/µs].
+        Largest rate at which the drive changes.
     current_ma : float or None
-        Largest current of one channel [mA].
+        Largest current into the capacitance of one bender; it lowers the slew limit where the
+        amplifier cannot keep up.
     fade_ms : float
-        Length of the ordinary ramp to or from 0 V [ms].
+        Length of the ordinary ramp to and from 0 V.
     """
 
     voltage_v: Annotated[float, Meta(gt=0, le=1000)]
@@ -299,6 +324,16 @@ class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 class DisplayFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Content of a display file; contactors are given either as ``[grid]`` or as ``[[contactor]]``.
+
+    A display file is a TOML file that describes one array: where its contactors stand, which
+    channel drives each, which bender, finger and amplifier it has, and which limits must never be
+    exceeded. It is given by `--display my-display.toml` or
+    `tactile.load_display("my-display.toml")`; the two shipped displays are named `reference-24` and
+    `reference-64`. Units are part of the name of each key, unknown keys are errors, and every
+    number must be finite. Contactors and channels are counted from 0. A file that cannot be built
+    is refused as well: openings that overlap, a bender that does not fit its opening with its
+    travel, two contactors on one channel, or a voltage limit above 400 V/mm of field in the piezo
+    layers.
 
     Attributes
     ----------

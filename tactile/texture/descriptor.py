@@ -54,21 +54,19 @@ class About(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     id : str
-        Name of the texture, which equals the file name without its suffix. Lowercase letters,
-        digits and single hyphens.
+        Name of the texture, which is the name of its file.
     category : str
-        Material: "wood", "leather", "plastic", "textile", "metal", "paper", "stone", "rubber",
-        "foam", "abrasive", "glass" or "test".
+        Material, which is the name of its folder.
     description : str
-        One line that describes the texture to people.
+        One line for people.
     provenance : str
-        Origin of the shape of the bands: "fitted" to recordings of this material, "published" where
-        the length that determines it (grain, pitch, count, cell) is a printed number, or "authored"
-        by hand.
+        `fitted`: the shape of the bands was fitted to recordings of that material; `published`:
+        the length that makes it what it is is a printed number; `authored`: put together by
+        hand.
     source : str
-        Sources of the numbers, and what is assumed. Not empty.
-    licence : str
-        License of this file.
+        Where the numbers come from and what is assumed.
+    license : str
+        License of the file.
     """
 
     id: Annotated[str, Meta(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
@@ -88,11 +86,11 @@ class Reference(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     speed_mm_s : float
-        Speed of the finger, above 0 and at most 1000 [mm/s].
+        Speed of the stroke at which all levels and amplitudes hold.
     normal_force_n : float
-        Normal force of the finger, above 0 and at most 20 [N].
+        Normal force at which they hold.
     quantity : str
-        Quantity that is described, always "tangential_skin_displacement" (the default).
+        What is described; there is one choice.
     """
 
     speed_mm_s: Speed
@@ -106,37 +104,25 @@ class Stochastic(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     frequency_per_mm : tuple of float
-        Centers of the 16 third-octave bands, each 0.01 to 100 [cycles/mm]. Each center is 10^0.1
-        (1.26) times the one before it, within 5 %.
+        Centers of the 16 third-octave bands in cycles/mm, ascending by 10^(1/10).
     level_db : tuple of float
-        One-sided power spectral density of displacement in each of the 16 bands, −120 to 60
-        [dB re 1 µm²·mm, that is µm² per cycle/mm]. The variance of a band is 10^(level/10) times
-        its width.
+        One-sided power spectral density of displacement in dB re 1 µm² mm, one value for each
+        band. The variance of a band is 10^(level/10) × 0.231 × its center.
     level_sd_db : tuple of float
-        Standard deviation of each level from piece to piece of the material, 0 to 40 [dB]. 16
-        values, or empty (the default) where it is unknown.
+        Spread of the level from piece to piece, one value for each band.
     excess_kurtosis : float
-        Excess kurtosis of displacement, 0 to 30; 0 (the default) is Gaussian. A depth d of
-        ``am_depth`` alone brings an excess kurtosis of 3 ((1 + d²)⁴ − 1), so that a smaller value
-        cannot be realized with it.
+        Excess kurtosis of this part's displacement within the bands: 0 is Gaussian, more is
+        spikier. An envelope of depth d alone brings 3 ((1 + d²)⁴ − 1), and less cannot be had
+        with it.
     am_depth : float
-        Depth of the amplitude modulation, 0 to 1, default 0: standard deviation over mean of the
-        part of the envelope below ``am_corner_per_mm``.
+        Standard deviation ÷ mean of the envelope below its corner.
     am_corner_per_mm : float
-        Highest spatial frequency of the amplitude modulation, 0.01 to 1, default 0.1 [cycles/mm].
+        Highest spatial frequency of the envelope, in cycles/mm.
     direction_deg : float
-        Direction of the stroke along which the bands hold, from the x axis, −360 to 360, default 0
-        [°].
+        Direction of the stroke along which the bands hold.
     direction_spread_deg : float or None
-        Standard deviation of the directions of the wave vectors about ``direction_deg``, above 0
-        and at most 60 [°]. Without this key the surface is isotropic, and the bands hold in every
-        direction.
-
-    Notes
-    -----
-    `tactile.texture.measures` defines ``excess_kurtosis``, ``am_depth`` and ``am_corner_per_mm`` as
-    measurements of the displacement of this part within the bands along the direction, without the
-    lines of ``[[periodic]]`` and without ``[[events]]``.
+        Standard deviation of the direction of the wave vectors; without this key the surface is
+        isotropic.
     """
 
     frequency_per_mm: tuple[SpatialFrequency, ...]
@@ -166,18 +152,15 @@ class Periodic(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     wavelength_mm : float
-        Period of the pattern, 0.02 to 100 [mm].
+        Period of the grating.
     harmonics_um : tuple of float
-        Peak amplitude of each harmonic, fundamental first, 1 to 32 values of 0 to 500 [µm].
+        Peak amplitude of each harmonic, the fundamental first; 1 to 32 values.
     phases_deg : tuple of float
-        Phase of each harmonic, a cosine with its origin at x = y = 0, −360 to 360 [°]. As many
-        values as ``harmonics_um``, or empty (the default) for phases of 0. Not used where
-        ``jitter`` is above 0, since phases are random then.
+        Phase of each harmonic.
     jitter : float
-        Relative standard deviation of the wavelength from place to place, 0 to 0.3, default 0.
+        Relative standard deviation of the wavelength from place to place.
     direction_deg : float
-        Direction across the pattern, in which it repeats, from the x axis, −360 to 360, default 0
-        [°].
+        Direction across the pattern.
     """
 
     wavelength_mm: Annotated[float, Meta(ge=0.02, le=100)]
@@ -200,19 +183,17 @@ class Events(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     density_per_mm2 : float
-        Mean number of features per area, above 0 and at most 4 [1/mm²].
+        Mean number per area.
     amplitude_um : float
-        Median of the peak displacement, above 0 and at most 500 [µm]. Amplitudes are log-normal,
-        with either sign equally often.
+        Median of the peak amplitude; amplitudes are log-normal, of either sign as often.
     amplitude_sd : float
-        Standard deviation of the natural logarithm of the amplitude, 0 to 2, default 0.
+        Standard deviation of the logarithm of the amplitude.
     width_mm : float
-        Full width at half maximum, 0.1 to 5 [mm].
+        Full width at half maximum.
     shape : str
-        "pulse" (the default) for displacement of one sign, or "edge" for its derivative along
-        ``direction_deg``, which pushes one way and then the other.
+        `pulse`: a bump of one sign; `edge`: its derivative, a push and then a pull.
     direction_deg : float
-        Direction across an edge, from the x axis, −360 to 360, default 0 [°]. A pulse has none.
+        Direction along which an edge pushes and pulls.
     """
 
     density_per_mm2: Annotated[float, Meta(gt=0, le=4)]
@@ -232,19 +213,16 @@ class Laws(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     speed_exponent : float
-        Exponent of the speed law, −4 to 4, default 0.
+        The amplitude is proportional to (speed ÷ reference speed) to this power.
     speed_range_mm_s : tuple of float
-        Lowest and highest speed at which the speed law holds, each above 0 and at most 1000,
-        ascending, default 20 and 100 [mm/s].
+        Range of speeds within which that holds; outside it the amplitude is held.
     force_exponent : float
-        Exponent of the force law, −4 to 4, default 0.
+        The amplitude is proportional to (force ÷ reference force) to this power.
     force_range_n : tuple of float
-        Lowest and highest normal force at which the force law holds, each above 0 and at most 20,
-        ascending, default 0.2 and 2 [N].
+        Range of forces within which that holds.
     contact_length_mm : float
-        Length l of a spatial low-pass 1/√(1 + (κ l)²) over the wave number κ [rad/mm], for
-        descriptors whose bands do not include the effect of the contact area. 0.05 to 20, or 0 (the
-        default) for no low-pass [mm].
+        Length l of an additional low-pass of the contact in space, 1/√(1 + (κ l)²): 0 where the
+        bands include it already, else at least 0.05.
     """
 
     speed_exponent: Exponent = 0.0
@@ -272,16 +250,15 @@ class Friction(_Part, frozen=True, kw_only=True):
     Attributes
     ----------
     static_coefficient : float
-        Static coefficient µs at the reference force, above 0 and at most 5.
+        Coefficient of static friction at the reference force.
     kinetic_coefficient : float
-        Kinetic coefficient µk at the reference force, above 0 and at most 5.
+        Coefficient of kinetic friction at the reference force.
     force_exponent : float
-        Exponent of the coefficient over the normal force, (N/N0)^e, −4 to 4, default −0.2.
+        The coefficients are proportional to (force ÷ reference force) to this power.
     stribeck_speed_mm_s : float
-        Speed vs over which friction falls from static to kinetic, above 0 and at most 1000,
-        default 10 [mm/s].
+        Speed over which friction falls from static to kinetic.
     stick_slip : float
-        Share of the contact that sticks and slips instead of sliding evenly, 0 to 1, default 0.
+        Share of the contact that sticks and slips: 0 slides evenly.
     """
 
     static_coefficient: Annotated[float, Meta(gt=0, le=5)]
@@ -293,6 +270,12 @@ class Friction(_Part, frozen=True, kw_only=True):
 
 class Descriptor(_Part, frozen=True, kw_only=True):
     """One texture, as it is stored in its file.
+
+    A texture file is a TOML file that describes how the skin of a sliding finger is moved
+    tangentially, as a function of place. Its name without `.toml` must equal `texture.id`. Units
+    are part of the name of each key, unknown keys are errors, and every number must be finite. [The
+    textures](/generated/textures.md) page tells how to write one and how the shipped ones came to
+    be.
 
     At least one of ``stochastic``, ``periodic`` and ``events`` must be given.
 

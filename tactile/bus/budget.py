@@ -529,12 +529,12 @@ class _Case:
         """
         codings = [*tried, *(c for c in _codings(self.rates()) if c not in tried)]
         rows = {coding: self.row(coding) for coding in codings}
-        able = [c for c in codings if not self.unable(c)]
-        least = min([c for c in tried if c in able] or tried[:1], key=lambda c: rows[c].use)
+        playable = [c for c in codings if not self.unable(c)]
+        least = min([c for c in tried if c in playable] or tried[:1], key=lambda c: rows[c].use)
         hint = ""
-        if fitting := next((c for c in able if rows[c].fits), None):
+        if fitting := next((c for c in playable if rows[c].fits), None):
             hint = f"; {fitting} fits"
-        elif widest := max(able, key=lambda c: rows[c].most, default=None):
+        elif widest := max(playable, key=lambda c: rows[c].most, default=None):
             hint = f"; the most that fits is {rows[widest].most}, as {widest}"
         refused = f"{self.link.name} cannot carry {self.channels} channels"
         reason = f"{refused}: {least} {rows[least].why_not}{hint}"

@@ -299,10 +299,10 @@ def fd_bits(identifier: int, data: bytes) -> FdTime:
         Length at each bit rate [bits].
     """
     head = [*_address(identifier), 1, 0, 1]
-    own = stuffed([*head, 0, *_bits(15, 4), *_data_bits(data)])
+    stuff_bits = stuffed([*head, 0, *_bits(15, 4), *_data_bits(data)])
     plain = fd_estimate(len(data), "none", extended=identifier > BASE_ID)
     split = len(head)
-    return FdTime(plain.nominal + sum(own[:split]), plain.data + sum(own[split:]))
+    return FdTime(plain.nominal + sum(stuff_bits[:split]), plain.data + sum(stuff_bits[split:]))
 
 
 def can_crc(bits: Iterable[int]) -> int:

@@ -155,10 +155,10 @@ class AudioBus(Bus):
         if not self._coupling:
             return ""
         loss = 10 * math.log10(1 + (self._coupling / HEARD) ** 2)
-        rest = 3 / (2 * math.pi * self._coupling)
+        settling = 3 / (2 * math.pi * self._coupling)
         return (
             f"AC coupled at {self._coupling:g} Hz, not equalized: {HEARD:g} Hz is {loss:.1f} dB "
-            f"weak, and after the drive, also in an e-stop, electrodes take {rest:.2g} s to 5 %"
+            f"weak, and after the drive, also in an e-stop, electrodes take {settling:.2g} s to 5 %"
         )
 
     def _count(self, told: Told | None) -> None:

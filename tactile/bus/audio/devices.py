@@ -103,8 +103,8 @@ def choose(found: list[Device], name: str, default: int) -> Device:
         matches = matches or [d for text, d in full if key in text]
     names = [d.name for d in found]
     if not matches:
-        what = f"no output device {name!r}" if name else "no default output device"
-        raise NotFoundError(f"audio: {what}; {nearest(name, names)}")
+        problem = f"no output device {name!r}" if name else "no default output device"
+        raise NotFoundError(f"audio: {problem}; {nearest(name, names)}")
     if len(matches) > 1:
         listing = ", ".join(f"{d.name!r} of {d.api}" for d in matches)
         raise InputError(

@@ -388,10 +388,10 @@ class Place:
             If there are too few or too many chips, or the clock is too fast or too slow for them.
         """
         if len(self.addresses) != channels:
-            how = "ports=" if self.mux is not None or len(self.addresses) == 1 else "address="
+            option = "ports=" if self.mux is not None or len(self.addresses) == 1 else "address="
             raise InputError(
                 f"{scheme}: {len(self.addresses)} chips for {channels} channels; one chip drives "
-                f"one channel, name as many with {how}"
+                f"one channel, name as many with {option}"
             )
         if self.clock > fastest:
             raise InputError(

@@ -101,9 +101,9 @@ def ramp_codes(start: int, step: int) -> list[int]:
     list of int
         Codes after ``start``, of which the last is 0.
     """
-    away = abs(start)
+    magnitude = abs(start)
     sign = 1 if start > 0 else -1
-    return [sign * code for code in range(away - step, 0, -step)] + [0]
+    return [sign * code for code in range(magnitude - step, 0, -step)] + [0]
 
 
 def stretch(before: float, volts: Floats, count: int) -> Floats:
@@ -128,9 +128,9 @@ def stretch(before: float, volts: Floats, count: int) -> Floats:
     """
     if count == len(volts):
         return volts
-    places = np.arange(1, count + 1) * (len(volts) / max(count, 1))
-    given = np.concatenate([[before], volts])
-    return np.asarray(np.interp(places, np.arange(len(given)), given), np.float64)
+    positions = np.arange(1, count + 1) * (len(volts) / max(count, 1))
+    extended = np.concatenate([[before], volts])
+    return np.asarray(np.interp(positions, np.arange(len(extended)), extended), np.float64)
 
 
 class Chip(ABC):

@@ -67,8 +67,7 @@ class MockBus(Bus):
         self._recent_samples = 0
         self._position = 0
         self._guard = threading.RLock()
-        """Lock held by whoever advances the amplifiers, since an e-stop may come from any
-        thread."""
+        """Lock held while the amplifiers advance; an e-stop may come from any thread."""
         widths = [
             min(MOST_CHANNELS, wiring.channels - first)
             for first in range(0, wiring.channels, MOST_CHANNELS)

@@ -195,9 +195,10 @@ class ModeledBus(LinkBus):
     def __init__(self, wiring: Wiring, model: Model, *arguments: Any, **named: Any) -> None:
         self.model = model
         self._ends: list[int | None] = [None] * len(model.configs)
-        kept = math.inf if named.pop("keep") == "all" else wiring.sample_rate
+        limit = math.inf if named.pop("keep") == "all" else wiring.sample_rate
         self._heard = [
-            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, kept) for c in model.configs
+            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
+            for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)
         model.listener = self._hear
@@ -206,7 +207,7 @@ class ModeledBus(LinkBus):
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
         self._align()
-        volts = [heard.volts for heard in self._heard]
+        volts = [recording.volts for recording in self._heard]
         shortest = min(len(samples) for samples in volts)
         return np.hstack([samples[len(samples) - shortest :] for samples in volts])[
             :, : self.wiring.channels
@@ -216,9 +217,9 @@ class ModeledBus(LinkBus):
         """Extend the outputs of all amplifiers to the same length, if all are at rest."""
         self.model.listen()
         if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
-            longest = max(heard.total for heard in self._heard)
-            for heard in self._heard:
-                heard.rest(longest)
+            longest = max(recording.total for recording in self._heard)
+            for recording in self._heard:
+                recording.rest(longest)
 
     def _hear(self, board: int, run: PlayedRun) -> None:
         """Keep what an amplifier has put out."""

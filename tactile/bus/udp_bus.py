@@ -35,8 +35,8 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
 HEADERS = 66
-"""Size of what surrounds a datagram on Ethernet: preamble, MAC header, FCS and gap (IEEE 802.3: 38),
-IPv4 (RFC 791: 20) and UDP (RFC 768: 8) [bytes]."""
+"""Size of what surrounds a datagram on Ethernet: preamble, MAC header, FCS and gap (IEEE 802.3,
+38 bytes), IPv4 (RFC 791, 20) and UDP (RFC 768, 8) [bytes]."""
 LARGEST_DATAGRAM = 1472
 """Size of the largest datagram that Ethernet carries in one piece: 1500 less the headers of IPv4
 and UDP [bytes]."""

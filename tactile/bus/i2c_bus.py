@@ -192,7 +192,8 @@ class I2cWire(Wire):
     """Packets on I²C.
 
     `send` and `urge` wait until the transfer has ended. There is no lock: one thread at a time
-    calls them, while another one may be in `receive`.
+    calls them, while another one may be in `receive`. With SMBus blocks and several addresses a
+    transfer may then go to the wrong target, since smbus2 selects the address by a call of its own.
 
     Parameters
     ----------

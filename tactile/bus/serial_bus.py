@@ -107,7 +107,8 @@ class SerialLine(ABC):
 class SerialWire(Wire):
     """Packets on a serial line.
 
-    A lock, which is not reentrant, lets different threads call `send`, `urge` and `receive`.
+    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
+    handler that interrupts one of these calls waits forever if it makes another one.
 
     Parameters
     ----------

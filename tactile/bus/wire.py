@@ -62,8 +62,8 @@ class FragmentWatch:
 class Wire(ABC):
     """Host's end of a link, open from its construction on.
 
-    One thread at a time calls `receive` and `close`. Others may call `send` and `urge` meanwhile, and
-    `wake` always; `LinkBus` calls `send` and `urge` under its own lock.
+    One thread at a time calls `receive` and `close`. Others may call `send` and `urge` meanwhile,
+    which `LinkBus` does under its own lock, and `wake` at any time.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Buses: what carries drive blocks to an amplifier. Every driver keeps the contract of `base`."""
+"""Buses, which carry drive blocks to amplifiers; every driver keeps the contract of `base`."""

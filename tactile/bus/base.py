@@ -1,24 +1,34 @@
 """The contract that every bus keeps.
 
-A bus is opened idle. `start` tells the sample position that playing begins with, `write` hands on
-blocks that each carry their position, `stop` ramps to 0 V within the fade, `abort` goes there at
-the slew limit. Both may be called at any time and any number of times; leaving a ``with`` block
-calls one of them, so that no program ends with volts on a finger. `estop` overtakes whatever is
-queued, takes high voltage away and holds until a person decides to `clear` it.
+Playing
+    A bus is idle when it is opened. `Bus.start` sets the sample position with which playing
+    begins, and `Bus.write` passes on blocks, each of which carries its position. `Bus.stop` ramps
+    to 0 V within the fade, `Bus.abort` goes to 0 V at the slew limit; both may be called at any
+    time and any number of times. Leaving a ``with`` block calls one of them, so that no program
+    ends with voltage on a finger. `Bus.estop` overtakes everything that is queued, switches high
+    voltage off and holds until a person decides to call `Bus.clear`.
 
-What arrives wrong is counted, not raised: a gap in positions, samples sent twice, volts beyond what
-the amplifier allows. Only a call that its caller's own mistake made wrong raises: a `write` to a
-bus that nobody started. A link that fails does not raise: `status` tells the truth about it, what
-could not be sent is counted, and the driver connects again. Neither does an e-stop from another
-thread, or an amplifier that went to 0 V by itself and is not armed again: the state becomes
-"estopped" or "idle", and what is written from then on is dropped and counted, at the pace of a bus
-that has one, until `stop` or `abort` says that no more comes.
+Errors
+    Faults of the data are counted in `BusCounters` and never raised: gaps between positions,
+    samples that are sent twice, voltages beyond the limit. Only a mistake of the caller raises,
+    such as a `Bus.write` to a bus that was never started. A link that fails does not make
+    `Bus.write` raise: `Bus.status` reports it, the samples that could not be sent are counted, and
+    the driver connects again. An e-stop from another thread does not make it raise either, nor
+    does an amplifier that went to 0 V by itself and is not armed again: the state becomes
+    "estopped" or "idle", and blocks that are written from then on are dropped and counted, at the
+    pace of the bus if it has one, until the caller ends playing with `Bus.stop` or `Bus.abort`.
 
-Any thread may call anything, a signal handler `estop`. Calls but `write` and `estop` go one at a
-time. An e-stop waits for none of them and wins against all: e-stops are counted, and the bus is
-"estopped" until a `clear` that began after the latest of them has ended. What a driver does for
-another call may so come after what it did for an e-stop. `_stop` and `_abort` then must change
-nothing; after `_start` and `_clear` the driver's `_estop` is called once more.
+Threads
+    Any thread may call any method, and a signal handler may call `Bus.estop`. `Bus.start`,
+    `Bus.stop`, `Bus.abort`, `Bus.clear` and `Bus.close` exclude each other by a lock. The other
+    methods do not take it: blocks are written by one thread at a time. An e-stop waits for none of
+    these calls and wins against all of them: e-stops are counted, and the bus is "estopped" until
+    a `Bus.clear` that began after the latest e-stop has returned.
+
+Drivers
+    What a driver does for another call may therefore come after what it did for an e-stop. Its
+    `_stop` and `_abort` must then change nothing. After a `_start` or `_clear` during which an
+    e-stop came, `Bus` calls its `_estop` once more.
 """
 
 import threading
@@ -38,19 +48,23 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
 
 HostDeath = Literal["ramps", "zero", "holds", "unknown"]
+"""Behavior of an amplifier when the host goes silent: it ramps to 0 V, drops to 0 V at once, holds
+its last voltage, or nobody knows."""
 
 RATE = 8000.0
-"""Hz, of the drive where neither caller nor link asks for another."""
+"""Sample rate of the drive unless the caller or the link asks for another [Hz]."""
 
 
 @dataclass(frozen=True)
 class DriveBlock:
-    """Drive samples for all channels.
+    """Block of drive samples for all channels.
 
     Attributes
     ----------
-    position : of the first sample, counted from the start of playing
-    volts : (S, C) [V], a column per channel
+    position : int
+        Position of the first sample, counted in samples on the scale that `Bus.start` begins.
+    volts : (S, C) array of float
+        Drive voltage, one column per channel [V].
     """
 
     position: int
@@ -59,13 +73,15 @@ class DriveBlock:
 
 @dataclass(frozen=True)
 class DriveFrame:
-    """The drive at one position, as envelopes of carriers.
+    """Drive at one position, as the complex envelopes of carriers.
 
     Attributes
     ----------
-    position : counted from the start of playing
-    volts : (C, P) complex [V], a row per channel; the drive is Re Σ_p Z_p exp 2πj f_p t with t the
-        time of the position
+    position : int
+        Position in samples, on the scale that `Bus.start` begins.
+    volts : (C, P) array of complex
+        Envelopes Z, one row per channel and one column per carrier [V]. The drive of a channel is
+        Re Σ_p Z_p exp(2πj f_p t), where t is the time of the position.
     """
 
     position: int
@@ -74,54 +90,80 @@ class DriveFrame:
 
 @dataclass(frozen=True)
 class FrameCapability:
-    """What a bus takes in place of blocks: ``carriers`` at most, at ``rate`` frames a second."""
+    """Capability of a bus that takes frames in place of blocks.
+
+    Attributes
+    ----------
+    carriers : int
+        Maximum number of carriers per frame.
+    rate : float
+        Rate of the frames [1/s].
+    """
 
     carriers: int
     rate: float
 
 
 class LimitsLike(Protocol):
-    """What a display may never exceed, in SI units."""
+    """Limits of a display that a bus needs."""
 
     @property
-    def voltage(self) -> float: ...  # noqa: D102
+    def voltage(self) -> float:
+        """Largest magnitude of the drive [V]."""
+
     @property
-    def fade(self) -> float: ...  # noqa: D102
+    def fade(self) -> float:
+        """Length of the ordinary ramp to 0 V [s]."""
 
 
 class AmplifierLike(Protocol):
-    """How an audio card's outputs are wired to it; no other bus asks."""
+    """Amplifier of a display as the audio bus needs to know it; no other bus does."""
 
     @property
-    def audio_full_scale(self) -> float | None: ...  # noqa: D102
+    def audio_full_scale(self) -> float | None:
+        """Drive voltage at digital full scale of an audio card [V]; None if unknown."""
+
     @property
-    def ac_coupling(self) -> float: ...  # noqa: D102
+    def ac_coupling(self) -> float:
+        """Corner frequency of the high-pass of an audio card's outputs [Hz]; 0 if DC coupled."""
 
 
 class DisplayLike(Protocol):
-    """What a bus asks of the display it is opened for."""
+    """Properties of a display that a bus needs to be opened for it."""
 
     @property
-    def channels(self) -> int: ...  # noqa: D102
+    def channels(self) -> int:
+        """Number of drive lines."""
+
     @property
-    def slew(self) -> float: ...  # noqa: D102
+    def slew(self) -> float:
+        """Largest rate of change of the drive [V/s]."""
+
     @property
-    def limits(self) -> LimitsLike: ...  # noqa: D102
+    def limits(self) -> LimitsLike:
+        """Limits of voltage and fade."""
+
     @property
-    def amplifier(self) -> AmplifierLike: ...  # noqa: D102
+    def amplifier(self) -> AmplifierLike:
+        """Amplifier that drives the display."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring:
-    """What an amplifier must know of the display it drives.
+    """Properties of a display that its amplifier must know.
 
     Parameters
     ----------
-    channels : C, drive lines
-    sample_rate : [Hz]
-    voltage : largest magnitude [V]
-    slew : largest rate [V/s]
-    fade : length of the ordinary ramp [s]
+    channels : int
+        Number of drive lines, C.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    voltage : float
+        Largest magnitude of the drive [V].
+    slew : float
+        Largest rate of change of the drive [V/s].
+    fade : float
+        Length of the ordinary ramp to 0 V [s].
     """
 
     channels: int
@@ -132,7 +174,20 @@ class Wiring:
 
     @classmethod
     def of(cls, display: DisplayLike, sample_rate: float) -> "Wiring":
-        """Return that of a display."""
+        """Return the wiring of a display.
+
+        Parameters
+        ----------
+        display : DisplayLike
+            Display that the amplifier drives.
+        sample_rate : float
+            Sample rate of the drive [Hz].
+
+        Returns
+        -------
+        Wiring
+            Channels and limits of the display, with that sample rate.
+        """
         return cls(
             channels=display.channels,
             sample_rate=sample_rate,
@@ -144,20 +199,30 @@ class Wiring:
 
 @dataclass
 class BusCounters:
-    """What a bus counts since it was opened; a frame is a block of one sample.
+    """Events that a bus has counted since it was opened; a frame counts as a block of one sample.
 
     Attributes
     ----------
-    blocks, samples : taken
-    lost_samples : positions that no block carried; bridged by a straight line, or a fade out and in
-    repeated_samples : positions that were sent before, dropped
-    invalid_samples : values that were not finite, played as 0 V
-    clipped_samples : values beyond the amplifier's own voltage limit
-    underruns : times the amplifier had nothing to play, and faded
-    late_blocks : not all of which came before it was due
-    dropped_samples : not sent, for they were late already, the link was down, or the bus was
-        e-stopped
-    disconnects, reconnects : of the link
+    blocks, samples : int
+        Blocks and samples that were accepted.
+    lost_samples : int
+        Positions that no block carried. The amplifier bridges them by a straight line, or fades
+        out and in again.
+    repeated_samples : int
+        Samples whose positions had been written before; they are dropped.
+    invalid_samples : int
+        Values that were not finite; they are played as 0 V.
+    clipped_samples : int
+        Values beyond the voltage limit of the `Wiring`; they are clipped to it.
+    underruns : int
+        Times at which the amplifier had nothing to play and faded.
+    late_blocks : int
+        Blocks that did not arrive completely before they were due.
+    dropped_samples : int
+        Samples that were not sent, because they were late already, the link was down, or the bus
+        was e-stopped.
+    disconnects, reconnects : int
+        Times at which the link was lost, and at which it came back.
     """
 
     blocks: int = 0
@@ -173,26 +238,42 @@ class BusCounters:
     reconnects: int = 0
 
     def common(self) -> dict[str, int]:
-        """Return the counters that every bus has, by name."""
+        """Return the counters that every bus has.
+
+        Returns
+        -------
+        dict of str to int
+            Value of each counter of this class, without those of subclasses, by its name.
+        """
         return {f.name: int(getattr(self, f.name)) for f in fields(BusCounters)}
 
     def faults(self) -> dict[str, int]:
-        """Return the counters that should be zero and are not."""
+        """Return the counters that should be zero and are not.
+
+        Returns
+        -------
+        dict of str to int
+            Value of each such counter by its name.
+        """
         counted = {f.name: int(getattr(self, f.name)) for f in fields(self)}
         return {k: n for k, n in counted.items() if n and k not in ("blocks", "samples")}
 
 
 @dataclass(frozen=True)
 class BusStatus:
-    """How it stands.
+    """Status of a bus at one instant.
 
     Attributes
     ----------
-    state : of the bus
-    link : whether the amplifier can be reached
-    detail : one line on what is wrong; empty where nothing is
-    playing : whether the amplifier is known to play. A bus that arms again by itself stays
-        "running" while its link is down or its amplifier at 0 V, but does not play.
+    state : BusState
+        State of the bus.
+    link : {"up", "down"}
+        Whether the amplifier can be reached.
+    detail : str
+        One line on what is wrong; empty if nothing is.
+    playing : bool
+        Whether the amplifier is known to play. A bus that arms its amplifier again by itself stays
+        "running" while its link is down or its amplifier is at 0 V, but does not play.
     """
 
     state: BusState
@@ -202,15 +283,27 @@ class BusStatus:
 
 
 class Bus(ABC):
-    """A link to an amplifier; see the module's docstring for the contract.
+    """Link to an amplifier; the docstring of the module has the contract.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        Properties of the display that the amplifier drives.
+    clock : Clock
+        Clock by which the bus waits.
 
     Attributes
     ----------
-    wiring : the `Wiring` it was opened for
-    counters : the `BusCounters`
-    frames : what it takes in place of blocks; None where it takes blocks
-    on_host_death : what the amplifier does when the host goes silent
-    paced : whether `write` waits until it is time; otherwise it takes what it gets
+    wiring : Wiring
+        Properties of the display, with the sample rate that the bus plays.
+    counters : BusCounters
+        Events that were counted since the bus was opened.
+    frames : FrameCapability or None
+        What the bus takes in place of blocks; None if it takes blocks.
+    on_host_death : HostDeath
+        What the amplifier does when the host goes silent.
+    paced : bool
+        Whether `write` waits until the samples are due; if not, it accepts them at once.
     """
 
     on_host_death: ClassVar[HostDeath]
@@ -228,31 +321,36 @@ class Bus(ABC):
 
     @property
     def state(self) -> BusState:
-        """What it does: "idle", "running", "estopped" or "closed"."""
+        """State of the bus; "idle" also once an amplifier went to 0 V by itself for good."""
         if self._states.running and self._has_fallen():
             self._states.fall()
         return self._states.now
 
     @property
     def estops(self) -> int:
-        """Number of e-stops since it was opened, those of the amplifier among them."""
+        """Number of e-stops since the bus was opened, including those of the amplifier itself."""
         return self._states.estops
 
     @property
     def status(self) -> BusStatus:
-        """How it stands now."""
+        """Status of the bus now."""
         state = self.state
         return BusStatus(state, playing=state == "running")
 
     def start(self, position: int = 0) -> None:
-        """Begin playing with the sample at ``position``.
+        """Begin playing; return when the amplifier has started.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample that will be written.
 
         Raises
         ------
         BusStateError
-            Unless idle, or where an e-stop came meanwhile.
+            If the bus is not idle, takes frames and was not tuned, or an e-stop came meanwhile.
         BusError
-            Where the amplifier does not start.
+            If the amplifier does not start.
         """
         with self._call_lock, self._before_estops("start") as estops:
             if self.state != "idle":
@@ -265,27 +363,44 @@ class Bus(ABC):
 
     @property
     def ahead(self) -> float:
-        """By which samples are to be written before they are put out [s]."""
+        """Time by which samples have to be written before they are put out [s]."""
         return 0.0
 
     def due(self, position: int) -> float:
-        """Return when a position is put out, on the host's monotonic clock [s], as far as known.
+        """Return the time at which the sample at a position is put out, as far as it is known.
 
-        A bus that knows its amplifier's clock tells by that. Others count from the start, those
-        that hold back who writes from where that was last.
+        A bus that knows the clock of its amplifier computes the time from that. Other buses count
+        from the start, and paced ones from the block that was written last.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Time of the host's monotonic clock [s].
         """
         at, when = self._anchor
         return when + (position - at) / self.wiring.sample_rate
 
     def write(self, block: DriveBlock) -> None:
-        """Play a block.
+        """Play a block; a paced bus waits until its samples are due, less `ahead`.
+
+        Parameters
+        ----------
+        block : DriveBlock
+            Samples that follow those of the last block. Positions that are skipped or repeated are
+            counted, values that are not finite become 0 V, and others are clipped to the limit.
 
         Raises
         ------
         BusStateError
-            Where it is closed, or idle for nobody started it, or takes frames.
+            If the bus is closed, takes frames, or is idle because it was never started or was
+            stopped. It is not raised after an e-stop, or when the amplifier fell to 0 V by itself.
         InputError
-            Where the block does not have a column per channel.
+            If the block does not have one column per channel.
         """
         if self.frames is not None:
             raise BusStateError("write: the bus takes frames; write_frame")
@@ -312,12 +427,19 @@ class Bus(ABC):
                 self._anchor = self._next - len(volts), self._clock.now() + self.ahead
 
     def tune(self, carriers: Floats) -> None:
-        """Set the carriers (P,) [Hz] of the frames to come.
+        """Set the carriers of the frames to come.
+
+        Parameters
+        ----------
+        carriers : (P,) array of float
+            Frequencies of the carriers [Hz].
 
         Raises
         ------
         BusStateError
-            Unless idle, and a bus that takes frames.
+            If the bus is not idle or takes blocks.
+        InputError
+            If there is no carrier, or more than `frames` allows.
         """
         if self.frames is None or self.state != "idle":
             takes = "blocks" if self.frames is None else "frames"
@@ -325,14 +447,21 @@ class Bus(ABC):
         self._tune(carriers)
 
     def write_frame(self, frame: DriveFrame) -> None:
-        """Play a frame: from the last one to it the envelopes run straight.
+        """Play a frame; envelopes are interpolated linearly from the last frame to this one.
+
+        Parameters
+        ----------
+        frame : DriveFrame
+            Envelopes at one position. A position that is not after the last frame is counted and
+            dropped; values that are not finite become 0 V.
 
         Raises
         ------
         BusStateError
-            Where it is closed, or idle for nobody started it, or takes blocks.
+            If the bus is closed, takes blocks, or is idle because it was never started or was
+            stopped. It is not raised after an e-stop, or when the amplifier fell to 0 V by itself.
         InputError
-            Where it does not have a row per channel.
+            If the frame does not have one row per channel.
         """
         if self.frames is None:
             raise BusStateError("write_frame: the bus takes blocks; write")
@@ -355,7 +484,7 @@ class Bus(ABC):
         self._write_frame(DriveFrame(frame.position, np.where(bad, 0.0, frame.volts)))
 
     def _may_play(self, call: str) -> bool:
-        """Tell whether the driver plays what is written; raise where nobody may write."""
+        """Return whether the driver plays what is written; raise if nobody may write now."""
         state = self.state
         if state == "running":
             return True
@@ -364,18 +493,21 @@ class Bus(ABC):
         raise BusStateError(f"{call}: the bus is {state}, not running; start it first")
 
     def _drop(self, position: int, count: int) -> None:
-        """Count samples from a position on that nobody plays, and wait as if they were played."""
+        """Count samples that are not played, and wait as long as playing them would take."""
         self.counters.dropped_samples += count
         if self.paced:
             self._clock.sleep(count / self.wiring.sample_rate)
 
     def _tune(self, carriers: Floats) -> None:
+        """Set the carriers; only a bus that takes frames has them."""
         raise NotImplementedError
 
     def _write_frame(self, frame: DriveFrame) -> None:
+        """Play a frame after the last one whose values are finite."""
         raise NotImplementedError
 
     def _allowed(self, volts: Floats) -> Floats:
+        """Return samples within the voltage limit, and count those that were not."""
         limit = self.wiring.voltage
         if np.abs(volts).max(initial=0.0) <= limit:
             return volts
@@ -386,21 +518,22 @@ class Bus(ABC):
         return np.clip(volts, -limit, limit)
 
     def stop(self) -> None:
-        """Ramp to 0 V within the fade and be idle; nothing to do unless running."""
+        """Ramp to 0 V within the fade and become idle; do nothing unless the bus is running."""
         with self._call_lock:
             if self._states.rest():
                 self._stop()
 
     def abort(self) -> None:
-        """Go to 0 V at the slew limit and be idle; nothing to do unless running."""
+        """Go to 0 V at the slew limit and become idle; do nothing unless the bus is running."""
         with self._call_lock:
             if self._states.rest():
                 self._abort()
 
     def estop(self) -> None:
-        """Go to 0 V at the slew limit before anything that is queued, high voltage off, and stay.
+        """Go to 0 V at the slew limit ahead of everything queued, switch high voltage off and stay.
 
-        May be called from any thread, in any state; only a `clear` that begins later ends it.
+        It may be called from any thread, in any state, and waits for no other call; a closed bus
+        ignores it. Only a `clear` that begins later ends it.
         """
         if self._states.estop():
             try:
@@ -409,16 +542,16 @@ class Bus(ABC):
                 self._states.end_estop()
 
     def clear(self) -> None:
-        """End the e-stops there have been and be idle, where a person has decided so.
+        """End all e-stops so far and become idle; do nothing unless the bus is e-stopped.
 
-        There is nothing to do unless e-stopped.
+        Call it only when a person has decided so.
 
         Raises
         ------
         BusStateError
-            Where another e-stop is under way, or came meanwhile: it holds.
+            If another e-stop is under way or came meanwhile; that e-stop holds.
         BusError
-            Where the amplifier refuses it or does not answer: it stays e-stopped.
+            If the amplifier refuses or does not answer; the bus stays e-stopped.
         """
         with self._call_lock, self._before_estops("clear") as estops:
             if self.state != "estopped":
@@ -429,7 +562,7 @@ class Bus(ABC):
             self._states.clear(estops)
 
     def close(self) -> None:
-        """Stop, and let go of the device; the bus cannot be used again."""
+        """Stop and release the device; the bus cannot be used again."""
         with self._call_lock:
             if self.state != "closed":
                 self.stop()
@@ -438,9 +571,10 @@ class Bus(ABC):
 
     @contextmanager
     def _before_estops(self, call: str) -> Iterator[int]:
-        """Let a call be as if it had come before each e-stop that comes while it lasts.
+        """Make a call take effect as if it had ended before each e-stop that comes during it.
 
-        Yields how many e-stops there were before.
+        Yield the number of e-stops before the call. If there are more at its end, repeat the
+        driver's e-stop and raise BusStateError in place of the driver's own error.
         """
         before, reason = self._states.estops, None
         try:
@@ -457,7 +591,7 @@ class Bus(ABC):
             raise BusStateError(why) from reason
 
     def _has_fallen(self) -> bool:
-        """Tell, while running, whether the amplifier is at 0 V for good, and not by a call."""
+        """Return whether a running bus has an amplifier that went to 0 V by itself, for good."""
         return False
 
     def __enter__(self) -> "Bus":
@@ -476,15 +610,16 @@ class Bus(ABC):
             self.close()
 
     @abstractmethod
-    def _start(self, position: int) -> None: ...
+    def _start(self, position: int) -> None:
+        """Begin playing at a position; `_estop` is called again if one came meanwhile."""
 
     @abstractmethod
     def _write(self, block: DriveBlock) -> None:
-        """Play a block that begins where the last ended or later, and is within the limit."""
+        """Play a block that begins where the last one ended, or later, and is within the limit."""
 
     @abstractmethod
     def _stop(self) -> None:
-        """Ramp to 0 V; change nothing after an `_estop`."""
+        """Ramp to 0 V within the fade; change nothing after an `_estop`."""
 
     @abstractmethod
     def _abort(self) -> None:
@@ -492,10 +627,11 @@ class Bus(ABC):
 
     @abstractmethod
     def _estop(self) -> None:
-        """Go to 0 V and stay, from any thread and without waiting for another call."""
+        """Go to 0 V and stay there; called from any thread, it waits for no other call."""
 
     @abstractmethod
-    def _clear(self) -> None: ...
+    def _clear(self) -> None:
+        """End an e-stop; `_estop` is called again if another one came meanwhile."""
 
     def _close(self) -> None:  # noqa: B027
-        """Let go of the device."""
+        """Release the device."""

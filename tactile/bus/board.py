@@ -1,9 +1,9 @@
-"""An amplifier in memory and the host's end of the line to it.
+"""Amplifier in memory, with the host's end of the line to it.
 
-Its sample clock stands still but for the samples that are played and the ramps that end them, so
-that whoever holds it says how fast it runs: the mock as fast as it is written to, an audio card or
-a chip without firmware as fast as they play. What is put out has passed the amplifier's own last
-stage: bridges, fades, limits.
+Its sample clock advances only by the samples that are played and by the ramps that end playing, so
+its owner sets the speed: the mock bus plays as fast as it is written to, an audio card or a chip
+without firmware as fast as the hardware plays. The samples that it returns have passed the output
+stage of the amplifier, which bridges gaps, fades and keeps the limits.
 """
 
 import numpy as np
@@ -22,26 +22,37 @@ from tactile.bus.base import Wiring
 from tactile.errors import BusError, InputError
 
 MOST_CHANNELS = 255
-"""Of one amplifier; wider arrays have several."""
+"""Maximum number of channels of one amplifier; wider arrays have several."""
 CHUNK = 64
-"""Samples that are sent before they are played."""
+"""Number of samples that are sent before they are played."""
 SESSION = 1
-"""Nobody else is on this line."""
+"""Session token; it need not be random, because no other host is on this line."""
 SKIPPED = 1 << 20
-"""Positions between what was sent before a START and what comes after it (SPEC.md, 8.1)."""
+"""Distance between the positions sent before a START and those after it (SPEC.md, 8.1)."""
 REASON = 1
-"""Of an ESTOP, told by STATUS: a host's."""
+"""Reason of an ESTOP by a host, as STATUS reports it."""
 STEEPEST = 10**8
-"""V/s, the most that the protocol tells."""
+"""Largest slew limit that is sent to an amplifier [V/s]."""
 
 
 class Board:
-    """One amplifier and the host's end of the line to it.
+    """One amplifier in memory and the host's end of the line to it.
+
+    Methods return at once, and are called by one thread at a time.
 
     Parameters
     ----------
-    config : of the amplifier
-    sample_format : of its samples
+    config : AmplifierConfig
+        Capabilities and limits of the amplifier.
+    sample_format : SampleFormat
+        Format in which samples are sent to it.
+
+    Attributes
+    ----------
+    amplifier : ReferenceAmplifier
+        The amplifier.
+    host : AmplifierHost
+        Host's side of the session, which has the latest answers.
     """
 
     def __init__(self, config: AmplifierConfig, sample_format: SampleFormat) -> None:
@@ -53,6 +64,7 @@ class Board:
         self.request(m.Hello(SESSION, m.MAJOR, m.MINOR, m.SCHEMA_CRC))
 
     def _send(self, packet: Packet) -> None:
+        """Pass a packet to the amplifier, and its answers to the host."""
         self._port.feed(encode_frame(encode_packet(packet)), self._now)
         for answer in self._decoder.feed(self._port.take()):
             self.host.receive(answer)
@@ -60,10 +72,15 @@ class Board:
     def request(self, message: m.Message) -> None:
         """Send a request.
 
+        Parameters
+        ----------
+        message : Message
+            Request that the amplifier acknowledges or refuses.
+
         Raises
         ------
         BusError
-            Where the amplifier refuses it.
+            If the amplifier refuses it.
         """
         packet = self.host.ask(message)
         self._send(packet)
@@ -72,14 +89,35 @@ class Board:
             raise BusError(refusal(answer))
 
     def start(self, position: int, rate: int) -> None:
-        """Arm, and play from a position on, at once."""
+        """Arm the amplifier and begin playing at its next tick.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        rate : int
+            Sample rate [Hz].
+
+        Raises
+        ------
+        BusError
+            If the amplifier refuses, as it does in an e-stop.
+        """
         self.request(m.Arm(SESSION, m.Mode.PCM, rate))
         self._heartbeat = self._now
         self._offset = self._sent + SKIPPED - position
         self.request(m.Start(SESSION, (self._sent + SKIPPED) % TURN, time=self._now + 1))
 
     def send(self, position: int, volts: Floats) -> None:
-        """Send samples (S, C) [V]."""
+        """Send samples, which wait in the amplifier until `play` puts them out.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        volts : (S, C) array of float
+            Drive voltage, finite and within the full scale [V].
+        """
         config = self.amplifier.config
         codes = codes_of(volts, config.full_scale_uv * 1e-6)
         at = position + self._offset
@@ -91,25 +129,53 @@ class Board:
             self._send(self.host.tell(message))
 
     def play(self, count: int) -> Floats:
-        """Let the amplifier put out samples; return them (S, C) [V]."""
+        """Put out samples, and feed the watchdog of the amplifier.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples, S.
+
+        Returns
+        -------
+        (S, C) array of float
+            Output of the amplifier [V].
+        """
         if self._now - self._heartbeat >= HEARTBEAT_MS * self.amplifier.config.tick_hz // 2000:
             self._send(self.host.tell(m.Heartbeat(SESSION)))
             self._heartbeat = self._now
         return self._volts(self._run(count))
 
     def end(self, *, quick: bool) -> Floats:
-        """Stop, and return what is put out until it is at 0 V (S, C) [V], also in an e-stop."""
+        """Stop, and put out samples until the output is at 0 V; allowed in an e-stop as well.
+
+        Parameters
+        ----------
+        quick : bool
+            Whether to ramp at the slew limit, and not within the fade.
+
+        Returns
+        -------
+        (S, C) array of float
+            Output of the amplifier up to the first run of samples at rest [V].
+        """
         self.request(m.Stop(SESSION, quick))
         config = self.amplifier.config
         fade = config.fade_limit_us * config.rate_max_hz // 1_000_000 + 1
         runs: list[PlayedRun] = []
-        while not runs or not _rests(runs[-1]):
+        while not runs or not _is_at_rest(runs[-1]):
             runs += self._run(fade)
-        ended = [_rests(run) for run in runs].index(True)
+        ended = [_is_at_rest(run) for run in runs].index(True)
         return self._volts(runs[: ended + 1])
 
     def estop(self) -> Floats:
-        """Stop for good, and return what is put out until it is at 0 V (S, C) [V]."""
+        """Send an e-stop, and put out samples until the output is at 0 V.
+
+        Returns
+        -------
+        (S, C) array of float
+            Output of the amplifier [V]; its last sample is 0 V.
+        """
         self._send(self.host.tell(m.Estop(REASON)))
         runs = self._run(1)
         while runs[-1].codes[-1].any():
@@ -117,16 +183,23 @@ class Board:
         return self._volts(runs)
 
     def clear(self) -> None:
-        """End an e-stop; raises BusError where the amplifier refuses."""
+        """End an e-stop.
+
+        Raises
+        ------
+        BusError
+            If the amplifier refuses.
+        """
         self._send(self.host.ask(m.Poll()))
         assert self.host.status is not None
         self.request(m.ClearFault(SESSION, self.host.status.trips))
 
     def disarm(self) -> None:
-        """Take high voltage away."""
+        """Switch high voltage off."""
         self.request(m.Disarm(SESSION))
 
     def _run(self, count: int) -> list[PlayedRun]:
+        """Advance the sample clock; return what was put out meanwhile."""
         self._now = self.amplifier.due(count)
         self.amplifier.run(self._now)
         for answer in self._decoder.feed(self._port.take()):
@@ -134,12 +207,13 @@ class Board:
         return self.amplifier.take_played()
 
     def _volts(self, runs: list[PlayedRun]) -> Floats:
+        """Return the output of runs as voltages."""
         codes = np.concatenate([run.codes for run in runs])
         return codes * (self.amplifier.config.full_scale_uv * 1e-6 / FULL_SCALE_CODE)
 
 
-def _rests(run: PlayedRun) -> bool:
-    """Tell whether a run of instants ended the ramp, or came after it."""
+def _is_at_rest(run: PlayedRun) -> bool:
+    """Return whether a run of samples ended the ramp or came after it."""
     return run.state not in (State.RUNNING, State.RAMPDOWN) and not run.codes[-1].any()
 
 
@@ -151,16 +225,31 @@ def config_of(
     rates: tuple[int, int] | None = None,
     fifo_ms: float = 64.0,
 ) -> AmplifierConfig:
-    """Return the amplifier that drives some channels of a display, its limits the display's.
+    """Return the configuration of an amplifier with the limits of a display.
 
-    It plays the display's sample rate, or ``rates`` from the one to the other [Hz], and keeps
-    ``fifo_ms`` of the highest.
+    Parameters
+    ----------
+    wiring : Wiring
+        Properties of the display.
+    channels : int
+        Number of channels of the amplifier, which may be a part of those of the display.
+    node : int
+        Address of the amplifier, 1 … 127.
+    rates : tuple of int, optional
+        Lowest and highest sample rate that it plays [Hz]; by default only that of the wiring.
+    fifo_ms : float
+        Length of its buffer at the highest rate [ms].
+
+    Returns
+    -------
+    AmplifierConfig
+        Configuration of the amplifier.
 
     Raises
     ------
     InputError
-        Where the protocol cannot carry the sample rate, or its promise to be at 0 V in time not
-        be kept within the slew limit.
+        If the sample rate is not a whole number of Hz, or an amplifier with this slew limit would
+        not be at 0 V within the 20 ms that the protocol promises.
     """
     rate = round(wiring.sample_rate)
     if rate != wiring.sample_rate:
@@ -176,7 +265,7 @@ def config_of(
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
     )  # fmt: skip
     limits = LimitsInForce.of(config)
-    if not all(limits.in_time(one) for one in (lowest, rate, highest)):
+    if not all(limits.in_time(each) for each in (lowest, rate, highest)):
         raise InputError(
             f"slew limit {wiring.slew:g} V/s: takes {wiring.voltage / wiring.slew * 1e3:.0f} ms "
             f"from {wiring.voltage:g} V to 0 V, {FADE_MS} ms are promised; lower the voltage limit"

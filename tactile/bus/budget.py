@@ -1,10 +1,13 @@
-"""What fits a link: which coding of the drive, at which rate, for how many channels.
+"""Choice of a coding of the drive that fits a link.
 
-Counted is all that the host sends in a second: PCM or spectrum packets as the encoders make them,
-HEARTBEAT and TIME; on media that both sides share, CAN and I²C, also PULSE and TIME_REPLY of each
-amplifier. The eight probes before a start and requests are not. CAN's stuff bits are the mean of
-random data. A part of the wire stays free, `Link.cap`: for stuff bits of quiet drive (CAN's most
-are a fifth more), what is sent again after an error, and the host's own jitter.
+A coding is a sample format, or spectrum frames, at a rate and for a number of channels.
+
+The budget includes all that the host sends regularly: PCM or spectrum packets as the encoders make
+them, HEARTBEAT and TIME. On media that both directions share, CAN and I²C, it also includes PULSE
+and TIME_REPLY of each amplifier. It does not include requests and the eight time probes before a
+start. The number of CAN's stuff bits is the mean for random data. A part of the wire remains free
+(`Link.cap`): for the stuff bits of quiet drive (the maximum on CAN is a fifth more), for
+repetitions after errors, and for the jitter of the host.
 """
 
 import math
@@ -43,39 +46,54 @@ __all__ = [
 ]
 
 RATE = 8000
-"""Hz that are wanted where nobody says otherwise."""
+"""Sample rate that is tried first unless another is requested [Hz]."""
 LOWER_RATES = (5000, 4000, 2500)
+"""Lower sample rates that are tried next [Hz]."""
 SAMPLES_PER_HERTZ = 2.5
-"""Least sample rate over the band that it is to carry."""
+"""Smallest ratio of the sample rate to the band that the samples must carry."""
 PCM_FORMATS = (SampleFormat.PCM16, SampleFormat.PCM12, SampleFormat.BFP8)
-"""In order of what they keep of a texture: 80, 60 and 43 dB (`python -m benchmarks protocol`)."""
+"""Sample formats in decreasing order of fidelity.
+
+Their signal-to-error ratios with textures are 80, 60 and 43 dB (`python -m benchmarks protocol`).
+"""
 SPECTRA = ((16, 50.0), (8, 100.0))
-"""Carriers and frames a second."""
+"""Number of carriers and frame rate [Hz] of the spectrum codings."""
 PACKET_SECONDS = (2e-3, 4e-3)
-"""That a packet of samples may last: the playback block of 16 at 8 kHz, or two."""
+"""Duration that a packet of samples may have: a playback block of 16 at 8 kHz, or two [s]."""
 
 PULSE_INTERVAL = 10e-3
-"""s (SPEC.md, parameter 2). On I²C the host reads as often (assumed), and for each TIME_REPLY."""
+"""Interval between PULSE messages of an amplifier (firmware_protocol/SPEC.md, parameter 2) [s].
+
+On I²C the host is assumed to read as often, and once more for each TIME_REPLY.
+"""
 BOARD_CHANNELS = 255
-"""Most of one amplifier (u8), which one that was not asked is taken to have."""
+"""Largest number of channels of an amplifier (u8).
+
+Amplifiers that have not been asked are assumed to have as many.
+"""
 MOST_BOARDS = 127
-"""Addresses that there are."""
+"""Number of available addresses."""
 
 
-# What amplifiers can
+# Abilities of amplifiers
 
 
 @dataclass(frozen=True)
 class Ability:
-    """What all amplifiers of a display can; everything, before they were asked.
+    """Common abilities of all amplifiers of a display; unlimited by default.
 
     Attributes
     ----------
-    formats : that they play
-    rate_min, rate_max : sample rates [Hz]
-    carriers : most of them
-    packet_limit : bytes of a packet
-    channels : of each board, in the order of the display's channels
+    formats : frozenset of SampleFormat
+        Sample formats that the amplifiers play.
+    rate_min, rate_max : float
+        Lowest and highest sample rate [Hz].
+    carriers : int
+        Largest number of carriers.
+    packet_limit : int
+        Largest size of a packet [bytes].
+    channels : tuple of int
+        Number of channels of each board, in the order of the display's channels.
     """
 
     formats: frozenset[SampleFormat] = frozenset(SampleFormat)
@@ -87,7 +105,18 @@ class Ability:
 
     @classmethod
     def of(cls, boards: Sequence[m.Caps]) -> "Ability":
-        """Return what one or several amplifiers said that they can."""
+        """Return the common abilities of one or several amplifiers.
+
+        Parameters
+        ----------
+        boards : sequence of Caps
+            What each amplifier has reported.
+
+        Returns
+        -------
+        Ability
+            Abilities that all of them have.
+        """
         return cls(
             formats=frozenset(f for f in SampleFormat if all(b.formats >> f & 1 for b in boards)),
             rate_min=max(b.rate_min_hz for b in boards),
@@ -99,11 +128,24 @@ class Ability:
 
     @property
     def rate(self) -> int:
-        """The rate [Hz] that is tried first: the nearest to the usual one."""
+        """Sample rate that is tried first: the one nearest to the usual rate [Hz]."""
         return int(min(max(RATE, self.rate_min), self.rate_max))
 
     def shares(self, channels: int) -> Iterator[int]:
-        """Yield the channels of each board; beyond those there are, boards like the last."""
+        """Yield how many of the channels each board drives.
+
+        If there are not enough boards, more boards like the last one are assumed.
+
+        Parameters
+        ----------
+        channels : int
+            Number of channels of the display.
+
+        Yields
+        ------
+        int
+            Number of channels of one board.
+        """
         boards = [count for count in self.channels if count] or [BOARD_CHANNELS]
         while channels > 0:
             share = min(boards.pop(0) if len(boards) > 1 else boards[0], channels)
@@ -111,40 +153,52 @@ class Ability:
             channels -= share
 
 
-# What is sent
+# Codings and their packets
 
 
 def check_limits(wiring: Wiring, caps: Sequence[m.Caps]) -> None:
-    """See that a display's demands are within what its amplifiers can.
+    """Check that the demands of a display are within the limits of its amplifiers.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        Demands of the display.
+    caps : sequence of Caps
+        What each amplifier has reported.
 
     Raises
     ------
     InputError
-        Where they are not: for channels, voltage or slew.
+        If the number of channels, the voltage or the slew exceeds what the amplifiers can do.
     """
-    have = sum(c.channels for c in caps)
-    if have < wiring.channels:
-        raise InputError(f"the display has {wiring.channels} channels, the amplifiers {have}")
-    for name, wanted, limit, scale, unit in (
+    available = sum(c.channels for c in caps)
+    if available < wiring.channels:
+        raise InputError(f"the display has {wiring.channels} channels, the amplifiers {available}")
+    for name, demand, limit, scale, unit in (
         ("voltage_v", wiring.voltage, min(c.voltage_limit_uv for c in caps), 1e-6, "V"),
         ("slew_v_per_us", wiring.slew, min(c.slew_limit_v_per_s for c in caps), 1.0, "V/s"),
     ):
-        if int(wanted / scale) > limit:  # whole units are what LIMITS tells
+        if int(demand / scale) > limit:  # LIMITS transmits whole units
             raise InputError(
-                f"limits.{name}: the display's {wanted:g} {unit} is more than the amplifier's "
+                f"limits.{name}: the display's {demand:g} {unit} is more than the amplifier's "
                 f"{limit * scale:g} {unit}; lower it in the display file"
             )
 
 
 @dataclass(frozen=True)
 class Coding:
-    """How drive is sent: samples in a format, or spectrum frames.
+    """Coding of the drive: samples in a format, or spectrum frames.
 
     Attributes
     ----------
-    sample_format : SPECTRUM8 for frames
-    sample_rate : [Hz]
-    carriers, frame_rate : of frames, and frames a second
+    sample_format : SampleFormat
+        Format of the samples; SPECTRUM8 for frames.
+    sample_rate : int
+        Sample rate [Hz].
+    carriers : int
+        Number of carriers of frames; 0 for samples.
+    frame_rate : float
+        Frames per second [Hz]; 0 for samples.
     """
 
     sample_format: SampleFormat
@@ -154,7 +208,7 @@ class Coding:
 
     @property
     def name(self) -> str:
-        """For people, without the rate of the samples."""
+        """Name for messages, without the sample rate."""
         if self.carriers:
             return f"SPECTRUM {self.carriers} at {self.frame_rate:g} Hz"
         return self.sample_format.name
@@ -164,7 +218,7 @@ class Coding:
 
     @property
     def packet_samples(self) -> tuple[int, ...]:
-        """Samples that a packet may span, fewest first."""
+        """Numbers of samples that a packet may span, in increasing order."""
         if self.carriers:
             return (max(round(self.sample_rate / self.frame_rate), 1),)
         return tuple(max(round(self.sample_rate * s), 1) for s in PACKET_SECONDS)
@@ -172,9 +226,25 @@ class Coding:
 
 @lru_cache(maxsize=256)
 def packets_of(coding: Coding, samples: int, channels: int, limit: int) -> list[bytes]:
-    """Return the packets that one amplifier gets for so many samples; none where none can be.
+    """Return the packets with which one amplifier receives a number of samples.
 
-    Their content is zero.
+    The content of the packets is zero.
+
+    Parameters
+    ----------
+    coding : Coding
+        Coding of the drive.
+    samples : int
+        Number of samples; it has no effect on spectrum frames.
+    channels : int
+        Number of channels of the amplifier.
+    limit : int
+        Largest size of a packet [bytes].
+
+    Returns
+    -------
+    list of bytes
+        Packets; empty if the limit is too small for any.
     """
     if coding.carriers:
         return list(_frames(coding.carriers, channels, limit))
@@ -186,16 +256,30 @@ def packets_of(coding: Coding, samples: int, channels: int, limit: int) -> list[
 
 
 def spectrum_group(carriers: int, channels: int, limit: int) -> int:
-    """Return the channels that a SPECTRUM has, so that as few as the limit allows make a frame.
+    """Return how many channels a SPECTRUM message has.
 
-    It is 0 where not one goes into a packet.
+    A frame is divided into as few messages as the limit allows.
+
+    Parameters
+    ----------
+    carriers : int
+        Number of carriers.
+    channels : int
+        Number of channels of the amplifier.
+    limit : int
+        Largest size of a packet [bytes].
+
+    Returns
+    -------
+    int
+        Number of channels; 0 if not even one fits into a packet.
     """
     most = (limit - SMALLEST - m.Spectrum.HEAD.size) // (2 * carriers)
     return math.ceil(channels / math.ceil(channels / most)) if most > 0 else 0
 
 
 def _frames(carriers: int, channels: int, limit: int) -> Iterator[bytes]:
-    """Yield the packets of a spectrum frame, cut by channels."""
+    """Yield the packets of a spectrum frame, which is divided by channels."""
     group = spectrum_group(carriers, channels, limit)
     for first in range(0, channels if group else 0, group or 1):
         count = min(group, channels - first)
@@ -208,7 +292,7 @@ def _packet(message: m.Message) -> bytes:
 
 
 def _codings(rates: Sequence[int]) -> Iterator[Coding]:
-    """Yield all that there are, in the order in which they are tried."""
+    """Yield all codings in the order in which they are tried."""
     for rate in rates:
         yield from (Coding(kind, rate) for kind in PCM_FORMATS)
     for carriers, frame_rate in SPECTRA:
@@ -217,7 +301,7 @@ def _codings(rates: Sequence[int]) -> Iterator[Coding]:
 
 @lru_cache(maxsize=16)
 def _overhead(link: Link) -> float:
-    """Return the fraction of a link that each amplifier takes beside its stream."""
+    """Return the fraction of a link that each amplifier takes in addition to its stream."""
     probe = Packet(m.Time.TYPE, m.Time().pack().ljust(m.TimeReply.HEAD.size, b"\0"))
     heartbeats = link.mean_seconds(_packet(m.Heartbeat())) / (HEARTBEAT_MS * 1e-3)
     pulses = link.answer_seconds(_packet(m.Pulse())) / PULSE_INTERVAL
@@ -226,14 +310,43 @@ def _overhead(link: Link) -> float:
 
 
 def packet_limit(link: Link, ability: Ability) -> int:
-    """Return the most bytes of a packet."""
+    """Return the largest size of a packet.
+
+    Parameters
+    ----------
+    link : Link
+        Link to the amplifiers.
+    ability : Ability
+        Abilities of the amplifiers.
+
+    Returns
+    -------
+    int
+        Size [bytes].
+    """
     return min(link.largest(), ability.packet_limit)
 
 
 def use(link: Link, channels: int, ability: Ability, coding: Coding, samples: int) -> float:
-    """Return the fraction of the wire that packets of so many samples take.
+    """Return the fraction of the wire that a coding takes.
 
-    It is infinite where no packet can hold a channel.
+    Parameters
+    ----------
+    link : Link
+        Link to the amplifiers.
+    channels : int
+        Number of channels of the display.
+    ability : Ability
+        Abilities of the amplifiers.
+    coding : Coding
+        Coding of the drive.
+    samples : int
+        Number of samples in a packet.
+
+    Returns
+    -------
+    float
+        Fraction of the wire; infinite if a packet cannot hold even one channel.
     """
     limit, total = packet_limit(link, ability), 0.0
     for share, boards in Counter(ability.shares(channels)).items():
@@ -246,7 +359,7 @@ def use(link: Link, channels: int, ability: Ability, coding: Coding, samples: in
 
 
 def _most(link: Link, ability: Ability, coding: Coding) -> int:
-    """Return the most channels of which the longest packets fit, on as many boards as need be."""
+    """Return how many channels fit with the longest packets, on as many boards as needed."""
     board = ability.channels[-1] if ability.channels else BOARD_CHANNELS
     longest, highest, top = coding.packet_samples[-1], MOST_BOARDS * board, 1
 
@@ -258,21 +371,29 @@ def _most(link: Link, ability: Ability, coding: Coding) -> int:
     return bisect_right(range(1, top + 1), link.cap, key=taken)
 
 
-# What fits
+# Choice of a coding
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to send.
+    """Coding and packets that fit a link.
 
     Attributes
     ----------
-    sample_format : None for spectrum frames
-    sample_rate : [Hz]
-    packet_samples : that a packet of samples, or a frame, spans
-    packet_limit : bytes of a packet at most
-    carriers, frame_rate : of spectrum frames, else 0
-    use : fraction of the wire
+    sample_format : SampleFormat or None
+        Format of the samples; None for spectrum frames.
+    sample_rate : float
+        Sample rate [Hz].
+    packet_samples : int
+        Number of samples that a packet of samples, or a frame, spans.
+    packet_limit : int
+        Largest size of a packet [bytes].
+    carriers : int
+        Number of carriers of spectrum frames; otherwise 0.
+    frame_rate : float
+        Spectrum frames per second [Hz]; otherwise 0.
+    use : float
+        Fraction of the wire.
     """
 
     sample_format: SampleFormat | None
@@ -286,15 +407,20 @@ class Plan:
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """Whether a coding fits.
+    """Assessment of a coding on a link.
 
     Attributes
     ----------
-    what : coding
-    sample_rate : [Hz]
-    use : fraction of the wire that the channels take, in the packets that `plan` would choose
-    most : channels of which it fits the link
-    why_not : empty where it fits
+    what : str
+        Name of the coding.
+    sample_rate : float
+        Sample rate [Hz].
+    use : float
+        Fraction of the wire that the channels take, with the packets that `plan` would choose.
+    most : int
+        Largest number of channels that fit the link.
+    why_not : str
+        Reason why the coding does not fit; empty if it does.
     """
 
     what: str
@@ -305,16 +431,24 @@ class BudgetRow:
 
     @property
     def fits(self) -> bool:
-        """Whether it does."""
+        """Whether the coding fits the link."""
         return not self.why_not
 
 
 class BudgetError(InputError):
-    """Channels that a link cannot carry.
+    """Error for channels that a link cannot carry.
+
+    Parameters
+    ----------
+    message : str
+        Error message.
+    rows : list of BudgetRow
+        Assessments of the codings.
 
     Attributes
     ----------
-    rows : what was tried, and all else that there is
+    rows : list of BudgetRow
+        Assessments of the codings that were tried, followed by all others.
     """
 
     def __init__(self, message: str, rows: list[BudgetRow]) -> None:
@@ -324,7 +458,7 @@ class BudgetError(InputError):
 
 @dataclass(frozen=True)
 class _Case:
-    """What is to fit, and where."""
+    """Channels, amplifiers and band for which a coding is to be found on a link."""
 
     link: Link
     channels: int
@@ -337,63 +471,70 @@ class _Case:
             raise InputError(f"{self.channels} channels: at least 1 is needed")
 
     def rates(self) -> list[int]:
-        """Return the sample rates to try, highest first."""
+        """Return the sample rates to try in decreasing order, the preferred one first."""
         lowest = math.ceil(SAMPLES_PER_HERTZ * self.band)
         lower = {*LOWER_RATES, min(lowest, *LOWER_RATES)}
         least, first = max(lowest, self.ability.rate_min), self.ability.rate
         return [first, *sorted((r for r in lower if least <= r < first), reverse=True)]
 
     def packet(self, coding: Coding) -> tuple[int, float]:
-        """Return the samples and the use of the shortest packets that fit, or of the longest."""
+        """Return the number of samples in a packet and the fraction of the wire.
+
+        They are those of the shortest packets that fit, or of the longest if none fit.
+        """
         for samples in coding.packet_samples:
-            taken = use(self.link, self.channels, self.ability, coding, samples)
-            if taken <= self.link.cap:
+            fraction = use(self.link, self.channels, self.ability, coding, samples)
+            if fraction <= self.link.cap:
                 break
-        return samples, taken
+        return samples, fraction
 
     def row(self, coding: Coding) -> BudgetRow:
-        """Return what there is to say about a coding."""
-        taken, most = self.packet(coding)[1], _most(self.link, self.ability, coding)
-        return BudgetRow(coding.name, coding.sample_rate, taken, most, self.why_not(coding))
+        """Return the assessment of a coding."""
+        fraction, most = self.packet(coding)[1], _most(self.link, self.ability, coding)
+        return BudgetRow(coding.name, coding.sample_rate, fraction, most, self.why_not(coding))
 
     def why_not(self, coding: Coding) -> str:
-        """Return why a coding cannot be, "" where it can; the coding is the subject."""
-        taken, cap = self.packet(coding)[1], self.link.cap
+        """Return why a coding does not fit; empty if it fits.
+
+        The text is a predicate with the coding as its subject.
+        """
+        fraction, cap = self.packet(coding)[1], self.link.cap
         reason = self.unable(coding)
-        if not reason and taken == math.inf:
+        if not reason and fraction == math.inf:
             reason = "does not go into packets so small, not even of one channel"
-        if not reason and taken > cap:
-            reason = f"takes {100 * taken:.0f} % of the wire, {100 * cap:.0f} % may be used"
+        if not reason and fraction > cap:
+            reason = f"takes {100 * fraction:.0f} % of the wire, {100 * cap:.0f} % may be used"
         return reason
 
     def unable(self, coding: Coding) -> str:
-        """Return what keeps the amplifiers from a coding on any link."""
-        able, boards = self.ability, sum(self.ability.channels)
-        if able.channels and self.channels > boards:
-            return f"would need {self.channels} channels, the amplifiers have {boards}"
-        if coding.sample_format not in able.formats:
+        """Return why the amplifiers cannot play a coding on any link; empty if they can."""
+        ability, available = self.ability, sum(self.ability.channels)
+        if ability.channels and self.channels > available:
+            return f"would need {self.channels} channels, the amplifiers have {available}"
+        if coding.sample_format not in ability.formats:
             return "is not played by the amplifier"
-        if coding.carriers > able.carriers:
-            return f"has more carriers than the amplifier's {able.carriers}"
-        if not able.rate_min <= coding.sample_rate <= able.rate_max:
-            return f"is not within the amplifier's {able.rate_min:g} to {able.rate_max:g} Hz"
+        if coding.carriers > ability.carriers:
+            return f"has more carriers than the amplifier's {ability.carriers}"
+        if not ability.rate_min <= coding.sample_rate <= ability.rate_max:
+            return f"is not within the amplifier's {ability.rate_min:g} to {ability.rate_max:g} Hz"
         if coding.sample_rate < SAMPLES_PER_HERTZ * self.band:
             return f"carries only a band to {coding.sample_rate / SAMPLES_PER_HERTZ:g} Hz"
         return ""
 
     def refusal(self, tried: list[Coding]) -> BudgetError:
-        """Return the error that says why nothing of what was tried fits, and what would.
+        """Return the error that tells why no coding that was tried fits, and which one would.
 
-        Named is the leanest of what was tried and the amplifiers can, else the first.
+        The error names the tried coding that takes least of the wire among those that the
+        amplifiers can play, or the first if they can play none.
         """
         codings = [*tried, *(c for c in _codings(self.rates()) if c not in tried)]
         rows = {coding: self.row(coding) for coding in codings}
-        able = [c for c in codings if not self.unable(c)]
-        least = min([c for c in tried if c in able] or tried[:1], key=lambda c: rows[c].use)
+        playable = [c for c in codings if not self.unable(c)]
+        least = min([c for c in tried if c in playable] or tried[:1], key=lambda c: rows[c].use)
         hint = ""
-        if fitting := next((c for c in able if rows[c].fits), None):
+        if fitting := next((c for c in playable if rows[c].fits), None):
             hint = f"; {fitting} fits"
-        elif widest := max(able, key=lambda c: rows[c].most, default=None):
+        elif widest := max(playable, key=lambda c: rows[c].most, default=None):
             hint = f"; the most that fits is {rows[widest].most}, as {widest}"
         refused = f"{self.link.name} cannot carry {self.channels} channels"
         reason = f"{refused}: {least} {rows[least].why_not}{hint}"
@@ -403,14 +544,28 @@ class _Case:
 def table(
     link: Link, channels: int, ability: Ability | None = None, *, band: float = 1000.0
 ) -> list[BudgetRow]:
-    """Return whether each coding fits, in the order in which `plan` tries them.
+    """Assess each coding on a link, in the order in which `plan` tries them.
 
     Parameters
     ----------
-    link : to the amplifiers
-    channels : of the display
-    ability : of the amplifiers; by default they can do everything
-    band : that samples must carry [Hz]
+    link : Link
+        Link to the amplifiers.
+    channels : int
+        Number of channels of the display.
+    ability : Ability or None
+        Abilities of the amplifiers; unlimited if None.
+    band : float
+        Band that the samples must carry [Hz].
+
+    Returns
+    -------
+    list of BudgetRow
+        Assessments of the codings.
+
+    Raises
+    ------
+    InputError
+        If the band is not above 0, or there is no channel.
     """
     case = _Case(link, channels, ability or Ability(), band)
     return [case.row(coding) for coding in _codings(case.rates())]
@@ -425,22 +580,37 @@ def plan(
     sample_format: SampleFormat | None = None,
     band: float = 1000.0,
 ) -> Plan:
-    """Return what to send: the best that fits.
+    """Choose the best coding that fits a link.
 
-    That is PCM16, PCM12, BFP8 at 8 kHz; the same at 5, 4 and 2.5 kHz, and below for a band of less
-    than 1 kHz; then spectrum frames. Packets are as short as fits.
+    The order is PCM16, PCM12, BFP8 at 8 kHz; the same at 5, 4 and 2.5 kHz, and below that for a
+    band of less than 1 kHz; then spectrum frames. Packets are as short as the link permits.
 
     Parameters
     ----------
-    link, channels, ability, band : as of `table`
-    sample_rate, sample_format : the only one that will do [Hz]
+    link : Link
+        Link to the amplifiers.
+    channels : int
+        Number of channels of the display.
+    ability : Ability or None
+        Abilities of the amplifiers; unlimited if None.
+    sample_rate : float or None
+        The only acceptable sample rate [Hz]; None to choose it.
+    sample_format : SampleFormat or None
+        The only acceptable format; None to choose it.
+    band : float
+        Band that the samples must carry [Hz].
+
+    Returns
+    -------
+    Plan
+        Coding and packets.
 
     Raises
     ------
     BudgetError
-        Where nothing fits, with the table.
+        If nothing fits; it has the assessments of all codings.
     InputError
-        For a rate or a band that is none.
+        If the rate is not a whole number above 0, the band is not above 0, or there is no channel.
     """
     case = _Case(link, channels, ability or Ability(), band)
     if sample_rate is not None and not (sample_rate > 0 and float(sample_rate).is_integer()):
@@ -449,7 +619,7 @@ def plan(
     tried = [c for c in _codings(rates) if sample_format in (None, c.sample_format)]
     for coding in tried:
         if not case.why_not(coding):
-            samples, taken = case.packet(coding)
+            samples, fraction = case.packet(coding)
             return Plan(
                 sample_format=None if coding.carriers else coding.sample_format,
                 sample_rate=coding.sample_rate,
@@ -457,6 +627,6 @@ def plan(
                 packet_limit=packet_limit(link, case.ability),
                 carriers=coding.carriers,
                 frame_rate=coding.frame_rate,
-                use=taken,
+                use=fraction,
             )
     raise case.refusal(tried)

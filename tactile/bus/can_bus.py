@@ -1,11 +1,14 @@
 """``can:``, amplifiers on CAN or CAN FD, by any interface of python-can.
 
 ``can:socketcan/can0?fd=true``, ``can:slcan//dev/ttyACM0?bitrate=1000000``, ``can:virtual/name``.
-All amplifiers that answer are one display, in the order of their nodes, or of ``nodes=3,1``.
-``bitrate`` and ``data_bitrate`` (by default 1 and 5 Mbit/s) say how fast the bus is: socketcan's is
-set by ``ip link``, other interfaces are told. What the kernel has no room for waits here, and
-nothing more is sent until it is gone: a bus on which nobody acknowledges is broken. With socketcan
-an e-stop has a socket of its own, whose priority takes it past what waits in the kernel.
+All amplifiers that answer form one display, in the order of their nodes, or in that of
+``nodes=3,1``. ``bitrate`` and ``data_bitrate`` (by default 1 and 5 Mbit/s) are the bit rates of the
+bus: ``ip link`` sets those of socketcan, other interfaces are set to them.
+
+Frames for which the kernel has no room are queued in the `CanWire`, and nothing more is sent until
+they are gone. A bus on which nobody acknowledges for a tenth of a second counts as broken. With
+socketcan an e-stop has a socket of its own, whose priority takes it past the frames that wait in
+the kernel.
 """
 
 import errno
@@ -33,67 +36,113 @@ from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC, Clock
 
 TICK_HZ = 1_000_000
-"""Of the time of reception, for the time-out of fragments."""
+"""Resolution of the time of reception, by which fragments time out [1/s]."""
 NOMINAL, DATA = 1e6, 5e6
-"""bit/s, where nothing else is said."""
+"""Default bit rates, nominal and of the data phase of CAN FD [bit/s]."""
 PRIORITY = 7
-"""Of the socket for e-stops: the first band of the kernel's queue (tc-prio, TC_PRIO_CONTROL)."""
+"""Priority of the socket for e-stops, which puts it in the first band of the kernel's queue
+(tc-prio, TC_PRIO_CONTROL)."""
 MOST_READS = 64
-"""Frames, or an adapter's answers, that are read at a time."""
+"""Maximum number of frames, or answers of an adapter, that are read at a time."""
 RETRY = 1e-3
-"""s between tries to send what the kernel has no room for."""
+"""Interval between attempts to send frames for which the kernel has no room [s]."""
 FRAME = struct.Struct("=IBB2x")
-"""Before the data: identifier, length, flags (linux/can.h)."""
+"""Head of a frame before its data: identifier, length and flags (linux/can.h)."""
 FD_FLAGS = 0x05
-"""An FD frame, its data at the faster bit rate."""
+"""Flags of an FD frame whose data has the faster bit rate (CANFD_BRS and CANFD_FDF)."""
 FULL = (errno.ENOBUFS, errno.EAGAIN)
+"""Error numbers of a kernel that has no room for a frame."""
 BUS_OFF, CONTROLLER = 0x40, 0x04
+"""Classes of error frames (linux/can/error.h)."""
 PASSIVE, ACTIVE = 0x30, 0x40
-"""Of error frames: classes, and states of the controller in the second byte (linux/can/error.h)."""
+"""States of the controller in the second byte of an error frame (linux/can/error.h)."""
 CHECK = "check wiring, termination and bit rate"
+"""Advice in errors of the bus."""
 INTERFACES = "/sys/class/net"
-"""Of the kernel, a directory each."""
+"""Directory in which the kernel has a directory for each network interface."""
 
 
 class CanChannel(ABC):
-    """CAN frames both ways; the driver below a `CanWire`. Its errors are OSErrors.
+    """Exchange of CAN frames, the driver below a `CanWire`.
+
+    Its errors are OSErrors. Any thread may call `wake`, also while another one waits.
 
     Attributes
     ----------
-    warning : of the controller, one line; empty where there is none
+    warning : str
+        Warning of the controller, one line; empty if there is none.
     """
 
     warning = ""
 
     @abstractmethod
     def send(self, frame: Frame) -> bool:
-        """Take a frame without waiting; False where there is no room."""
+        """Take a frame without waiting.
+
+        Parameters
+        ----------
+        frame : tuple of int and bytes
+            Identifier and data.
+
+        Returns
+        -------
+        bool
+            Whether there was room for the frame.
+        """
 
     @abstractmethod
     def urge(self, frame: Frame) -> None:
-        """Send a frame before those that wait."""
+        """Send a frame ahead of those that wait.
+
+        Parameters
+        ----------
+        frame : tuple of int and bytes
+            Identifier and data.
+
+        Raises
+        ------
+        OSError
+            If there is no room for the frame.
+        """
 
     @abstractmethod
     def receive(self, until: float) -> list[Frame]:
-        """Return what came; wait for it until a host time [s] or until woken."""
+        """Wait for frames, but no longer than until `wake`.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of tuple of int and bytes
+            Identifiers and data of the frames that have come.
+        """
 
     @abstractmethod
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it."""
+        """Close the channel; it may be called any number of times."""
 
 
 class CanWire(Wire):
     """Packets on CAN.
 
+    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
+    handler that interrupts one of these calls waits forever if it makes another one.
+
     Parameters
     ----------
-    channel : of frames
-    link : `Can`
-    clock : host time
+    channel : CanChannel
+        Exchange of frames, which the wire closes.
+    link : Can
+        Medium, which says whether frames are FD and identifiers have 29 bits.
+    clock : Clock
+        Host time.
     """
 
     def __init__(self, channel: CanChannel, link: Can, clock: Clock) -> None:
@@ -105,57 +154,105 @@ class CanWire(Wire):
         self._decoder = CanDecoder(
             from_amplifier=True, extended=link.extended, counters=self.counters, tick_hz=TICK_HZ
         )
-        self._rest: deque[Frame] = deque()
+        self._queue: deque[Frame] = deque()
+        """Frames for which the kernel had no room yet."""
         self._since = 0.0
-        self._order = threading.Lock()
+        """Host time since which the kernel has taken none of them [s]."""
+        self._lock = threading.Lock()
 
     @property
     def warning(self) -> str:
-        """What the controller warns of."""
+        """Warning of the controller, one line; empty if there is none."""
         return self._channel.warning
 
     @property
     def busy(self) -> bool:
-        """Whether frames wait for room."""
-        return bool(self._rest)
+        """Whether frames wait for room in the kernel."""
+        return bool(self._queue)
 
     def send(self, packet: Packet) -> float:
-        """Send a packet's frames; return how long they take."""
-        with self._order:
-            if not self._rest:
+        """Send the frames of a packet without waiting; those without room are queued.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        float
+            Time that the packet takes on the bus [s].
+
+        Raises
+        ------
+        WireError
+            If the interface is gone or down.
+        """
+        with self._lock:
+            if not self._queue:
                 self._since = self._clock.now()
-            self._rest += self._encoder.frames(packet)
+            self._queue += self._encoder.frames(packet)
             self._flush()
         return self.link.seconds(encode_packet(packet))
 
     def urge(self, packet: Packet) -> None:
-        """Drop what waits here, and pass what waits in the kernel."""
-        with self._order:
-            self._rest.clear()
+        """Send a packet in place of the frames that are queued, and past those in the kernel.
+
+        Only socketcan has a second socket with priority; on other interfaces the packet follows the
+        frames that their driver has taken already.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Raises
+        ------
+        WireError
+            If there is no room for a frame, or the interface is gone or down.
+        """
+        with self._lock:
+            self._queue.clear()
             for frame in self._encoder.frames(packet):
                 self._channel.urge(frame)
 
     def _flush(self) -> None:
-        """Send what waits, by one thread at a time."""
-        while self._rest and self._channel.send(self._rest[0]):
-            self._rest.popleft()
+        """Send queued frames as far as there is room; the lock is held."""
+        while self._queue and self._channel.send(self._queue[0]):
+            self._queue.popleft()
             self._since = self._clock.now()
 
     def receive(self, until: float) -> list[Packet]:
-        """Return what came."""
-        with self._order:
+        """Send what is queued, wait for frames, and return the packets that are complete.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets in the order in which they were completed.
+
+        Raises
+        ------
+        WireError
+            If nobody has acknowledged for `STALL`, or the interface is bus-off, gone or down.
+        """
+        with self._lock:
             self._flush()
         now = self._clock.now()
-        if self._rest and now - self._since > STALL:
+        if self._queue and now - self._since > STALL:
             raise WireError("the bus takes nothing more: no other node acknowledges")
-        frames = self._channel.receive(min(until, now + RETRY) if self._rest else until)
+        frames = self._channel.receive(min(until, now + RETRY) if self._queue else until)
         ticks = int(self._clock.now() * TICK_HZ)
         return [
             p for identifier, data in frames for p in self._decoder.feed(identifier, data, ticks)
         ]
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
         self._channel.wake()
 
     def close(self) -> None:
@@ -164,17 +261,20 @@ class CanWire(Wire):
 
 
 class PythonCan(CanChannel):
-    """A bus of python-can.
+    """Channel of python-can.
 
     Parameters
     ----------
-    bus : opened
-    urgent : another one of the same channel, for e-stops; or the same
-    link : whether frames are FD and identifiers have 29 bits
+    bus : can.BusABC
+        Open bus, which the channel closes.
+    urgent : can.BusABC
+        Another open bus on the same channel, for e-stops; or the same one.
+    link : Can
+        Medium, which says whether frames are FD and identifiers have 29 bits.
     """
 
     STEP = 1e-3
-    """s between looks at what was asked, of interfaces without a file descriptor."""
+    """Interval between looks for `wake`, on interfaces without a file descriptor [s]."""
 
     def __init__(self, bus: Any, urgent: Any, link: Can) -> None:
         self._bus, self._urgent, self._link = bus, urgent, link
@@ -182,10 +282,12 @@ class PythonCan(CanChannel):
         os.set_blocking(self._woken, False)
         os.set_blocking(self._waker, False)
         self._awake = False
-        self._file = _descriptor(bus)
+        self._fd = _descriptor(bus)
+        # Bit 0 of the identifier is the direction: only frames from amplifiers are received.
         bus.set_filters([{"can_id": 1, "can_mask": 1, "extended": link.extended}])
 
     def _message(self, frame: Frame) -> Any:
+        """Return a frame as python-can has it."""
         import can
 
         identifier, data = frame
@@ -196,15 +298,43 @@ class PythonCan(CanChannel):
         )  # fmt: skip
 
     def send(self, frame: Frame) -> bool:
-        """Take a frame."""
-        return self._put(self._bus, frame)
+        """Send a frame without waiting.
+
+        Parameters
+        ----------
+        frame : tuple of int and bytes
+            Identifier and data.
+
+        Returns
+        -------
+        bool
+            Whether there was room for the frame.
+
+        Raises
+        ------
+        WireError
+            If the interface is gone or down.
+        """
+        return self._send_by(self._bus, frame)
 
     def urge(self, frame: Frame) -> None:
-        """Send by the socket with priority."""
-        if not self._put(self._urgent, frame):
+        """Send a frame by the bus for e-stops.
+
+        Parameters
+        ----------
+        frame : tuple of int and bytes
+            Identifier and data.
+
+        Raises
+        ------
+        WireError
+            If there is no room for the frame, or the interface is gone or down.
+        """
+        if not self._send_by(self._urgent, frame):
             raise WireError("the bus has no room for an e-stop: no other node acknowledges")
 
-    def _put(self, bus: Any, frame: Frame) -> bool:
+    def _send_by(self, bus: Any, frame: Frame) -> bool:
+        """Send a frame by a bus of python-can; return whether there was room."""
         import can
 
         try:
@@ -213,53 +343,69 @@ class PythonCan(CanChannel):
             code = error.error_code or getattr(error.__cause__, "errno", None)
             if code in FULL or "buffer full" in str(error).lower():
                 return False
-            raise WireError(_gone(code, error)) from error
+            raise WireError(_failure(code, error)) from error
         return True
 
     def receive(self, until: float) -> list[Frame]:
-        """Return what came, but no more than lets others go on."""
+        """Wait for frames, and return at most as many as `MOST_READS` reads give.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of tuple of int and bytes
+            Identifiers and data of the frames that have come.
+
+        Raises
+        ------
+        WireError
+            If the interface is bus-off, gone or down.
+        """
         import can
 
-        found: list[Frame] = []
+        frames: list[Frame] = []
         try:
-            message = self._first(until)
+            message = self._first_message(until)
             for _ in range(MOST_READS):
-                if message is None and not self._more():
+                if message is None and not self._readable():
                     break
-                if message is None:  # slcan: an adapter's answer
+                if message is None:  # slcan: an answer of the adapter, which is no frame
                     pass
                 elif message.is_error_frame:
-                    self._look(message)
+                    self._handle_error_frame(message)
                 elif message.is_extended_id == self._link.extended and not message.is_remote_frame:
-                    found.append((message.arbitration_id, bytes(message.data)))
+                    frames.append((message.arbitration_id, bytes(message.data)))
                 message = self._bus.recv(0)
         except can.CanError as error:
             code = error.error_code or getattr(error.__cause__, "errno", None)
-            raise WireError(_gone(code, error)) from error
+            raise WireError(_failure(code, error)) from error
         except ValueError:  # slcan: a line that is no frame
             self._awake = False
-        return found
+        return frames
 
-    def _first(self, until: float) -> Any:
-        """Return the first message, None where none came in time."""
-        while (left := until - MONOTONIC.now()) > 0 and not self._awake:
-            if self._file is not None:
-                ready, _, _ = select.select([self._file, self._woken], [], [], left)
+    def _first_message(self, until: float) -> Any:
+        """Return the first message; None if none came in time, or `wake` was called."""
+        while (remaining := until - MONOTONIC.now()) > 0 and not self._awake:
+            if self._fd is not None:
+                ready, _, _ = select.select([self._fd, self._woken], [], [], remaining)
                 if ready:
                     break
-            elif (message := self._bus.recv(min(left, self.STEP))) is not None:
+            elif (message := self._bus.recv(min(remaining, self.STEP))) is not None:
                 return message
         self._awake = False
         with suppress(BlockingIOError):
             os.read(self._woken, 4096)
         return self._bus.recv(0)
 
-    def _more(self) -> bool:
-        """Tell whether there is something to read, as far as that can be asked."""
-        return self._file is not None and bool(select.select([self._file], [], [], 0)[0])
+    def _readable(self) -> bool:
+        """Return whether there is something to read; False if the interface cannot tell."""
+        return self._fd is not None and bool(select.select([self._fd], [], [], 0)[0])
 
-    def _look(self, message: Any) -> None:
-        """Keep an error frame's warning; raise WireError for one that ends all traffic."""
+    def _handle_error_frame(self, message: Any) -> None:
+        """Update the warning by an error frame; raise WireError if the controller is bus-off."""
         if message.arbitration_id & BUS_OFF:
             raise WireError(f"bus-off: too many errors; {CHECK}")
         if message.arbitration_id & CONTROLLER and len(message.data) > 1:
@@ -269,13 +415,13 @@ class PythonCan(CanChannel):
                 self.warning = ""
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
         self._awake = True
         with suppress(OSError):
             os.write(self._waker, b"\0")
 
     def close(self) -> None:
-        """Shut the bus down."""
+        """Shut both buses down, and close the pipe of `wake`."""
         if self._bus is None:
             return
         for bus in {id(b): b for b in (self._bus, self._urgent)}.values():
@@ -288,12 +434,14 @@ class PythonCan(CanChannel):
 
 
 class SocketCan(PythonCan):
-    """Linux's own sockets, written to directly: python-can makes three system calls of one.
+    """Channel of Linux's CAN sockets, which sends by the sockets directly.
 
-    A packet's frames have to come within 20 ms (SPEC.md, 3.2), also from a slow computer.
+    python-can makes three system calls for each frame, this class makes one. The frames of a packet
+    have to arrive within 20 ms (SPEC.md, 3.2), from a slow computer as well.
     """
 
-    def _put(self, bus: Any, frame: Frame) -> bool:
+    def _send_by(self, bus: Any, frame: Frame) -> bool:
+        """Send a frame by the socket of a bus; return whether there was room."""
         identifier, data = frame
         link, size = self._link, 64 if self._link.data is not None else 8
         identifier |= socket.CAN_EFF_FLAG if link.extended else 0
@@ -306,12 +454,12 @@ class SocketCan(PythonCan):
         except OSError as error:
             if error.errno in FULL:
                 return False
-            raise WireError(_gone(error.errno, error)) from error
+            raise WireError(_failure(error.errno, error)) from error
         return True
 
 
 def _descriptor(bus: Any) -> int | None:
-    """Return what can be waited for, None where python-can has none for this interface."""
+    """Return the file descriptor of a bus to wait for; None if its interface has none."""
     try:
         number = bus.fileno()
     except NotImplementedError:
@@ -319,8 +467,8 @@ def _descriptor(bus: Any) -> int | None:
     return number if isinstance(number, int) and number >= 0 else None
 
 
-def _gone(code: int | None, error: Exception) -> str:
-    """Return what became of an interface."""
+def _failure(code: int | None, error: Exception) -> str:
+    """Return a description of the failure of an interface."""
     known = {
         errno.ENETDOWN: "the interface is down: bus-off, or not set up (ip link set … up)",
         errno.ENODEV: "the interface is gone",
@@ -340,9 +488,9 @@ class CanOptions(LinkOptions, frozen=True, kw_only=True):
     bitrate : float
         Nominal bit rate [bit/s].
     fd : bool
-        Whether CAN FD is spoken; so it is if ``data_bitrate`` is given.
+        Whether frames are CAN FD; they also are if ``data_bitrate`` is given.
     data_bitrate : float or None
-        Bit rate of the data phase of CAN FD [bit/s].
+        Bit rate of the data phase of CAN FD [bit/s]; None for the default, `DATA`.
     extended : bool
         Whether identifiers have 29 bits.
     nodes : tuple of int
@@ -357,7 +505,7 @@ class CanOptions(LinkOptions, frozen=True, kw_only=True):
 
 
 def link_of(options: CanOptions) -> Can:
-    """Return how long packets take on the bus.
+    """Return the medium of a CAN bus.
 
     Parameters
     ----------
@@ -367,7 +515,7 @@ def link_of(options: CanOptions) -> Can:
     Returns
     -------
     Can
-        The bus with its bit rates.
+        Bus of these bit rates; it knows how long packets take.
     """
     fd = options.fd or options.data_bitrate is not None
     data = (options.data_bitrate or DATA) if fd else None
@@ -382,9 +530,9 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
     path : str
         Interface of python-can and its channel, such as ``socketcan/can0``.
     link : Can
-        How long packets take on the bus.
+        Medium, whose bit rates are set on interfaces other than socketcan.
     clock : Clock
-        Clock by which the wire waits.
+        Host time.
 
     Returns
     -------
@@ -411,8 +559,9 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
     buses: list[Any] = []
     try:
         if interface == "socketcan":
-            _look_for(channel)
+            _require_interface(channel)
             buses.append(can.Bus(**arguments))
+            # The socket for e-stops is never read: let next to nothing pass its filter.
             buses[0].set_filters([{"can_id": 0, "can_mask": 0x7FF, "extended": False}])
             buses[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_PRIORITY, PRIORITY)
         buses.append(can.Bus(**arguments))
@@ -424,12 +573,12 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
     return CanWire(channel_of(buses[-1], buses[0], link), link, clock)
 
 
-def _look_for(channel: str) -> None:
-    """Raise OSError where there is no CAN, or no such interface.
+def _require_interface(channel: str) -> None:
+    """Raise OSError if the kernel has no CAN, or no such interface.
 
-    python-can does as well, but prints a line about it and leaves a socket open. Nor is this asked
-    by `socket.if_nameindex`: it keeps the GIL while it waits for whoever sets an interface down,
-    and all of Python stands still.
+    python-can raises as well, but prints a line about it and leaves a socket open. The interfaces
+    are not listed by `socket.if_nameindex`, since that holds the GIL while another process sets an
+    interface down, and all threads of Python stand still.
     """
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW):
         if channel not in os.listdir(INTERFACES):
@@ -437,13 +586,13 @@ def _look_for(channel: str) -> None:
 
 
 def _reason(interface: str, channel: str, error: Exception) -> str:
-    """Return why a bus does not open, and what would do."""
+    """Return why a bus does not open, and what to do about it."""
     import can
 
     code = getattr(error, "errno", None) or getattr(error, "error_code", None)
     if code == errno.ENODEV:
-        there = ", ".join(found.url for found in find()) or "none is there"
-        return f"no such interface; there are: {there}"
+        interfaces = ", ".join(device.url for device in find()) or "none is there"
+        return f"no such interface; there are: {interfaces}"
     if code == errno.EAFNOSUPPORT:
         return "this kernel has no CAN"
     if code == errno.EACCES:
@@ -454,11 +603,20 @@ def _reason(interface: str, channel: str, error: Exception) -> str:
 
 
 def find() -> Iterator[Found]:
-    """Yield the CAN interfaces of the kernel."""
+    """Find the CAN interfaces of the kernel.
+
+    Yields
+    ------
+    Found
+        Interface of socketcan, whether it is up or down.
+    """
     with suppress(OSError):
         for name in sorted(os.listdir(INTERFACES)):
-            with suppress(OSError), open(f"{INTERFACES}/{name}/type", encoding="ascii") as kind:
-                if kind.read().strip() == "280":  # ARPHRD_CAN
+            with (
+                suppress(OSError),
+                open(f"{INTERFACES}/{name}/type", encoding="ascii") as type_file,
+            ):
+                if type_file.read().strip() == "280":  # ARPHRD_CAN
                     yield Found(f"can:socketcan/{name}", "CAN interface")
 
 

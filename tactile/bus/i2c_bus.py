@@ -1,10 +1,12 @@
 """``i2c:``, amplifiers with the protocol on I²C.
 
-``i2c:1?address=0x42`` is address 0x42 of /dev/i2c-1; several addresses are one display, in their
-order. The host reads what targets have to say: as often as they send PULSE, and at once where it
-asked for an answer. A transfer that is not acknowledged is lost and counted, as on any link; where
-none is for a tenth of a second, the link is broken. ``smbus=true`` for adapters that do no more
-than SMBus.
+``i2c:1?address=0x42`` is address 0x42 on /dev/i2c-1; the amplifiers at several addresses form one
+display, in the order of their nodes. ``smbus=true`` is for adapters that have no transfers other
+than those of SMBus.
+
+The host reads what the targets have to send: as often as they send PULSE, and soon after each
+request. A transfer that is not acknowledged is lost and counted, as on any link. If none is
+acknowledged for a tenth of a second, the link is broken.
 """
 
 import errno
@@ -39,44 +41,109 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
 ADDRESS, CLOCK = 0x42, 400e3
-"""Where nothing else is said; the bus's clock [Hz] is the adapter's to set."""
+"""Default address, and default clock [Hz]; the adapter is set to its clock elsewhere."""
 FIRST_READ = LENGTH.size + SMALLEST + Pulse.HEAD.size
-"""Bytes of a read: a PULSE; what is longer is read again."""
+"""Size of the first read of a packet, enough for a PULSE; a longer packet is read again [bytes]."""
 ANSWER = 1e-3
-"""s from a request to a look at the answer."""
+"""Time from a request to the read of its answer [s]."""
 ANSWERED = (Time.TYPE, Poll.TYPE)
-"""Answered without being asked to."""
+"""Types of messages that are answered without ACK_REQUEST."""
 MOST_READS = 16
-"""Packets that are read at a time: as many as a target lets wait."""
+"""Maximum number of packets that are read from a target at a time, which is as many as wait in it
+at most."""
 TICK_HZ = 1_000_000
+"""Resolution of the time of reception, by which fragments time out [1/s]."""
 
 
 class Adapter(ABC):
-    """Transfers to an address; its errors are OSErrors, also where nobody acknowledges."""
+    """Transfers to and from addresses on a bus.
+
+    A call returns when its transfer has ended. Errors are OSErrors, a transfer that nobody
+    acknowledges among them.
+    """
 
     @abstractmethod
     def write(self, address: int, data: bytes) -> None:
-        """Write a transfer."""
+        """Write a transfer.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes of the transfer.
+        """
 
     @abstractmethod
     def read(self, address: int, size: int) -> bytes:
-        """Read a transfer."""
+        """Read a transfer.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        size : int
+            Number of bytes to read.
+
+        Returns
+        -------
+        bytes
+            Bytes that the target sent.
+        """
 
     @abstractmethod
     def write_block(self, address: int, command: int, block: bytes) -> None:
-        """Write an SMBus block."""
+        """Write an SMBus block.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        command : int
+            Command code.
+        block : bytes
+            At most 32 bytes.
+        """
 
     @abstractmethod
     def read_block(self, address: int, command: int) -> bytes:
-        """Read an SMBus block."""
+        """Read an SMBus block.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        command : int
+            Command code.
+
+        Returns
+        -------
+        bytes
+            Bytes that the target sent, at most 32.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it."""
+        """Close the adapter; it may be called any number of times."""
 
 
 class I2cEnd:
-    """The host's end of what goes to one address, raw or in SMBus blocks."""
+    """Host's end of the exchange with one address, raw or in SMBus blocks.
+
+    Parameters
+    ----------
+    adapter : Adapter
+        Adapter of the bus.
+    address : int
+        Address of the target.
+    smbus : bool
+        Whether packets go in SMBus blocks.
+
+    Attributes
+    ----------
+    address : int
+        Address of the target.
+    """
 
     def __init__(self, adapter: Adapter, address: int, *, smbus: bool) -> None:
         self.address = address
@@ -84,7 +151,13 @@ class I2cEnd:
         self._cutter = Cutter(SMBUS_BLOCK)
 
     def write(self, data: bytes) -> None:
-        """Write a packet's bytes."""
+        """Write the bytes of a packet.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes of the packet.
+        """
         if not self._smbus:
             self._adapter.write(self.address, data)
             return
@@ -92,7 +165,18 @@ class I2cEnd:
             self._adapter.write_block(self.address, WRITE_COMMAND, block)
 
     def read(self) -> bytes:
-        """Return what a read transfer gives: length and packet, or a block."""
+        """Return the bytes that a read gives.
+
+        Returns
+        -------
+        bytes
+            Length and packet, or one SMBus block.
+
+        Raises
+        ------
+        OSError
+            If nobody acknowledges, or the length is larger than that of any packet.
+        """
         if self._smbus:
             return self._adapter.read_block(self.address, READ_COMMAND)
         data = self._adapter.read(self.address, FIRST_READ)
@@ -107,12 +191,20 @@ class I2cEnd:
 class I2cWire(Wire):
     """Packets on I²C.
 
+    `send` and `urge` wait until the transfer has ended. There is no lock: one thread at a time
+    calls them, while another one may be in `receive`. With SMBus blocks and several addresses a
+    transfer may then go to the wrong target, since smbus2 selects the address by a call of its own.
+
     Parameters
     ----------
-    adapter : of transfers
-    addresses : of the amplifiers
-    link : `I2c`
-    clock : host time
+    adapter : Adapter
+        Adapter of the bus, which the wire closes.
+    addresses : sequence of int
+        Addresses of the amplifiers.
+    link : I2c
+        Medium, which says whether packets go in SMBus blocks.
+    clock : Clock
+        Host time.
     """
 
     def __init__(self, adapter: Adapter, addresses: Sequence[int], link: I2c, clock: Clock) -> None:
@@ -120,67 +212,111 @@ class I2cWire(Wire):
         self._adapter, self._clock, self._smbus = adapter, clock, link.smbus
         self._targets = [I2cEnd(adapter, a, smbus=link.smbus) for a in addresses]
         self._nodes: dict[int, I2cEnd] = {}
+        """Targets by their nodes, as received packets show them."""
         timeout = FRAGMENT_TIMEOUT_MS * TICK_HZ // 1000
-        self._assemble = [Reassembler(PACKET_MAX, self.counters, timeout) for _ in addresses]
-        self._good = clock.now()
-        self._look = -1.0
+        self._reassemblers = [Reassembler(PACKET_MAX, self.counters, timeout) for _ in addresses]
+        self._last_success = clock.now()
+        """Host time of the last transfer that was acknowledged [s]."""
+        self._next_read = -1.0
+        """Host time at which the targets are read next [s]."""
         self._woken = threading.Event()
 
     def send(self, packet: Packet) -> float:
-        """Write a packet to its target, or to all; return how long that takes."""
+        """Write a packet to its target, or to all of them; wait until it is written.
+
+        Until a node is known by what it sent, its packets go to all targets; the others ignore
+        them.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        float
+            Time that the packet takes on the bus [s].
+
+        Raises
+        ------
+        WireError
+            If the adapter is gone, or nothing has been acknowledged for `STALL`.
+        """
         data = encode_packet(packet)
         known = self._nodes.get(packet.node)
         for target in [known] if known is not None else self._targets:
-            self._try(lambda target=target: target.write(data))
+            self._attempt(lambda target=target: target.write(data))
         now = self._clock.now()
         if packet.flags & Flag.ACK_REQUEST or packet.type in ANSWERED or not packet.node:
-            self._look = min(self._look, now + ANSWER)
+            self._next_read = min(self._next_read, now + ANSWER)
         return self.link.seconds(data)
 
     def urge(self, packet: Packet) -> None:
-        """Write: nothing waits on I²C but the transfer under way."""
+        """Write a packet; on I²C nothing but the transfer under way is ahead of it.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+        """
         self.send(packet)
 
-    def _try(self, transfer: Any) -> Any:
-        """Return what a transfer gives; None, counted, where it is not acknowledged."""
+    def _attempt(self, transfer: Any) -> Any:
+        """Return what a transfer gives; count one that is not acknowledged and return None."""
         try:
-            found = transfer()
+            data = transfer()
         except WireError:
             raise
         except OSError as error:
             self.counters.malformed += 1
-            if error.errno in GONE or self._clock.now() - self._good > STALL:
-                raise WireError(_said(error)) from error
+            if error.errno in GONE or self._clock.now() - self._last_success > STALL:
+                raise WireError(_failure(error)) from error
             return None
-        self._good = self._clock.now()
-        return found
+        self._last_success = self._clock.now()
+        return data
 
     def receive(self, until: float) -> list[Packet]:
-        """Read what waits, when it is time to look."""
+        """Wait until the next read is due, and read all packets that wait in the targets.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets, one target after the other; empty if no read was due, or `wake` was called.
+
+        Raises
+        ------
+        WireError
+            If the adapter is gone, or nothing has been acknowledged for `STALL`.
+        """
         now = self._clock.now()
-        if now < self._look:
-            self._pause(min(until, self._look) - now)
-        if self._clock.now() < self._look:
+        if now < self._next_read:
+            self._pause(min(until, self._next_read) - now)
+        if self._clock.now() < self._next_read:
             return []
-        self._look = self._clock.now() + PULSE_INTERVAL
+        self._next_read = self._clock.now() + PULSE_INTERVAL
         return [
             packet for k, target in enumerate(self._targets) for packet in self._read(k, target)
         ]
 
     def _pause(self, seconds: float) -> None:
-        """Let time pass, or less where woken."""
+        """Wait for some time, but no longer than until `wake`."""
         self._clock.wait(self._woken, seconds)
         self._woken.clear()
 
     def _read(self, index: int, target: I2cEnd) -> Iterator[Packet]:
-        """Yield the packets that a target has."""
+        """Yield the packets that wait in a target."""
         for _ in range(MOST_READS * (1 + 8 * self._smbus)):
-            data = self._try(target.read)
+            data = self._attempt(target.read)
             if data is None or (data[:1] == NOTHING and (self._smbus or data[:2] == b"\0\0")):
                 return
             if self._smbus:
                 ticks = int(self._clock.now() * TICK_HZ)
-                packet = self._assemble[index].feed(READ_COMMAND, data, ticks)
+                packet = self._reassemblers[index].feed(READ_COMMAND, data, ticks)
             else:
                 packet = decode_read(data, self.counters)
             if packet is not None:
@@ -188,7 +324,7 @@ class I2cWire(Wire):
                 yield packet
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
         self._woken.set()
 
     def close(self) -> None:
@@ -197,16 +333,31 @@ class I2cWire(Wire):
 
 
 GONE = (errno.ENODEV, errno.EBADF)
+"""Error numbers of an adapter that is gone."""
 
 
-def _said(error: OSError) -> str:
+def _failure(error: OSError) -> str:
+    """Return a description of why transfers fail."""
     if error.errno in GONE:
         return "the adapter is gone"
     return f"nothing acknowledges ({error.strerror or error})"
 
 
 class LinuxAdapter(Adapter):
-    """/dev/i2c-N by smbus2."""
+    """Adapter of Linux, /dev/i2c-N, by smbus2.
+
+    Parameters
+    ----------
+    path : str
+        Device of the adapter.
+
+    Raises
+    ------
+    ImportError
+        If smbus2 is not installed.
+    OSError
+        If the device cannot be opened.
+    """
 
     def __init__(self, path: str) -> None:
         import smbus2
@@ -214,21 +365,65 @@ class LinuxAdapter(Adapter):
         self._smbus2, self._bus = smbus2, smbus2.SMBus(path)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write a transfer."""
+        """Write a transfer.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes of the transfer.
+        """
         self._bus.i2c_rdwr(self._smbus2.i2c_msg.write(address, data))
 
     def read(self, address: int, size: int) -> bytes:
-        """Read a transfer."""
+        """Read a transfer.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        size : int
+            Number of bytes to read.
+
+        Returns
+        -------
+        bytes
+            Bytes that the target sent.
+        """
         message = self._smbus2.i2c_msg.read(address, size)
         self._bus.i2c_rdwr(message)
         return bytes(message)
 
     def write_block(self, address: int, command: int, block: bytes) -> None:
-        """Write an SMBus block."""
+        """Write an SMBus block.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        command : int
+            Command code.
+        block : bytes
+            At most 32 bytes.
+        """
         self._bus.write_block_data(address, command, list(block))
 
     def read_block(self, address: int, command: int) -> bytes:
-        """Read an SMBus block."""
+        """Read an SMBus block.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        command : int
+            Command code.
+
+        Returns
+        -------
+        bytes
+            Bytes that the target sent, at most 32.
+        """
         return bytes(self._bus.read_block_data(address, command))
 
     def close(self) -> None:
@@ -246,9 +441,9 @@ class I2cOptions(LinkOptions, frozen=True, kw_only=True):
     Attributes
     ----------
     address : tuple of int
-        Addresses of the amplifiers in the order of the channels.
+        Addresses of the amplifiers. Channels are in the order of nodes, not of addresses.
     clock : float
-        Clock of the bus [Hz].
+        Clock of the bus, which has to be that of the adapter [Hz].
     smbus : bool
         Whether packets go in block writes and reads of SMBus, for adapters that have no others.
     """
@@ -259,7 +454,7 @@ class I2cOptions(LinkOptions, frozen=True, kw_only=True):
 
 
 def link_of(options: I2cOptions) -> I2c:
-    """Return how long packets take on the bus.
+    """Return the medium of an I²C bus.
 
     Parameters
     ----------
@@ -269,13 +464,29 @@ def link_of(options: I2cOptions) -> I2c:
     Returns
     -------
     I2c
-        The bus with its clock.
+        Bus of that clock; it knows how long packets take.
     """
     return I2c(options.clock, smbus=options.smbus)
 
 
 def device(path: str) -> str:
-    """Return the device of a bus's number or path."""
+    """Return the device of a bus.
+
+    Parameters
+    ----------
+    path : str
+        Number of the bus, or its device.
+
+    Returns
+    -------
+    str
+        Path of the device.
+
+    Examples
+    --------
+    >>> device("1")
+    '/dev/i2c-1'
+    """
     return f"/dev/i2c-{path}" if path.isdigit() else path
 
 
@@ -287,11 +498,11 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
     path : str
         Number of the bus, or its device.
     addresses : sequence of int
-        Addresses of the amplifiers in the order of the channels.
+        Addresses of the amplifiers, each of which is read once.
     link : I2c
-        How long packets take on the bus.
+        Medium, which says whether packets go in SMBus blocks.
     clock : Clock
-        Clock by which the wire waits.
+        Host time.
 
     Returns
     -------
@@ -301,7 +512,7 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
     Raises
     ------
     WireError
-        If the bus cannot be opened or nothing acknowledges, with what to do about it.
+        If the bus cannot be opened, or an address is not acknowledged, with what to do about it.
     """
     path = device(path)
     try:
@@ -311,27 +522,34 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
     except OSError as error:
         raise WireError(f"i2c: {path}: {_reason(error)}") from error
     try:
-        for one in addresses:
-            I2cEnd(adapter, one, smbus=link.smbus).read()
+        for address in addresses:
+            I2cEnd(adapter, address, smbus=link.smbus).read()
     except OSError as error:
         adapter.close()
         raise WireError(
-            f"i2c: {path}: nothing acknowledges at address {one:#04x}; check power and address"
+            f"i2c: {path}: nothing acknowledges at address {address:#04x}; check power and address"
         ) from error
     return I2cWire(adapter, addresses, link, clock)
 
 
 def _reason(error: OSError) -> str:
+    """Return why a bus does not open, and what to do about it."""
     if error.errno == errno.ENOENT:
-        there = ", ".join(sorted(glob.glob("/dev/i2c-*"))) or "none; modprobe i2c-dev"
-        return f"no such bus; there are: {there}"
+        devices = ", ".join(sorted(glob.glob("/dev/i2c-*"))) or "none; modprobe i2c-dev"
+        return f"no such bus; there are: {devices}"
     if error.errno == errno.EACCES:
         return "permission denied; sudo usermod -aG i2c $USER, then log in again"
     return str(error.strerror or error)
 
 
 def find() -> Iterator[Found]:
-    """Yield the buses, and on each the addresses that answer HELLO's read as an amplifier does."""
+    """Find the I²C buses of this computer; their addresses are not searched.
+
+    Yields
+    ------
+    Found
+        Bus, with the default address.
+    """
     for path in sorted(glob.glob("/dev/i2c-*")):
         yield Found(f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}")
 

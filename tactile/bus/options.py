@@ -1,7 +1,7 @@
-"""Options of a device URL, as each driver declares them in one Struct.
+"""Options of a device URL, which each driver declares in one Struct.
 
-`decode` checks the text of all options once; a mistake is one line that names option, value and
-limit. From then on options are values with types.
+`decode` checks the text of all options once and returns typed values. The error of a mistake is one
+line that names the option, its value and what is allowed.
 """
 
 from collections.abc import Mapping
@@ -15,19 +15,23 @@ from tactile.errors import InputError
 from tactile.files import nearest
 
 FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+"""Values of a bool option by their texts, in lower case."""
 FORMATS = {
     "pcm16": SampleFormat.PCM16,
     "pcm12": SampleFormat.PCM12,
     "bfp8": SampleFormat.BFP8,
     "spectrum": SampleFormat.SPECTRUM8,
 }
-"""Formats of the drive on a link, by their names in a URL."""
+"""Sample formats on a link by their names in a URL."""
 HEXADECIMAL = {"hexadecimal": True}
 """Mark of an integer, in `msgspec.Meta.extra`, whose limits are printed in hexadecimal."""
 
 SampleFormatName = Literal["pcm16", "pcm12", "bfp8"]
+"""Name of a format that carries samples."""
 FormatName = Literal["pcm16", "pcm12", "bfp8", "spectrum"]
+"""Name of any format."""
 Keep = Literal["second", "all"]
+"""Amount of output that a simulated amplifier keeps: the last second, or all of it."""
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
@@ -97,7 +101,7 @@ def _value(text: str, kind: inspect.Type) -> Any:
     """Return the value of an option; raise ValueError with what would be allowed."""
     hexadecimal = False
     if isinstance(kind, inspect.UnionType):
-        (kind,) = (one for one in kind.types if not isinstance(one, inspect.NoneType))
+        (kind,) = (member for member in kind.types if not isinstance(member, inspect.NoneType))
     if isinstance(kind, inspect.Metadata):
         hexadecimal = kind.extra == HEXADECIMAL
         kind = kind.type
@@ -119,6 +123,7 @@ def _value(text: str, kind: inspect.Type) -> Any:
 
 
 def _choice(text: str, allowed: list[str]) -> str:
+    """Return the text if it is allowed; raise ValueError with what would be."""
     if text in allowed:
         return text
     if all(value.isdecimal() for value in allowed):
@@ -131,6 +136,7 @@ def _choice(text: str, allowed: list[str]) -> str:
 def _number(
     text: str, kind: inspect.IntType | inspect.FloatType, *, hexadecimal: bool
 ) -> int | float:
+    """Return a number within the limits of its type; raise ValueError with the limits."""
     try:
         value = float(int(text, 16)) if text.lower().startswith("0x") else float(text)
     except ValueError:

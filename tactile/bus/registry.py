@@ -1,7 +1,8 @@
-"""The door through which buses are opened: kinds of devices by the scheme of their URL.
+"""Registry of drivers by URL scheme, and the functions that open a device by its URL.
 
-A driver registers its scheme when it is imported. An amplifier that would leave volts on a finger
-when the host dies is refused here, before anything is opened, unless that is accepted by name.
+A driver registers its scheme when it is imported. `open_bus` refuses an amplifier that would leave
+voltage on a finger when the host dies, before anything is opened, unless the caller accepts that
+explicitly.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +20,9 @@ UNSAFE: dict[HostDeath, str] = {
     "holds": "when the host dies it holds its last voltage on the finger;",
     "unknown": "what it does when the host dies nobody knows;",
 }
+"""Behaviors when the host dies that have to be accepted, with the first part of the error."""
 ACCEPT = "accept that with --accept-unsafe-hold (accept_unsafe_hold=True)"
+"""Second part of that error."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +45,19 @@ class Address(Generic[O]):
 
 
 Factory = Callable[[Address[O], DisplayLike, float | None], Bus]
-"""Function that opens a bus for a display, at a sample rate [Hz] or at its own."""
+"""Function that opens a bus for a display, at a sample rate [Hz] or, for None, at its own."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A device that is there.
+    """Device that was found.
 
     Attributes
     ----------
-    url : that opens it
-    about : what it is, one line
+    url : str
+        URL that opens it.
+    about : str
+        Description, one line.
     """
 
     url: str
@@ -61,7 +66,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Driver(Generic[O]):
-    """A kind of bus.
+    """Kind of bus.
 
     Attributes
     ----------
@@ -74,9 +79,9 @@ class Driver(Generic[O]):
     on_host_death : HostDeath
         What its amplifiers do when the host dies.
     find : callable
-        Function that returns the devices that are there.
+        Function that returns the devices that are present.
     link : callable or None
-        Function that returns how long packets take on the link of a URL with these options; None
+        Function from the options of a URL to the `Link`, which knows how long packets take; None
         for a bus that does not carry the protocol.
     """
 
@@ -89,6 +94,7 @@ class Driver(Generic[O]):
 
 
 _drivers: dict[str, Driver[Any]] = {}
+"""Registered drivers by their schemes."""
 
 
 def register_bus(
@@ -101,12 +107,12 @@ def register_bus(
     find: Callable[[], Iterable[Found]] = tuple,
     link: Callable[[O], Link] | None = None,
 ) -> None:
-    """Make ``scheme:`` open buses of a kind; an earlier kind of that name is replaced.
+    """Register a driver under a scheme; an earlier driver of that scheme is replaced.
 
     Parameters
     ----------
     scheme : str
-        First part of the URLs.
+        First part of the URLs, without the colon.
     factory, options, takes_path, on_host_death, find, link
         Attributes of the `Driver`.
     """
@@ -114,7 +120,13 @@ def register_bus(
 
 
 def find_devices() -> Iterator[Found]:
-    """Yield the devices that are there, of all kinds."""
+    """Find the devices of all registered drivers.
+
+    Yields
+    ------
+    Found
+        Device that is present.
+    """
     for driver in _drivers.values():
         yield from driver.find()
 
@@ -135,8 +147,8 @@ def parse(url: str) -> Address[Any]:
     Raises
     ------
     InputError
-        For a scheme that does not exist, with the nearest one, a path that the driver does not
-        take, an option that it does not have, or a value that is not allowed.
+        If the scheme does not exist (the error names the nearest one), the driver takes no path
+        and there is one, or it does not have an option or allow its value.
     """
     try:
         parts = urlsplit(url)
@@ -184,12 +196,22 @@ def with_default_option(url: str, name: str, value: str) -> str:
 
 
 def link_at(url: str) -> Link:
-    """Return how long packets take on the link of a device, without opening it.
+    """Return the link of a device without opening the device.
+
+    Parameters
+    ----------
+    url : str
+        URL of a device.
+
+    Returns
+    -------
+    Link
+        Medium, which knows how long packets take.
 
     Raises
     ------
     InputError
-        For a device that does not carry the protocol.
+        If the device does not carry the protocol, or as `parse` does.
     """
     address = parse(url)
     link = _drivers[address.scheme].link
@@ -210,20 +232,29 @@ def open_bus(
 
     Parameters
     ----------
-    url : such as ``mock:``, ``sim:?format=bfp8``, ``serial:///dev/ttyACM0``,
-        ``can:socketcan/can0?fd=true``, ``i2c:1?address=0x42``, ``audio:NAME?channels=24``
-    display : the display
-    sample_rate : of the drive [Hz]; by default the bus's choice, told by its `wiring`
-    accept_unsafe_hold : open also what holds its last voltage, or does nobody knows what, when
-        the host dies
+    url : str
+        URL such as ``mock:``, ``sim:?format=bfp8``, ``serial:///dev/ttyACM0``,
+        ``can:socketcan/can0?fd=true``, ``i2c:1?address=0x42`` or ``audio:NAME?channels=24``.
+    display : DisplayLike
+        Display that the amplifier drives.
+    sample_rate : float, optional
+        Sample rate of the drive [Hz]; by default the bus chooses it, and its `wiring` has it.
+    accept_unsafe_hold : bool
+        Whether to open also an amplifier that holds its last voltage when the host dies, or of
+        which nobody knows what it does then.
+
+    Returns
+    -------
+    Bus
+        Bus that is open and idle.
 
     Raises
     ------
     InputError
-        For a scheme or option that does not exist, with the nearest one; for an amplifier that
-        does not go to 0 V by itself, unless that is accepted.
+        As `parse` does; or if the amplifier does not go to 0 V by itself when the host dies and
+        that is not accepted; or if the device cannot do what the display needs.
     BusError
-        For a device that cannot be opened.
+        If the device cannot be opened.
     """
     address = parse(url)
     driver = _drivers[address.scheme]

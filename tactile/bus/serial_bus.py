@@ -1,9 +1,11 @@
-"""``serial:``, amplifiers on a serial line: UART, USB CDC, or one far away by RFC 2217.
+"""``serial:``, amplifiers on a serial line: a UART, USB CDC, or a remote port by RFC 2217.
 
 ``serial:///dev/ttyACM0?baud=3000000`` or ``serial:rfc2217://host:port?baud=115200``. Without
-``baud`` the line is taken for USB, which has no bit rate of its own. Written is never waited for:
-what the kernel does not take stays here, and nothing more is sent until it is gone. A line that
-takes nothing for a tenth of a second is broken (its reader has stalled), and is opened anew.
+``baud`` the line is assumed to be USB, which has no bit rate of its own.
+
+Writing never waits: bytes that the kernel does not take are queued in the `SerialWire`, and nothing
+more is sent until they are gone. A line that takes nothing for a tenth of a second counts as broken
+(its reader has stalled) and is opened again.
 """
 
 import errno
@@ -29,120 +31,219 @@ from tactile.bus.wire_time import Link, Uart, Usb
 from tactile.clock import MONOTONIC, Clock
 
 LARGEST_READ = 65536
+"""Maximum number of bytes of one read."""
 PURGE_OUTPUT = b"\x02"
-"""Of RFC 2217's PURGE-DATA: what the server has not sent yet."""
+"""Argument of RFC 2217's PURGE-DATA that purges what the server has not sent yet."""
 NO_RATE = 115200
-"""baud that is set where the line has none."""
+"""Bit rate that is set if the line has none of its own [bit/s]."""
 
 
 class SerialLine(ABC):
-    """Bytes both ways; the driver below a `SerialWire`. Its errors are OSErrors."""
+    """Byte stream in both directions, the driver below a `SerialWire`.
+
+    Its errors are OSErrors. Any thread may call `wake`, also while another one waits.
+    """
 
     @abstractmethod
     def write(self, data: bytes) -> int:
-        """Take bytes without waiting; return how many."""
+        """Take bytes without waiting.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to write; may be empty.
+
+        Returns
+        -------
+        int
+            Number of bytes that were taken.
+        """
 
     @abstractmethod
     def read(self) -> bytes:
-        """Return what has come."""
+        """Return the bytes that have come, without waiting.
+
+        Returns
+        -------
+        bytes
+            Bytes that were received; may be empty.
+        """
 
     @abstractmethod
     def wait(self, until: float, *, writable: bool) -> None:
-        """Wait for bytes, until a host time [s], until woken or, if asked, until it takes more."""
+        """Wait for received bytes, but no longer than until `wake`.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+        writable : bool
+            Whether to return as well when the line takes more bytes.
+        """
 
     @abstractmethod
     def wake(self) -> None:
-        """Let `wait` return."""
+        """Make `wait` return; it may be called from any thread."""
 
     @abstractmethod
     def waiting(self) -> int:
-        """Return how many bytes were written and are not on the wire yet; 0 where unknown."""
+        """Return the number of bytes that were written and are not on the wire yet.
+
+        Returns
+        -------
+        int
+            Number of bytes; 0 if unknown.
+        """
 
     @abstractmethod
     def discard(self) -> None:
-        """Drop what was written and is not on the wire yet."""
+        """Drop the bytes that were written and are not on the wire yet."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it."""
+        """Close the line; it may be called any number of times."""
 
 
 class SerialWire(Wire):
-    """Packets on a line.
+    """Packets on a serial line.
+
+    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
+    handler that interrupts one of these calls waits forever if it makes another one.
 
     Parameters
     ----------
-    line : of bytes
-    link : how long they take
-    clock : host time
+    line : SerialLine
+        Byte stream, which the wire closes.
+    link : Link
+        Medium, which knows how long packets take.
+    clock : Clock
+        Host time.
     """
 
     def __init__(self, line: SerialLine, link: Link, clock: Clock) -> None:
         super().__init__(link)
         self._line, self._clock = line, clock
         self._decoder = SerialDecoder(counters=self.counters)
-        self._rest = b""
+        self._queue = b""
+        """Bytes that the kernel has not taken yet."""
         self._since = 0.0
-        self._order = threading.Lock()
+        """Host time since which the kernel has taken none of them [s]."""
+        self._lock = threading.Lock()
         self._written = 0
+        """Number of bytes that the kernel has taken."""
         self._times: deque[tuple[int, float]] = deque()
+        """Values of that number and the host times at which they were reached [s]."""
         self._write(DELIMITER)
 
     @property
     def busy(self) -> bool:
-        """Whether the kernel has not taken all."""
-        return bool(self._rest)
+        """Whether the kernel has not taken all bytes yet."""
+        return bool(self._queue)
 
     def send(self, packet: Packet) -> float:
-        """Write a packet; return how long it takes."""
+        """Write a packet without waiting; bytes that the kernel does not take are queued.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        float
+            Time that the packet takes on the line [s].
+
+        Raises
+        ------
+        OSError
+            If the port fails.
+        """
         data = encode_packet(packet)
         self._write(encode_frame(data))
         return self.link.seconds(data)
 
     def urge(self, packet: Packet) -> None:
-        """Drop what waits here and in the kernel, end the frame that was cut, and write."""
-        with self._order:
-            self._rest = b""
+        """Write a packet in place of everything that waits here and in the kernel.
+
+        A delimiter goes first, which ends the frame that was cut off.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Raises
+        ------
+        OSError
+            If the port fails.
+        """
+        with self._lock:
+            self._queue = b""
             self._line.discard()
-            self._add(DELIMITER + encode_frame(encode_packet(packet)))
+            self._enqueue(DELIMITER + encode_frame(encode_packet(packet)))
 
     def _write(self, data: bytes) -> None:
-        with self._order:
-            self._add(data)
+        with self._lock:
+            self._enqueue(data)
 
-    def _add(self, data: bytes) -> None:
-        if not self._rest:
+    def _enqueue(self, data: bytes) -> None:
+        """Queue bytes and write what the kernel takes; the lock is held."""
+        if not self._queue:
             self._since = self._clock.now()
-        self._rest += data
+        self._queue += data
         self._flush()
 
     def _flush(self) -> None:
-        """Write what waits, by one thread at a time."""
-        taken = self._line.write(self._rest)
+        """Write what is queued, as far as the kernel takes it; the lock is held."""
+        taken = self._line.write(self._queue)
         if taken:
-            self._rest, self._since = self._rest[taken:], self._clock.now()
+            self._queue, self._since = self._queue[taken:], self._clock.now()
             self._written += taken
             self._times.append((self._written, self._since))
 
     def waited(self) -> float:
-        """Tell for how long the oldest byte has waited that the kernel still has [s]."""
-        gone = self._written - self._line.waiting()
-        while self._times and self._times[0][0] <= gone:
+        """Return how long the oldest byte that the kernel still has has been waiting.
+
+        Returns
+        -------
+        float
+            Time [s]; 0 if nothing waits, or the line cannot tell.
+        """
+        sent = self._written - self._line.waiting()
+        while self._times and self._times[0][0] <= sent:
             self._times.popleft()
         return self._clock.now() - self._times[0][1] if self._times else 0.0
 
     def receive(self, until: float) -> list[Packet]:
-        """Return what came."""
+        """Wait for bytes, write what is queued, and return the packets that are complete.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets in the order in which they came.
+
+        Raises
+        ------
+        WireError
+            If the port is gone, or the kernel has taken nothing of what is queued for `STALL`.
+        OSError
+            If the port fails otherwise.
+        """
         self._line.wait(until, writable=self.busy)
-        with self._order:
-            if self._rest:
+        with self._lock:
+            if self._queue:
                 self._flush()
-            if self._rest and self._clock.now() - self._since > STALL:
-                raise WireError(f"the line takes nothing more; {len(self._rest)} bytes wait")
+            if self._queue and self._clock.now() - self._since > STALL:
+                raise WireError(f"the line takes nothing more; {len(self._queue)} bytes wait")
         return self._decoder.feed(self._line.read())
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
         self._line.wake()
 
     def close(self) -> None:
@@ -151,7 +252,13 @@ class SerialWire(Wire):
 
 
 class PosixLine(SerialLine):
-    """A tty by its file descriptor."""
+    """Terminal device by its file descriptor.
+
+    Parameters
+    ----------
+    port : serial.Serial
+        Open port of pyserial that has a file descriptor.
+    """
 
     def __init__(self, port: Any) -> None:
         self._port, self._fd = port, port.fileno()
@@ -164,21 +271,51 @@ class PosixLine(SerialLine):
         self._poll.register(self._fd, select.POLLIN)
 
     def write(self, data: bytes) -> int:
-        """Take bytes."""
+        """Write bytes to the kernel without waiting.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to write.
+
+        Returns
+        -------
+        int
+            Number of bytes that the kernel has taken.
+        """
         try:
             return os.write(self._fd, data) if data else 0
         except BlockingIOError:
             return 0
 
     def read(self) -> bytes:
-        """Return what has come."""
+        """Return the bytes that have come.
+
+        Returns
+        -------
+        bytes
+            At most `LARGEST_READ` bytes.
+        """
         try:
             return os.read(self._fd, LARGEST_READ)
         except BlockingIOError:
             return b""
 
     def wait(self, until: float, *, writable: bool) -> None:
-        """Wait, with the resolution of poll, rounded up."""
+        """Wait for received bytes; poll rounds the time up to milliseconds.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+        writable : bool
+            Whether to return as well when the kernel takes more bytes.
+
+        Raises
+        ------
+        WireError
+            If the port is gone.
+        """
         self._poll.modify(self._fd, select.POLLIN | (select.POLLOUT if writable else 0))
         seconds = until - MONOTONIC.now()
         events = dict(self._poll.poll(max(0.0, seconds) * 1000))
@@ -189,20 +326,26 @@ class PosixLine(SerialLine):
             raise WireError("the port is gone")
 
     def wake(self) -> None:
-        """Let `wait` return."""
+        """Make `wait` return; it may be called from any thread."""
         with suppress(OSError):
             os.write(self._waker, b"\0")
 
     def waiting(self) -> int:
-        """Ask the kernel."""
+        """Return the number of bytes in the kernel's output buffer.
+
+        Returns
+        -------
+        int
+            Number of bytes.
+        """
         return int(self._port.out_waiting)
 
     def discard(self) -> None:
-        """Drop the kernel's output buffer."""
+        """Drop the bytes in the kernel's output buffer."""
         self._port.reset_output_buffer()
 
     def close(self) -> None:
-        """Close everything."""
+        """Close the port and the pipe of `wake`."""
         if self._fd < 0:
             return
         self._fd = -1
@@ -214,42 +357,83 @@ class PosixLine(SerialLine):
 
 
 class PortLine(SerialLine):
-    """A port of pyserial that has no file descriptor: RFC 2217, or another system's."""
+    """Port of pyserial without a file descriptor: by RFC 2217, or on a system other than POSIX.
+
+    Parameters
+    ----------
+    port : serial.SerialBase
+        Open port of pyserial.
+    """
 
     STEP = 2e-3
-    """s between looks at what has come."""
+    """Interval between looks at what has come [s]."""
 
     def __init__(self, port: Any) -> None:
         self._port = port
         self._woken = False
 
     def write(self, data: bytes) -> int:
-        """Take bytes."""
+        """Write bytes by pyserial; by RFC 2217 it waits while the connection is blocked.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to write.
+
+        Returns
+        -------
+        int
+            Number of bytes that were taken.
+        """
         return int(self._port.write(data) or 0) if data else 0
 
     def read(self) -> bytes:
-        """Return what has come."""
+        """Return the bytes that have come.
+
+        Returns
+        -------
+        bytes
+            Bytes that were received; may be empty.
+        """
         data = bytes(self._port.read(max(1, self._port.in_waiting)))
-        while waiting := self._port.in_waiting:  # RFC 2217 reads byte by byte
+        while waiting := self._port.in_waiting:  # RFC 2217 reads one byte at a time
             data += self._port.read(waiting)
         return data
 
     def wait(self, until: float, *, writable: bool) -> None:
-        """Look now and then."""
+        """Wait for received bytes, by looking each `STEP`.
+
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+        writable : bool
+            Not used: whether the port takes more bytes cannot be waited for.
+        """
         while not (self._woken or self._port.in_waiting or MONOTONIC.now() >= until):
             MONOTONIC.sleep(self.STEP)
         self._woken = False
 
     def wake(self) -> None:
-        """Let `wait` return."""
+        """Make `wait` return; it may be called from any thread."""
         self._woken = True
 
     def waiting(self) -> int:
-        """Return 0: not every port can tell."""
+        """Return 0, since not every port knows how many bytes wait.
+
+        Returns
+        -------
+        int
+            Always 0.
+        """
         return 0
 
     def discard(self) -> None:
-        """Drop what waits; by RFC 2217 without the 50 ms that pyserial waits for the answer."""
+        """Drop the bytes that wait to be sent.
+
+        On RFC 2217 the purge is requested without the 50 ms for which pyserial waits for its
+        answer.
+        """
         purge = getattr(self._port, "_rfc2217_options", {}).get("purge")
         if purge is None:
             self._port.reset_output_buffer()
@@ -278,7 +462,7 @@ class SerialOptions(LinkOptions, frozen=True, kw_only=True):
 
 
 def link_of(options: SerialOptions) -> Link:
-    """Return how long packets take on the line.
+    """Return the medium of a serial line.
 
     Parameters
     ----------
@@ -288,7 +472,7 @@ def link_of(options: SerialOptions) -> Link:
     Returns
     -------
     Link
-        A UART of that bit rate, or USB.
+        UART of that bit rate, or USB; it knows how long packets take.
     """
     return Usb() if options.baud is None else Uart(options.baud)
 
@@ -301,9 +485,9 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
     path : str
         Device of the port, or a URL of pyserial.
     link : Link
-        How long packets take on the line.
+        Medium of the line; a `Uart` has the bit rate that is set.
     clock : Clock
-        Clock by which the wire waits.
+        Host time.
 
     Returns
     -------
@@ -318,7 +502,7 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
     import serial
 
     rate = round(link.bit_rate) if isinstance(link, Uart) else NO_RATE
-    local = "://" not in path  # RFC 2217 has neither a lock nor a limit to writing
+    local = "://" not in path  # RFC 2217 has neither a lock nor a time-out of writing
     own: dict[str, Any] = {"exclusive": True, "write_timeout": STALL} if local else {}
     try:
         port = serial.serial_for_url(path, baudrate=rate, timeout=0, **own)
@@ -337,20 +521,20 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
 
 
 def _reason(path: str, error: Exception) -> str:
-    """Return why a port does not open, and what would do."""
+    """Return why a port does not open, and what to do about it."""
     number = getattr(error, "errno", None)
     if number == errno.EACCES:
-        return f"permission denied; {_group(path)}"
+        return f"permission denied; {_permission_advice(path)}"
     if number == errno.ENOENT:
-        ports = ", ".join(found.url for found in find()) or "none is there"
+        ports = ", ".join(port.url for port in find()) or "none is there"
         return f"no such port; there are: {ports}"
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error):
         return "another program holds the port; close it"
     return str(error).removeprefix(f"could not open port {path}: ")
 
 
-def _group(path: str) -> str:
-    """Return how to be allowed to open a port."""
+def _permission_advice(path: str) -> str:
+    """Return what a user has to do to be permitted to open a port."""
     import grp
 
     try:
@@ -361,7 +545,13 @@ def _group(path: str) -> str:
 
 
 def find() -> Iterator[Found]:
-    """Yield the serial ports that are there, with what USB says of them."""
+    """Find the serial ports of this computer.
+
+    Yields
+    ------
+    Found
+        Port, described by its USB ids and serial number if it has them.
+    """
     from serial.tools import list_ports
 
     for port in sorted(list_ports.comports()):

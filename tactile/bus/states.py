@@ -1,8 +1,8 @@
-"""What a bus does, changed one step at a time, so that no call overwrites an e-stop.
+"""State of a bus, with atomic transitions, so that no call overwrites an e-stop.
 
-E-stops are counted when they begin and when the driver has done what they ask. A bus is e-stopped
-as long as there were more e-stops than have been cleared, whatever else it does: no other change
-touches that count, and a clear ends only the e-stops that it has seen end.
+E-stops are counted when they begin, and again when the driver has carried them out. A bus is
+e-stopped as long as there were more e-stops than have been cleared, whatever else it does: no other
+transition touches these counts, and a clear ends only the e-stops that it has seen carried out.
 """
 
 import threading
@@ -12,66 +12,87 @@ BusState = Literal["idle", "running", "estopped", "closed"]
 
 
 class States:
-    """The state of one bus.
+    """State of one bus; every method may be called from any thread and from a signal handler.
 
     Attributes
     ----------
-    estops : how many there were
-    interrupted : whether playing ended without a stop: by an e-stop, or for the amplifier went to
-        0 V by itself. Who writes may not know yet.
+    estops : int
+        Number of e-stops that have begun.
+    interrupted : bool
+        Whether playing ended without a stop: by an e-stop, or because the amplifier went to 0 V by
+        itself. The thread that writes may not know of it yet.
     """
 
     def __init__(self) -> None:
         self.estops = self._ended = self._cleared = 0
         self.interrupted = False
         self._activity: Literal["idle", "running", "closed"] = "idle"
-        # held for a few instructions only; reentrant, for a signal handler may e-stop meanwhile
+        # Held for a few instructions only. Reentrant, since a signal handler may call `estop`
+        # while the thread that it interrupts holds the lock.
         self._lock = threading.RLock()
 
     @property
     def running(self) -> bool:
-        """Whether it was started and has not come to rest since."""
+        """Whether the bus was started and has not come to rest since."""
         return self._activity == "running"
 
     @property
     def now(self) -> BusState:
-        """The state."""
+        """Present state; "estopped" as long as an e-stop has not been cleared."""
         if self._activity != "closed" and self.estops > self._cleared:
             return "estopped"
         return self._activity
 
     @property
     def estop_under_way(self) -> bool:
-        """Whether a driver is still at an e-stop."""
+        """Whether the driver is still carrying out an e-stop."""
         return self.estops > self._ended
 
     def begin(self, estops: int) -> None:
-        """Run, unless there were more than so many e-stops."""
+        """Become running, unless an e-stop came since the caller counted them.
+
+        Parameters
+        ----------
+        estops : int
+            Value of `estops` when the caller began to start.
+        """
         with self._lock:
             if self.estops == estops:
                 self._activity, self.interrupted = "running", False
 
     def rest(self) -> bool:
-        """Be idle, as whoever plays wants it; tell whether there is anything to stop."""
+        """Become idle because the caller wants to stop, and forget an interruption.
+
+        Returns
+        -------
+        bool
+            Whether the bus was running, so that the driver has something to stop.
+        """
         with self._lock:
-            moving, self.interrupted = self.running, False
-            if moving:
+            was_running, self.interrupted = self.running, False
+            if was_running:
                 self._activity = "idle"
-            return moving
+            return was_running
 
     def fall(self) -> None:
-        """Be idle because the amplifier went to 0 V by itself; nothing to do unless running."""
+        """Become idle because the amplifier went to 0 V by itself; do nothing unless running."""
         with self._lock:
             if self.running:
                 self._activity, self.interrupted = "idle", True
 
     def close(self) -> None:
-        """Be closed for good."""
+        """Become closed, for good."""
         with self._lock:
             self._activity, self.interrupted = "closed", False
 
     def estop(self) -> bool:
-        """Begin an e-stop; tell whether the driver is to act, which it is unless closed."""
+        """Begin an e-stop, unless the bus is closed.
+
+        Returns
+        -------
+        bool
+            Whether the e-stop began, so that the driver has to act and `end_estop` must follow.
+        """
         with self._lock:
             if self._activity == "closed":
                 return False
@@ -81,18 +102,24 @@ class States:
             return True
 
     def end_estop(self) -> None:
-        """End an e-stop: the driver has acted."""
+        """Record that the driver has carried out an e-stop."""
         with self._lock:
             self._ended += 1
 
     def trip(self) -> None:
-        """Be e-stopped because the amplifier is; nothing to do where that is known."""
+        """Become e-stopped because the amplifier is; do nothing if that is known already."""
         with self._lock:
             if self.now != "estopped" and self.estop():
                 self.end_estop()
 
     def clear(self, estops: int) -> None:
-        """End the first so many e-stops, and be idle."""
+        """Clear e-stops and become idle, unless the bus is closed.
+
+        Parameters
+        ----------
+        estops : int
+            Number of e-stops that are cleared, counted from the first; later ones hold.
+        """
         with self._lock:
             self._cleared = estops
             if self._activity != "closed":

@@ -1,8 +1,9 @@
 """``udp:``, amplifiers on a local network, one datagram for each packet.
 
 ``udp:192.168.4.1:7412`` or ``udp:[fe80::1%eth0]:7412``. A datagram holds frames of the serial link
-(SPEC.md, 3.4), so that a board with Ethernet or Wi-Fi reads it with the decoder of that link. A
-datagram that is lost, repeated or late on the way is a packet that is lost, repeated or late.
+(SPEC.md, 3.4), so that a board with Ethernet or Wi-Fi reads it with the decoder of that link. The
+link sends nothing again: a datagram that is lost, repeated or late is a packet that is lost,
+repeated or late.
 """
 
 import selectors
@@ -34,32 +35,54 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
 HEADERS = 66
-"""Bytes around a datagram on Ethernet: preamble, MAC header, FCS and gap (IEEE 802.3: 38), IPv4
-(RFC 791: 20) and UDP (RFC 768: 8)."""
+"""Size of what surrounds a datagram on Ethernet: preamble, MAC header, FCS and gap (IEEE 802.3,
+38 bytes), IPv4 (RFC 791, 20) and UDP (RFC 768, 8) [bytes]."""
 LARGEST_DATAGRAM = 1472
-"""Bytes of a datagram that Ethernet carries in one piece: 1500 less the headers of IPv4 and UDP."""
+"""Size of the largest datagram that Ethernet carries in one piece: 1500 less the headers of IPv4
+and UDP [bytes]."""
 LARGEST_READ = 65536
-"""Bytes that are read at once; no datagram is longer."""
+"""Maximum size of one read; no datagram is longer [bytes]."""
 MOST_READS = 64
-"""Datagrams that are read before what waits is sent again."""
+"""Maximum number of datagrams that are read before queued ones are sent."""
 
 
 @dataclass(frozen=True)
 class Udp(Link):
-    """Ethernet or Wi-Fi of ``bit_rate`` [bit/s], both ways at once."""
+    """Ethernet or Wi-Fi, full duplex.
+
+    Attributes
+    ----------
+    bit_rate : float
+        Bit rate in each direction [bit/s].
+    cap : float
+        Part of the bit rate that may be used.
+    """
 
     bit_rate: float
     cap = 0.5
 
     @property
-    def name(self) -> str:  # noqa: D102
+    def name(self) -> str:
+        """Name of the link with its bit rate."""
         return f"UDP {self.bit_rate / 1e6:g} Mbit/s"
 
-    def seconds(self, packet: bytes) -> float:  # noqa: D102
+    def seconds(self, packet: bytes) -> float:
+        """Return the time that a packet takes.
+
+        Parameters
+        ----------
+        packet : bytes
+            Bytes of the packet.
+
+        Returns
+        -------
+        float
+            Time of its datagram on Ethernet, with all headers [s].
+        """
         return 8 * (HEADERS + coded_limit(len(packet)) + len(DELIMITER)) / self.bit_rate
 
     def largest(self) -> int:
-        """Return the most bytes of a packet whose datagram Ethernet carries in one piece.
+        """Return the size of the largest packet whose datagram Ethernet carries in one piece.
 
         Returns
         -------
@@ -73,14 +96,17 @@ class Udp(Link):
 class UdpWire(Wire):
     """Packets in datagrams.
 
+    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
+    handler that interrupts one of these calls waits forever if it makes another one.
+
     Parameters
     ----------
     connection : socket.socket
         UDP socket that is connected to the amplifier; the wire closes it.
     link : Link
-        How long packets take.
+        Medium, which knows how long packets take.
     clock : Clock
-        Clock by which the wire waits.
+        Host time.
     """
 
     def __init__(self, connection: socket.socket, link: Link, clock: Clock) -> None:
@@ -88,8 +114,8 @@ class UdpWire(Wire):
         self._socket, self._clock = connection, clock
         self._decoder = SerialDecoder(counters=self.counters)
         self._queue: deque[tuple[bytes, float]] = deque()
-        """Datagrams that the kernel has not taken, each with the time since which it waits [s]."""
-        self._order = threading.Lock()
+        """Datagrams that the kernel has not taken, each with the host time of its sending [s]."""
+        self._lock = threading.Lock()
         self._woken, self._waker = socket.socketpair()
         for end in (self._socket, self._woken, self._waker):
             end.setblocking(False)
@@ -99,11 +125,11 @@ class UdpWire(Wire):
 
     @property
     def busy(self) -> bool:
-        """Whether the kernel has not taken all."""
+        """Whether the kernel has not taken all datagrams yet."""
         return bool(self._queue)
 
     def send(self, packet: Packet) -> float:
-        """Send a packet without waiting.
+        """Send a packet without waiting; a datagram that the kernel does not take is queued.
 
         Parameters
         ----------
@@ -113,7 +139,7 @@ class UdpWire(Wire):
         Returns
         -------
         float
-            Time that it takes on the link [s].
+            Time that the packet takes on the link [s].
 
         Raises
         ------
@@ -121,13 +147,13 @@ class UdpWire(Wire):
             If nothing listens at the other end, or the network is down.
         """
         data = encode_packet(packet)
-        with self._order:
+        with self._lock:
             self._queue.append((encode_frame(data), self._clock.now()))
             self._flush()
         return self.link.seconds(data)
 
     def urge(self, packet: Packet) -> None:
-        """Send a packet in place of what waits.
+        """Send a packet in place of the datagrams that are queued.
 
         Parameters
         ----------
@@ -139,13 +165,13 @@ class UdpWire(Wire):
         WireError
             If nothing listens at the other end, or the network is down.
         """
-        with self._order:
+        with self._lock:
             self._queue.clear()
             self._queue.append((encode_frame(encode_packet(packet)), self._clock.now()))
             self._flush()
 
     def _flush(self) -> None:
-        """Send what waits, as far as the kernel takes it."""
+        """Send queued datagrams as far as the kernel takes them; the lock is held."""
         try:
             while self._queue:
                 self._socket.send(self._queue[0][0])
@@ -156,33 +182,34 @@ class UdpWire(Wire):
             raise WireError(_reason(error)) from error
 
     def waited(self) -> float:
-        """Return for how long the oldest datagram has waited that the kernel has not taken.
+        """Return how long the oldest datagram that the kernel has not taken has been waiting.
 
         Returns
         -------
         float
             Time [s]; 0 if none waits.
         """
-        with self._order:
+        with self._lock:
             return self._clock.now() - self._queue[0][1] if self._queue else 0.0
 
     def receive(self, until: float) -> list[Packet]:
-        """Return the packets that have come, and wait for some.
+        """Wait for datagrams, send those that are queued, and return the packets that have come.
 
         Parameters
         ----------
         until : float
-            Time of the host's clock up to which to wait [s].
+            Host time up to which to wait [s].
 
         Returns
         -------
         list of Packet
-            Packets in the order in which they came.
+            Packets in the order in which they came; empty if none came, or `wake` was called.
 
         Raises
         ------
         WireError
-            If nothing listens at the other end, the network is down, or the kernel takes nothing.
+            If nothing listens at the other end, the network is down, or the kernel has not taken a
+            queued datagram for `STALL`.
         """
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.busy else 0)
         self._selector.modify(self._socket, events)
@@ -190,7 +217,7 @@ class UdpWire(Wire):
         if self._woken in ready:
             with suppress(BlockingIOError):
                 self._woken.recv(4096)
-        with self._order:
+        with self._lock:
             self._flush()
         if self.waited() > STALL:
             raise WireError(f"the network takes nothing more; {len(self._queue)} datagrams wait")
@@ -206,12 +233,12 @@ class UdpWire(Wire):
         return packets
 
     def wake(self) -> None:
-        """Let `receive` return."""
+        """Make `receive` return; it may be called from any thread."""
         with suppress(OSError):
             self._waker.send(b"\0")
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket and those of `wake`."""
         self._selector.close()
         for end in (self._socket, self._woken, self._waker):
             end.close()
@@ -223,14 +250,14 @@ class UdpOptions(LinkOptions, frozen=True, kw_only=True):
     Attributes
     ----------
     bit_rate : float
-        Bit rate of the slowest part of the way [bit/s], by which packets are paced.
+        Bit rate of the slowest part of the network path, by which packets are paced [bit/s].
     """
 
     bit_rate: Annotated[float, Meta(ge=1e5, le=1e10)] = 10e6
 
 
 def link_of(options: UdpOptions) -> Udp:
-    """Return how long packets take on the network.
+    """Return the medium of a network.
 
     Parameters
     ----------
@@ -240,7 +267,7 @@ def link_of(options: UdpOptions) -> Udp:
     Returns
     -------
     Udp
-        A network of that bit rate.
+        Network of that bit rate; it knows how long packets take.
     """
     return Udp(options.bit_rate)
 
@@ -248,19 +275,21 @@ def link_of(options: UdpOptions) -> Udp:
 def connect(path: str, link: Link, clock: Clock) -> UdpWire:
     """Open a socket to an amplifier.
 
+    A host name is resolved first, which may take a while.
+
     Parameters
     ----------
     path : str
         Host and port, such as ``192.168.4.1:7412``.
     link : Link
-        How long packets take.
+        Medium, which knows how long packets take.
     clock : Clock
-        Clock by which the wire waits.
+        Host time.
 
     Returns
     -------
     UdpWire
-        The open wire; whether anything listens there shows only when it answers.
+        The open wire. Whether an amplifier listens there is known only when it answers.
 
     Raises
     ------
@@ -281,7 +310,7 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
             0
         ]
         connection = socket.socket(family, kind, protocol)
-    except (OSError, UnicodeError) as error:  # UnicodeError: a name that no host can have
+    except (OSError, UnicodeError) as error:  # UnicodeError: not a possible host name
         raise WireError(f"udp: {path}: {_reason(error)}") from error
     try:
         connection.connect(address)

@@ -1,7 +1,8 @@
-"""A wire: packets of the protocol out to the amplifiers of one link, and back.
+"""Wire: the transport of packets between the host and the amplifiers of one link.
 
-Whoever holds one sends no more than the wire takes (`busy`), waits in `receive`, and lets an e-stop
-overtake with `urge`. A wire that breaks raises WireError; whoever holds it connects a new one.
+The owner of a wire sends only while it is not `busy`, waits in `receive`, and lets an e-stop
+overtake other packets with `urge`. A broken wire raises `WireError`; its owner closes it and
+connects a new one.
 """
 
 import math
@@ -13,21 +14,23 @@ from tactile.bus.wire_time import Link
 from tactile.errors import BusError
 
 REORDERED, REORDERED_IN = 10, 1.0
-"""Fragments dropped, within so many seconds, from which on it is said (SPEC.md, 3.2)."""
+"""Number of dropped fragments that gives a warning, and the time within which they have to be
+dropped [s] (SPEC.md, 3.2)."""
 STALL = 0.1
-"""s in which a wire takes nothing of what waits, after which it counts as broken."""
+"""Time in which a wire takes nothing of what waits, after which it counts as broken [s]."""
 
 
 class WireError(BusError):
-    """A wire that broke, or never was."""
+    """Error of a wire that broke or could not be opened."""
 
 
 class FragmentWatch:
-    """Tells of fragments that are dropped, as on a bus without fault none is.
+    """Watch for dropped fragments; a bus without a fault drops none.
 
     Attributes
     ----------
-    warning : one line; empty where there is nothing to say
+    warning : str
+        Latest warning, one line; empty if there was none.
     """
 
     def __init__(self) -> None:
@@ -35,7 +38,15 @@ class FragmentWatch:
         self._counts: deque[tuple[float, int]] = deque([(-math.inf, 0)])
 
     def look(self, dropped: int, now: float) -> None:
-        """Take the number of fragments dropped so far, at both ends."""
+        """Update the warning.
+
+        Parameters
+        ----------
+        dropped : int
+            Number of fragments that both ends have dropped so far.
+        now : float
+            Host time [s].
+        """
         counts = self._counts
         if dropped != counts[-1][1]:
             counts.append((now, dropped))
@@ -49,12 +60,22 @@ class FragmentWatch:
 
 
 class Wire(ABC):
-    """One end of a link; open from its construction on.
+    """Host's end of a link, open from its construction on.
+
+    One thread at a time calls `receive` and `close`. Others may call `send` and `urge` meanwhile,
+    which `LinkBus` does under its own lock, and `wake` at any time.
+
+    Parameters
+    ----------
+    link : Link
+        Medium, which knows how long packets take.
 
     Attributes
     ----------
-    link : how long packets take on it
-    counters : what came that was no packet
+    link : Link
+        Medium, which knows how long packets take.
+    counters : LinkCounters
+        Counts of received data that was no packet.
     """
 
     def __init__(self, link: Link) -> None:
@@ -63,40 +84,83 @@ class Wire(ABC):
 
     @abstractmethod
     def send(self, packet: Packet) -> float:
-        """Hand a packet to the wire, without waiting; return the time that it takes there [s].
+        """Send a packet without waiting; what the wire cannot take yet is queued.
 
-        Raises WireError where the wire is broken.
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send.
+
+        Returns
+        -------
+        float
+            Time that the packet takes on the link [s].
+
+        Raises
+        ------
+        WireError
+            If the wire is broken.
         """
 
     @abstractmethod
     def urge(self, packet: Packet) -> None:
-        """Send a packet before anything that waits, at the cost of what waits."""
+        """Send a packet ahead of everything that is queued, which may be dropped.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet to send, such as an e-stop.
+
+        Raises
+        ------
+        WireError
+            If the wire is broken.
+        """
 
     @abstractmethod
     def receive(self, until: float) -> list[Packet]:
-        """Return what came; wait for it until a host time [s], or until woken.
+        """Wait for packets, until a host time or until `wake`, and send what is queued.
 
-        Raises WireError where the wire is broken, or has taken nothing for `STALL`.
+        Parameters
+        ----------
+        until : float
+            Host time up to which to wait [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets in the order in which they came; empty if none came.
+
+        Raises
+        ------
+        WireError
+            If the wire is broken, or has taken nothing of what is queued for `STALL`.
         """
 
     @abstractmethod
     def wake(self) -> None:
-        """Let `receive` return; may be called from any thread."""
+        """Make `receive` return; it may be called from any thread."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it; any number of times."""
+        """Close the wire; it may be called any number of times."""
 
     def waited(self) -> float:
-        """Tell for how long the oldest has waited of what was sent and has not left [s]."""
+        """Return how long the oldest data that was sent and has not left has been waiting.
+
+        Returns
+        -------
+        float
+            Time [s]; 0 if nothing waits, or the wire cannot know.
+        """
         return 0.0
 
     @property
     def warning(self) -> str:
-        """What is amiss though it works, one line; empty where nothing is."""
+        """Problem of a wire that still works, one line; empty if there is none."""
         return ""
 
     @property
     def busy(self) -> bool:
-        """Whether something waits that the wire has not taken."""
+        """Whether something is queued that the wire has not taken yet."""
         return False

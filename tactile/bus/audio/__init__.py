@@ -1,1 +1,1 @@
-"""Amplifiers behind an audio card, which a process of its own feeds."""
+"""Amplifiers connected to an audio card, which a separate process feeds."""

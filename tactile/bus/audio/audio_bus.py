@@ -1,20 +1,22 @@
-"""``audio:``, amplifiers behind the outputs of an audio card.
+"""``audio:``, amplifiers connected to the outputs of an audio card.
 
-``audio:NAME?channels=24`` opens the output whose name contains NAME, or has that number;
-``audio:`` the default one. Drive is rendered at the card's own sample rate unless another is asked
-for that it plays. ``channels`` are opened, the display's by default; spare ones stay at 0 V.
+``audio:NAME?channels=24`` opens the output device whose name contains NAME, or whose number is
+NAME; ``audio:`` opens the default device. The drive is rendered at the card's own sample rate
+unless another rate is requested that the card supports. By default as many channels are opened as
+the display has. Additional channels stay at 0 V.
 
-A card knows nothing of limits, fades or an e-stop, so the amplifier's last stage runs in memory, at
-the card's pace (`audio_player`): a writer that goes silent fades within its fade time, and so does
-a host that dies. What a card does whose computer dies nobody knows.
+An audio card has no limits, fades or e-stop. The last stage of the amplifier therefore runs in
+memory, in step with the card (`tactile.bus.audio.player`): if the program that writes goes silent,
+the drive fades within its fade time, and the same happens when the host process dies. What a card
+does when the whole computer dies is unknown.
 
-The display file calibrates it: ``[amplifier] audio_full_scale_v`` are the volts of drive that
-digital full scale stands for. ``ac_coupling_hz`` is the corner of the high-pass of an output that
-is not DC coupled; without it DC coupling is assumed. It is not equalized: the equalizer's filter of
-a few milliseconds has no hold on 10 Hz (its error there would be 13 % for a corner of 1 Hz, where
-leaving it alone costs 10 %). Behind it electrodes come to rest exp(−2π corner t) after the drive
-does, also in an e-stop, and may see twice the drive's limit; `status` and the display's check of
-its field say so.
+The display file contains the calibration: ``[amplifier] audio_full_scale_v`` is the drive voltage
+at digital full scale. ``ac_coupling_hz`` is the corner frequency of the high-pass filter of an
+AC-coupled output; without it DC coupling is assumed. The high-pass is not equalized, because the
+equalizer's filter of a few milliseconds has no effect at 10 Hz (its error there would be 13 % for a
+corner of 1 Hz, whereas the error without equalization is 10 %). Behind the high-pass the electrodes
+return to rest as exp(−2π corner t) after the drive does, also in an e-stop, and may reach twice the
+voltage limit of the drive; `AudioBus.status` and the check of the display file's field report that.
 """
 
 import math
@@ -36,77 +38,90 @@ from tactile.bus.registry import Address, Found, register_bus
 from tactile.errors import BusError, InputError
 
 PIECE = 256
-"""Samples that are handed on at once."""
+"""Number of samples that are sent to the player at once."""
 SILENT = 0.3
-"""s, and four of its buffers, that a card may ask for nothing."""
+"""Time without a buffer request after which a card counts as lost [s].
+
+Four times the card's latency is added to it.
+"""
 ESTOP = 0.1
-"""s after which an e-stop that the card has not taken ends its player, and so its output."""
+"""Time limit for the card to take an e-stop, after which its player is killed [s].
+
+Killing the player ends the card's output.
+"""
 FRESH = 20e-3
-"""s for which what the player told is extrapolated."""
+"""Longest time for which the player's reported state is extrapolated [s]."""
 RETRY = 1.0
-"""s between attempts to open a card again that was lost."""
+"""Interval between attempts to reopen a card that was lost [s]."""
 HEARD = 20.0
-"""Hz, where a display's band begins."""
+"""Lower limit of a display's frequency band [Hz]."""
 MISSING = (
     "audio: the display file lacks [amplifier] audio_full_scale_v: play a 100 Hz sine at digital "
     "full scale with no bimorph connected, and give the peak at the amplifier's output [V] "
     "divided by its gain in the file"
 )
+"""Error message for a display file without calibration."""
 
 
 class AudioBus(Bus):
-    """Amplifiers behind an audio card.
+    """Amplifiers connected to an audio card.
 
     Parameters
     ----------
-    order : what to open
-    coupling : corner of the outputs' high-pass [Hz], 0 for DC coupled ones
+    order : Order
+        Description of the stream to be opened.
+    coupling : float
+        Corner frequency of the outputs' high-pass filter [Hz]; 0 for DC-coupled outputs.
 
     Attributes
     ----------
-    device : the card's name and sound system
-    latency : of the card's own buffers, beside which `Told.lead` is written ahead [s]
+    device : str
+        Name of the card and of its sound system.
+    latency : float
+        Latency of the card's own buffers [s]. Samples are written ahead of it by `Told.lead`.
 
     Raises
     ------
-    InputError, BusError
-        Where it cannot be opened.
+    InputError
+        If the order cannot be met, or the device is not found.
+    BusError
+        If the card cannot be opened.
     """
 
     on_host_death = "unknown"
 
     def __init__(self, order: Order, coupling: float = 0.0) -> None:
         player = AudioProcess(order)
-        found = opened(player)
-        super().__init__(found.wiring)
-        self.device, self.latency = found.device, found.latency
-        self._order = replace(order, sample_rate=found.wiring.sample_rate)
+        stream = opened(player)
+        super().__init__(stream.wiring)
+        self.device, self.latency = stream.device, stream.latency
+        self._order = replace(order, sample_rate=stream.wiring.sample_rate)
         self._coupling = coupling
         self._player: AudioProcess | None = player
         self._opening: AudioProcess | None = None
         self._guard = threading.RLock()
-        self._retry_at, self._trouble = 0.0, ""
-        self._base = (0, 0, 0)
-        self._begun: AudioProcess | None = None
+        self._retry_at, self._problem = 0.0, ""
+        self._counted = (0, 0, 0)
+        self._started_player: AudioProcess | None = None
         self._block = 0
-        self._kept: Floats = np.zeros((0, found.wiring.channels))
+        self._recent_output: Floats = np.zeros((0, stream.wiring.channels))
 
-    # What is told
+    # State
 
     @property
     def output(self) -> Floats:
-        """Volts put out (S, C), the last second of what was not rest [V]."""
+        """Drive voltages of the last second outside of rest, array (S, C) [V]."""
         player = self._player
         if player is not None:
             player.output = None
             player.ask("output")
             if player.output is not None:
-                self._kept = player.output
-        return self._kept
+                self._recent_output = player.output
+        return self._recent_output
 
     @property
     def about(self) -> str:
-        """What is played on, one line."""
+        """Description of the card and the stream in one line."""
         coupled = f"AC coupled at {self._coupling:g} Hz" if self._coupling else "assumed DC coupled"
         return (
             f"{self.device}: {self._order.channels} channels at {self.wiring.sample_rate:g} Hz, "
@@ -115,82 +130,85 @@ class AudioBus(Bus):
 
     @property
     def told(self) -> Told | None:
-        """How the player stands now; None where the card is lost."""
-        player = self._tended()
+        """Present state of the player; None if the card is lost."""
+        player = self._checked_player()
         if player is None:
             return None
-        told = player.ask()
-        self._count(told)
-        return told
+        report = player.ask()
+        self._count(report)
+        return report
 
     @property
     def status(self) -> BusStatus:
-        """How it stands now."""
+        """Present state of the bus."""
         if self.state != "closed" and self.told is None:
-            self._tended()
+            self._checked_player()
         state, up = self.state, self._player is not None
-        detail = self._trouble or self._remark()
+        detail = self._problem or self._coupling_remark()
         return BusStatus(state, "up" if up else "down", detail, state == "running" and up)
 
     def _has_fallen(self) -> bool:
-        return self._tended() is not self._begun
+        return self._checked_player() is not self._started_player
 
-    def _remark(self) -> str:
+    def _coupling_remark(self) -> str:
+        """Return a remark on AC coupling, empty for DC-coupled outputs."""
         if not self._coupling:
             return ""
         loss = 10 * math.log10(1 + (self._coupling / HEARD) ** 2)
-        rest = 3 / (2 * math.pi * self._coupling)
+        settling = 3 / (2 * math.pi * self._coupling)
         return (
             f"AC coupled at {self._coupling:g} Hz, not equalized: {HEARD:g} Hz is {loss:.1f} dB "
-            f"weak, and after the drive, also in an e-stop, electrodes take {rest:.2g} s to 5 %"
+            f"weak, and after the drive, also in an e-stop, electrodes take {settling:.2g} s to 5 %"
         )
 
     def _count(self, told: Told | None) -> None:
+        """Add what the player has counted since the last report to the counters."""
         if told is None:
             return
-        late, dropped, underruns = self._base
-        self._base = told.late_blocks, told.dropped_samples, told.underruns + told.xruns
-        self.counters.late_blocks += self._base[0] - late
-        self.counters.dropped_samples += self._base[1] - dropped
-        self.counters.underruns += self._base[2] - underruns
+        late, dropped, underruns = self._counted
+        self._counted = told.late_blocks, told.dropped_samples, told.underruns + told.xruns
+        self.counters.late_blocks += self._counted[0] - late
+        self.counters.dropped_samples += self._counted[1] - dropped
+        self.counters.underruns += self._counted[2] - underruns
 
     @property
     def ahead(self) -> float:
-        """The lead over the card, and the card's own buffers [s]."""
+        """Lead over the card, plus the latency of the card's own buffers [s]."""
         player = self._player
-        told = None if player is None else player.told
-        return self.latency + (told.lead / self.wiring.sample_rate if told is not None else 0.0)
+        report = None if player is None else player.told
+        return self.latency + (report.lead / self.wiring.sample_rate if report is not None else 0.0)
 
-    # The card comes and goes
+    # Loss and recovery of the card
 
-    def _tended(self) -> AudioProcess | None:
-        """Return the player; see to one that has failed, and to another one."""
+    def _checked_player(self) -> AudioProcess | None:
+        """Return the player; give up one that has failed, and try to open another."""
         with self._guard:
             player = self._player
             if player is not None:
-                told = player.told
+                report = player.told
                 if player.ended:
                     self._lose("its player has ended")
-                elif told is not None and told.fault:
-                    self._lose(f"its player gave up: {told.fault}")
-                elif told is not None and told.age > SILENT + 4 * self.latency:
+                elif report is not None and report.fault:
+                    self._lose(f"its player gave up: {report.fault}")
+                elif report is not None and report.age > SILENT + 4 * self.latency:
                     self._lose("it asks for nothing")
             elif self.state != "closed":
                 self._reopen()
             return self._player
 
     def _lose(self, why: str) -> None:
+        """Kill the player and count the card as lost."""
         with self._guard:
             player, self._player = self._player, None
             if player is None:
                 return
-            self._trouble = f"{self.device} is lost: {why}"
+            self._problem = f"{self.device} is lost: {why}"
             self.counters.disconnects += 1
             self._retry_at = self._clock.now() + RETRY
             player.kill()
 
     def _reopen(self) -> None:
-        """Open the card again, without waiting; what played stays at rest."""
+        """Open the card again without waiting; what played before stays at rest."""
         trial, now = self._opening, self._clock.now()
         if trial is None:
             if now >= self._retry_at:
@@ -199,74 +217,77 @@ class AudioBus(Bus):
                     now + audio_process.OPENING,
                 )
         elif trial.opened is not None:
-            self._player, self._opening, self._base = trial, None, (0, 0, 0)
+            self._player, self._opening, self._counted = trial, None, (0, 0, 0)
             self.counters.reconnects += 1
-            self._trouble = f"{self.device} was lost; stop and start to play on"
+            self._problem = f"{self.device} was lost; stop and start to play on"
         elif trial.ended or now >= self._retry_at:
             self._opening, self._retry_at = None, now + RETRY
             trial.kill()
 
-    # Who calls
+    # Calls of the base class
 
     def _start(self, position: int) -> None:
-        player = self._tended()
+        player = self._checked_player()
         if player is None:
-            raise BusError(f"start: the link is down: {self._trouble}")
-        self._trouble = ""
+            raise BusError(f"start: the link is down: {self._problem}")
+        self._problem = ""
         player.tell("start", position)
         if not player.settled(ANSWER, rest=False) and self.state != "estopped":
             self._lose("it does not start")
-            raise BusError(f"start: {self._trouble}")
-        self._begun = player
+            raise BusError(f"start: {self._problem}")
+        self._started_player = player
 
     def _write(self, block: DriveBlock) -> None:
         self._block += 1
         for k in range(0, len(block.volts), PIECE):
             volts = block.volts[k : k + PIECE]
-            player = self._room(block.position + k)
+            player = self._wait_for_room(block.position + k)
             if player is None:
                 self._drop(block.position + k, len(volts))
             else:
                 player.tell("samples", block.position + k, self._block, volts)
 
     def _drop(self, position: int, count: int) -> None:
-        self._tended()
+        self._checked_player()
         super()._drop(position, count)
 
-    def _room(self, position: int) -> AudioProcess | None:
-        """Wait until a position is near; None where the card does not play."""
+    def _wait_for_room(self, position: int) -> AudioProcess | None:
+        """Wait until a position may be sent; return None if the card does not play."""
         rate = self.wiring.sample_rate
         while self.state == "running":
-            player = self._begun
+            player = self._started_player
             if player is None:
                 return None
-            told = player.told if self._clock.now() - player.told_at < FRESH else self.told
-            if told is None:
+            report = player.told if self._clock.now() - player.told_at < FRESH else self.told
+            if report is None:
                 self._lose("its player does not answer")
                 return None
-            playing = told.phase == "playing"
-            since = told.age + self._clock.now() - player.told_at if playing else 0.0
-            ahead = position - told.lead - told.position - min(since, FRESH + self.latency) * rate
+            playing = report.phase == "playing"
+            since = report.age + self._clock.now() - player.told_at if playing else 0.0
+            ahead = (
+                position - report.lead - report.position - min(since, FRESH + self.latency) * rate
+            )
             if ahead <= 0:
                 return player
-            if told.phase == "waiting":
+            if report.phase == "waiting":
                 player.tell("go")
                 player.told_at = 0.0
             self._clock.sleep(min(max(ahead / rate, 5e-4), ANSWER / 10))
         return None
 
     def _stop(self) -> None:
-        told = self.told
-        queued = 0 if told is None else max(0, self._next - told.position)
-        self._end("stop", ANSWER + queued / self.wiring.sample_rate)
+        report = self.told
+        queued = 0 if report is None else max(0, self._next - report.position)
+        self._end_playback("stop", ANSWER + queued / self.wiring.sample_rate)
 
     def _abort(self) -> None:
-        self._end("abort", ANSWER)
+        self._end_playback("abort", ANSWER)
 
     def _estop(self) -> None:
-        self._end("estop", ESTOP)
+        self._end_playback("estop", ESTOP)
 
-    def _end(self, how: str, seconds: float) -> None:
+    def _end_playback(self, how: str, seconds: float) -> None:
+        """Send a message that ends playback; kill the player if it is not at rest in time."""
         player = self._player
         if player is None:
             return
@@ -276,13 +297,13 @@ class AudioBus(Bus):
         self._count(player.told)
 
     def _clear(self) -> None:
-        player = self._tended()
+        player = self._checked_player()
         if player is None:
-            raise BusError(f"clear: the link is down: {self._trouble}")
+            raise BusError(f"clear: the link is down: {self._problem}")
         player.tell("clear")
-        settled, told = player.settled(ANSWER), player.told
-        if not settled or told is None or told.refused:
-            why = told.refused if told is not None and told.refused else "no answer"
+        settled, report = player.settled(ANSWER), player.told
+        if not settled or report is None or report.refused:
+            why = report.refused if report is not None and report.refused else "no answer"
             raise BusError(f"clear: {why}; it stays e-stopped")
 
     def _close(self) -> None:
@@ -295,7 +316,13 @@ class AudioBus(Bus):
 
 
 def find() -> Iterator[Found]:
-    """Yield the outputs of audio cards; none where PortAudio is missing."""
+    """Yield the output devices of PortAudio; none if PortAudio is missing.
+
+    Yields
+    ------
+    Found
+        URL and description of an output device.
+    """
     player = AudioProcess(None)
     player.wait(
         lambda: player.listed is not None or player.failed is not None, audio_process.OPENING
@@ -325,6 +352,7 @@ class AudioOptions(Options, frozen=True, kw_only=True):
 
 
 def _channels(options: AudioOptions, display: DisplayLike) -> int:
+    """Return how many channels to open for a display."""
     count = display.channels if options.channels is None else options.channels
     if count < display.channels:
         raise InputError(f"audio: channels = {count}: must be a number from {display.channels} up")
@@ -336,6 +364,7 @@ def _channels(options: AudioOptions, display: DisplayLike) -> int:
 def _open(
     address: Address[AudioOptions], display: DisplayLike, sample_rate: float | None
 ) -> AudioBus:
+    """Open a bus for a display, at a sample rate [Hz] or at the card's own."""
     channels = _channels(address.options, display)
     full_scale = display.amplifier.audio_full_scale
     if full_scale is None:

@@ -1,6 +1,7 @@
-"""The outputs that PortAudio lists: which is meant, and at which rate it is opened.
+"""Select an output of PortAudio, and the sample rate at which it is opened.
 
-sounddevice, or what stands for it in a test, is handed in; `imported` gets the real one.
+Functions receive the module sounddevice, or a test's substitute, as ``sd``; `imported` returns the
+real one.
 """
 
 from typing import Any, NamedTuple
@@ -9,15 +10,30 @@ from tactile.errors import BusError, InputError, NotFoundError
 from tactile.files import nearest
 
 RATES = (8000, 16000, 32000, 44100, 48000, 88200, 96000, 192000)
-"""Hz that are tried where one is refused."""
+"""Sample rates that are tried where the requested one is refused [Hz]."""
 NO_PORTAUDIO = (
     "audio: PortAudio is missing: {}; apt install libportaudio2, or where there is none "
     "pip install --force-reinstall sounddevice"
 )
+"""Message for a missing PortAudio library, to be formatted with the error."""
 
 
 class Device(NamedTuple):
-    """An output as PortAudio lists it."""
+    """Output device as PortAudio lists it.
+
+    Attributes
+    ----------
+    number : int
+        Index of the device in PortAudio's list.
+    name : str
+        Name of the device.
+    api : str
+        Name of its sound system, such as "ALSA".
+    channels : int
+        Number of output channels.
+    rate : float
+        Default sample rate [Hz].
+    """
 
     number: int
     name: str
@@ -27,7 +43,18 @@ class Device(NamedTuple):
 
 
 def outputs(sd: Any) -> list[Device]:
-    """Return the outputs that there are."""
+    """Return the available output devices.
+
+    Parameters
+    ----------
+    sd : module
+        Module sounddevice.
+
+    Returns
+    -------
+    list of Device
+        Devices with at least one output channel.
+    """
     apis = [api["name"] for api in sd.query_hostapis()]
     return [
         Device(k, d["name"], apis[d["hostapi"]], d["max_output_channels"], d["default_samplerate"])
@@ -37,67 +64,103 @@ def outputs(sd: Any) -> list[Device]:
 
 
 def choose(found: list[Device], name: str, default: int) -> Device:
-    """Return the output of a name or number; that of number ``default`` for an empty one.
+    """Select an output device by its name or number.
+
+    Names are compared without regard to case. A full name takes precedence over a part of a name.
+
+    Parameters
+    ----------
+    found : list of Device
+        Available devices.
+    name : str
+        Name, part of a name or number of the device; empty for the default device.
+    default : int
+        Number of the default device.
+
+    Returns
+    -------
+    Device
+        The only device that matches.
 
     Raises
     ------
     BusError
-        Where there is none at all.
-    NotFoundError, InputError
-        Where none has the name, with the nearest, or several have.
+        If there is no device at all.
+    NotFoundError
+        If no device matches; the message suggests the nearest name.
+    InputError
+        If several devices match.
     """
     if not found:
         raise BusError("audio: no output device; plug one in or start its sound server, as JACK")
     if name.isdecimal() or not name:
         number = int(name) if name else default
-        chosen = [d for d in found if d.number == number]
+        matches = [d for d in found if d.number == number]
     else:
         full = [(f"{d.name}, {d.api}".casefold(), d) for d in found]
         key = name.casefold()
-        chosen = [d for text, d in full if key in (text, d.name.casefold())]
-        chosen = chosen or [d for text, d in full if key in text]
+        matches = [d for text, d in full if key in (text, d.name.casefold())]
+        matches = matches or [d for text, d in full if key in text]
     names = [d.name for d in found]
-    if not chosen:
-        what = f"no output device {name!r}" if name else "no default output device"
-        raise NotFoundError(f"audio: {what}; {nearest(name, names)}")
-    if len(chosen) > 1:
-        several = ", ".join(f"{d.name!r} of {d.api}" for d in chosen)
+    if not matches:
+        problem = f"no output device {name!r}" if name else "no default output device"
+        raise NotFoundError(f"audio: {problem}; {nearest(name, names)}")
+    if len(matches) > 1:
+        listing = ", ".join(f"{d.name!r} of {d.api}" for d in matches)
         raise InputError(
-            f"audio: {name!r} is the name of {len(chosen)} devices: {several}; "
-            f"say more of it, or its number: audio:{chosen[0].number}"
+            f"audio: {name!r} is the name of {len(matches)} devices: {listing}; "
+            f"say more of it, or its number: audio:{matches[0].number}"
         )
-    return chosen[0]
+    return matches[0]
 
 
 def rate_of(sd: Any, device: Device, channels: int, sample_rate: float | None) -> float:
-    """Return the rate [Hz] that a device is opened at, by default its own.
+    """Return the sample rate at which a device is to be opened.
+
+    Parameters
+    ----------
+    sd : module
+        Module sounddevice.
+    device : Device
+        Device to be opened.
+    channels : int
+        Number of channels to be opened.
+    sample_rate : float or None
+        Requested rate [Hz]; None for the device's default rate.
+
+    Returns
+    -------
+    float
+        Sample rate [Hz].
 
     Raises
     ------
-    InputError, BusError
-        Where it has too few channels, not that rate, or is busy.
+    InputError
+        If the device has too few channels, or plays at other rates only.
+    BusError
+        If the device refuses all rates, for example because it is in use.
     """
     if device.channels < channels:
         raise InputError(
             f"audio: {device.name!r} has {device.channels} output channels, needs {channels}"
         )
-    wanted = sample_rate or device.rate
-    if _refused(sd, device, channels, wanted) is None:
-        return wanted
-    would_do = [r for r in RATES if _refused(sd, device, channels, r) is None]
-    if not would_do:
+    rate = sample_rate or device.rate
+    if _refusal(sd, device, channels, rate) is None:
+        return rate
+    supported = [r for r in RATES if _refusal(sd, device, channels, r) is None]
+    if not supported:
         raise BusError(
-            f"audio: {device.name!r}: {_refused(sd, device, channels, wanted)}; "
+            f"audio: {device.name!r}: {_refusal(sd, device, channels, rate)}; "
             "close what else plays on it"
         )
     raise InputError(
-        f"audio: {device.name!r}: sample_rate {wanted:g} Hz: it plays "
-        f"{', '.join(map(str, would_do))} Hz; leave it out for {device.rate:g} Hz"
+        f"audio: {device.name!r}: sample_rate {rate:g} Hz: it plays "
+        f"{', '.join(map(str, supported))} Hz; leave it out for {device.rate:g} Hz"
     )
 
 
-def _refused(sd: Any, device: Device, channels: int, rate: float) -> str | None:
-    """Return why a device does not play so; None where it does."""
+def _refusal(sd: Any, device: Device, channels: int, rate: float) -> str | None:
+    """Return why a device refuses these settings, or None if it accepts them."""
     try:
         sd.check_output_settings(device.number, channels, "float32", samplerate=rate)
     except (sd.PortAudioError, ValueError) as error:
@@ -106,12 +169,17 @@ def _refused(sd: Any, device: Device, channels: int, rate: float) -> str | None:
 
 
 def imported() -> Any:
-    """Return sounddevice.
+    """Import sounddevice, which loads PortAudio.
+
+    Returns
+    -------
+    module
+        Module sounddevice.
 
     Raises
     ------
     BusError
-        Where it or PortAudio is missing.
+        If sounddevice or PortAudio is missing.
     """
     try:
         import sounddevice
@@ -123,7 +191,18 @@ def imported() -> Any:
 
 
 def default_output(sd: Any) -> int:
-    """Return the number of the default output, −1 where there is none."""
+    """Return the number of the default output device.
+
+    Parameters
+    ----------
+    sd : module
+        Module sounddevice.
+
+    Returns
+    -------
+    int
+        Number of the device; −1 if there is no default.
+    """
     try:
         return int(sd.query_devices(kind="output")["index"])
     except sd.PortAudioError:

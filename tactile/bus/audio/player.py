@@ -1,16 +1,16 @@
-"""The end of ``audio:`` that holds the card: a program of its own, started by `audio_bus`.
+"""Audio player: the separate program that holds the audio card of an ``audio:`` bus.
 
-PortAudio hangs for good on closing a stream whose sound server has died, also at the exit of its
-program, and has crashed where there is no device; behind a process that can be killed neither
-reaches the host. It also plays on while the host computes, and outlives it: when the host is gone
-its input ends, and what plays fades.
+`audio_bus` starts it. PortAudio can hang forever when it closes a stream whose sound server has
+died, also at the exit of its program, and has crashed where there was no device. In a separate
+process, which can be killed, neither affects the host. The player also keeps playing while the host
+computes, and outlives it: when the host dies, the player's input ends and the playback fades out.
 
-The last stage of the amplifier, which a card knows nothing of, is a `Board` that PortAudio's
-callback owns alone and whose sample clock is the card's. What the host says lies in a deque until
-the next callback; nothing waits for a lock.
+An audio card has no limits, fades or e-stop. The last stage of the amplifier is therefore a `Board`
+that only PortAudio's callback uses, and whose sample clock is that of the card. Messages of the
+host lie in a deque until the next callback takes them, so that nothing waits for a lock.
 
-Messages are pickled: tuples come by the standard input, `StreamOpened`, `Told`, `Failed` and arrays
-go by the standard output.
+Messages are pickled. Tuples arrive at the standard input; `StreamOpened`, `Told`, `Failed` and
+arrays leave by the standard output.
 """
 
 import gc
@@ -40,30 +40,44 @@ from tactile.errors import BusError, TactileError
 Phase = Literal["rest", "waiting", "playing", "ending"]
 
 LEAD = 8e-3
-"""s of drive that wait beside one buffer of the card's."""
+"""Duration of the drive that is queued, in addition to one buffer of the card [s]."""
 FIRST = 3.0
-"""s for a card to ask for its first buffer."""
+"""Time limit for a card to request its first buffer [s]."""
 LEAVE = 0.3
-"""s to be at 0 V after the host is gone, and for the card to play that; then the program ends."""
+"""Time limit to reach 0 V after the host has gone, and for the card to play that [s].
+
+The program ends afterwards.
+"""
 TOLD = 5e-3
-"""s between answers to samples."""
+"""Least interval between reports in reply to samples [s]."""
 PACKET = 65535
-"""Bytes: the longest that the protocol can tell, for a line in memory has no reason to be short."""
+"""Size limit of packets to the amplifier in memory [bytes].
+
+It is the largest that the protocol can express, since short packets have no advantage in memory.
+"""
 BACKLOG = 1000
-"""Messages that wait for the card; a host that minds its lead has a tenth of it there."""
+"""Largest number of messages that wait for the card.
+
+A host that observes the lead needs about a tenth of it.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """What is to be opened.
+    """Description of the stream to be opened.
 
     Attributes
     ----------
-    device : part of its name, or its number; empty for the default one
-    channels : to open, at least the wiring's; the others stay at 0
-    sample_rate : [Hz], None for the card's own
-    wiring : what the card drives, its sample rate yet to be said
-    full_scale : volts of drive at digital full scale [V]
+    device : str
+        Part of the device's name, or its number; empty for the default device.
+    channels : int
+        Number of channels to open, at least that of the wiring; the others stay at 0.
+    sample_rate : float or None
+        Requested sample rate [Hz]; None for the card's default.
+    wiring : Wiring
+        What the card drives. Its sample rate is replaced by that of the stream.
+    full_scale : float
+        Drive voltage at digital full scale [V].
     """
 
     device: str
@@ -74,13 +88,16 @@ class Order:
 
 
 class StreamOpened(NamedTuple):
-    """A stream runs.
+    """Message: the stream has been opened and the card requests drive.
 
     Attributes
     ----------
-    device : its name and sound system
-    wiring : with the sample rate
-    latency : of the card's buffers as PortAudio tells it, one of them at least [s]
+    device : str
+        Name of the device and of its sound system.
+    wiring : Wiring
+        What the card drives, with the sample rate of the stream.
+    latency : float
+        Latency of the card's buffers as PortAudio reports it, at least one buffer [s].
     """
 
     device: str
@@ -89,28 +106,49 @@ class StreamOpened(NamedTuple):
 
 
 class Failed(NamedTuple):
-    """It cannot be opened: the class of the error, and what it says."""
+    """Message: the stream could not be opened.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the error's class.
+    text : str
+        Error message.
+    """
 
     kind: str
     text: str
 
 
 class Told(NamedTuple):
-    """How it stands.
+    """Message: state of the player.
 
     Attributes
     ----------
-    answered : the number of the host's message that this answers
-    phase : of what plays
-    waiting : messages that the card has not taken
-    position : played next
-    lead : samples that may wait
-    underruns, xruns : of the amplifier; of the card while it was not at rest
-    late_blocks, dropped_samples : as in `Counters`
-    load : share of a core that the callback takes, the mean while it was not at rest
-    age : since the card asked for its last buffer [s]
-    refused : why the amplifier did not clear its e-stop
-    fault : why the callback gave up, else empty
+    answered : int
+        Number of the host's message that this one answers.
+    phase : str
+        What is played: "rest", "waiting", "playing" or "ending".
+    waiting : int
+        Number of messages that the callback has not taken.
+    position : int
+        Position of the sample that is played next.
+    lead : int
+        Number of samples that may be queued.
+    underruns : int
+        Number of times that the amplifier had nothing to play.
+    xruns : int
+        Number of underflows of the card's output while it was not at rest.
+    late_blocks, dropped_samples : int
+        Counters as in `BusCounters`.
+    load : float
+        Mean share of a core that the callback uses while the output is not at rest.
+    age : float
+        Time since the card requested its last buffer [s].
+    refused : str
+        Reason why the amplifier did not clear its e-stop; empty if it did.
+    fault : str
+        Reason why the callback gave up; empty if it works.
     """
 
     answered: int
@@ -129,7 +167,17 @@ class Told(NamedTuple):
 
 
 class CardBlock(NamedTuple):
-    """Volts (S, C) from a position on, and which of the host's blocks they are of."""
+    """Samples that wait in the player.
+
+    Attributes
+    ----------
+    position : int
+        Position of the first sample.
+    block : int
+        Number of the host's block that the samples belong to.
+    volts : (S, C) array of float
+        Drive voltages [V].
+    """
 
     position: int
     block: int
@@ -137,16 +185,36 @@ class CardBlock(NamedTuple):
 
 
 class CardOutput:
-    """What the card plays: PortAudio's callback.
+    """Callback of PortAudio: the samples that the card plays.
 
     Parameters
     ----------
-    wiring, full_scale : as in an `Order`
+    wiring : Wiring
+        What the card drives.
+    full_scale : float
+        Drive voltage at digital full scale [V].
 
     Attributes
     ----------
-    inbox : messages to be taken at the next buffer
-    phase : at "rest" the card plays 0 V and the amplifier's clock stands; "waiting" for drive
+    inbox : deque of tuple
+        Messages that the callback takes before it fills its next buffer.
+    phase : str
+        "rest" while the card plays 0 V and the amplifier's clock stands still, "waiting" until
+        enough drive is queued, "playing", or "ending" while the amplifier goes to 0 V.
+    position : int
+        Position of the sample that is played next.
+    frames : int
+        Length of the longest buffer so far [samples].
+    xruns, late_blocks, dropped_samples : int
+        Counters as in `Told`.
+    called : float
+        Time of the latest call [s].
+    refused, fault : str
+        Reasons as in `Told`.
+    busy : float
+        Processor time of the callback while the output was not at rest [s].
+    played : float
+        Duration of what was played while the output was not at rest [s].
     """
 
     def __init__(self, wiring: Wiring, full_scale: float) -> None:
@@ -170,37 +238,37 @@ class CardOutput:
         self._rate = round(wiring.sample_rate)
         self._longest = self._rate * HEARTBEAT_MS // 2000
         self._queue: deque[CardBlock] = deque()
-        self._end = self._waited = self._late = 0
+        self._end = self._waited = self._late_block = 0
         self._go = self._stopping = False
         self._last = self._held = np.zeros(wiring.channels)
-        self._kept: deque[Floats] = deque()
-        self._kept_samples = 0
+        self._recent: deque[Floats] = deque()
+        self._recent_samples = 0
 
     @property
     def lead(self) -> int:
-        """Samples that may wait."""
+        """Number of samples that may be queued."""
         return round(LEAD * self._rate) + self.frames
 
     @property
     def underruns(self) -> int:
-        """Times the amplifier had nothing to play."""
+        """Number of times that the amplifier had nothing to play."""
         return self._board.amplifier.counters.underruns
 
     @property
     def output(self) -> Floats:
-        """Volts put out (S, C), the last second of what was not rest [V]."""
-        return np.concatenate([np.zeros((0, self._wiring.channels)), *list(self._kept)])
+        """Drive voltages of the last second outside of rest, array (S, C) [V]."""
+        return np.concatenate([np.zeros((0, self._wiring.channels)), *list(self._recent)])
 
     def __call__(self, out: NDArray[np.float32], frames: int, clock: object, flags: Any) -> None:
-        """Fill a buffer (frames, channels of the card)."""
+        """Fill a buffer ``out`` of shape (frames, channels of the card)."""
         self.called, begun = MONOTONIC.now(), time.thread_time()
         self.frames = max(self.frames, frames)
         out[:] = 0
         try:
-            volts = self._broken(frames) if self.fault else self._next(frames)
+            volts = self._emergency_ramp(frames) if self.fault else self._next_buffer(frames)
         except Exception as error:
             self.fault = f"{type(error).__name__}: {error}"
-            volts = self._broken(frames)
+            volts = self._emergency_ramp(frames)
         if volts is None:
             return
         out[:, : volts.shape[1]] = volts / self._full_scale
@@ -209,13 +277,14 @@ class CardOutput:
         self.busy += time.thread_time() - begun
         self.played += frames / self._rate
 
-    def _broken(self, frames: int) -> Floats:
-        """Go to 0 V at the slew limit, whatever the amplifier in memory does."""
+    def _emergency_ramp(self, frames: int) -> Floats:
+        """Return a ramp to 0 V at the slew limit, independent of the amplifier in memory."""
         self.phase = "rest"
         fall = self._wiring.slew / self._rate * np.arange(1, frames + 1)[:, None]
         return np.asarray(np.sign(self._last) * np.maximum(np.abs(self._last) - fall, 0))
 
-    def _next(self, frames: int) -> Floats | None:
+    def _next_buffer(self, frames: int) -> Floats | None:
+        """Take the messages and return the next samples (S, C) [V], None at rest."""
         while self.inbox:
             kind, *rest = self.inbox[0]
             self._handlers[kind](*rest)
@@ -224,11 +293,11 @@ class CardOutput:
             return None
         parts, done = [], 0
         while done < frames:
-            parts.append(self._part(min(frames - done, self._longest)))
+            parts.append(self._next_part(min(frames - done, self._longest)))
             done += len(parts[-1])
         return np.concatenate(parts)
 
-    # What the host says
+    # Messages of the host
 
     def _on_start(self, position: int) -> None:
         self.phase, self.position, self._end = "waiting", position, position
@@ -259,7 +328,7 @@ class CardOutput:
         self._leave()
 
     def _leave(self) -> None:
-        """Drop what is queued, and play what the amplifier still puts out."""
+        """Discard the queue, and play what the amplifier still puts out."""
         self._queue.clear()
         self.phase = "ending" if self.phase in ("playing", "ending") else "rest"
 
@@ -271,51 +340,55 @@ class CardOutput:
             except BusError as error:
                 self.refused = str(error)
 
-    # What is played
+    # Playback
 
-    def _part(self, count: int) -> Floats:
+    def _next_part(self, count: int) -> Floats:
         """Return up to ``count`` further samples (S, C) [V]."""
-        if self.phase == "waiting" and self._ready(count):
+        if self.phase == "waiting" and self._may_begin(count):
             self._board.start(self.position, self._rate)
             self.phase = "playing"
         if self.phase == "playing" and self._stopping and self.position >= self._end:
             self._fade()
         if self.phase == "playing":
-            return self._playing(count)
+            return self._play(count)
         if self.phase == "ending":
-            return self._ending(count)
+            return self._play_ending(count)
         return np.zeros((count, self._wiring.channels))
 
     def _fade(self) -> None:
-        """Fade from where it is; with samples to hold, for to miss each of them costs more."""
+        """Start the fade.
+
+        Samples that hold the last voltage are sent first, because the amplifier needs more time to
+        bridge each missing sample.
+        """
         count = round(self._wiring.fade * self._rate) + 1
         self._board.send(self.position, np.tile(self._held, (count, 1)))
         self._board.request(m.Stop(SESSION, quick=False))
         self.phase = "ending"
 
-    def _ready(self, count: int) -> bool:
-        """Return whether to begin: there is enough, or no more is to be waited for."""
+    def _may_begin(self, count: int) -> bool:
+        """Return whether to begin: enough drive has come, or there is no more to wait for."""
         if self._go or self._stopping or self._waited >= self.lead:
             return True
         self._waited += count if self._queue else 0
         return False
 
-    def _playing(self, count: int) -> Floats:
+    def _play(self, count: int) -> Floats:
         if self._stopping:
             count = min(count, self._end - self.position)
-        self._feed()
+        self._feed_amplifier()
         volts = self._board.play(count)
         self.position += count
-        self._keep(volts)
+        self._remember(volts)
         return volts
 
-    def _feed(self) -> None:
-        """Hand on what the amplifier has room for, in as few packets as can be."""
+    def _feed_amplifier(self) -> None:
+        """Pass on what the amplifier has room for, in as few packets as possible."""
         limit = self.position + self._board.amplifier.config.fifo
         run: list[Floats] = []
         begin = end = 0
         while self._queue and self._queue[0].position < limit:
-            position, block, volts = self._in_time(self._queue.popleft())
+            position, block, volts = self._without_late(self._queue.popleft())
             if len(volts) > limit - position:
                 self._queue.appendleft(CardBlock(limit, block, volts[limit - position :]))
                 volts = volts[: limit - position]
@@ -330,33 +403,57 @@ class CardOutput:
         if run:
             self._board.send(begin, np.concatenate(run))
 
-    def _in_time(self, samples: CardBlock) -> CardBlock:
-        """Return what is not late yet, and count what is."""
+    def _without_late(self, samples: CardBlock) -> CardBlock:
+        """Remove and count the samples that are too late."""
         late = min(max(self.position - samples.position, 0), len(samples.volts))
         if late:
             self.dropped_samples += late
-            self.late_blocks += samples.block != self._late
-            self._late = samples.block
+            self.late_blocks += samples.block != self._late_block
+            self._late_block = samples.block
         return CardBlock(samples.position + late, samples.block, samples.volts[late:])
 
-    def _ending(self, count: int) -> Floats:
+    def _play_ending(self, count: int) -> Floats:
+        """Return the samples until the output is at rest."""
         volts = self._board.play(count)
         moving = np.flatnonzero(volts.any(axis=1))
         ended = int(moving[-1]) + 2 if len(moving) else 1
-        self._keep(volts[:ended])
+        self._remember(volts[:ended])
         if self._board.amplifier.state != State.RAMPDOWN and not volts[-1].any():
             self.phase = "rest"
         return volts
 
-    def _keep(self, volts: Floats) -> None:
-        self._kept.append(volts)
-        self._kept_samples += len(volts)
-        while self._kept_samples - len(self._kept[0]) >= self._rate:
-            self._kept_samples -= len(self._kept.popleft())
+    def _remember(self, volts: Floats) -> None:
+        """Remember samples for `output`."""
+        self._recent.append(volts)
+        self._recent_samples += len(volts)
+        while self._recent_samples - len(self._recent[0]) >= self._rate:
+            self._recent_samples -= len(self._recent.popleft())
 
 
 def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
-    """Open what is ordered, and return it once the card asks for drive."""
+    """Open a stream, and wait until the card requests drive.
+
+    Parameters
+    ----------
+    order : Order
+        Description of the stream.
+
+    Returns
+    -------
+    output : CardOutput
+        Callback of the stream.
+    stream : sounddevice.OutputStream
+        The running stream.
+    opened : StreamOpened
+        Message for the host.
+
+    Raises
+    ------
+    InputError
+        If the order cannot be met, or the device is not found.
+    BusError
+        If PortAudio does not open the stream, or the card requests nothing within `FIRST`.
+    """
     sd = imported()
     device = choose(outputs(sd), order.device, default_output(sd))
     rate = rate_of(sd, device, order.channels, order.sample_rate)
@@ -384,7 +481,20 @@ def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
 
 
 def told(output: CardOutput, answered: int) -> Told:
-    """Return how it stands."""
+    """Return the state of the player as a message.
+
+    Parameters
+    ----------
+    output : CardOutput
+        Callback of the stream.
+    answered : int
+        Number of the host's message that is answered.
+
+    Returns
+    -------
+    Told
+        State of the player.
+    """
     return Told(
         answered, output.phase, len(output.inbox), output.position, output.lead,
         output.underruns, output.xruns,
@@ -394,7 +504,15 @@ def told(output: CardOutput, answered: int) -> Told:
 
 
 def serve(output: CardOutput, inward: IO[bytes], outward: IO[bytes]) -> None:
-    """Do what the host says until it closes its end."""
+    """Carry out the host's messages until the host closes its end, then stop.
+
+    Parameters
+    ----------
+    output : CardOutput
+        Callback of the stream.
+    inward, outward : binary file
+        Messages from the host and to the host.
+    """
     last = 0.0
     while True:
         try:
@@ -415,7 +533,15 @@ def serve(output: CardOutput, inward: IO[bytes], outward: IO[bytes]) -> None:
 
 
 def send(outward: IO[bytes], message: object) -> None:
-    """Tell the host, if it is there."""
+    """Send a message to the host; do nothing if the host has gone.
+
+    Parameters
+    ----------
+    outward : binary file
+        Messages to the host.
+    message : object
+        Message, which is pickled.
+    """
     try:
         pickle.dump(message, outward, protocol=5)
         outward.flush()
@@ -424,7 +550,13 @@ def send(outward: IO[bytes], message: object) -> None:
 
 
 def leave(stream: Any) -> NoReturn:
-    """End the program, in good order unless PortAudio hangs."""
+    """End the program, by force if PortAudio hangs.
+
+    Parameters
+    ----------
+    stream : sounddevice.OutputStream or None
+        Stream to be closed.
+    """
     limit = threading.Timer(LEAVE, os._exit, [1])
     limit.daemon = True
     limit.start()
@@ -436,7 +568,7 @@ def leave(stream: Any) -> NoReturn:
 
 
 def main() -> None:
-    """Open the card that the first message orders and serve it, or list those that there are."""
+    """Open the card that the first message describes and serve it, or list the devices for None."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -1,7 +1,7 @@
-"""The host's end of the line to the program that holds an audio card, `audio_player`.
+"""Host side of the connection to the audio player, the program that holds an audio card.
 
-Whatever that program does, crash, hang or end, the host waits for it no longer than it says, and
-then ends it; with it ends the card's output.
+Whether that program crashes, hangs or ends, the host waits for it no longer than the given time,
+and then kills it, which also ends the card's output.
 """
 
 import os
@@ -23,27 +23,39 @@ from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
 
 OPENING = 20.0
-"""s for PortAudio to look for cards, some of which take long, and to open one."""
+"""Time limit for PortAudio to search for cards, which can be slow, and to open one [s]."""
 ANSWER = 1.0
-"""s for the player to answer."""
+"""Time limit for the player to answer [s]."""
 PROGRAM = "import sys; sys.path[:] = {!r}; from tactile.bus.audio.player import main; main()"
-"""With the host's path, so that the same tactile is found."""
+"""Program of the player, to be formatted with the host's path to import the same package."""
 KINDS = {"InputError": InputError, "NotFoundError": NotFoundError}
+"""Errors that the player reports by name; all others become a `BusError`."""
 
 
 class AudioProcess:
-    """The program that holds the card.
+    """The player's process, started on construction.
 
     Parameters
     ----------
-    order : what it opens; None to list the cards
+    order : Order or None
+        Description of the stream to be opened; None to list the devices.
 
     Attributes
     ----------
-    opened : what it has opened, None until then
-    told, told_at : the latest of what it told, and when [s]
-    failed : why there is no card
-    ended : whether it says no more
+    opened : StreamOpened or None
+        The open stream; None before that.
+    told : Told or None
+        Latest state that the player reported.
+    told_at : float
+        Time at which it was reported [s].
+    failed : Failed or None
+        Reason why no stream could be opened.
+    listed : tuple of (list of Device, int) or None
+        Output devices and number of the default one, if they were to be listed.
+    output : (S, C) array of float or None
+        Answer to the message "output" [V].
+    ended : bool
+        Whether the player's output has ended.
     """
 
     def __init__(self, order: Order | None) -> None:
@@ -54,7 +66,7 @@ class AudioProcess:
         self.listed: tuple[list[Device], int] | None = None
         self.output: Floats | None = None
         self.ended, self._sent = False, 0
-        self._sending, self._news = threading.Lock(), threading.Condition()
+        self._sending, self._changed = threading.Lock(), threading.Condition()
         self._process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM.format(sys.path)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
@@ -67,6 +79,7 @@ class AudioProcess:
         self._send(order, ANSWER)
 
     def _read(self) -> None:
+        """Receive messages until the output of the program ends."""
         stream = open(cast(Any, self._process.stdout).fileno(), "rb", closefd=False)  # noqa: SIM115
         with stream:
             while not self.ended:
@@ -74,11 +87,12 @@ class AudioProcess:
                     message = pickle.load(stream)
                 except (EOFError, OSError, pickle.UnpicklingError):
                     message = None
-                with self._news:
-                    self._take(message)
-                    self._news.notify_all()
+                with self._changed:
+                    self._store(message)
+                    self._changed.notify_all()
 
-    def _take(self, message: object) -> None:
+    def _store(self, message: object) -> None:
+        """Store a message, None for the end of the output."""
         if isinstance(message, Told):
             self.told, self.told_at = message, MONOTONIC.now()
         elif isinstance(message, StreamOpened):
@@ -93,7 +107,7 @@ class AudioProcess:
             self.ended = True
 
     def _send(self, message: object, seconds: float) -> None:
-        """Write a message; a program that does not take it in time is ended."""
+        """Write a message; kill a program that does not accept it in time."""
         data = memoryview(pickle.dumps(message, protocol=5))
         pipe = cast(Any, self._process.stdin)
         with suppress(OSError, ValueError):
@@ -104,7 +118,22 @@ class AudioProcess:
                     return
 
     def tell(self, kind: str, *rest: object, seconds: float = ANSWER) -> int:
-        """Send a message; return its number."""
+        """Send a message without waiting for an answer.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of the message.
+        *rest : object
+            Contents of the message.
+        seconds : float
+            Time limit for the player to accept the message, after which it is killed [s].
+
+        Returns
+        -------
+        int
+            Number of the message.
+        """
         if not self._sending.acquire(timeout=seconds):
             self._process.kill()
             return self._sent
@@ -116,40 +145,91 @@ class AudioProcess:
             self._sending.release()
 
     def ask(self, kind: str = "ask", *, seconds: float = ANSWER) -> Told | None:
-        """Send a message that is answered, and return the answer; None where there is none."""
+        """Send a message and wait for the answer.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of the message.
+        seconds : float
+            Time limit, for the message and for the answer each [s].
+
+        Returns
+        -------
+        Told or None
+            State of the player; None if it does not answer in time.
+        """
         number = self.tell(kind, seconds=seconds)
         self.wait(lambda: self.told is not None and self.told.answered >= number, seconds)
-        told = self.told
-        return told if told is not None and told.answered >= number else None
+        report = self.told
+        return report if report is not None and report.answered >= number else None
 
     def wait(self, ready: Callable[[], bool], seconds: float) -> bool:
-        """Wait until something was told, or the program has ended."""
-        with self._news:
-            return self._news.wait_for(lambda: ready() or self.ended, seconds) and ready()
+        """Wait until a condition holds, or the program has ended.
+
+        Parameters
+        ----------
+        ready : callable
+            Condition, which is evaluated after each message.
+        seconds : float
+            Time limit [s].
+
+        Returns
+        -------
+        bool
+            Whether the condition holds.
+        """
+        with self._changed:
+            return self._changed.wait_for(lambda: ready() or self.ended, seconds) and ready()
 
     def settled(self, seconds: float, *, rest: bool = True) -> bool:
-        """Wait until the card has taken all and is at rest, or is not; tell whether it is so."""
+        """Wait until the card has taken all messages, and is at rest or not at rest as requested.
+
+        Parameters
+        ----------
+        seconds : float
+            Time limit [s].
+        rest : bool
+            Whether to wait for rest.
+
+        Returns
+        -------
+        bool
+            Whether the state was reached.
+        """
         end = MONOTONIC.now() + seconds
-        while (left := end - MONOTONIC.now()) > 0:
-            told = self.ask(seconds=left)
-            if told is None or self.ended or told.fault:
+        while (remaining := end - MONOTONIC.now()) > 0:
+            report = self.ask(seconds=remaining)
+            if report is None or self.ended or report.fault:
                 return False
-            if not told.waiting and (told.phase == "rest") == rest:
+            if not report.waiting and (report.phase == "rest") == rest:
                 return True
             MONOTONIC.sleep(5e-4)
         return False
 
     def exit_code(self) -> int:
-        """Return how the program that has ended did so."""
+        """Return the exit code of the program, which must have ended.
+
+        Returns
+        -------
+        int
+            Exit code; minus the number of the signal that ended it.
+        """
         return self._process.wait(ANSWER)
 
     def kill(self) -> None:
-        """End the program now; cards then put out nothing."""
+        """Kill the program, after which the card puts out nothing."""
         self._process.kill()
         self.close(0.0)
 
     def close(self, seconds: float = ANSWER) -> None:
-        """Let the program end, at 0 V; where it does not within some seconds end it."""
+        """Let the program go to 0 V and end; kill it if it does not end in time.
+
+        Parameters
+        ----------
+        seconds : float
+            Time limit [s]; 0 waits without a limit.
+        """
         with suppress(OSError):
             cast(Any, self._process.stdin).close()
         try:
@@ -162,12 +242,24 @@ class AudioProcess:
 
 
 def opened(player: AudioProcess) -> StreamOpened:
-    """Return what a player has opened.
+    """Return the stream that a player has opened.
+
+    Parameters
+    ----------
+    player : AudioProcess
+        Player that was started with an `Order`.
+
+    Returns
+    -------
+    StreamOpened
+        The open stream.
 
     Raises
     ------
-    InputError, BusError
-        Where it has opened nothing, and why.
+    InputError
+        If the order cannot be met, or the device is not found.
+    BusError
+        If the stream cannot be opened, the player crashes, or it does not answer within `OPENING`.
     """
     player.wait(lambda: player.opened is not None or player.failed is not None, OPENING)
     if player.opened is not None:

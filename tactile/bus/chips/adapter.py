@@ -1,7 +1,7 @@
-"""I2C adapters of Linux, multiplexers before chips, and what of a bus's time chips use.
+"""I2C adapters of Linux, multiplexers before chips, and the share of bus time that chips use.
 
-A chip is reached by two calls, a write and a write followed by a read, so that a model in memory
-can stand in for ``/dev/i2c-N``.
+Chips are accessed by two calls only, a write and a write followed by a read, so that a model in
+memory can replace ``/dev/i2c-N``.
 """
 
 import re
@@ -18,11 +18,14 @@ from tactile.bus.registry import Address, Found
 from tactile.errors import BusError, InputError
 
 CLOCK = 400_000
-"""Hz of the bus where nobody says otherwise: fast mode, the most of a DRV2667 (TI SLOS751E)."""
+"""Default clock of the bus: fast mode, the highest rate of a DRV2667 (TI SLOS751E) [Hz]."""
 CLOCKS = (10_000, 3_400_000)
-"""Hz, the range of I2C buses."""
+"""Lowest and highest clock of I2C buses [Hz]."""
 CAP = 0.8
-"""Of a bus's time that may be used; the rest is for retries and the kernel."""
+"""Largest share of the bus time that may be used.
+
+The rest is reserved for retries and for delays of the kernel.
+"""
 
 
 class ChipOptions(Options, frozen=True, kw_only=True):
@@ -48,32 +51,56 @@ class ChipOptions(Options, frozen=True, kw_only=True):
 
 
 class I2cAdapter(Protocol):
-    """An I2C bus; every call raises OSError where a target does not acknowledge."""
+    """I2C bus; every call raises OSError if the target does not acknowledge."""
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes to a target."""
+        """Write bytes to a target.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes to write.
+        """
         ...
 
     def write_read(self, address: int, data: bytes, size: int) -> bytes:
-        """Write bytes (none: no write at all), then read from the same target."""
+        """Write bytes to a target and read from it after a repeated start.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes to write; if empty, nothing is written.
+        size : int
+            Number of bytes to read.
+
+        Returns
+        -------
+        bytes
+            Bytes that were read.
+        """
         ...
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Release the bus."""
         ...
 
 
 class LinuxI2c:
-    """An adapter of Linux by its device file.
+    """I2C adapter of Linux, accessed by its device file.
 
     Parameters
     ----------
-    path : such as "/dev/i2c-1"
+    path : str
+        Device file, such as "/dev/i2c-1".
 
     Raises
     ------
     BusError
-        Where there is no adapter, it may not be used, or smbus2 is missing.
+        If there is no such adapter, its use is not permitted, or smbus2 is missing.
     """
 
     def __init__(self, path: str) -> None:
@@ -99,46 +126,111 @@ class LinuxI2c:
             raise BusError(f"{path}: {error.strerror or error}") from error
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes to a target."""
+        """Write bytes to a target.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes to write.
+        """
         self._bus.i2c_rdwr(self._message.write(address, data))
 
     def write_read(self, address: int, data: bytes, size: int) -> bytes:
-        """Write bytes (none: no write at all), then read from the same target."""
+        """Write bytes to a target and read from it after a repeated start.
+
+        Parameters
+        ----------
+        address : int
+            Address of the target.
+        data : bytes
+            Bytes to write; if empty, nothing is written.
+        size : int
+            Number of bytes to read.
+
+        Returns
+        -------
+        bytes
+            Bytes that were read.
+        """
         read = self._message.read(address, size)
         self._bus.i2c_rdwr(*([self._message.write(address, data)] if data else []), read)
         return bytes(read)
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Release the bus."""
         self._bus.close()
 
 
 def open_adapter(path: str) -> I2cAdapter:
-    """Open the adapter at a path; what tests put a model in the place of."""
+    """Open the adapter at a path; tests replace this function by a model.
+
+    Parameters
+    ----------
+    path : str
+        Device file.
+
+    Returns
+    -------
+    I2cAdapter
+        The open adapter.
+    """
     return LinuxI2c(path)
 
 
 class Mux:
-    """A TCA9548A: one byte with a bit per port connects them (TI SCPS207)."""
+    """TCA9548A multiplexer; one byte with a bit for each port connects the ports (TI SCPS207).
+
+    Parameters
+    ----------
+    i2c : I2cAdapter
+        Bus of the multiplexer.
+    address : int
+        Address of the multiplexer.
+    """
 
     def __init__(self, i2c: I2cAdapter, address: int) -> None:
         self._i2c, self._address = i2c, address
         self._port: int | None = None
 
     def select(self, port: int) -> None:
-        """Connect one port alone."""
+        """Connect one port and disconnect the others, if that is not so already.
+
+        Parameters
+        ----------
+        port : int
+            Number of the port, 0 to 7.
+        """
         if port != self._port:
             self._port = None
             self._i2c.write(self._address, bytes([1 << port]))
             self._port = port
 
     def forget(self) -> None:
-        """Select anew next time: it may have lost its power."""
+        """Select the port again next time, since the multiplexer may have lost its power."""
         self._port = None
 
 
 class ChipTarget:
-    """A chip as it is reached, behind a port of a multiplexer or directly."""
+    """Chip as an I2C target, connected directly or to a port of a multiplexer.
+
+    Parameters
+    ----------
+    i2c : I2cAdapter
+        Bus of the chip.
+    address : int
+        Address of the chip.
+    mux : Mux or None
+        Multiplexer before the chip.
+    port : int
+        Port of the multiplexer.
+
+    Attributes
+    ----------
+    name : str
+        Address and port, for messages.
+    """
 
     def __init__(
         self, i2c: I2cAdapter, address: int, mux: Mux | None = None, port: int = 0
@@ -147,23 +239,42 @@ class ChipTarget:
         self.name = f"0x{address:02x}" + (f" behind port {port}" if mux else "")
 
     def connect(self) -> None:
-        """Connect the port, so that what is written next is under way at once."""
+        """Connect the port, so that the next transfer begins without delay."""
         with self._connected():
             return
 
     def write(self, data: bytes) -> None:
-        """Write bytes."""
+        """Write bytes to the chip.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to write.
+        """
         with self._connected():
             self._i2c.write(self._address, data)
 
     def read(self, data: bytes, size: int) -> bytes:
-        """Write bytes (none: no write at all), then read."""
+        """Write bytes to the chip and read from it after a repeated start.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to write; if empty, nothing is written.
+        size : int
+            Number of bytes to read.
+
+        Returns
+        -------
+        bytes
+            Bytes that were read.
+        """
         with self._connected():
             return self._i2c.write_read(self._address, data, size)
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
-        """Connect the port; after an error anew, for the multiplexer may have lost its power."""
+        """Connect the port; after an error select it again, in case the power was lost."""
         if self._mux is None:
             yield
             return
@@ -177,15 +288,20 @@ class ChipTarget:
 
 @dataclass(frozen=True)
 class Place:
-    """Where chips are: adapter, addresses in the order of the channels, multiplexer, bus clock.
+    """Location of chips on an I2C bus.
 
     Attributes
     ----------
-    path : of the adapter
-    addresses : a chip's each; with a multiplexer the same for all
-    mux : its address; None where there is none
-    ports : of the multiplexer, a chip's each
-    clock : of the bus [Hz]
+    path : str
+        Device file of the adapter.
+    addresses : tuple of int
+        Address of each chip in the order of the channels; behind a multiplexer all are the same.
+    mux : int or None
+        Address of the multiplexer, if there is one.
+    ports : tuple of int
+        Port of the multiplexer for each chip.
+    clock : int
+        Clock of the bus [Hz].
     """
 
     path: str
@@ -196,14 +312,14 @@ class Place:
 
     @classmethod
     def of(cls, url: Address[Any], default: int) -> "Place":
-        """Return the place that a device URL names.
+        """Return the location that a device URL names.
 
         Parameters
         ----------
         url : Address
             Address with `ChipOptions`.
         default : int
-            Address of the chip, where the URL names none.
+            Address of the chip if the URL names none.
 
         Returns
         -------
@@ -213,8 +329,8 @@ class Place:
         Raises
         ------
         InputError
-            For a path that is no bus, ports without a multiplexer, several addresses behind one,
-            or an address or port that comes twice.
+            If the path is not a bus, ports are given without a multiplexer, there are several
+            addresses behind one, or an address or port occurs twice.
         """
         options: ChipOptions = url.options
         addresses, ports = options.address or (default,), options.ports
@@ -232,7 +348,18 @@ class Place:
         )
 
     def targets(self, i2c: I2cAdapter) -> list[ChipTarget]:
-        """Return the chips on an adapter."""
+        """Return the chips of this location.
+
+        Parameters
+        ----------
+        i2c : I2cAdapter
+            The open adapter.
+
+        Returns
+        -------
+        list of ChipTarget
+            Chips in the order of the channels.
+        """
         if self.mux is None:
             return [ChipTarget(i2c, address) for address in self.addresses]
         mux = Mux(i2c, self.mux)
@@ -242,25 +369,29 @@ class Place:
         ]
 
     def check(self, scheme: str, channels: int, bits: float, fastest: int) -> None:
-        """See that a chip is there for each channel, and the bus has time for all.
+        """Check that each channel has a chip, and that the bus has enough time for all of them.
 
         Parameters
         ----------
-        scheme : of the URL, for messages
-        channels : of the display
-        bits : that a chip needs [1/s]
-        fastest : clock that the chip takes [Hz]
+        scheme : str
+            Scheme of the URL, for messages.
+        channels : int
+            Number of channels of the display.
+        bits : float
+            Bits that each chip needs on the bus [1/s].
+        fastest : int
+            Highest clock that the chip supports [Hz].
 
         Raises
         ------
         InputError
-            Where one of it is not so.
+            If there are too few or too many chips, or the clock is too fast or too slow for them.
         """
         if len(self.addresses) != channels:
-            how = "ports=" if self.mux is not None or len(self.addresses) == 1 else "address="
+            option = "ports=" if self.mux is not None or len(self.addresses) == 1 else "address="
             raise InputError(
                 f"{scheme}: {len(self.addresses)} chips for {channels} channels; one chip drives "
-                f"one channel, name as many with {how}"
+                f"one channel, name as many with {option}"
             )
         if self.clock > fastest:
             raise InputError(
@@ -275,12 +406,22 @@ class Place:
 
 
 def adapter_path(url: Address[Any]) -> str:
-    """Return the device file that a URL's path means: a bus number or the file itself.
+    """Return the device file that the path of a URL denotes: a bus number or the file itself.
+
+    Parameters
+    ----------
+    url : Address
+        Address whose path is looked at.
+
+    Returns
+    -------
+    str
+        Device file, such as "/dev/i2c-1".
 
     Raises
     ------
     InputError
-        For anything else.
+        If the path is neither.
     """
     if re.fullmatch(r"\d+", url.path):
         return f"/dev/i2c-{int(url.path)}"
@@ -292,10 +433,22 @@ def adapter_path(url: Address[Any]) -> str:
 
 
 def transfer_bits(written: int, read: int = 0) -> int:
-    """Return the bits of a transfer on the wire: addresses, acknowledges, start and stop counted.
+    """Return the length of a transfer on the wire, with addresses, acknowledges, start and stop.
 
-    Nine bits a byte (I2C specification UM10204, 3.1.5), a start and a stop; a read after a write
-    adds its own address and repeated start.
+    A byte takes nine bits (I2C specification UM10204, 3.1.5), start and stop one each. A read after
+    a write has its own address and a repeated start.
+
+    Parameters
+    ----------
+    written : int
+        Number of bytes that are written.
+    read : int
+        Number of bytes that are read.
+
+    Returns
+    -------
+    int
+        Length [bits].
     """
     return (9 * (1 + written) + 1 if written or not read else 0) + (
         9 * (1 + read) + 1 if read else 0
@@ -303,11 +456,18 @@ def transfer_bits(written: int, read: int = 0) -> int:
 
 
 def found_on_adapters(probe: Callable[[str, I2cAdapter], Iterator[Found]]) -> Iterator[Found]:
-    """Yield what a probe finds on each adapter that there is; silent about what cannot be used.
+    """Yield what a probe finds on each adapter; adapters that cannot be used are skipped.
 
     Parameters
     ----------
-    probe : given the number and the adapter; its OSErrors mean that nothing is there
+    probe : callable
+        Function of the bus number and the adapter that yields the devices on it. It handles the
+        errors of targets that do not answer.
+
+    Yields
+    ------
+    Found
+        Device on one of the adapters.
     """
     for path in sorted(Path("/dev").glob("i2c-*")):
         try:
@@ -321,7 +481,24 @@ def found_on_adapters(probe: Callable[[str, I2cAdapter], Iterator[Found]]) -> It
 
 
 def answer(i2c: I2cAdapter, address: int, data: bytes, size: int) -> bytes:
-    """Return what a target answers, nothing where there is none."""
+    """Read from a target that may be absent.
+
+    Parameters
+    ----------
+    i2c : I2cAdapter
+        Bus of the target.
+    address : int
+        Address of the target.
+    data : bytes
+        Bytes to write first; if empty, nothing is written.
+    size : int
+        Number of bytes to read.
+
+    Returns
+    -------
+    bytes
+        Answer of the target; empty if there is none.
+    """
     try:
         return i2c.write_read(address, data, size)
     except OSError:

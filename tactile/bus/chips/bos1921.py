@@ -1,25 +1,31 @@
 """``bos1921:1``, displays driven by Boréas BOS1921 chips, one for each channel.
 
-``bos1921:1?address=0x44,0x45`` on bus 1, or behind a TCA9548A with ``mux=0x70&ports=0,1``;
-``range=95`` (±95 V) or ``13`` (±13.28 V); ``clock_hz=`` of the bus up to 1 MHz; ``parcap=`` and
-``sup_rise=`` the board's values of those registers, else they stay at reset.
+``bos1921:1?address=0x44,0x45`` uses chips on bus 1; ``mux=0x70&ports=0,1`` uses chips behind a
+TCA9548A. ``range=95`` selects ±95 V and ``range=13`` ±13.28 V. ``clock_hz=`` is the clock of the
+bus, at most 1 MHz. ``parcap=`` and ``sup_rise=`` are the values of these registers, which depend on
+the board; otherwise they keep their reset values.
 
-A chip plays 12-bit codes from a FIFO of 1024 samples at its own 8 kHz; 80 of them are used. It
-tells how much room there is, read at every second burst; between readings 0.2 samples are in doubt.
-The host follows the first chip: `write` waits for it.
+A chip plays 12-bit codes from a FIFO of 1024 samples, of which 80 are used, at its own 8 kHz. It
+reports the free space, which is read at every second burst; between two readings the uncertainty is
+0.2 samples. The host follows the first chip: `write` waits for it.
 
-**An empty FIFO holds the last voltage**: ``on_host_death`` is "holds", refused unless accepted.
-Each end is a ramp to 0 V that is seen played before the output is switched off. After an error the
-chip is asked whether it kept its setup; if so it still holds what it took last, and is led to 0 V
-from there. An e-stop appends the ramp to what is in the FIFO, at most 10.3 ms; where that cannot be
-written in time the chip is reset, at a step.
+**An empty FIFO holds the last voltage**: ``on_host_death`` is "holds", which is refused unless it
+is accepted explicitly. Playing always ends with a ramp to 0 V that the chip is verified to have
+played before the output is switched off. After an error the chip is asked whether it has kept its
+setup. If so, it still holds the sample that it took last, and is led to 0 V from there. An e-stop
+appends the ramp to the contents of the FIFO, which take 10.3 ms at most. If that cannot be written
+in time, the chip is reset, which causes a step.
 
-Nothing here was checked against the data sheet; it comes from published drivers that quote it.
-Uncertain besides: what a code means in the low range (13.28 V at 2047 assumed; in the high range
-code × 3.6 × 31 / 2047); the clock's tolerance (±2.5 % assumed); that a reset switches the output
-off; that a plain read of an unused chip gives CHIP_ID, by which `find` knows it; what a chip took
-of a burst that failed half-way where its FIFO is empty when it is asked: then it is led to 0 V from
-the middle of what it may hold.
+Nothing in this module was checked against the data sheet. It is based on published drivers that
+quote the data sheet. The following is also uncertain:
+
+- the meaning of a code in the low range (13.28 V at 2047 is assumed; in the high range a code
+  stands for code × 3.6 × 31 / 2047);
+- the tolerance of the clock (±2.5 % is assumed);
+- that a reset switches the output off;
+- that a plain read of an unused chip returns CHIP_ID, by which `find` recognizes it;
+- what a chip took of a burst that failed midway, if its FIFO is empty when it is asked: it is then
+  led to 0 V from the middle of the voltages that it may hold.
 """
 
 import math
@@ -55,56 +61,77 @@ from tactile.clock import Clock
 from tactile.errors import BusError
 
 ADDRESS = 0x44
+"""Default I2C address of the chip."""
 ADDRESSES = range(0x40, 0x50)
+"""I2C addresses that the chip can have."""
 FASTEST = 1_000_000
-"""Hz of the I2C bus."""
+"""Highest clock of the I2C bus [Hz]."""
 REFERENCE, CONFIG, PARCAP, SUP_RISE, COMM = 0x00, 0x05, 0x06, 0x07, 0x0B
+"""Registers that are written."""
 IC_STATUS, FIFO_STATE, CHIP_ID = 0x10, 0x11, 0x1E
+"""Registers that are read, by way of COMM."""
 IDENTITY = 0x781
-"""CHIP_ID 11:0."""
+"""Value of bits 11:0 of CHIP_ID."""
 RESET = 0x0040
+"""Value of CONFIG that resets the chip."""
 PLAY = 0x0217
-"""CONFIG: PLAY_MODE 10:9 = FIFO, OE (bit 4), 8 kS/s (2:0 = 7)."""
+"""Value of CONFIG while playing: PLAY_MODE 10:9 = FIFO, OE (bit 4), 8 kS/s (2:0 = 7)."""
 LOW_RANGE = 0x0800
-"""CONFIG: GAIND, ±13.28 V."""
+"""Bit GAIND of CONFIG, which selects ±13.28 V."""
 ERROR, EMPTY, SPACE = 1 << 12, 1 << 10, 0x3FF
-"""FIFO_STATE; a SPACE of 0 with EMPTY is all 1024."""
+"""Masks of FIFO_STATE; a SPACE of 0 together with EMPTY means all 1024."""
 DEPTH = 1024
+"""Length of the FIFO [samples]."""
 FAULTS = {7: "OVV", 6: "OCT", 5: "MXPWR", 4: "IDAC", 3: "UVLO", 2: "SC"}
-"""IC_STATUS, by bit."""
+"""Names of faults by their bit of IC_STATUS."""
 SCALES = {"95": 3.6 * 31 / 2047, "13": 13.28 / 2047}
-"""V a code, by range; 54.5 mV in the high one."""
+"""Voltage of one code, by range [V]; 54.5 mV in the high range."""
 PEAKS = {"95": 95.0, "13": 13.28}
-"""V."""
+"""Largest voltage, by range [V]."""
 SETTLE = 1e-3
-"""s after a reset."""
+"""Waiting time after a reset [s]."""
 HIGH = 80
-"""Samples in the FIFO at most, 10 ms: an e-stop waits for them."""
+"""Largest number of samples in the FIFO, 10 ms, for which an e-stop waits."""
 READ_EVERY = 2
-"""Bursts."""
+"""Number of bursts between two readings of FIFO_STATE."""
 PATIENCE = 10e-3
-"""s that a chip may hold its voltage for want of a working link, before it is led to 0 V."""
+"""Longest time for which a chip may hold its voltage because the link fails [s].
+
+The chip is led to 0 V afterwards.
+"""
 POLL = 0.5e-3
-"""s between readings while a FIFO is to run empty."""
+"""Interval between readings while a FIFO is to run empty [s]."""
 POLLS = 400
+"""Largest number of readings until a FIFO is empty."""
 
 
 def bits_per_second() -> float:
-    """Return what a chip needs of the bus: a burst every 4 ms and FIFO_STATE every 8 ms [1/s].
+    """Return the bits that a chip needs on the bus: a burst every 4 ms and FIFO_STATE every 8 ms.
 
-    596 and 68 bits: 39.4 % of a 400 kHz bus.
+    These take 596 and 68 bits, 39.4 % of a 400 kHz bus.
+
+    Returns
+    -------
+    float
+        Bit rate [1/s].
     """
     state = transfer_bits(3, 2)
     return (transfer_bits(1 + 2 * BURST) + state / READ_EVERY) * RATE / BURST
 
 
 class Bos1921(Chip):
-    """One chip; parameters as of `Chip`, and its board's registers.
+    """One BOS1921.
 
     Parameters
     ----------
-    wide : range, "95" or "13"
-    board : further registers to set, by number
+    target, clock, counters
+        Parameters of `Chip`.
+    wide : str
+        Output range, "95" or "13".
+    step : float
+        Largest change of the voltage in a sample [V].
+    board : dict of int to int
+        Values of further registers, which depend on the board, by register number.
     """
 
     kind = "BOS1921"
@@ -121,50 +148,69 @@ class Bos1921(Chip):
         )  # fmt: skip
         self._config = PLAY | (LOW_RANGE if wide == "13" else 0)
         self._board = board
-        self._known = self._lost = False
-        self._tried = 0
-        self._empty_since()
+        self._is_set_up = self._lost = False
+        self._attempted = 0
+        self._note_empty()
 
-    def _empty_since(self) -> None:
+    def _note_empty(self) -> None:
+        """Note that the FIFO is empty now."""
         now = self.clock.now()
         self._fill, self._times, self._bursts = (0, 0), (now, now), 0
 
-    def _get(self, register: int) -> int:
-        return int.from_bytes(self._ask(bytes([COMM, 0, register]), 2), "big")
+    def _read_register(self, register: int) -> int:
+        return int.from_bytes(self._read(bytes([COMM, 0, register]), 2), "big")
 
-    def _set(self, register: int, value: int) -> None:
-        self._tell(bytes([register]) + value.to_bytes(2, "big"))
+    def _write_register(self, register: int, value: int) -> None:
+        self._write(bytes([register]) + value.to_bytes(2, "big"))
 
     def identify(self) -> None:
-        """See that it is a BOS1921; wakes it by a 0 into REFERENCE, which a player takes as 0 V."""
-        if not self._known:
-            self._set(REFERENCE, 0)
-        found = self._get(CHIP_ID) & 0xFFF
-        if found != IDENTITY:
-            raise BusError(f"{self.name}: CHIP_ID is 0x{found:03x}, not a BOS1921's 0x781")
+        """Check that the chip is a BOS1921.
+
+        A 0 written to REFERENCE wakes the chip; a chip that plays takes it as 0 V.
+
+        Raises
+        ------
+        BusError
+            If it is another chip.
+        OSError
+            If it does not answer.
+        """
+        if not self._is_set_up:
+            self._write_register(REFERENCE, 0)
+        identity = self._read_register(CHIP_ID) & 0xFFF
+        if identity != IDENTITY:
+            raise BusError(f"{self.name}: CHIP_ID is 0x{identity:03x}, not a BOS1921's 0x781")
 
     def wake(self) -> None:
-        """Lead it to 0 V where it kept its setup, else set it up."""
-        if self._known and self._get(CONFIG) == self._config:
+        """Lead the chip to 0 V if it has kept its setup, otherwise set it up.
+
+        Raises
+        ------
+        BusError
+            If it is another chip, does not accept its setup, or its FIFO does not run empty.
+        OSError
+            If it does not answer, or reports an error.
+        """
+        if self._is_set_up and self._read_register(CONFIG) == self._config:
             self._lead_to_zero()
         else:
-            self._known = False
+            self._is_set_up = False
             self.identify()
-            self._set(CONFIG, RESET)
+            self._write_register(CONFIG, RESET)
             self.clock.sleep(SETTLE)
             self.identify()
             for register, value in self._board.items():
-                self._set(register, value)
-            self._set(CONFIG, self._config)
-            if self._get(CONFIG) != self._config:
-                raise BusError(f"{self.name}: CONFIG holds 0x{self._get(CONFIG):04x}")
-            self._known = True
+                self._write_register(register, value)
+            self._write_register(CONFIG, self._config)
+            if self._read_register(CONFIG) != self._config:
+                raise BusError(f"{self.name}: CONFIG holds 0x{self._read_register(CONFIG):04x}")
+            self._is_set_up = True
         self.silence()
         self._lost = False
-        self._empty_since()
+        self._note_empty()
 
     def _lead_to_zero(self) -> None:
-        """Write the ramp from what it plays last, and wait until it has been played."""
+        """Write the ramp from the sample that was taken last, and wait until it has been played."""
         if self.unsure:
             self._find_taken()
         ramp = ramp_codes(self.last, self.step) if self.last else [0]
@@ -178,9 +224,9 @@ class Bos1921(Chip):
         raise BusError(f"{self.name}: its FIFO does not run empty")
 
     def _state(self) -> int:
-        """Read the fill, and keep it as both bounds."""
+        """Read the fill of the FIFO and store it as both bounds."""
         before = self.clock.now()
-        state = self._get(FIFO_STATE)
+        state = self._read_register(FIFO_STATE)
         if state & ERROR:
             raise LostError(f"{self.name}: reports an error{self._faults()}")
         space = state & SPACE
@@ -189,118 +235,177 @@ class Bos1921(Chip):
         return fill
 
     def _faults(self) -> str:
-        status = self._get(IC_STATUS)
+        """Return the names of the faults that the chip reports."""
+        status = self._read_register(IC_STATUS)
         names = [name for bit, name in FAULTS.items() if status >> bit & 1]
         return f": {', '.join(names)}" if names else ""
 
     def _most_fill(self, now: float) -> int:
+        """Return the largest number of samples that may be in the FIFO."""
         return max(0, self._fill[1] - int(max(0.0, now - self._times[1]) * RATES[0]))
 
     def fill(self) -> int:
-        """Return how many samples are in the FIFO for certain."""
+        """Return how many samples are certainly in the FIFO.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         return max(0, self._fill[0] - int((self.clock.now() - self._times[0]) * RATES[1]) - 1)
 
     def room(self) -> int:
-        """Return how many samples fit now within `lead`; reads FIFO_STATE now and then."""
-        asked = self._bursts >= READ_EVERY or (self._bursts and self.fill() == 0)
-        if asked and self._state() == 0:
+        """Return how many samples certainly fit now within `lead`; reads FIFO_STATE now and then.
+
+        Returns
+        -------
+        int
+            Number of samples.
+
+        Raises
+        ------
+        LostError
+            If the chip reports an error or has lost its setup.
+        """
+        must_read = self._bursts >= READ_EVERY or (self._bursts and self.fill() == 0)
+        if must_read and self._state() == 0:
             self._check_power()
             self.counters.stalls += self.last != 0
         return self.room_at(self.clock.now())
 
     def _check_power(self) -> None:
-        """See that it still is as it was set up: a chip that lost its power seems empty."""
-        if self._get(CONFIG) != self._config:
-            self._known, self._lost = False, True
+        """Check that the setup is intact, since a chip that lost its power seems empty."""
+        if self._read_register(CONFIG) != self._config:
+            self._is_set_up, self._lost = False, True
             raise LostError(f"{self.name}: lost its setup")
 
     def room_at(self, now: float) -> int:
-        """Return how many samples fit at a time [s] for certain, by what is known already."""
+        """Return how many samples certainly fit at a given time, without reading from the chip.
+
+        Parameters
+        ----------
+        now : float
+            Time on the host's clock [s].
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         return HIGH - self._most_fill(now)
 
     @property
     def lost_at(self) -> float:
-        """When it has held its voltage for too long [s]."""
+        """Time at which the chip has held its voltage for too long [s]."""
         if self._lost:
             return 0.0
         return self._times[0] + self._fill[0] / RATES[1] + PATIENCE if self.last else math.inf
 
     def _burst(self, codes: Sequence[int]) -> None:
         if self._most_fill(self.clock.now()) == 0:
-            self._empty_since()
+            self._note_empty()
         data = b"".join((code & 0xFFF).to_bytes(2, "big") for code in codes)
         try:
             self.target.write(bytes([REFERENCE]) + data)
         except OSError as error:
             self.unsure = not was_taken_nothing(error)
-            self._tried = len(codes)
+            self._attempted = len(codes)
             raise
         self._fill = self._fill[0] + len(codes), self._fill[1] + len(codes)
         self._bursts += 1
-        self._took(len(codes))
+        self._mark_taken(len(codes))
 
     def resolve(self) -> None:
-        """Ask how much there is, and take what must have come of the burst that failed."""
+        """Read the fill of the FIFO and derive how much the chip took of the burst that failed.
+
+        Raises
+        ------
+        LostError
+            If the FIFO is empty, so that it cannot be derived.
+        """
         if not self._find_taken():
             self._lost = True
             raise LostError(f"{self.name}: ran empty after a burst that failed")
 
     def _find_taken(self) -> bool:
-        """Take what came of it; return False where the FIFO is empty, so that nobody knows.
+        """Derive what the chip took of a failed burst; return False if the FIFO is empty.
 
-        Between the two fills the chip played within a sample of what its clock's bounds say: the
-        fewest that it can have taken are taken as such, at most two are sent twice, which steps
-        back by one slew limit at most.
+        Between the two readings of the fill the chip played as many samples as the bounds of its
+        clock say, within one sample. The smallest number that it can have taken is assumed. At most
+        two samples are therefore sent twice, which steps back by at most one slew limit.
+
+        An empty FIFO does not tell what the chip took. The middle of the voltages that it may hold
+        is then assumed.
         """
-        before, tried = self._most_fill(self.clock.now()), self._tried
+        most_before, attempted = self._most_fill(self.clock.now()), self._attempted
         least_before = self.fill()
-        now = self._state()
+        fill = self._state()
         self.unsure = False
-        if now == 0:
-            held = [self.last, *self.pending[:tried]]
+        if fill == 0:
+            held = [self.last, *self.pending[:attempted]]
             self.last = (min(held) + max(held)) // 2
             self.counters.unknown_voltages += 1
             return False
-        least = min(max(now - before - 1, 0), tried)
-        most = min(max(now - least_before + 1, 0), tried)
+        least = min(max(fill - most_before - 1, 0), attempted)
+        most = min(max(fill - least_before + 1, 0), attempted)
         self.counters.replayed_samples += most - least
-        self._took(least)
+        self._mark_taken(least)
         return True
 
     def quiet(self) -> bool:
-        """Return whether all has been played."""
+        """Return whether everything has been played.
+
+        Returns
+        -------
+        bool
+            Whether the FIFO is empty.
+        """
         return self._state() == 0
 
     def rest(self) -> None:
-        """Reset it at 0 V: the output off."""
+        """Reset the chip at 0 V, which switches its output off.
+
+        Raises
+        ------
+        BusError
+            If the chip is still set up to play.
+        """
         self.reset()
-        if self._get(CONFIG) & PLAY == PLAY:
-            raise BusError(f"{self.name}: CONFIG holds 0x{self._get(CONFIG):04x} after a reset")
+        if self._read_register(CONFIG) & PLAY == PLAY:
+            raise BusError(
+                f"{self.name}: CONFIG holds 0x{self._read_register(CONFIG):04x} after a reset"
+            )
 
     def reset(self) -> None:
-        """Reset it: the output off."""
-        self._set(CONFIG, RESET)
-        self._known = False
+        """Reset the chip, which switches its output off."""
+        self._write_register(CONFIG, RESET)
+        self._is_set_up = False
         self.silence()
-        self._empty_since()
+        self._note_empty()
 
 
 class Bos1921Bus(ChipBus):
-    """Chips that hold their last voltage.
+    """Bus of BOS1921 chips, which hold their last voltage.
 
     Parameters
     ----------
-    wiring : what they drive
-    place : where they are
-    i2c : the adapter
-    runner : who writes, and by which clock
-    wide : range, "95" or "13"
-    board : registers of the chips' boards, by number
+    wiring : Wiring
+        What the chips drive.
+    place : Place
+        Location of the chips.
+    i2c : I2cAdapter
+        The open adapter.
+    runner : Runner
+        Thread that writes to the chips, and its clock.
+    wide : str
+        Output range, "95" or "13".
+    board : dict of int to int or None
+        Values of registers that depend on the board, by register number.
 
     Raises
     ------
     BusError
-        Where one of them is not there.
+        If a chip is missing.
     """
 
     on_host_death = "holds"
@@ -325,7 +430,7 @@ class Bos1921Options(ChipOptions, frozen=True, kw_only=True):
     range : str
         Range of the output [V].
     parcap, sup_rise : int or None
-        Values of the registers of these names, which depend on the board; the chip's own if None.
+        Values of the registers of these names, which depend on the board; the reset values if None.
     """
 
     address: tuple[
@@ -339,6 +444,7 @@ class Bos1921Options(ChipOptions, frozen=True, kw_only=True):
 def _open(
     address: Address[Bos1921Options], display: DisplayLike, sample_rate: float | None
 ) -> ChipBus:
+    """Open the bus of a display."""
     wiring = Wiring.of(display, checked_rate("bos1921", sample_rate))
     checked_estop(wiring, HIGH)
     place = Place.of(address, ADDRESS)
@@ -356,10 +462,23 @@ def _open(
 
 
 def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
-    """Yield the chips that give their CHIP_ID to a plain read, as after a reset."""
+    """Yield the chips that return their CHIP_ID to a plain read, as they do after a reset.
+
+    Parameters
+    ----------
+    number : str
+        Number of the I2C bus.
+    i2c : I2cAdapter
+        Adapter of the bus.
+
+    Yields
+    ------
+    Found
+        URL and description of a chip.
+    """
     for address in ADDRESSES:
-        got = adapter.answer(i2c, address, b"", 2)
-        if len(got) == 2 and int.from_bytes(got, "big") & 0xFFF == IDENTITY:
+        reply = adapter.answer(i2c, address, b"", 2)
+        if len(reply) == 2 and int.from_bytes(reply, "big") & 0xFFF == IDENTITY:
             yield Found(
                 f"bos1921:{number}?address=0x{address:02x}",
                 f"BOS1921 at 0x{address:02x} of I2C bus {number}",
@@ -367,7 +486,13 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
 
 
 def find() -> Iterator[Found]:
-    """Yield the chips that answer on the I2C adapters there are."""
+    """Return the chips that answer on the available I2C adapters.
+
+    Returns
+    -------
+    iterator of Found
+        URLs and descriptions of the chips.
+    """
     return adapter.found_on_adapters(find_on)
 
 

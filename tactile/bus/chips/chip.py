@@ -1,8 +1,8 @@
-"""What the chips have in common: codes that wait, what a chip took last, ramps of codes.
+"""Common part of all chips: queued codes, the code that a chip took last, and ramps of codes.
 
-A chip plays by its own clock, which runs within `occupancy.TOLERANCE` of 8000 Hz. How full its FIFO
-is must be known at any time within bounds, so that it is never written beyond what fits; each kind
-of chip says how.
+A chip plays by its own clock, which runs within `occupancy.TOLERANCE` of 8000 Hz. Bounds of the
+fill of its FIFO must be known at any time, so that no more is written than fits. Each kind of chip
+determines them in its own way.
 """
 
 import errno
@@ -20,28 +20,37 @@ from tactile.bus.chips.occupancy import RATE
 from tactile.clock import Clock
 
 TRIES = 4
-"""Of a transfer that does no harm when repeated, before it counts as failed."""
+"""Number of attempts at a transfer that may safely be repeated, before it counts as failed."""
 BURST = 32
-"""Samples of an ordinary write, 4 ms; the most that a BOS1921 takes at once."""
+"""Length of an ordinary write, 4 ms, which is the most that a BOS1921 takes at once [samples]."""
 
 
 LEAST = 16
-"""Samples that are worth a write of their own."""
+"""Shortest write that is worth a transfer of its own [samples]."""
 
 
 @dataclass
 class ChipCounters(BusCounters):
-    """What a bus of chips counts besides.
+    """Counters of a bus of chips, in addition to those of every bus.
 
     Attributes
     ----------
-    bus_errors : transfers that failed, most of them repeated in time
-    stalls : times a FIFO ran empty for the host was late; the last voltage was held meanwhile
-    held_samples : at most so many were held while a FIFO was let run empty to measure its clock
-    replayed_samples : at most so many were played twice, after a burst that failed half-way
-    unknown_voltages : times a chip held one of several voltages, and was led to 0 V from the
-        middle of them
-    stretched_samples : inserted or left out by stretching blocks for chips that are not the first
+    bus_errors : int
+        Number of transfers that failed, most of which were repeated in time.
+    stalls : int
+        Number of times that a FIFO ran empty because the host was late; the last voltage was held
+        meanwhile.
+    held_samples : int
+        Upper bound of the samples for which the last voltage was held while a FIFO was allowed to
+        run empty to measure its clock.
+    replayed_samples : int
+        Upper bound of the samples that were played twice, after a burst that failed midway.
+    unknown_voltages : int
+        Number of times that a chip held one of several possible voltages, and was led to 0 V from
+        the middle of them.
+    stretched_samples : int
+        Number of samples that were inserted or removed when blocks were stretched for chips other
+        than the first.
     """
 
     bus_errors: int = 0
@@ -53,58 +62,107 @@ class ChipCounters(BusCounters):
 
 
 class LostError(OSError):
-    """Where the output is no longer known, so that playing may only begin anew from 0 V."""
+    """Error for an output whose voltage is no longer known, so that playing must restart at 0 V."""
 
 
 def codes_of(volts: Floats, volts_per_code: float, most: int) -> list[int]:
-    """Return volts as the nearest codes, within ±``most``."""
+    """Convert voltages to the nearest codes.
+
+    Parameters
+    ----------
+    volts : (S,) array of float
+        Voltages [V].
+    volts_per_code : float
+        Voltage of one code [V].
+    most : int
+        Largest magnitude of a code.
+
+    Returns
+    -------
+    list of int
+        Codes within ±``most``.
+    """
     nearest = np.clip(np.rint(volts / volts_per_code), -most, most)
     return [int(code) for code in nearest]
 
 
 def ramp_codes(start: int, step: int) -> list[int]:
-    """Return the codes after ``start`` to 0, each within ``step`` of the last; 0 for none."""
-    away = abs(start)
+    """Return the codes of a ramp to 0 at a limited slew.
+
+    Parameters
+    ----------
+    start : int
+        Code before the ramp.
+    step : int
+        Largest change of the code in a sample.
+
+    Returns
+    -------
+    list of int
+        Codes after ``start``, of which the last is 0.
+    """
+    magnitude = abs(start)
     sign = 1 if start > 0 else -1
-    return [sign * code for code in range(away - step, 0, -step)] + [0]
+    return [sign * code for code in range(magnitude - step, 0, -step)] + [0]
 
 
 def stretch(before: float, volts: Floats, count: int) -> Floats:
-    """Return ``count`` samples over the same time as ``volts``; the same where as many.
+    """Resample a block to another number of samples over the same time.
 
-    Straight lines between samples, so that neither voltage nor slew grows. At 1 kHz a sample
-    half-way is 0.7 dB low (cos π/8), at 250 Hz 0.04 dB.
+    Samples are interpolated linearly, so that neither voltage nor slew increases. At 1 kHz a sample
+    midway between two others is 0.7 dB too small (cos π/8), at 250 Hz 0.04 dB.
 
     Parameters
     ----------
-    before : the sample before the block [V]
-    volts : (S,) [V]
-    count : of the result
+    before : float
+        Sample before the block [V].
+    volts : (S,) array of float
+        Samples of the block [V].
+    count : int
+        Number of samples of the result.
+
+    Returns
+    -------
+    (count,) array of float
+        Samples [V]; ``volts`` itself if ``count`` equals S.
     """
     if count == len(volts):
         return volts
-    places = np.arange(1, count + 1) * (len(volts) / max(count, 1))
-    given = np.concatenate([[before], volts])
-    return np.asarray(np.interp(places, np.arange(len(given)), given), np.float64)
+    positions = np.arange(1, count + 1) * (len(volts) / max(count, 1))
+    extended = np.concatenate([[before], volts])
+    return np.asarray(np.interp(positions, np.arange(len(extended)), extended), np.float64)
 
 
 class Chip(ABC):
-    """One chip; touched by the thread that writes alone.
+    """One chip; only the thread that writes to the chips may use it.
 
     Parameters
     ----------
-    target : where it is
-    time : the clock
-    counters : shared with the bus
-    volts_per_code : [V]
-    most : largest code
-    step : largest change of the code in a sample
+    target : ChipTarget
+        I2C target of the chip.
+    clock : Clock
+        Clock of the host.
+    counters : ChipCounters
+        Counters, which are shared with the bus.
+    volts_per_code : float
+        Voltage of one code [V].
+    most : int
+        Largest magnitude of a code.
+    step : int
+        Largest change of the code in a sample.
 
     Attributes
     ----------
-    pending : codes that it has not taken
-    last : code that it took last
-    unsure : whether it is unknown how much of the last burst it took
+    kind : str
+        Name of the kind of chip.
+    lead : int
+        Largest number of samples in the FIFO.
+    pending : list of int
+        Codes that the chip has not taken.
+    last : int
+        Code that the chip took last.
+    unsure : bool
+        Whether it is unknown how much of the last burst the chip took.
     """
 
     kind: ClassVar[str]
@@ -120,15 +178,15 @@ class Chip(ABC):
         self.pending: list[int] = []
         self.last = 0
         self.unsure = False
-        self._before = 0.0
+        self._previous = 0.0
 
     @property
     def name(self) -> str:
-        """What it is and where."""
+        """Kind and address of the chip."""
         return f"{self.kind} at {self.target.name}"
 
-    def _ask(self, data: bytes, size: int) -> bytes:
-        """Write bytes, then read; again where that fails."""
+    def _read(self, data: bytes, size: int) -> bytes:
+        """Write bytes, then read; repeat that if it fails."""
         for _ in range(TRIES - 1):
             try:
                 return self.target.read(data, size)
@@ -136,8 +194,8 @@ class Chip(ABC):
                 self.counters.bus_errors += 1
         return self.target.read(data, size)
 
-    def _tell(self, data: bytes) -> None:
-        """Write bytes that may be written twice; again where that fails."""
+    def _write(self, data: bytes) -> None:
+        """Write bytes that may be written twice; repeat that if it fails."""
         for _ in range(TRIES - 1):
             try:
                 return self.target.write(data)
@@ -146,14 +204,28 @@ class Chip(ABC):
         return self.target.write(data)
 
     def put(self, volts: Floats, count: int) -> None:
-        """Take a block (S,) [V] as ``count`` samples, to be written by `flush`."""
+        """Queue a block of samples, which `flush` writes.
+
+        Parameters
+        ----------
+        volts : (S,) array of float
+            Samples [V].
+        count : int
+            Number of samples to which the block is stretched.
+        """
         self.counters.stretched_samples += abs(count - len(volts))
-        wanted = stretch(self._before, volts, count)
-        self.pending += codes_of(wanted, self.volts_per_code, self.most)
-        self._before = float(volts[-1])
+        samples = stretch(self._previous, volts, count)
+        self.pending += codes_of(samples, self.volts_per_code, self.most)
+        self._previous = float(volts[-1])
 
     def flush(self) -> None:
-        """Write what is pending and fits; raises OSError where the chip does not take it."""
+        """Write the pending samples that fit.
+
+        Raises
+        ------
+        OSError
+            If the chip does not take them.
+        """
         if self.unsure:
             self.resolve()
         burst = self.pending[: min(self.room(), BURST)] if self.pending else []
@@ -163,90 +235,164 @@ class Chip(ABC):
             if len(burst) < min(LEAST, len(self.pending)):
                 return
 
-    def _took(self, count: int) -> None:
+    def _mark_taken(self, count: int) -> None:
+        """Remove the first pending samples, which the chip has taken."""
         if count:
             self.last = self.pending[count - 1]
             del self.pending[:count]
 
     def cut(self) -> None:
-        """Go to 0 V at the slew limit from what the chip took last; drop what is pending."""
+        """Replace the pending samples by a ramp to 0 V from the sample that the chip took last."""
         if self.unsure:
             self.resolve()
         self.pending = [*ramp_codes(self.last, self.step), 0]
-        self._before = 0.0
+        self._previous = 0.0
 
     def silence(self) -> None:
-        """Drop what is pending; the output is at 0 V."""
-        self.pending, self.last, self.unsure, self._before = [], 0, False, 0.0
+        """Discard the pending samples; the output is at 0 V."""
+        self.pending, self.last, self.unsure, self._previous = [], 0, False, 0.0
 
     def wanted(self) -> int:
-        """Return how many samples should be put next."""
+        """Return how many samples should be put next.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         return max(0, self.room() - len(self.pending))
 
     def due(self) -> float:
-        """Return when it can take the next burst [s]."""
+        """Return when the chip can take the next burst.
+
+        Returns
+        -------
+        float
+            Time on the host's clock [s].
+        """
         now = self.clock.now()
         return now + max(0, min(len(self.pending) or BURST, BURST) - self.room_at(now)) / RATE
 
     def room(self) -> int:
-        """Return how many samples fit now, for certain, within `lead`; may read from the chip."""
+        """Return how many samples certainly fit now within `lead`; may read from the chip.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         return self.room_at(self.clock.now())
 
     @abstractmethod
     def room_at(self, now: float) -> int:
-        """Return how many samples fit at a time [s] for certain, by what is known already."""
+        """Return how many samples certainly fit at a given time, without reading from the chip.
+
+        Parameters
+        ----------
+        now : float
+            Time on the host's clock [s].
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
 
     @abstractmethod
     def fill(self) -> int:
-        """Return how many samples are in the FIFO for certain."""
+        """Return how many samples are certainly in the FIFO.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
 
     @property
     @abstractmethod
     def lost_at(self) -> float:
-        """When the output will no longer be known, unless something is written [s]."""
+        """Time from which the output is no longer known unless something is written [s]."""
 
     @abstractmethod
     def identify(self) -> None:
-        """Raise BusError where it is another chip, OSError where it does not answer."""
+        """Check that the chip is of this kind.
+
+        Raises
+        ------
+        BusError
+            If it is another chip.
+        OSError
+            If it does not answer.
+        """
 
     @abstractmethod
     def wake(self) -> None:
-        """Set up, and be at 0 V; raises OSError, BusError where it is another chip."""
+        """Set up the chip at 0 V.
+
+        Raises
+        ------
+        BusError
+            If it is another chip.
+        OSError
+            If it does not answer.
+        """
 
     def calibrate(self) -> None:  # noqa: B027
-        """Learn the clock's rate at 0 V, where that must be."""
+        """Measure the rate of the chip's clock at 0 V, if that is necessary."""
 
     def warm(self) -> None:  # noqa: B027
-        """Let it start up at 0 V, where that takes time; `ready` waits for the end."""
+        """Start up the chip at 0 V, if that takes time; `ready` waits until it has."""
 
     def ready(self) -> None:  # noqa: B027
-        """Wait until it plays what is written at once."""
+        """Wait until the chip plays immediately what is written."""
 
     @abstractmethod
     def _burst(self, codes: Sequence[int]) -> None:
-        """Write what comes first of `pending` into the FIFO, and take it from there."""
+        """Write the first samples of `pending` into the FIFO, and remove them from there."""
 
     @abstractmethod
     def resolve(self) -> None:
-        """Find out what the chip took of a burst that failed, or raise LostError."""
+        """Determine how much the chip took of a burst that failed.
+
+        Raises
+        ------
+        LostError
+            If that cannot be determined.
+        """
 
     @abstractmethod
     def quiet(self) -> bool:
-        """Return whether all has been played."""
+        """Return whether everything has been played.
+
+        Returns
+        -------
+        bool
+            Whether the FIFO is empty.
+        """
 
     @abstractmethod
     def rest(self) -> None:
-        """Switch high voltage off, verified; only at 0 V."""
+        """Switch the high voltage off and verify that; the output must be at 0 V."""
 
     @abstractmethod
     def reset(self) -> None:
-        """Switch off at any voltage: the last resort."""
+        """Switch the output off at any voltage, as the last resort."""
 
 
 def was_taken_nothing(error: OSError) -> bool:
     """Return whether a failed write has certainly left nothing in the chip.
 
-    ENXIO is the address that was not acknowledged (Linux, Documentation/i2c/fault-codes.rst); some
-    adapters say EREMOTEIO for every refusal, which tells nothing.
+    ENXIO means that the address was not acknowledged (Linux, Documentation/i2c/fault-codes.rst).
+    Some adapters report EREMOTEIO for every refusal, which says nothing.
+
+    Parameters
+    ----------
+    error : OSError
+        Error of the write.
+
+    Returns
+    -------
+    bool
+        Whether nothing was taken.
     """
     return error.errno == errno.ENXIO

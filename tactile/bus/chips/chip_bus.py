@@ -1,4 +1,4 @@
-"""The bus that chips without firmware make, whichever they are."""
+"""Bus of chips without firmware, common to all kinds of chips."""
 
 import atexit
 from collections.abc import Callable, Sequence
@@ -16,28 +16,38 @@ from tactile.bus.chips.pump import QUEUE, Pump, Runner
 from tactile.errors import BusError, InputError
 
 START_WAIT = 5.0
-"""s for all chips to be set up and their clocks measured, 0.12 s each."""
+"""Time limit for setting up all chips and measuring their clocks, 0.12 s each [s]."""
 END_WAIT = 1.0
-"""s for what is queued and a fade, 30 ms, with retries."""
+"""Time limit for what is queued and a fade, 30 ms, with retries [s]."""
 
 
 class ChipBus(Bus):
-    """A chip for each channel, and a thread that writes to them.
+    """Bus with a chip for each channel, and a thread that writes to them.
 
     Parameters
     ----------
-    wiring : what they drive
-    chips : in the order of the channels
-    i2c : the adapter, closed with the bus
-    runner : who writes, and by which clock
-    counters : that the chips count in
+    wiring : Wiring
+        What the chips drive.
+    chips : sequence of Chip
+        Chips in the order of the channels.
+    i2c : I2cAdapter
+        Adapter, which is closed together with the bus.
+    runner : Runner
+        Thread that writes to the chips, and its clock.
+    counters : ChipCounters
+        Counters, which are shared with the chips.
+
+    Attributes
+    ----------
+    pump : Pump
+        Amplifier in memory and its playback on the chips.
 
     Raises
     ------
     BusError
-        Where a chip is not there.
+        If a chip is missing.
     InputError
-        Where 0 V cannot be reached within 20 ms of an e-stop.
+        If 0 V cannot be reached within 20 ms of an e-stop.
     """
 
     def __init__(
@@ -57,22 +67,23 @@ class ChipBus(Bus):
 
     @property
     def status(self) -> BusStatus:
-        """How it stands now."""
+        """Present state of the bus."""
         link: Literal["up", "down"] = "down" if self.pump.phase == "down" else "up"
         state = self.state
         return BusStatus(state, link, self.pump.detail, state == "running" and link == "up")
 
     @property
     def ahead(self) -> float:
-        """What waits in the chips [s]."""
+        """Duration of the samples that wait in a chip [s]."""
         return self.pump.chips[0].lead / self.wiring.sample_rate
 
     def _start(self, position: int) -> None:
         with self._runner.lock:
             self.pump.start(position, round(self.wiring.sample_rate))
-            self._runner.wait_for(self._started, START_WAIT)
+            self._runner.wait_for(self._is_started, START_WAIT)
 
-    def _started(self) -> bool:
+    def _is_started(self) -> bool:
+        """Return whether the chips are set up, or will not be."""
         return self.pump.phase in ("ready", "down") or self.state == "estopped"
 
     def _write(self, block: DriveBlock) -> None:
@@ -87,7 +98,7 @@ class ChipBus(Bus):
                 self._send(block.position + k, block.volts[k : k + BURST])
 
     def _send(self, position: int, volts: Floats) -> None:
-        """Hand samples on as soon as there is room for them."""
+        """Pass samples to the amplifier as soon as there is room for them."""
         pump, end = self.pump, position + len(volts)
 
         def room() -> bool:
@@ -106,15 +117,16 @@ class ChipBus(Bus):
         self._runner.sleep(count / self.wiring.sample_rate)
 
     def _stop(self) -> None:
-        self._end("stop")
+        self._end_playback("stop")
 
     def _abort(self) -> None:
-        self._end("abort")
+        self._end_playback("abort")
 
     def _estop(self) -> None:
-        self._end("estop")
+        self._end_playback("estop")
 
-    def _end(self, order: Literal["stop", "abort", "estop"]) -> None:
+    def _end_playback(self, order: Literal["stop", "abort", "estop"]) -> None:
+        """Order an end of playback, and wait for it."""
         with self._runner.lock:
             self.pump.order(order)
             self._runner.wait_for(lambda: self.pump.settled, END_WAIT)
@@ -126,7 +138,7 @@ class ChipBus(Bus):
             self.pump.board.clear()
 
     def _close(self) -> None:
-        """Let go; where a chip that holds its voltage cannot be reached `status` says so."""
+        """Release the bus; `status` tells if a chip that holds its voltage cannot be reached."""
         with self._runner.lock:
             self._runner.wait_for(lambda: self.pump.phase == "rest", END_WAIT)
         self._runner.end()
@@ -135,12 +147,17 @@ class ChipBus(Bus):
 
 
 def present(chip: Chip) -> None:
-    """See that a chip is there and is what it is taken for, with one more try.
+    """Check that a chip is present and of the expected kind.
+
+    Parameters
+    ----------
+    chip : Chip
+        Chip to identify.
 
     Raises
     ------
     BusError
-        Where not, in one line.
+        If it does not answer or is another chip.
     """
     try:
         chip.identify()
@@ -154,7 +171,20 @@ def present(chip: Chip) -> None:
 
 
 def opened(path: str, make: Callable[[I2cAdapter], ChipBus]) -> ChipBus:
-    """Return the bus made on the adapter at a path, which is closed where that fails."""
+    """Make a bus on the adapter at a path; the adapter is closed if that fails.
+
+    Parameters
+    ----------
+    path : str
+        Device file of the adapter.
+    make : callable
+        Function that makes the bus on the open adapter.
+
+    Returns
+    -------
+    ChipBus
+        The open bus.
+    """
     i2c = adapter.open_adapter(path)
     try:
         return make(i2c)
@@ -164,14 +194,47 @@ def opened(path: str, make: Callable[[I2cAdapter], ChipBus]) -> ChipBus:
 
 
 def checked_rate(scheme: str, sample_rate: float | None) -> float:
-    """Return the chips' rate [Hz]; raises InputError where another is asked for."""
+    """Return the sample rate of the chips, after comparing it with the requested one.
+
+    Parameters
+    ----------
+    scheme : str
+        Scheme of the URL, for messages.
+    sample_rate : float or None
+        Requested rate [Hz]; None for that of the chips.
+
+    Returns
+    -------
+    float
+        Sample rate [Hz].
+
+    Raises
+    ------
+    InputError
+        If another rate is requested.
+    """
     if sample_rate not in (None, RATE):
         raise InputError(f"{scheme}: sample_rate {sample_rate:g} Hz: the chip plays {RATE:g} Hz")
     return RATE
 
 
 def checked_voltage(scheme: str, voltage: float, peak: float) -> None:
-    """Raise InputError where a display's voltage limit exceeds a chip's range [V]."""
+    """Check that a voltage limit is within the range of a chip.
+
+    Parameters
+    ----------
+    scheme : str
+        Scheme of the URL, for messages.
+    voltage : float
+        Voltage limit of the display [V].
+    peak : float
+        Largest voltage of the range [V].
+
+    Raises
+    ------
+    InputError
+        If the limit exceeds the range.
+    """
     if voltage > peak:
         raise InputError(
             f"{scheme}: the display's limit {voltage:g} V exceeds the range ±{peak:g} V; lower "
@@ -180,7 +243,20 @@ def checked_voltage(scheme: str, voltage: float, peak: float) -> None:
 
 
 def checked_estop(wiring: Wiring, lead: int) -> None:
-    """Raise InputError where FIFO and ramp take longer than an e-stop may."""
+    """Check that an e-stop is at 0 V in time, after the samples in the FIFO and the ramp.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        What the chips drive.
+    lead : int
+        Largest number of samples in the FIFO.
+
+    Raises
+    ------
+    InputError
+        If it takes longer than 20 ms, or there are more channels than an amplifier can have.
+    """
     if wiring.channels > MOST_CHANNELS:
         raise InputError(f"{wiring.channels} channels: {MOST_CHANNELS} at most")
     ramp = wiring.voltage / wiring.slew
@@ -194,5 +270,18 @@ def checked_estop(wiring: Wiring, lead: int) -> None:
 
 
 def step_codes(step: float, volts_per_code: float) -> int:
-    """Return a slew limit [V a sample] in whole codes, one at least."""
+    """Convert a slew limit to whole codes.
+
+    Parameters
+    ----------
+    step : float
+        Largest change of the voltage in a sample [V].
+    volts_per_code : float
+        Voltage of one code [V].
+
+    Returns
+    -------
+    int
+        Largest change of the code in a sample, at least 1.
+    """
     return max(1, int(step / volts_per_code))

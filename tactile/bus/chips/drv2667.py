@@ -1,28 +1,32 @@
 """``drv2667:1``, displays driven by TI DRV2667 chips, one for each channel.
 
-``drv2667:1?mux=0x70&ports=0,1,2`` on bus 1 behind a TCA9548A, for all have the same address;
-``range=50`` (100, 150, 200) V peak to peak, by default the smallest that covers the display's
-voltage limit; ``clock_hz=`` of the bus.
+``drv2667:1?mux=0x70&ports=0,1,2`` uses chips on bus 1 behind a TCA9548A, because all chips have the
+same address. ``range=50`` (100, 150, 200) is the output range [V peak to peak], by default the
+smallest that covers the display's voltage limit. ``clock_hz=`` is the clock of the bus.
 
 A chip plays 8-bit codes from a FIFO of 100 bytes at its own 8 kHz (TI SLOS751E). The host follows
-it: `write` waits. The FIFO tells only whether it is full or empty, and while a burst is on its way
-several samples are played, so that "full" comes too late to prevent a refusal. So the fill is kept
-below 80 by the bounds of `Occupancy`, and when their doubt has grown to 24 samples the FIFO is let
-run empty: the next burst is ready by then, the last voltage is held for some tenths of a
-millisecond (counted as ``held_samples``), and the clock is known better: after 0.1 s of silence
-before the first start, then about 0.15 s, 0.3 s, 0.5 s, 0.9 s and so on up to every 2.5 s. Where
-the drive stands still that is done earlier, unnoticed.
+it: `write` waits. The FIFO reports only whether it is full or empty, and several samples are played
+during the transfer of a burst, so that "full" is reported too late to prevent a refusal. The fill
+is therefore kept below 80 by the bounds of `Occupancy`. When their uncertainty has grown to 24
+samples, the FIFO is allowed to run empty. The next burst is ready by then, the last voltage is held
+for some tenths of a millisecond (counted as ``held_samples``), and the clock is known more
+precisely. This happens after 0.1 s of silence before the first start, then after about 0.15 s,
+0.3 s, 0.5 s, 0.9 s and so on up to every 2.5 s. It is done earlier, without an effect, while the
+drive is constant.
 
-When the host dies the FIFO runs empty after 10 ms at most, and 20 ms later the chip's timeout
+When the host dies, the FIFO runs empty after 10 ms at most, and 20 ms later the chip's timeout
 switches its amplifier off (EN_OVERRIDE = 0): ``on_host_death`` is "zero". An e-stop appends the
-ramp to what is in the FIFO, at most 10.3 ms, then STANDBY; where that cannot be written DEV_RST,
-which stops at once, at a step.
+ramp to the contents of the FIFO, which take 10.3 ms at most, followed by STANDBY. If that cannot be
+written, DEV_RST stops the chip at once, which causes a step.
 
-Uncertain: the clock's tolerance (±2.5 % assumed); the longest start-up (4 ms assumed, 2 ms
-typical); how the output goes to 0 V at the timeout, in STANDBY and at DEV_RST ("Ramp Down
-Behavior", SLOS751E 7.3.3, was not at hand); whether a burst that is refused half-way keeps what
-came before. After such a burst, or any error that is not ENXIO, the chip is left to run empty and
-time out, and the drive fades in again.
+The following is uncertain:
+
+- the tolerance of the clock (±2.5 % is assumed);
+- the longest start-up time (4 ms is assumed, 2 ms is typical);
+- how the output goes to 0 V at the timeout, in STANDBY and at DEV_RST ("Ramp Down Behavior",
+  SLOS751E 7.3.3, was not available);
+- whether the chip keeps the beginning of a burst that it refuses midway. After such a burst, or any
+  error other than ENXIO, the chip is left to run empty and time out, and the drive fades in again.
 """
 
 import math
@@ -57,61 +61,99 @@ from tactile.clock import Clock
 from tactile.errors import BusError
 
 ADDRESS = 0x59
+"""I2C address of the chip."""
 FASTEST = 400_000
-"""Hz of the I2C bus (TI SLOS751E)."""
+"""Highest clock of the I2C bus (TI SLOS751E) [Hz]."""
 STATUS, CONTROL_1, CONTROL_2, FIFO = 0x00, 0x01, 0x02, 0x0B
+"""Registers."""
 EMPTY = 1 << 1
+"""Bit of STATUS that tells that the FIFO is empty."""
 DEV_RST, STANDBY = 1 << 7, 1 << 6
+"""Bits of CONTROL_2."""
 TIMEOUT_20_MS = 3 << 2
+"""Value of the timeout field of CONTROL_2."""
 ACTIVE = TIMEOUT_20_MS
-"""CONTROL_2 while playing: STANDBY, EN_OVERRIDE and GO clear."""
+"""Value of CONTROL_2 while playing: STANDBY, EN_OVERRIDE and GO are clear."""
 TIMEOUT = 20e-3
-"""s, the natural watchdog (TI SLOS751E); the longest, so that a host that is late for some ms only
-holds a voltage and does not lose it. An e-stop does not wait for it."""
+"""Timeout of the chip, which serves as a watchdog (TI SLOS751E) [s].
+
+It is the longest that can be set, so that a host that is late by some milliseconds only holds a
+voltage and does not lose it. An e-stop does not wait for it.
+"""
 IDENTITY = 7
+"""CHIPID of a DRV2667."""
 CHIPS = {IDENTITY: "DRV2667", 5: "DRV2665"}
-"""By CHIPID, CONTROL_1 6:3 (TI SLOS751E, SLOS740C)."""
+"""Names of chips by CHIPID, bits 6:3 of CONTROL_1 (TI SLOS751E, SLOS740C)."""
 RANGES = {50: 0, 100: 1, 150: 2, 200: 3}
-"""GAIN by V peak to peak (TI SLOS751E)."""
+"""Value of GAIN by output range [V peak to peak] (TI SLOS751E)."""
 MOST = 127
 """Code of the range's peak."""
 STARTUP = 4e-3
-"""s from the first byte to its output at most; about 2 ms typical (TI SLOS751E), twice assumed."""
+"""Longest time from the first byte to its output [s].
+
+About 2 ms are typical (TI SLOS751E); twice that is assumed.
+"""
 SETTLE = 1e-3
-"""s between leaving STANDBY and the next write (TI SLOS751E)."""
+"""Waiting time between leaving STANDBY and the next write (TI SLOS751E) [s]."""
 EARLY = 0.8
-"""Of the timeout within which an empty FIFO certainly still holds its last voltage (assumed)."""
+"""Fraction of the timeout within which an empty FIFO certainly holds its voltage (assumed)."""
 HIGH = 80
-"""Samples in the FIFO at most, 10 ms: an e-stop waits for them."""
+"""Largest number of samples in the FIFO, 10 ms, for which an e-stop waits."""
 DOUBT = 24
-"""Samples of doubt at which the FIFO is let run empty: 24 of 80 are left for the host's delays."""
+"""Uncertainty of the fill at which the FIFO is allowed to run empty [samples].
+
+Of the 80 samples, a burst of 32 then still leaves 24 for delays of the host.
+"""
 FLAT_DOUBT = 8
-"""The same while all in the FIFO is one voltage."""
+"""Value of `DOUBT` while all samples in the FIFO are equal [samples]."""
 POLL = 50e-6
-"""s between statuses, which take 0.1 ms themselves; a sample passes in 125 µs."""
+"""Interval between readings of STATUS [s].
+
+A reading itself takes 0.1 ms, and a sample is played every 125 µs.
+"""
 MEASURED = 0.1
-"""s of silence that the clock is measured by."""
+"""Duration of the silence during which the clock is measured [s]."""
 RESERVE = 50
-"""Samples ahead of the slowest clock meanwhile: the fastest takes 40 more in that time."""
+"""Number of samples written ahead of the slowest clock during the measurement.
+
+The fastest clock plays 40 more in that time.
+"""
 POLLS = 1000
-"""Statuses that are read at most until a FIFO is empty."""
+"""Largest number of readings of STATUS until a FIFO is empty."""
 
 
 def bits_per_second() -> float:
-    """Return what a chip needs of the bus: a burst and, on average less than, a status every 4 ms.
+    """Return the bits that a chip needs on the bus: a burst and at most one status every 4 ms.
 
-    308 and 39 bits: 21.7 % of a 400 kHz bus. [1/s]
+    These take 308 and 39 bits, 21.7 % of a 400 kHz bus. On average STATUS is read less often.
+
+    Returns
+    -------
+    float
+        Bit rate [1/s].
     """
     return (transfer_bits(1 + BURST) + transfer_bits(1, 1)) * RATE / BURST
 
 
 def chosen_range(voltage: float, option: str | None) -> int:
-    """Return the range [V peak to peak] that covers a voltage limit [V].
+    """Return the output range for a voltage limit.
+
+    Parameters
+    ----------
+    voltage : float
+        Voltage limit of the display [V].
+    option : str or None
+        Range that the URL requests [V peak to peak]; None for the smallest that covers the limit.
+
+    Returns
+    -------
+    int
+        Range [V peak to peak].
 
     Raises
     ------
     InputError
-        Where none does, or that of the option does not.
+        If the requested range, or each range, is too small.
     """
     wide = int(option) if option else next((r for r in RANGES if r / 2 >= voltage), max(RANGES))
     checked_voltage("drv2667", voltage, wide / 2)
@@ -119,7 +161,24 @@ def chosen_range(voltage: float, option: str | None) -> int:
 
 
 class Drv2667(Chip):
-    """One chip; parameters as of `Chip`, with ``gain`` for CONTROL_1."""
+    """One DRV2667.
+
+    Parameters
+    ----------
+    target, clock, counters
+        Parameters of `Chip`.
+    wide : int
+        Output range [V peak to peak].
+    step : float
+        Largest change of the voltage in a sample [V].
+
+    Attributes
+    ----------
+    gain : int
+        Value of GAIN in CONTROL_1.
+    occupancy : Occupancy
+        Bounds of the fill of the FIFO.
+    """
 
     kind = "DRV2667"
     lead = HIGH
@@ -134,148 +193,213 @@ class Drv2667(Chip):
         )  # fmt: skip
         self.gain = RANGES[wide]
         self.occupancy = Occupancy()
-        self._measured = False
-        self._measure: tuple[float, float] | None = None
-        self._seen = (0.0, 0.0)
+        self._is_calibrated = False
+        self._new_rates: tuple[float, float] | None = None
+        self._status_times = (0.0, 0.0)
         self.silence()
 
     def silence(self) -> None:
-        """Drop what is pending; the output is at 0 V, the FIFO empty, the chip perhaps idle."""
+        """Discard the pending samples; the output is at 0 V and the FIFO empty."""
         super().silence()
-        self._empty, self._sounding, self._lost = True, False, False
-        self._measure = None
-        self._flat, self._held, self._full_until = 0, False, self.clock.now()
+        self._empty, self._runs_empty, self._lost = True, False, False
+        self._new_rates = None
+        self._constant_samples, self._was_held, self._full_until = 0, False, self.clock.now()
 
-    def _status(self) -> int:
+    def _read_status(self) -> int:
+        """Read STATUS, and note between which times that happened."""
         before = self.clock.now()
-        status = self._ask(bytes([STATUS]), 1)[0]
-        self._seen = (before, self.clock.now())
+        status = self._read(bytes([STATUS]), 1)[0]
+        self._status_times = (before, self.clock.now())
         return status
 
-    def _set(self, register: int, value: int, mask: int) -> None:
-        self._tell(bytes([register, value]))
-        found = self._ask(bytes([register]), 1)[0] & mask
-        if found != value:
+    def _write_register(self, register: int, value: int, mask: int) -> None:
+        """Write a register, and verify the bits of a mask."""
+        self._write(bytes([register, value]))
+        present = self._read(bytes([register]), 1)[0] & mask
+        if present != value:
             raise BusError(
-                f"{self.name}: register 0x{register:02x} holds 0x{found:02x} after 0x{value:02x}"
+                f"{self.name}: register 0x{register:02x} holds 0x{present:02x} after 0x{value:02x}"
             )
 
     def identify(self) -> None:
-        """See that it is a DRV2667."""
-        identity = self._ask(bytes([CONTROL_1]), 1)[0] >> 3 & 0xF
+        """Check that the chip is a DRV2667.
+
+        Raises
+        ------
+        BusError
+            If it is another chip.
+        OSError
+            If it does not answer.
+        """
+        identity = self._read(bytes([CONTROL_1]), 1)[0] >> 3 & 0xF
         if identity != IDENTITY:
-            there = CHIPS.get(identity, f"a chip with CHIPID {identity}")
-            raise BusError(f"{self.name}: there is {there}, not a DRV2667")
+            name = CHIPS.get(identity, f"a chip with CHIPID {identity}")
+            raise BusError(f"{self.name}: there is {name}, not a DRV2667")
 
     def wake(self) -> None:
-        """Let it run empty and time out, then leave STANDBY."""
+        """Let the chip run empty and time out, then leave STANDBY.
+
+        Raises
+        ------
+        BusError
+            If it is another chip, does not accept its setup, or its FIFO does not run empty.
+        OSError
+            If it does not answer.
+        """
         self.identify()
-        if not self._ask(bytes([CONTROL_2]), 1)[0] & STANDBY:
-            self._run_empty()
+        if not self._read(bytes([CONTROL_2]), 1)[0] & STANDBY:
+            self._wait_until_empty()
             self.clock.sleep(TIMEOUT / EARLY)
-        self._set(CONTROL_2, ACTIVE, 0xFF)
+        self._write_register(CONTROL_2, ACTIVE, 0xFF)
         self.clock.sleep(SETTLE)
-        self._set(CONTROL_1, self.gain, 0b111)
+        self._write_register(CONTROL_1, self.gain, 0b111)
         self.silence()
 
-    def _run_empty(self) -> tuple[float, float]:
-        """Wait until the FIFO is empty; return between which times it became so."""
+    def _wait_until_empty(self) -> tuple[float, float]:
+        """Wait until the FIFO is empty; return two times between which that happened."""
         since = self.clock.now()
         for _ in range(POLLS):
-            if self._status() & EMPTY:
-                return since, self._seen[1]
-            since = self._seen[0]
+            if self._read_status() & EMPTY:
+                return since, self._status_times[1]
+            since = self._status_times[0]
             self.clock.sleep(POLL)
         raise BusError(f"{self.name}: its FIFO does not run empty")
 
     def warm(self) -> None:
-        """Write some silence, so that it starts up."""
-        self._zeros(BURST)
+        """Write some silence, so that the chip starts up."""
+        self._write_silence(BURST)
 
     def ready(self) -> None:
-        """Wait until that has been played."""
-        self._run_empty()
+        """Wait until the silence has been played."""
+        self._wait_until_empty()
 
     def calibrate(self) -> None:
-        """Play 0 V for `MEASURED` without a pause, and see when the FIFO is empty."""
-        if self._measured:
+        """Measure the clock with silence of length `MEASURED`, played without a pause.
+
+        Raises
+        ------
+        BusError
+            If the rate is not within the tolerance of the clock.
+        LostError
+            If the chip has lost its setup.
+        """
+        if self._is_calibrated:
             return
         self.warm()
         self.ready()
         begun = self.clock.now()
-        self._zeros(RESERVE)
+        self._write_silence(RESERVE)
         self.occupancy = Occupancy()
         self.occupancy.begin(RESERVE, begun, self.clock.now())
         while (now := self.clock.now()) < begun + MEASURED:
             more = int(RATES[0] * (now - begun)) + RESERVE - self.occupancy.written
             if more > 0:
-                self._zeros(more)
+                self._write_silence(more)
                 self.occupancy.wrote(more, now)
             self.clock.sleep(BURST / 4 / RATE)
-        empty = self._run_empty()
+        empty = self._wait_until_empty()
         self._check_power()
         rates = measured_rates(self.occupancy.written, (begun, begun), empty)
         if rates[1] < RATES[0] or rates[0] > RATES[1]:
             raise BusError(f"{self.name}: plays {rates[0]:.0f} samples a second, not {RATE:g}")
         self.occupancy.rates = self.occupancy.measured(*empty)
-        self._measured = True
+        self._is_calibrated = True
 
-    def _zeros(self, count: int) -> None:
-        self._tell(bytes([FIFO]) + bytes(count))
+    def _write_silence(self, count: int) -> None:
+        """Write samples of 0 V."""
+        self._write(bytes([FIFO]) + bytes(count))
 
     def wanted(self) -> int:
-        """Return how many samples should be put next; a burst in reserve while it runs empty."""
+        """Return how many samples should be put next.
+
+        While the FIFO runs empty, one burst is kept in reserve.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         room = self.room()
-        return max(0, (BURST if self._sounding else room) - len(self.pending))
+        return max(0, (BURST if self._runs_empty else room) - len(self.pending))
 
     def due(self) -> float:
-        """Return when it can take the next burst [s]."""
-        if self._sounding:
+        """Return when the chip can take the next burst.
+
+        Returns
+        -------
+        float
+            Time on the host's clock [s].
+        """
+        if self._runs_empty:
             return max(self.occupancy.dry_at, self.clock.now() + POLL)
         return super().due()
 
     def room(self) -> int:
-        """Return how many samples fit now for certain; none while it is to run empty."""
+        """Return how many samples certainly fit now; none while the FIFO is to run empty.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         now = self.clock.now()
         if not self._empty and now > self.occupancy.dry_at:
-            self._look()
-        elif not self._empty and not self._sounding:
+            self._check_empty()
+        elif not self._empty and not self._runs_empty:
             doubt = self.occupancy.most_fill(now) - self.occupancy.least_fill(now)
-            self._sounding = doubt > (FLAT_DOUBT if self._flat > HIGH else DOUBT)
+            self._runs_empty = doubt > (FLAT_DOUBT if self._constant_samples > HIGH else DOUBT)
             self._full_until = self.occupancy.dry_at
         return self.room_at(now)
 
-    def _look(self) -> None:
-        """See whether the FIFO has run empty."""
-        if not self._status() & EMPTY:
-            self._full_until = self._seen[0]
+    def _check_empty(self) -> None:
+        """Check whether the FIFO has run empty."""
+        if not self._read_status() & EMPTY:
+            self._full_until = self._status_times[0]
             return
-        if self._sounding:
-            self._measure = self.occupancy.measured(self._full_until, self._seen[1])
+        if self._runs_empty:
+            self._new_rates = self.occupancy.measured(self._full_until, self._status_times[1])
         else:
-            self._full_until = self._seen[0]
+            self._full_until = self._status_times[0]
             self.counters.stalls += 1
-        self._empty, self._sounding, self._held = True, False, True
+        self._empty, self._runs_empty, self._was_held = True, False, True
 
     def room_at(self, now: float) -> int:
-        """Return how many samples fit at a time [s] for certain, by what is known already."""
+        """Return how many samples certainly fit at a given time, without reading from the chip.
+
+        Parameters
+        ----------
+        now : float
+            Time on the host's clock [s].
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         if self._empty:
             return HIGH
-        return 0 if self._sounding else HIGH - self.occupancy.most_fill(now)
+        return 0 if self._runs_empty else HIGH - self.occupancy.most_fill(now)
 
     def fill(self) -> int:
-        """Return how many samples are in the FIFO for certain."""
+        """Return how many samples are certainly in the FIFO.
+
+        Returns
+        -------
+        int
+            Number of samples.
+        """
         return 0 if self._empty else self.occupancy.least_fill(self.clock.now())
 
     @property
     def lost_at(self) -> float:
-        """When the timeout may switch off, which at 0 V is no loss [s]."""
+        """Time from which the timeout may switch off the output, which does no harm at 0 V [s]."""
         if self._lost:
             return 0.0
         return self.occupancy.dry_at + EARLY * TIMEOUT if self.last else math.inf
 
     def _burst(self, codes: Sequence[int]) -> None:
-        self.target.connect()  # first, for a host that is held up there comes after the timeout
+        # The port is connected before the time is read: a delay there may last until the timeout.
+        self.target.connect()
         before = self.clock.now()
         if before > self.lost_at:
             self._lost = True
@@ -293,55 +417,72 @@ class Drv2667(Chip):
             self.occupancy.wrote(len(codes), before)
         self._empty = False
         same = all(code == self.last for code in codes)
-        self._flat = self._flat + len(codes) if same else 0
-        self._took(len(codes))
-        if self._held:
-            self._held = False
+        self._constant_samples = self._constant_samples + len(codes) if same else 0
+        self._mark_taken(len(codes))
+        if self._was_held:
+            self._was_held = False
             self.counters.held_samples += int((before - self._full_until) * RATE) + 2
             self._check_power()
-            self.occupancy.rates = self._measure or self.occupancy.rates
-            self._measure = None
+            self.occupancy.rates = self._new_rates or self.occupancy.rates
+            self._new_rates = None
 
     def _check_power(self) -> None:
-        """See that it still is as it was set up: a chip that lost its power seems empty."""
-        if self._ask(bytes([CONTROL_2]), 1)[0] != ACTIVE:
+        """Check that the setup is intact, since a chip that lost its power seems empty."""
+        if self._read(bytes([CONTROL_2]), 1)[0] != ACTIVE:
             self._lost = True
             raise LostError(f"{self.name}: lost its setup")
 
     def resolve(self) -> None:
-        """Give up: nobody knows how much it took."""
+        """Give up, since the chip does not tell how much of a burst it took.
+
+        Raises
+        ------
+        LostError
+            Always.
+        """
         raise LostError(f"{self.name}: refused a burst half-way")
 
     def quiet(self) -> bool:
-        """Return whether all has been played."""
-        return bool(self._status() & EMPTY)
+        """Return whether everything has been played.
+
+        Returns
+        -------
+        bool
+            Whether the FIFO is empty.
+        """
+        return bool(self._read_status() & EMPTY)
 
     def rest(self) -> None:
-        """Enter STANDBY."""
-        self._set(CONTROL_2, STANDBY | ACTIVE, 0xFF)
+        """Enter STANDBY and verify that."""
+        self._write_register(CONTROL_2, STANDBY | ACTIVE, 0xFF)
         self.silence()
 
     def reset(self) -> None:
-        """Reset it: stops at once and enters STANDBY."""
-        self._tell(bytes([CONTROL_2, DEV_RST]))
+        """Reset the chip, which stops at once and enters STANDBY."""
+        self._write(bytes([CONTROL_2, DEV_RST]))
         self.silence()
 
 
 class Drv2667Bus(ChipBus):
-    """Chips that go to 0 V by themselves.
+    """Bus of DRV2667 chips, which go to 0 V by themselves.
 
     Parameters
     ----------
-    wiring : what they drive
-    place : where they are
-    i2c : the adapter
-    runner : who writes, and by which clock
-    wide : range of the chips [V peak to peak]
+    wiring : Wiring
+        What the chips drive.
+    place : Place
+        Location of the chips.
+    i2c : I2cAdapter
+        The open adapter.
+    runner : Runner
+        Thread that writes to the chips, and its clock.
+    wide : int
+        Output range [V peak to peak].
 
     Raises
     ------
     BusError
-        Where one of them is not there.
+        If a chip is missing.
     """
 
     on_host_death = "zero"
@@ -373,6 +514,7 @@ class Drv2667Options(ChipOptions, frozen=True, kw_only=True):
 def _open(
     address: Address[Drv2667Options], display: DisplayLike, sample_rate: float | None
 ) -> ChipBus:
+    """Open the bus of a display."""
     wiring = Wiring.of(display, checked_rate("drv2667", sample_rate))
     checked_estop(wiring, HIGH)
     place = Place.of(address, ADDRESS)
@@ -383,14 +525,35 @@ def _open(
 
 
 def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
-    """Yield the chip that answers on an adapter, by reading CONTROL_1; not behind multiplexers."""
-    got = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)
-    if got and got[0] >> 3 & 0xF == 7:
+    """Yield the chip that answers on an adapter; chips behind multiplexers are not found.
+
+    The chip is recognized by reading CONTROL_1.
+
+    Parameters
+    ----------
+    number : str
+        Number of the I2C bus.
+    i2c : I2cAdapter
+        Adapter of the bus.
+
+    Yields
+    ------
+    Found
+        URL and description of the chip.
+    """
+    reply = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)
+    if reply and reply[0] >> 3 & 0xF == 7:
         yield Found(f"drv2667:{number}", f"DRV2667 at 0x{ADDRESS:02x} of I2C bus {number}")
 
 
 def find() -> Iterator[Found]:
-    """Yield the chips that answer on the I2C adapters there are."""
+    """Return the chips that answer on the available I2C adapters.
+
+    Returns
+    -------
+    iterator of Found
+        URLs and descriptions of the chips.
+    """
     return adapter.found_on_adapters(find_on)
 
 

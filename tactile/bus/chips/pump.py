@@ -1,14 +1,14 @@
-"""The one thread that writes to chips: absolute deadlines, retries, ends at 0 V.
+"""Thread that writes to the chips: absolute deadlines, retries, and ends at 0 V.
 
-The amplifier in memory (`Board`) is played as fast as the first chip plays; what it puts out goes
-to that chip sample by sample, to the others stretched by a sample now and then, for each chip has
-its own clock. The pump never waits for what is written to it: where nothing is, the amplifier
+The amplifier in memory (`Board`) is played as fast as the first chip plays. That chip gets each
+sample of its output. For the others a sample is inserted or removed now and then, because each chip
+has its own clock. The pump never waits for samples from the host: if there are none, the amplifier
 fades, as one with firmware does.
 
-A transfer that fails is repeated after `BACK_OFF`, while the FIFOs last. Then, or where nobody
-knows what a chip took, the link is down: the amplifier is no longer fed and so fades out, its time
-goes on by the host's clock, and the chips are set up again until that succeeds; then the amplifier
-is fed again and fades in.
+A transfer that fails is repeated after `BACK_OFF`, as long as the FIFOs last. When they do not, or
+when it is unknown what a chip took, the link is down. The amplifier is then no longer fed and
+therefore fades out, and its time advances by the host's clock. The chips are set up again until
+that succeeds; then the amplifier is fed again and fades in.
 """
 
 import threading
@@ -25,53 +25,79 @@ from tactile.clock import Clock, MonotonicClock
 from tactile.errors import BusError
 
 QUEUE = 64
-"""Samples that wait in the amplifier at most, 8 ms."""
+"""Largest number of samples that wait in the amplifier, 8 ms."""
 LOW = 40
-"""Samples in the first FIFO below which the amplifier plays on, whether or not it has any."""
+"""Number of samples that every chip should have, in its FIFO or queued for it.
+
+Below it the amplifier plays even if it has no samples.
+"""
 PATIENCE = 10e-3
-"""s after the first write until playing begins though less than a burst came."""
+"""Time after the first write at which playing begins even without a whole burst [s]."""
 BACK_OFF = (0.5e-3, 4e-3)
-"""s between repeated transfers: at first, at most."""
+"""Shortest and longest interval between repeated transfers [s]."""
 RECONNECT = (10e-3, 0.5)
-"""s between attempts to set up again: at first, at most."""
+"""Shortest and longest interval between attempts to set up again [s]."""
 TICK = 4e-3
-"""s between looks at what has no deadline of its own."""
+"""Interval between steps that have no deadline of their own [s]."""
 IDLE_POLL = 0.5e-3
-"""s until the next look where there was nothing to play; what is written wakes it sooner."""
+"""Interval to the next step if there was nothing to play [s].
+
+A write ends it sooner.
+"""
 QUIET_POLL = 1e-3
-"""s between looks whether chips have played all."""
+"""Interval between checks whether the chips have played everything [s]."""
 
 Order = Literal["", "start", "stop", "abort", "estop"]
 Phase = Literal["rest", "ready", "running", "ending", "down"]
 
 
 class Runner(Clock, Protocol):
-    """What calls the pump, and by which clock: a thread, or a test's virtual time."""
+    """Executor and clock of the pump: a thread, or the virtual time of a test."""
 
     @property
     def lock(self) -> threading.Condition:
-        """What guards the amplifier, and is notified after each step."""
+        """Condition that guards the amplifier, and is notified after each step."""
         ...
 
     def begin(self, step: Callable[[], float | None]) -> None:
-        """Call ``step`` again at the time that it returns, on `alarm` at once; None: only then."""
+        """Call a step again and again.
+
+        Parameters
+        ----------
+        step : callable
+            Function that returns the time of its next call [s], or None to be called after `alarm`
+            only.
+        """
         ...
 
     def alarm(self) -> None:
-        """Let the step be called soon."""
+        """Call the step without waiting for its time."""
         ...
 
     def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
-        """Wait, with the lock held, until something is so or time is over; return which."""
+        """Wait, with the lock held, until a condition holds or the time is over.
+
+        Parameters
+        ----------
+        done : callable
+            Condition.
+        seconds : float
+            Time limit [s].
+
+        Returns
+        -------
+        bool
+            Whether the condition holds.
+        """
         ...
 
     def end(self) -> None:
-        """Call it no more."""
+        """Call the step no more."""
         ...
 
 
 class ThreadRunner(MonotonicClock):
-    """A thread of its own by the monotonic clock."""
+    """Executor with a thread of its own and the monotonic clock."""
 
     def __init__(self) -> None:
         self._lock = threading.Condition()
@@ -80,11 +106,18 @@ class ThreadRunner(MonotonicClock):
 
     @property
     def lock(self) -> threading.Condition:
-        """What guards the amplifier, and is notified after each step."""
+        """Condition that guards the amplifier, and is notified after each step."""
         return self._lock
 
     def begin(self, step: Callable[[], float | None]) -> None:
-        """Start the thread."""
+        """Start the thread.
+
+        Parameters
+        ----------
+        step : callable
+            Function that returns the time of its next call [s], or None to be called after `alarm`
+            only.
+        """
         self._thread = threading.Thread(
             target=self._run, args=(step,), name="tactile chips", daemon=True
         )
@@ -103,13 +136,26 @@ class ThreadRunner(MonotonicClock):
                 self._alarmed = False
 
     def alarm(self) -> None:
-        """Let the step be called soon."""
+        """Call the step without waiting for its time."""
         with self.lock:
             self._alarmed = True
             self.lock.notify_all()
 
     def wait_for(self, done: Callable[[], bool], seconds: float) -> bool:
-        """Wait, with the lock held, until something is so or time is over; return which."""
+        """Wait, with the lock held, until a condition holds or the time is over.
+
+        Parameters
+        ----------
+        done : callable
+            Condition.
+        seconds : float
+            Time limit [s].
+
+        Returns
+        -------
+        bool
+            Whether the condition holds.
+        """
         with self.lock:
             return self.lock.wait_for(done, seconds)
 
@@ -124,28 +170,55 @@ class ThreadRunner(MonotonicClock):
 
 
 def share(first: int, room: int, waiting: int) -> int:
-    """Return how many samples a chip gets when the first one gets ``first``.
+    """Return how many samples a chip gets when the first chip gets a given number.
 
-    As many, or up to a sixteenth more or fewer where its own clock has made more or less room;
-    what does not fit waits.
+    It is the same number, or up to 1/16 more or fewer if the chip's own clock has made more or less
+    room. Samples that do not fit wait.
+
+    Parameters
+    ----------
+    first : int
+        Number of samples for the first chip.
+    room : int
+        Number of samples that fit into the FIFO of this chip.
+    waiting : int
+        Number of samples that already wait for this chip.
+
+    Returns
+    -------
+    int
+        Number of samples, at least 1.
     """
     most = 1 + first // 16
     return max(1, min(max(room - waiting, first - most), first + most))
 
 
 class Pump:
-    """Plays an amplifier in memory on chips.
+    """Playback of an amplifier in memory on chips.
 
     Parameters
     ----------
-    board, chips, counters : the amplifier, a chip for each of its channels, what to count in
-    runner : whose thread calls `step`; its lock guards the amplifier
+    board : Board
+        Amplifier.
+    chips : sequence of Chip
+        Chip for each channel of the amplifier.
+    counters : ChipCounters
+        Counters, which are shared with the chips and the bus.
+    runner : Runner
+        Executor of `step`, whose lock guards the amplifier.
 
     Attributes
     ----------
-    phase : "rest" (high voltage off), "ready", "running", "ending" or "down"
-    position : that the amplifier plays next
-    detail : what is wrong, one line
+    phase : str
+        "rest" (high voltage off), "ready", "running", "ending" or "down".
+    position : int
+        Position that the amplifier plays next.
+    sent : int
+        Position after the last sample that was sent to the amplifier.
+    detail : str
+        Description of a problem in one line; empty if there is none.
+    hungry : bool
+        Whether the chips wait for samples.
     """
 
     def __init__(
@@ -161,26 +234,48 @@ class Pump:
         self._resume = self._awake = False
         self._first_write = -1.0
         self._eager = False
-        self._retry = self._reconnect = self._since = 0.0
+        self._retry = self._reconnect = self._passed_until = 0.0
         self._delay = 0.0
 
-    # What the bus asks, with the lock held
+    # Called by the bus with the lock held
 
     def order(self, order: Order) -> None:
-        """Ask for a change; an e-stop overtakes every other, nothing an e-stop."""
+        """Order a change; an e-stop replaces every other order, and no order replaces an e-stop.
+
+        Parameters
+        ----------
+        order : str
+            "start", "stop", "abort" or "estop".
+        """
         if self._order != "estop":
             self._order = order
         self.runner.alarm()
 
     def start(self, position: int, rate: int) -> None:
-        """Let the amplifier play from a position on; the chips are set up by the thread."""
+        """Let the amplifier play; the thread sets up the chips.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        rate : int
+            Sample rate [Hz].
+        """
         self.board.start(position, rate)
         self.position = self.sent = position
         self._playing, self._first_write, self._eager = True, -1.0, False
         self.order("start")
 
     def send(self, position: int, volts: Floats) -> None:
-        """Hand on samples to the amplifier."""
+        """Pass samples to the amplifier.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        volts : (S, C) array of float
+            Drive voltages [V].
+        """
         self.board.send(position, volts)
         self.sent = max(self.sent, position + len(volts))
         if self._first_write < 0:
@@ -190,38 +285,45 @@ class Pump:
             self.runner.alarm()
 
     def hurry(self) -> None:
-        """Begin to play, however little has come: somebody waits for it."""
+        """Begin to play with the samples at hand, because a caller waits for room."""
         if self.phase == "ready" and not self._eager:
             self._eager = True
             self.runner.alarm()
 
     @property
     def settled(self) -> bool:
-        """Whether nothing is under way to 0 V any more."""
+        """Whether no order is pending and nothing is on its way to 0 V."""
         return not self._order and self.phase in ("rest", "down")
 
-    # The thread
+    # Called by the thread
 
     def step(self) -> float | None:
-        """Do what is due; return when to be called again [s], None for not before an order."""
+        """Do what is due.
+
+        Returns
+        -------
+        float or None
+            Time of the next call [s]; None if nothing is due before an order.
+        """
         with self.runner.lock:
             order, self._order = self._order, ""
         try:
             if order:
-                self._obey(order)
-            return self._act()
+                self._carry_out(order)
+            return self._continue_phase()
         except OSError as error:
-            return self._trouble(error)
+            return self._handle_error(error)
         except Exception as error:
             self._lose(f"unforeseen: {error!r}")
             return self._reconnect
 
-    def _obey(self, order: Order) -> None:
+    def _carry_out(self, order: Order) -> None:
+        """Carry out an order."""
         if order == "start":
             self._resume, self._estopped = True, False
-            self._since = self.runner.now()
+            self._passed_until = self.runner.now()
             if self.phase != "down":
-                self._wake()
+                self._wake_chips()
                 self.phase = "ready"
             return
         with self.runner.lock:
@@ -234,9 +336,10 @@ class Pump:
             self.phase = "ending"
             self._cutting = order == "estop"
             if not self._cutting:
-                self._put(np.concatenate([tail, np.zeros((1, len(self.chips)))]))
+                self._put_on_chips(np.concatenate([tail, np.zeros((1, len(self.chips)))]))
 
     def _end_board(self, order: Order) -> Floats:
+        """End the amplifier's playback; return what it still puts out (S, C) [V]."""
         was, self._playing = self._playing, False
         if order == "estop":
             return self.board.estop()
@@ -244,42 +347,46 @@ class Pump:
             return self.board.end(quick=order == "abort")
         return np.zeros((0, len(self.chips)))
 
-    def _act(self) -> float | None:
+    def _continue_phase(self) -> float | None:
+        """Do what the phase requires; return the time of the next call [s]."""
         if self.phase == "rest":
             return None
         if self.phase == "down":
-            return self._down()
+            return self._recover()
         if self.runner.now() < self._retry:
             return self._retry
-        deadline = {"ready": self._ready, "running": self._feed, "ending": self._end}[self.phase]()
+        deadline = {"ready": self._await_samples, "running": self._feed, "ending": self._end_chips}[
+            self.phase
+        ]()
         self._delay = self._retry = 0.0
         self.detail = ""
         return deadline
 
-    def _wake(self) -> None:
+    def _wake_chips(self) -> None:
         for chip in self.chips:
             chip.wake()
         for chip in self.chips:
             chip.calibrate()
 
-    def _ready(self) -> float | None:
-        """Wait for what is to be played, then let the chips start up."""
+    def _await_samples(self) -> float | None:
+        """Wait for samples to play, then start up the chips."""
         if self._first_write < 0 and not self._eager:
             return None
         now, until = self.runner.now(), self._first_write + PATIENCE
         if not self._eager and self.sent - self.position < BURST and now < until:
             return until
-        self._warm()
+        self._warm_chips()
         self.phase = "running"
         return self._feed()
 
-    def _warm(self) -> None:
+    def _warm_chips(self) -> None:
         for chip in self.chips:
             chip.warm()
         for chip in self.chips:
             chip.ready()
 
     def _feed(self) -> float:
+        """Play the amplifier as far as the chips have room; return when to be called again."""
         first = self.chips[0]
         queued = max(0, self.sent - self.position)
         needed = LOW - min(chip.fill() + len(chip.pending) for chip in self.chips)
@@ -289,9 +396,9 @@ class Pump:
         fed = count >= LEAST or count >= needed > 0
         if fed:
             with self.runner.lock:
-                volts = self._played(count)
+                volts = self._play_board(count)
                 self.runner.lock.notify_all()
-            self._put(volts)
+            self._put_on_chips(volts)
         for chip in self.chips:
             chip.flush()
         self.hungry = not fed
@@ -299,7 +406,8 @@ class Pump:
         now = self.runner.now()
         return due if fed or due > now else now + IDLE_POLL
 
-    def _played(self, count: int) -> Floats:
+    def _play_board(self, count: int) -> Floats:
+        """Let the amplifier play; return what it puts out (S, C) [V]."""
         if not self._playing:
             return np.zeros((count, len(self.chips)))
         volts = self.board.play(count)
@@ -307,8 +415,11 @@ class Pump:
         self.counters.underruns = self.board.amplifier.counters.underruns
         return volts
 
-    def _put(self, volts: Floats) -> None:
-        """Give all chips the same volts; nothing may fail between them, for then one would jump."""
+    def _put_on_chips(self, volts: Floats) -> None:
+        """Queue the same voltages on all chips.
+
+        Nothing may fail between them, for then the output of one chip would jump.
+        """
         if not len(volts):
             return
         first = self.chips[0]
@@ -317,8 +428,8 @@ class Pump:
             room = chip.room_at(self.runner.now())
             chip.put(volts[:, k], share(len(volts), room, len(chip.pending)))
 
-    def _end(self) -> float:
-        """Write what leads to 0 V, wait until it has been played, switch off."""
+    def _end_chips(self) -> float:
+        """Write the ramp to 0 V, wait until it has been played, then switch off."""
         if self._cutting:
             for chip in self.chips:
                 chip.cut()
@@ -334,9 +445,10 @@ class Pump:
         self.phase = "rest"
         return self.runner.now()
 
-    # What goes wrong
+    # Errors and recovery
 
-    def _trouble(self, error: OSError) -> float:
+    def _handle_error(self, error: OSError) -> float:
+        """Decide about a failed transfer: repeat it, or take the link for down."""
         self.counters.bus_errors += 1
         now = self.runner.now()
         if self.phase == "down":
@@ -344,11 +456,11 @@ class Pump:
             self.detail = f"{error}; trying again"
             self._delay = min(self._delay * 2, RECONNECT[1])
             self._reconnect = now + self._delay
-            return self._deadline_down()
+            return self._recovery_deadline()
         lost = isinstance(error, BusError | LostError) or self.phase in ("rest", "ready")
         if lost or now > min(chip.lost_at for chip in self.chips):
             self._lose(str(error))
-            return self._deadline_down()
+            return self._recovery_deadline()
         self.detail = f"{error}; trying again"
         self._delay = min(max(self._delay * 2, BACK_OFF[0]), BACK_OFF[1])
         self._retry = now + self._delay
@@ -360,31 +472,31 @@ class Pump:
         self.counters.disconnects += 1
         self.counters.dropped_samples += max(0, self.sent - self.position)
         self.detail = reason
-        self.phase, self._since, self._awake = "down", now, False
+        self.phase, self._passed_until, self._awake = "down", now, False
         self._delay = RECONNECT[0]
         self._reconnect = now + (0.0 if self._estopped else self._delay)
         self._retry = 0.0
 
-    def _deadline_down(self) -> float:
+    def _recovery_deadline(self) -> float:
         return min(self._reconnect, self.runner.now() + TICK) if self._resume else self._reconnect
 
-    def _down(self) -> float:
-        """Let time go on, and try to set up again."""
+    def _recover(self) -> float:
+        """Advance the amplifier's time, and try to set up the chips again."""
         self._pass_time()
         if self.runner.now() < self._reconnect:
-            return self._deadline_down()
+            return self._recovery_deadline()
         if self._estopped:
             for chip in self.chips:
                 chip.reset()
         if not self._awake:
-            self._wake()
+            self._wake_chips()
             self._awake = True
             self._pass_time()
         if self._resume and not self._silent():
             self._reconnect = self.runner.now() + TICK
             return self._reconnect
         if self._resume:
-            self._warm()
+            self._warm_chips()
             self._pass_time()
         self.counters.reconnects += 1
         self._delay = 0.0
@@ -393,15 +505,16 @@ class Pump:
         return self.runner.now()
 
     def _silent(self) -> bool:
+        """Return whether the amplifier has faded out."""
         with self.runner.lock:
-            return not self._playing or not self._played(1).any()
+            return not self._playing or not self._play_board(1).any()
 
     def _pass_time(self) -> None:
-        """Play the amplifier by the host's clock for nobody."""
+        """Play the amplifier by the host's clock and discard its output."""
         now = self.runner.now()
-        count = int((now - self._since) * RATE)
-        self._since += count / RATE
+        count = int((now - self._passed_until) * RATE)
+        self._passed_until += count / RATE
         longest = int(RATE * TICK)
         for k in range(0, count, longest):
             with self.runner.lock:
-                self._played(min(longest, count - k))
+                self._play_board(min(longest, count - k))

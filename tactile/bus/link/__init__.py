@@ -1,5 +1,5 @@
-"""The protocol on a link: one session with all amplifiers of a wire, whichever kind it is.
+"""Session of the protocol with all amplifiers on one wire, of whichever kind the wire is.
 
-`session` says what to send and when, `peer` is what it knows of one amplifier, `stream` keeps the
-positions that all put out together, and `link_bus` runs the session in a thread.
+`session` decides what to send and when, `peer` holds what is known of one amplifier, `stream` keeps
+the positions that all amplifiers put out together, and `link_bus` runs the session in a thread.
 """

@@ -1,7 +1,8 @@
-"""What is asked of an amplifier beside its session's course: GET, SET, IDENTIFY, and its SENSE.
+"""Requests to an amplifier outside of the course of its session: GET, SET, IDENTIFY, and SENSE.
 
-A session goes its way meanwhile, idle or running: it neither waits for these answers nor ends by a
-refusal. One request at a time, three times at most (SPEC.md, 5). No I/O and no clock.
+The session, idle or running, does not wait for these answers and does not end by a refusal. There
+is one request at a time, which is sent three times at most (SPEC.md, 5). The module has no I/O and
+no clock.
 """
 
 import math
@@ -13,59 +14,88 @@ from firmware_protocol.messages import Message
 from firmware_protocol.packet import Packet
 
 RETRY, TRIES = 50e-3, 3
-"""s between the tries of a request, and how many there are (SPEC.md, 5)."""
+"""Interval between the attempts of a request [s], and their number (SPEC.md, 5)."""
 SENSES = 256
-"""Packets of readings that are kept until somebody takes them, the newest: 2.5 s of one each
-10 ms."""
+"""Maximum number of packets of readings that are kept until they are taken, the newest ones; with
+one every 10 ms these are 2.5 s."""
 
 
 class Aside:
-    """Requests and readings of one amplifier.
+    """Requests to one amplifier outside of the course of its session, and its readings.
+
+    It has no lock; `LinkBus` calls it under its own.
 
     Parameters
     ----------
-    host : the protocol's host
+    host : AmplifierHost
+        Host's side of the session, which makes the packets.
 
     Attributes
     ----------
-    answer : to the latest request; None before it is there
-    senses : what was measured, and nobody has taken
+    answer : Message or None
+        Answer to the latest request; None if it has not come, and also after the last attempt.
+    senses : deque of Sense
+        Readings that nobody has taken yet.
     """
 
     def __init__(self, host: AmplifierHost) -> None:
         self._host = host
         self.answer: Message | None = None
         self.senses: deque[m.Sense] = deque(maxlen=SENSES)
-        self._asked: Packet | None = None
-        self._left, self._again = 0, math.inf
+        self._request: Packet | None = None
+        self._tries_left, self._next_try = 0, math.inf
 
     def ask(self, message: Message) -> None:
-        """Request something in place of what was not answered yet."""
-        self._asked, self.answer = self._host.ask(message), None
-        self._left, self._again = TRIES, -math.inf
+        """Make a request, in place of one that was not answered yet.
+
+        Parameters
+        ----------
+        message : Message
+            Request, which `poll` sends.
+        """
+        self._request, self.answer = self._host.ask(message), None
+        self._tries_left, self._next_try = TRIES, -math.inf
 
     def poll(self, now: float) -> list[Packet]:
-        """Return what is to be sent now."""
-        if self._asked is None or now < self._again:
+        """Return what is to be sent now.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        list of Packet
+            The request, if an attempt is due.
+        """
+        if self._request is None or now < self._next_try:
             return []
-        self._left -= 1
-        self._again = now + RETRY if self._left else math.inf
-        return [self._asked]
+        self._tries_left -= 1
+        self._next_try = now + RETRY if self._tries_left else math.inf
+        return [self._request]
 
     def receive(self, message: Message) -> None:
-        """Take what the amplifier sent."""
+        """Take a message of the amplifier: an answer, a reading, or one of no concern.
+
+        Parameters
+        ----------
+        message : Message
+            Message of the amplifier.
+        """
         if isinstance(message, m.Sense):
             self.senses.append(message)
-        elif self._asked is not None and _answers(message, self._asked):
-            self._asked, self.answer, self._again = None, message, math.inf
+        elif self._request is not None and _answers(message, self._request):
+            self._request, self.answer, self._next_try = None, message, math.inf
 
     @property
     def deadline(self) -> float:
-        """Host time at which `poll` has something to send [s]."""
-        return self._again
+        """Host time at which `poll` has something to send, -inf for now and inf for never [s]."""
+        return self._next_try
 
 
 def _answers(message: Message, asked: Packet) -> bool:
+    """Return whether a message answers a request."""
     if isinstance(message, m.Ack | m.Nak):
         return (message.type, message.seq) == (asked.type, asked.seq)
     if isinstance(message, m.Value) and asked.type == m.Get.TYPE:

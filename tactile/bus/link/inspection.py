@@ -1,7 +1,8 @@
-"""What a device can tell of itself: who its amplifiers are, which one is which, what they measure.
+"""Inspection of the amplifiers on a bus: their capabilities, their identity, their measurements.
 
-Only amplifiers that speak the protocol tell; of other buses everything here is empty, and says so
-by being empty.
+Only amplifiers that speak the protocol can be inspected. For other buses every result is empty or
+False. Functions that ask an amplifier wait for its answer, `ASKING` of `link_bus` at most, and may
+be called while the bus plays; call them from one thread at a time.
 """
 
 from collections.abc import Iterator
@@ -20,27 +21,47 @@ from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.peer import Peer
 
 TRIES = 5
-"""Requests to begin or to end measuring; a busy machine may miss all repetitions of one."""
+"""Maximum number of requests to begin or to end measuring; a busy computer may miss the answers to
+all repetitions of one request."""
 
 
 @dataclass(frozen=True)
 class AmplifierFacts:
-    """One amplifier, by its CAPS and its clock.
+    """Capabilities of one amplifier by its CAPS, and the state of its clock.
 
     Attributes
     ----------
-    node, name, firmware : address, and what its maker says
-    first_channel, channels : the drive lines that are its
-    formats : of samples that it takes
-    carriers : of spectrum frames, at most
-    rates : least and most [Hz]
-    full_scale, voltage_limit : [V]
-    slew_limit : [V/s]
-    fade_limit : [s]
-    buffer : samples that it keeps
-    measures, holds : voltage and current of its channels; each sample until the next (zero-order)
-    drift_ppm : of its clock against the host's, as known by now
-    round_trip : shortest time of a recent exchange of time stamps with it [s]; 0 if none is known
+    node : int
+        Address on the link.
+    name : str
+        Name that its maker gave it.
+    firmware : int
+        Version of the firmware, by the numbering of its maker.
+    first_channel, channels : int
+        First of its drive lines, and their number.
+    formats : tuple of str
+        Names of the sample formats that it takes.
+    carriers : int
+        Maximum number of carriers of a spectrum frame.
+    rates : tuple of int
+        Lowest and highest sample rate [Hz].
+    full_scale, voltage_limit : float
+        Output at the largest sample code, and the limit of its hardware [V].
+    slew_limit : float
+        Limit of the rate of change [V/s].
+    fade_limit : float
+        Limit of the length of a fade [s].
+    buffer : int
+        Number of samples that it can keep.
+    measures : bool
+        Whether it measures voltage and current of its channels.
+    holds : bool
+        Whether it holds each sample until the next one (zero-order hold) and does not interpolate.
+    drift_ppm : float
+        Drift of its clock against that of the host, positive if it is faster [ppm].
+    round_trip : float
+        Shortest time of a recent exchange of timestamps with it [s]; infinite before the first
+        exchange.
     """
 
     node: int
@@ -62,11 +83,28 @@ class AmplifierFacts:
     round_trip: float
 
     def has(self, channel: int) -> bool:
-        """Tell whether a drive line is its."""
+        """Return whether a drive line belongs to this amplifier.
+
+        Parameters
+        ----------
+        channel : int
+            Channel of the display.
+
+        Returns
+        -------
+        bool
+            Whether it does.
+        """
         return 0 <= channel - self.first_channel < self.channels
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data; keys carry their units."""
+        """Return the facts as plain data, such as for JSON.
+
+        Returns
+        -------
+        dict of str to object
+            Values by names that carry their units; without `round_trip`.
+        """
         return {
             "node": self.node,
             "name": self.name,
@@ -89,13 +127,18 @@ class AmplifierFacts:
 
 @dataclass(frozen=True)
 class Readings:
-    """What an amplifier measured at one instant.
+    """Measurements of an amplifier at one instant.
 
     Attributes
     ----------
-    position : that was put out, counted as that of blocks since the latest start
-    first_channel : of the display
-    volts, current : (C,) [V], [A]
+    position : int
+        Position that was put out, on the scale of the blocks since the latest start.
+    first_channel : int
+        Channel of the display to which the first values belong.
+    volts : (C,) array of float
+        Voltages [V].
+    current : (C,) array of float
+        Currents [A].
     """
 
     position: int
@@ -105,17 +148,29 @@ class Readings:
 
 
 def amplifiers(bus: Bus) -> tuple[AmplifierFacts, ...]:
-    """Return who is on a bus, in the order of channels; nobody, where devices do not tell."""
+    """Return the amplifiers on a bus.
+
+    Parameters
+    ----------
+    bus : Bus
+        Open bus.
+
+    Returns
+    -------
+    tuple of AmplifierFacts
+        Amplifiers in the order of channels; empty if the bus does not carry the protocol.
+    """
     if not isinstance(bus, LinkBus):
         return ()
-    found, first = [], 0
+    facts, first = [], 0
     for peer in bus.peers:
-        found.append(_facts(peer, first))
+        facts.append(_facts(peer, first))
         first += peer.caps.channels
-    return tuple(found)
+    return tuple(facts)
 
 
 def _facts(peer: Peer, first: int) -> AmplifierFacts:
+    """Return the facts of an amplifier whose first channel is given."""
     caps = peer.caps
     return AmplifierFacts(
         node=peer.host.node,
@@ -139,29 +194,58 @@ def _facts(peer: Peer, first: int) -> AmplifierFacts:
 
 
 def identify(bus: Bus, node: int, seconds: int) -> bool:
-    """Let an amplifier blink; return whether it said that it would."""
+    """Make an amplifier blink, or show otherwise which board it is.
+
+    Parameters
+    ----------
+    bus : Bus
+        Open bus.
+    node : int
+        Address of one of its amplifiers.
+    seconds : int
+        Time for which to blink, 0 … 255 [s].
+
+    Returns
+    -------
+    bool
+        Whether the amplifier acknowledged.
+    """
     return isinstance(bus, LinkBus) and isinstance(bus.ask(m.Identify(seconds), node), m.Ack)
 
 
 @contextmanager
 def measuring(bus: Bus, interval: float) -> Iterator[set[int]]:
-    """Let the amplifiers that can measure at an interval [s]; yield the nodes of those that do.
+    """Make the amplifiers measure while the context lasts.
 
-    However it ends, the bus is at 0 V before they are told to measure no more.
+    At its end the bus is stopped, or aborted after an exception, before the amplifiers are told to
+    measure no more.
+
+    Parameters
+    ----------
+    bus : Bus
+        Open bus.
+    interval : float
+        Interval between measurements, 10 ms … 1 s [s].
+
+    Yields
+    ------
+    set of int
+        Nodes of the amplifiers that acknowledged to measure.
     """
-    asked = [facts.node for facts in amplifiers(bus) if facts.measures]
+    nodes = [facts.node for facts in amplifiers(bus) if facts.measures]
     try:
-        yield {node for node in asked if _measure(bus, node, round(interval * 1e3))}
+        yield {node for node in nodes if _measure(bus, node, round(interval * 1e3))}
     except BaseException:
         bus.abort()
         raise
     finally:
         bus.stop()
-        for node in asked:
+        for node in nodes:
             _measure(bus, node, 0)
 
 
 def _measure(bus: Bus, node: int, milliseconds: int) -> bool:
+    """Set the interval of measurements, 0 for none; return whether it was acknowledged."""
     assert isinstance(bus, LinkBus)
     session = next(peer.host.session for peer in bus.peers if peer.host.node == node)
     setting = m.Set(session, Parameter.SENSE_MS, milliseconds)
@@ -170,15 +254,27 @@ def _measure(bus: Bus, node: int, milliseconds: int) -> bool:
 
 
 def readings(bus: Bus) -> list[Readings]:
-    """Return what was measured since the last call; the newest, where that is long."""
+    """Return the measurements since the last call.
+
+    Parameters
+    ----------
+    bus : Bus
+        Open bus.
+
+    Returns
+    -------
+    list of Readings
+        Measurements, those of each amplifier in order; only the newest if the last call was more
+        than `SENSES` of `aside` packets ago.
+    """
     if not isinstance(bus, LinkBus):
         return []
     first = {facts.node: facts.first_channel for facts in amplifiers(bus)}
-    found = []
+    measured = []
     for peer, sense in bus.sensed():
         pairs = np.frombuffer(sense.readings, "<i2", 2 * (len(sense.readings) // 4)).reshape(-1, 2)
         scale = peer.caps.full_scale_uv * 1e-6 / FULL_SCALE_CODE
         at = distance(sense.position, peer.wire_end(0))
         channel = first[peer.host.node] + sense.first_channel
-        found.append(Readings(at, channel, pairs[:, 0] * scale, pairs[:, 1] * 1e-6))
-    return found
+        measured.append(Readings(at, channel, pairs[:, 0] * scale, pairs[:, 1] * 1e-6))
+    return measured

@@ -1,9 +1,12 @@
-"""A bus whose amplifiers speak the protocol: a session on a wire, kept alive by one thread.
+"""Bus whose amplifiers speak the protocol: a session on a wire, which one thread serves.
 
-The thread waits for what comes, sends what is due at absolute host times, and connects again, with
-back-off, when the wire breaks. Whoever writes is held back until the samples' time has come less
-the lead; that loop, and no other, feeds the watchdog. On a modeled wire there is no thread: who
-waits turns the model's clock.
+The thread waits for packets, sends what is due at absolute host times, and connects again, with
+exponential back-off, when the wire breaks. `LinkBus.write` waits until the samples are due, less
+the lead; that loop, and no other, feeds the watchdog of the amplifiers.
+
+Callers and the thread change the session under one reentrant lock, `_changed`, which is held while
+sending and never while waiting for packets. Only the thread receives, and closes a wire that broke.
+On a modeled wire there is no thread: whoever waits advances the clock of the model.
 """
 
 import logging
@@ -27,42 +30,62 @@ from tactile.errors import BusError, BusStateError, InputError
 logger = logging.getLogger("tactile.bus")
 
 OPENING = 2.0
-"""s in which an amplifier must have answered, and its clock be known."""
+"""Maximum time in which amplifiers have to answer and their clocks to become known [s]."""
 STARTING, ENDING = 2.0, 0.5
-"""s that start and stop take at most."""
+"""Maximum times to wait for a start or the clear of an e-stop, and for the end of playing [s]."""
 ASKING = 0.2
-"""s in which a request is answered: three tries, and the link's own time (assumed)."""
+"""Maximum time to wait for the answer to a request: three attempts, and the time on the link
+(assumed) [s]."""
 IDLE = 20e-3
-"""s that the thread sleeps at most: how late a silent amplifier may be noticed."""
+"""Maximum time for which the thread waits, and by which it notices a silent amplifier late [s]."""
 SLICE = 20e-3
-"""s that who writes sleeps at most, between signs of life."""
+"""Maximum time for which a caller that writes sleeps between signs of life [s]."""
 FIRST_RETRY, LONGEST_RETRY = 0.05, 1.0
-"""s after which a broken wire is connected again; doubled each time in vain."""
+"""Shortest and longest time until a broken wire is connected again; it doubles after each failure
+[s]."""
 
 
 class LinkBus(Bus):
-    """Amplifiers on a link.
+    """Bus whose amplifiers speak the protocol, on one link.
+
+    The constructor waits until the amplifiers are ready, for `OPENING` at most.
+
+    `estop` sends its packet before it returns, unless there is no wire. A signal handler that
+    interrupts a thread while that sends on a serial, CAN or UDP wire must not call it, since the
+    lock of these wires is not reentrant.
 
     Parameters
     ----------
-    wiring : what they drive; its sample rate is replaced by the plan's
-    connect : opens the wire, also when it broke
-    choose : makes the plan from the amplifiers' CAPS; may raise InputError
-    nodes : of the amplifiers, in the order of channels; all that answer, if not given
-    rearm : whether to arm again what went to 0 V because the link broke
-    lead : by which samples go ahead [s], for who knows what comes; None for the least that will do
-    clock : of a modeled wire, which turns when its `receive` waits; None for real time
+    wiring : Wiring
+        Properties of the display that the amplifiers drive; its sample rate is replaced by that of
+        the plan.
+    connect : callable
+        Function that opens the wire. It is called here, and by the thread after the wire broke; it
+        may raise OSError.
+    choose : callable
+        Function that makes the plan from the CAPS of the amplifiers; it may raise InputError.
+    nodes : sequence of int
+        Nodes of the amplifiers in the order of the channels; all that answer, in rising order, if
+        empty.
+    rearm : bool
+        Whether to arm amplifiers again that went to 0 V by themselves, as when the link broke.
+    lead : float or None
+        Time by which samples are sent before they are put out [s], for a caller that knows early
+        what comes; None for one that adapts to underruns.
+    clock : Clock or None
+        Clock of a modeled wire, which advances while its `receive` waits; None for real time.
 
     Attributes
     ----------
-    plan : what is sent
+    plan : Plan
+        How the drive is sent.
 
     Raises
     ------
     InputError
-        Where the display asks for more than amplifiers or link can give.
+        If the display asks for more than the amplifiers or the link can give.
     BusError
-        Where nothing answers as an amplifier should.
+        If the wire cannot be opened, no amplifier answers, or one refuses a request.
     """
 
     on_host_death = "ramps"
@@ -80,12 +103,15 @@ class LinkBus(Bus):
     ) -> None:
         super().__init__(wiring, clock or MONOTONIC)
         self._connect = connect
-        self._changed = threading.Condition()
+        self._changed = threading.Condition()  # the lock, which is notified of a new phase
         self._wire: Wire | None = connect()
+        """Open wire; None while there is none. Only the thread takes it away."""
         self._retry, self._retry_at = FIRST_RETRY, math.inf
         self._broken = self._ending = False
         self._failure = ""
+        """Reason of a wire that broke in the hands of a caller; the thread acts on it."""
         self._waits_until = -math.inf
+        """Host time up to which the thread waits in `receive` [s]."""
         self._session = LinkSession(
             wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
             nodes=nodes, rearm=rearm, lead=lead,
@@ -98,10 +124,14 @@ class LinkBus(Bus):
         try:
             self._open()
         except BaseException:
-            self._let_go()
+            self._release()
             raise
 
     def _open(self) -> None:
+        """Wait until the session is ready, and take over its plan; raise if it does not get ready.
+
+        The error tells why: the display asks for too much, a refusal, or no answer.
+        """
         session = self._session
         ready = self._wait(lambda: session.phase is SessionPhase.READY or session.refusal, OPENING)
         if session.plan is None or not ready or session.refusal:
@@ -121,19 +151,19 @@ class LinkBus(Bus):
             self.frames = FrameCapability(self.plan.carriers, self.plan.frame_rate)
 
     def _silence(self) -> str:
-        """Return what to make of no answer."""
+        """Return the likely reason why no amplifier answers."""
         counters = self._wire.counters if self._wire is not None else m.Status()
-        strange = getattr(counters, "malformed", 0) + getattr(counters, "crc_errors", 0)
-        if strange:
+        invalid = getattr(counters, "malformed", 0) + getattr(counters, "crc_errors", 0)
+        if invalid:
             return (
-                f"what comes is no packet of the protocol ({strange} so far): another bit rate, "
+                f"what comes is no packet of the protocol ({invalid} so far): another bit rate, "
                 "or another device"
             )
         return "nothing answers HELLO: is the amplifier powered, and is this its link?"
 
     @property
     def status(self) -> BusStatus:
-        """How it stands now."""
+        """Status of the bus now; it waits for nothing but the lock."""
         with self._changed:
             session, wire = self._session, self._wire
             up = wire is not None and session.phase.value > SessionPhase.CLOCK.value
@@ -152,22 +182,38 @@ class LinkBus(Bus):
 
     @property
     def lead(self) -> float:
-        """By which samples are sent before they are put out [s]."""
+        """Time by which samples are sent before they are put out [s]."""
         return self._session.stream.lead if self._session.stream is not None else 0.0
 
     @property
     def ahead(self) -> float:
-        """The lead, and the time that a packet, or a frame, takes on the wire [s]."""
+        """Time by which samples have to be written before they are put out [s].
+
+        It is the sum of the lead, the time that a packet or a frame takes on the wire, and the time
+        that several amplifiers need to follow one clock.
+        """
         return self._session.stream.ahead if self._session.stream is not None else 0.0
 
     def due(self, position: int) -> float:
-        """Return when a position is put out, by the first amplifier's clock [s]."""
+        """Return the time at which a position is put out, by the clock of the first amplifier.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Time of the host's monotonic clock [s].
+        """
         assert self._session.stream is not None
         return self._session.stream.due(position)
 
     # The thread
 
     def _run(self) -> None:
+        """Serve the wire until the bus is closed; the body of the thread."""
         try:
             while not self._ending:
                 self._turn(self._clock.now() + IDLE)
@@ -176,7 +222,11 @@ class LinkBus(Bus):
             raise
 
     def _turn(self, until: float) -> None:
-        """Wait for what comes until a host time at the latest, and do what is to be done."""
+        """Wait for packets, until a host time at the latest, and let the session act on them.
+
+        It connects again if there is no wire, and closes a wire that broke. The thread calls it, or
+        whoever waits on a modeled wire; the lock is not held.
+        """
         try:
             wire = self._wire
             if wire is None:
@@ -190,18 +240,18 @@ class LinkBus(Bus):
                 phase, now = self._session.phase, self._clock.now()
                 self._session.receive(packets, now, wire.counters.fragments_dropped)
                 self._pump()
-                why = self._failure or self._session.lost(now)
+                reason = self._failure or self._session.lost(now)
                 if self._session.phase is not phase or self._session.tripped:
-                    self._noticed()
-            if why:
-                raise WireError(why)
+                    self._on_phase_change()
+            if reason:
+                raise WireError(reason)
         except OSError as error:
             self._break(str(error))
 
     def _pump(self) -> None:
-        """Send what is to be sent; the lock is held.
+        """Send what is to be sent now; the lock is held.
 
-        Where that fails the thread is told, which alone may let go of a wire.
+        A failure is left to the thread, which alone may close a wire that broke.
         """
         wire = self._wire
         if wire is not None and not wire.busy:
@@ -210,8 +260,8 @@ class LinkBus(Bus):
             except OSError as error:
                 self._failure = str(error)
 
-    def _noticed(self) -> None:
-        """Act on a new phase; the lock is held."""
+    def _on_phase_change(self) -> None:
+        """Act on a new phase, or on an amplifier that is latched; the lock is held."""
         if self._session.tripped:
             self._states.trip()
         if self._broken and self._session.phase.value >= SessionPhase.READY.value:
@@ -221,7 +271,7 @@ class LinkBus(Bus):
         self._changed.notify_all()
 
     def _break(self, why: str) -> None:
-        """Let go of a wire that broke."""
+        """Close a wire that broke, and set the time to connect again."""
         with self._changed:
             wire, self._wire = self._wire, None
             if wire is None:
@@ -238,9 +288,10 @@ class LinkBus(Bus):
             self._changed.notify_all()
 
     def _connect_again(self, until: float) -> None:
+        """Open a new wire if it is time to; else wait, until a host time at the latest."""
         now = self._clock.now()
         if now < self._retry_at:
-            self._rest(min(until, self._retry_at) - now)
+            self._pause(min(until, self._retry_at) - now)
             return
         try:
             wire = self._connect()
@@ -253,8 +304,8 @@ class LinkBus(Bus):
             self._wire = wire
             self._session.connected(self._clock.now())
 
-    def _rest(self, seconds: float) -> None:
-        """Let time pass without a wire."""
+    def _pause(self, seconds: float) -> None:
+        """Wait for some time without a wire, or until something changes."""
         if self._thread is None:
             self._clock.sleep(seconds)
         else:
@@ -264,31 +315,35 @@ class LinkBus(Bus):
     # Who calls
 
     def _wait(self, ready: Callable[[], object], seconds: float) -> bool:
-        """Wait until something is so; tell whether it is, within so many seconds."""
+        """Wait until a condition holds, for some time at most; return whether it holds.
+
+        The lock is not held; ``ready`` is called with and without it.
+        """
         end = self._clock.now() + seconds
         while not ready():
-            left = end - self._clock.now()
-            if left <= 0:
+            remaining = end - self._clock.now()
+            if remaining <= 0:
                 return False
             if self._thread is None:
                 self._turn(end)
             else:
                 with self._changed:
                     if not ready():
-                        self._changed.wait(min(left, IDLE))
+                        self._changed.wait(min(remaining, IDLE))
         return True
 
     def _sleep(self, until: float) -> None:
-        """Wait until a host time, with signs of life."""
-        while (left := until - self._clock.now()) > 0:
+        """Wait until a host time, and feed the watchdog meanwhile: the caller renders."""
+        while (remaining := until - self._clock.now()) > 0:
             if self._thread is None:
                 self._turn(min(until, self._clock.now() + SLICE))
             else:
-                self._clock.sleep(min(left, SLICE))
+                self._clock.sleep(min(remaining, SLICE))
             with self._changed:
                 self._session.alive(self._clock.now())
 
     def _start(self, position: int) -> None:
+        """Begin playing; wait until all amplifiers have acknowledged, for `STARTING` at most."""
         if self.frames is not None and not len(self._session.carriers):
             raise BusStateError("start: the bus takes frames; tune it to their carriers first")
         with self._changed:
@@ -309,6 +364,10 @@ class LinkBus(Bus):
             raise BusError(f"start: {session.refusal or session.trouble}")
 
     def _write(self, block: DriveBlock) -> None:
+        """Pass samples on, packet by packet, each when it is due less `ahead`.
+
+        While the session does not play, they are dropped and counted at the same pace.
+        """
         stream, size = self._session.stream, self.plan.packet_samples
         assert stream is not None
         for k in range(0, len(block.volts), size):
@@ -324,24 +383,41 @@ class LinkBus(Bus):
             self._wake()
 
     def _drop(self, position: int, count: int) -> None:
+        """Count samples that are not played, and wait until they would have been due."""
         stream = self._session.stream
         assert stream is not None
         self._sleep(stream.due(position + count) - stream.ahead)
         self.counters.dropped_samples += count
 
     def _tune(self, carriers: Floats) -> None:
+        """Set the carriers, which go to the amplifiers with the next start."""
         if not 0 < len(carriers) <= self.plan.carriers:
             raise InputError(f"tune: {len(carriers)} carriers; 1 … {self.plan.carriers}")
         self._session.carriers = carriers.copy()
 
     def write_frame(self, frame: DriveFrame) -> None:
-        """Play a frame, with a column per carrier."""
+        """Play a frame; wait until it is due, less `ahead`.
+
+        Parameters
+        ----------
+        frame : DriveFrame
+            Envelopes at one position, one column per carrier of `tune`.
+
+        Raises
+        ------
+        BusStateError
+            If the bus is closed, takes blocks, or is idle because it was never started or was
+            stopped. It is not raised after an e-stop, or when the amplifier fell to 0 V by itself.
+        InputError
+            If the frame does not have one row per channel and one column per carrier.
+        """
         shape, carriers = frame.volts.shape, len(self._session.carriers)
         if self.state == "running" and len(shape) == 2 and carriers and shape[1] != carriers:
             raise InputError(f"write_frame: {shape[1]} carriers, not {carriers}")
         super().write_frame(frame)
 
     def _write_frame(self, frame: DriveFrame) -> None:
+        """Pass a frame on a spacing and `ahead` before its position, or drop and count it."""
         stream, carriers = self._session.stream, self._session.carriers
         assert stream is not None
         self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.ahead)
@@ -358,16 +434,26 @@ class LinkBus(Bus):
 
     @property
     def peers(self) -> Sequence[Peer]:
-        """The amplifiers, in the order of channels."""
+        """Amplifiers in the order of channels."""
         return self._session.peers
 
     def ask(self, message: Message, node: int) -> Message | None:
-        """Request something (GET, SET, IDENTIFY) of an amplifier, idle or running.
+        """Make a request (GET, SET, IDENTIFY) of an amplifier, and wait for its answer.
+
+        It may be called while the bus is idle or running, by one thread at a time, and waits for
+        `ASKING` at most.
+
+        Parameters
+        ----------
+        message : Message
+            Request.
+        node : int
+            Address of one of `peers`.
 
         Returns
         -------
         Message or None
-            Its answer, also one that refuses; None where there is none.
+            Answer, which may be a refusal; None if none came.
         """
         with self._changed:
             aside = next(peer.aside for peer in self.peers if peer.host.node == node)
@@ -377,7 +463,13 @@ class LinkBus(Bus):
         return aside.answer
 
     def sensed(self) -> list[tuple[Peer, m.Sense]]:
-        """Return what amplifiers measured since the last call; the newest, where that is long."""
+        """Return the readings that have come since the last call.
+
+        Returns
+        -------
+        list of tuple of Peer and Sense
+            Amplifiers and their readings, the newest `SENSES` of each amplifier at most.
+        """
         with self._changed:
             taken = [(peer, sense) for peer in self.peers for sense in peer.aside.senses]
             for peer in self.peers:
@@ -385,12 +477,13 @@ class LinkBus(Bus):
         return taken
 
     def _wake(self) -> None:
-        """Let the thread look at what has changed, if it would do so too late."""
+        """Wake the thread if something is due before the time up to which it waits."""
         wire = self._wire
         if wire is not None and self._session.deadline < self._waits_until:
             wire.wake()
 
     def _stop(self) -> None:
+        """Hold the last sample, wait until it is put out, and ramp to 0 V within the fade."""
         stream = self._session.stream
         if stream is not None and self._session.phase is SessionPhase.RUN:
             with self._changed:
@@ -401,15 +494,21 @@ class LinkBus(Bus):
         self._end(quick=False)
 
     def _abort(self) -> None:
+        """Ramp to 0 V at the slew limit at once."""
         self._end(quick=True)
 
     def _end(self, *, quick: bool) -> None:
+        """Ramp to 0 V; wait until all amplifiers report that they rest, for `ENDING` at most."""
         with self._changed:
             self._session.end(self._clock.now(), quick=quick)
             self._pump()
         self._wait(lambda: self._session.phase in RESTING, ENDING)
 
     def _estop(self) -> None:
+        """Send ESTOP ahead of everything; the session repeats it until amplifiers report it.
+
+        Without a wire it is sent as soon as there is one again.
+        """
         with self._changed:
             packet = self._session.estop(self._clock.now())
             wire = self._wire
@@ -421,6 +520,11 @@ class LinkBus(Bus):
                 self._pump()
 
     def _clear(self) -> None:
+        """End an e-stop; wait until all amplifiers are ready, for `STARTING` at most.
+
+        If they do not get ready in time, the e-stop is sent again. An amplifier that refuses stays
+        e-stopped.
+        """
         session = self._session
         with self._changed:
             if self._wire is None:
@@ -439,18 +543,20 @@ class LinkBus(Bus):
             raise BusError(f"clear: {session.refusal}")
         if session.phase is not SessionPhase.READY or session.latched:
             was_lost = self.counters.disconnects > losses
-            why = "the link was lost meanwhile" if was_lost else session.trouble or "no answer"
+            reason = "the link was lost meanwhile" if was_lost else session.trouble or "no answer"
             self._estop()
-            raise BusError(f"clear: {why}; it stays e-stopped")
+            raise BusError(f"clear: {reason}; it stays e-stopped")
 
     def _close(self) -> None:
+        """Disarm, waiting for `ENDING` at most; then end the thread and close the wire."""
         with self._changed:
             self._session.leave()
         self._wake()
         self._wait(lambda: self._session.phase in (SessionPhase.GONE, SessionPhase.DOWN), ENDING)
-        self._let_go()
+        self._release()
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
+        """End the thread and close the wire."""
         self._ending = True
         wire = self._wire
         if wire is not None:
@@ -465,3 +571,4 @@ class LinkBus(Bus):
 
 
 RESTING = (SessionPhase.READY, SessionPhase.DOWN, SessionPhase.GONE, SessionPhase.ESTOP)
+"""Phases in which a stop has nothing more to wait for."""

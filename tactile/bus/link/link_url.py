@@ -1,4 +1,4 @@
-"""The options of a URL whose device speaks the protocol, and the bus that they ask for."""
+"""Options of a URL whose device speaks the protocol, and the function that opens its bus."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated
@@ -23,11 +23,12 @@ class LinkOptions(Options, frozen=True, kw_only=True):
     Attributes
     ----------
     format : str or None
-        Format of the drive on the link; None for the best that fits it.
+        Sample format on the link; None for the best that fits it.
     rearm : bool
         Whether the bus may arm an amplifier again that went to 0 V by itself.
     lead_ms : float or None
-        Time by which samples are sent before they are due [ms]; None for the least that will do.
+        Time by which samples are sent before they are due [ms]; None for one that adapts to
+        underruns.
     """
 
     format: FormatName | None = None
@@ -36,12 +37,12 @@ class LinkOptions(Options, frozen=True, kw_only=True):
 
     @property
     def sample_format(self) -> SampleFormat | None:
-        """Format of the drive on the link, as the protocol numbers it; None for any."""
+        """Sample format on the link, as the protocol numbers it; None for any."""
         return None if self.format is None else FORMATS[self.format]
 
     @property
     def lead(self) -> float | None:
-        """Time by which samples are sent before they are due [s]; None for the least."""
+        """Time by which samples are sent before they are due [s]; None for an adaptive one."""
         return None if self.lead_ms is None else self.lead_ms * 1e-3
 
 
@@ -54,7 +55,7 @@ def open_link(
     *,
     nodes: Sequence[int] = (),
 ) -> LinkBus:
-    """Open a bus whose amplifiers speak the protocol.
+    """Open a bus whose amplifiers speak the protocol, and wait until they are ready.
 
     Parameters
     ----------
@@ -65,9 +66,9 @@ def open_link(
     sample_rate : float or None
         Sample rate of the drive [Hz]; None for the best that fits the link.
     link : Link
-        How long packets take on the link.
+        Medium, which knows how long packets take.
     connect : callable
-        Function that opens the wire; called again after the link was lost.
+        Function that opens the wire; the thread of the bus calls it again after a loss.
     nodes : sequence of int
         Nodes of the amplifiers in the order of the channels; all that answer if empty.
 
@@ -79,12 +80,13 @@ def open_link(
     Raises
     ------
     BusError
-        If no amplifier answers, or it cannot do what the display needs.
+        If the wire cannot be opened, no amplifier answers, or one refuses a request.
     InputError
-        If nothing that the amplifiers understand fits the link.
+        If the amplifiers cannot do what the display needs, or nothing that they understand fits
+        the link.
     """
     wiring = Wiring.of(display, sample_rate or RATE)
-    config_of(wiring, 1, 1)
+    config_of(wiring, 1, 1)  # raises if no amplifier can keep what the display asks for
     choose = planner(options, display, sample_rate, link)
     return LinkBus(wiring, connect, choose, nodes=nodes, rearm=options.rearm, lead=options.lead)
 
@@ -102,7 +104,7 @@ def planner(
     Returns
     -------
     callable
-        Function of the capabilities of all amplifiers that returns the plan.
+        Function that takes the CAPS of all amplifiers and returns the `Plan`.
     """
 
     def choose(caps: Sequence[m.Caps]) -> Plan:

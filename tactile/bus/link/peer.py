@@ -1,7 +1,7 @@
-"""One amplifier as its host knows it: what it was asked, what it answered, what its clock shows.
+"""One amplifier as its host knows it: requests, answers, counters, clock and positions.
 
-No I/O and no clock of its own. Requests go one at a time, each three times at most (SPEC.md, 5);
-probes of the clock go as the estimator wants them (7.2).
+The module has no I/O and no clock of its own. Requests are sent one at a time, each three times at
+most (SPEC.md, 5), and clock probes when the estimator asks for them (7.2).
 """
 
 import math
@@ -17,32 +17,48 @@ from firmware_protocol.player import distance
 from tactile.bus.link.aside import RETRY, TRIES, Aside
 
 ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status}
-"""What answers a request; ACK the others."""
+"""Answers to requests that ACK does not answer, by the type of the request."""
 TIME_LENGTH = m.TimeReply.HEAD.size
-"""To which TIME is padded, so that both ways take as long (SPEC.md, 7.2)."""
+"""Length to which TIME is padded, so that both directions take equally long (SPEC.md, 7.2)
+[bytes]."""
 POLL_INTERVAL = 0.25
-"""s between STATUSes while it plays, or its e-stop input is open."""
+"""Interval of requests for STATUS while an amplifier plays, or its e-stop input is open [s]."""
 SKIPPED = 1 << 20
-"""Positions between all that was sent before a START and what comes after it (SPEC.md, 8.1)."""
+"""Distance between all positions sent before a START and those after it (SPEC.md, 8.1)."""
 
 
 class Peer:
-    """An amplifier.
+    """One amplifier of a session.
+
+    It has no lock; `LinkBus` calls it under its own.
 
     Parameters
     ----------
-    session, node : as on the wire
+    session : int
+        Session token, 1 … 65535.
+    node : int
+        Address of the amplifier, 1 … 127.
 
     Attributes
     ----------
-    host : the protocol's host
-    clock : estimate of its clock; None before the first CAPS
-    heard : host time of the last packet from it [s]
-    refused : the NAK that ended the last requests
-    lost : whether a request was not answered
-    underruns, late : counted since this host knows it: underruns, and samples that came too late
-    begun : tick of the latest START
-    aside : what is asked besides, and what it measured
+    host : AmplifierHost
+        Host's side of the protocol, which makes packets and keeps the latest answers.
+    clock : ClockEstimator or None
+        Estimate of the amplifier's clock; None before the first CAPS.
+    heard : float
+        Host time of the last packet from the amplifier [s].
+    refused : Nak or None
+        Refusal that ended the last requests; None if there was none.
+    lost : bool
+        Whether a request was not answered in three attempts.
+    underruns : int
+        Number of underruns since this host has known the amplifier.
+    late : int
+        Number of samples that were too late for the amplifier, since then.
+    begun : int
+        Tick of the amplifier's clock at which the latest START plays.
+    aside : Aside
+        Requests outside of the course of the session, and readings.
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -52,131 +68,179 @@ class Peer:
         self.refused: m.Nak | None = None
         self.lost = False
         self.underruns = self.late = 0
-        self._late: int | None = None
-        self._counted: int | None = None
-        self._told_all = self._restarted = False
-        self._hurry = math.inf
-        self._sent = self._origin = self._first = self.begun = 0
+        self._late_seen: int | None = None
+        """Latest value of the amplifier's counter of late samples."""
+        self._underruns_seen: int | None = None
+        """Latest value of its counter of underruns."""
+        self._status_seen = self._restarted = False
+        """Whether a STATUS has come since the wire was opened, and whether the clock began anew."""
+        self._greeting_probe = math.inf
+        """Host time of the next probe of a greeting; inf once one has been answered [s]."""
+        self._sent_end = self._origin = self._start_position = self.begun = 0
+        """Unwrapped wire position after all that was sent; wire position of position 0; position
+        of the latest START; and its tick."""
         self._requests: deque[Message] = deque()
-        self._asked: Packet | None = None
-        self._tries, self._again = 0, math.inf
+        self._request: Packet | None = None
+        """Request that waits for its answer."""
+        self._tries, self._next_try = 0, math.inf
         self.aside = Aside(self.host)
         self._probes: dict[int, float] = {}
+        """Host times of probes without an answer by their stamps [s]."""
         self._status_due = math.inf
-        self._told: int | None = None
+        self._state: int | None = None
+        """State by the latest PULSE or STATUS."""
 
     # Requests
 
     def ask(self, *messages: Message) -> None:
-        """Request things, one after the other, in place of what was not answered yet."""
+        """Make requests, one after the other, in place of those not answered yet.
+
+        Parameters
+        ----------
+        *messages : Message
+            Requests, which `poll` sends; none to drop those not answered yet.
+        """
         self._requests = deque(messages)
-        self._asked, self.refused, self.lost = None, None, False
+        self._request, self.refused, self.lost = None, None, False
 
     @property
     def idle(self) -> bool:
-        """Whether everything was answered."""
-        return self._asked is None and not self._requests
+        """Whether all requests were answered, or ended by a refusal or by `lost`."""
+        return self._request is None and not self._requests
 
     @property
     def caps(self) -> m.Caps:
-        """What it said that it can."""
+        """Capabilities of the amplifier; they are known once it was greeted."""
         assert self.host.caps is not None
         return self.host.caps
 
     @property
     def state(self) -> State | None:
-        """Its state by the latest PULSE or STATUS."""
-        return None if self._told is None else State(self._told)
+        """State of the amplifier by its latest PULSE or STATUS; None if neither has come."""
+        return None if self._state is None else State(self._state)
 
     @property
     def input_open(self) -> bool:
-        """Whether its e-stop input was open by the latest STATUS."""
+        """Whether the e-stop input was open by the latest STATUS."""
         status = self.host.status
         return status is not None and bool(status.inputs & Input.ESTOP_OPEN)
 
     @property
     def unguarded(self) -> bool:
-        """Whether it can put out more than 60 V and has no e-stop input (SPEC.md, 13)."""
+        """Whether the amplifier exceeds 60 V and has no e-stop input, to warn of (SPEC.md, 13)."""
         guarded = self.caps.features & Feature.ESTOP_INPUT
         return self.caps.full_scale_uv > UNGUARDED_MOST_UV and not guarded
 
     def assume(self, state: State) -> None:
-        """Take it to be in a state, since it did what leads there."""
-        self._told = state
+        """Assume a state, because the amplifier acknowledged a request that leads to it.
+
+        Parameters
+        ----------
+        state : State
+            State until the next PULSE or STATUS.
+        """
+        self._state = state
 
     def receive(self, packet: Packet, now: float) -> None:
-        """Take a packet that is this amplifier's."""
+        """Take a packet of this amplifier.
+
+        Parameters
+        ----------
+        packet : Packet
+            Packet from the node of the amplifier.
+        now : float
+            Host time of its reception [s].
+        """
         message = self.host.receive(packet)
         if message is None:
             return
         self.heard = now
-        asked = self._asked
+        request = self._request
         if isinstance(message, m.Pulse | m.Status):
-            self._tell(message)
+            self._update(message)
         elif isinstance(message, m.TimeReply):
-            self._measure(message, now)
+            self._add_exchange(message, now)
         self.aside.receive(message)
-        if asked is None:
+        if request is None:
             return
         if isinstance(message, m.Nak):
-            if (message.type, message.seq) == (asked.type, asked.seq):
+            if (message.type, message.seq) == (request.type, request.seq):
                 self._requests.clear()
-                self._asked, self.refused = None, message
+                self._request, self.refused = None, message
         elif isinstance(message, m.Ack):
-            if (message.type, message.seq) == (asked.type, asked.seq):
-                self._asked = None
-        elif isinstance(message, ANSWERS.get(asked.type, m.Ack)):
-            self._asked = None
+            if (message.type, message.seq) == (request.type, request.seq):
+                self._request = None
+        elif isinstance(message, ANSWERS.get(request.type, m.Ack)):
+            self._request = None
 
-    def _tell(self, message: m.Pulse | m.Status) -> None:
+    def _update(self, message: m.Pulse | m.Status) -> None:
+        """Take state and counters of a PULSE or STATUS.
+
+        PULSE has the low byte of the underruns only, which is of use after a STATUS has given all.
+        """
         known = message.state in set(State)
-        self._told = message.state if known else self._told
+        self._state = message.state if known else self._state
         if isinstance(message, m.Status):
-            self._count(message.underruns, message.late_samples)
-            self._told_all = True
-        elif self._told_all and self._counted is not None:
-            self._count(self._counted + ((message.underruns - self._counted) & 0xFF), self._late)
+            self._add_counts(message.underruns, message.late_samples)
+            self._status_seen = True
+        elif self._status_seen and self._underruns_seen is not None:
+            self._add_counts(
+                self._underruns_seen + ((message.underruns - self._underruns_seen) & 0xFF),
+                self._late_seen,
+            )
 
-    def _count(self, underruns: int, late: int | None) -> None:
-        """Take its counters, which begin anew after a reset."""
-        self.underruns += _since(underruns, self._counted)
-        self._counted = underruns
+    def _add_counts(self, underruns: int, late: int | None) -> None:
+        """Add what the amplifier's counters have risen by; they begin anew after a reset."""
+        self.underruns += _since(underruns, self._underruns_seen)
+        self._underruns_seen = underruns
         if late is not None:
-            self.late += _since(late, self._late)
-            self._late = late
+            self.late += _since(late, self._late_seen)
+            self._late_seen = late
 
     @property
     def forgot(self) -> str:
-        """What shows that it was reset, and no longer knows this host; empty where nothing does."""
+        """Evidence that the amplifier was reset or lost this session, one line; empty if none."""
         refused, status = self.refused, self.host.status
         if self._restarted:
             return "its clock began anew"
         if refused is not None and refused.code == m.NakCode.SESSION:
             return "it refused what is of this session"
-        if self._told_all and status is not None and status.session != self.host.session:
+        if self._status_seen and status is not None and status.session != self.host.session:
             return f"its session is {status.session}, not {self.host.session}"
         return ""
 
     def poll(self, now: float) -> list[Packet]:
-        """Return what is to be sent now."""
+        """Return what is to be sent now: requests, clock probes and requests for STATUS.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets in the order in which to send them.
+        """
         out = []
-        while self._asked is None and self._requests:
+        while self._request is None and self._requests:
             message = self._requests.popleft()
-            if isinstance(message, m.Estop):  # on CAN never answered: STATUS shows it
+            # On CAN an ESTOP is never answered; STATUS shows whether it was carried out.
+            if isinstance(message, m.Estop):
                 out.append(self.host.tell(message))
                 continue
-            self._asked = self.host.ask(message)
-            self._tries, self._again = 0, now
-        if self._asked is not None and now >= self._again:
+            self._request = self.host.ask(message)
+            self._tries, self._next_try = 0, now
+        if self._request is not None and now >= self._next_try:
             if self._tries == TRIES:
                 self._requests.clear()
-                self._asked, self.lost = None, True
+                self._request, self.lost = None, True
             else:
-                self._tries, self._again = self._tries + 1, now + RETRY
-                out.append(self._asked)
+                self._tries, self._next_try = self._tries + 1, now + RETRY
+                out.append(self._request)
         out += self.aside.poll(now)
-        if self.clock is not None and (self.clock.probe_due(now) or now >= self._hurry):
-            self._hurry = math.inf if self._hurry == math.inf else now + RETRY
+        if self.clock is not None and (self.clock.probe_due(now) or now >= self._greeting_probe):
+            self._greeting_probe = math.inf if self._greeting_probe == math.inf else now + RETRY
             out.append(self._probe(now))
         if now >= self._status_due:
             self._status_due = now + POLL_INTERVAL
@@ -185,28 +249,29 @@ class Peer:
 
     @property
     def deadline(self) -> float:
-        """Host time at which `poll` has something to send [s], if nothing comes before."""
-        probe = math.inf if self.clock is None else min(self.clock.next_probe, self._hurry)
+        """Host time at which `poll` has something to send, if nothing is received before [s]."""
+        probe = math.inf if self.clock is None else min(self.clock.next_probe, self._greeting_probe)
         first = min(probe, self._status_due, self.aside.deadline)
-        if self._asked is None:
+        if self._request is None:
             return -math.inf if self._requests else first
-        return min(first, self._again)
+        return min(first, self._next_try)
 
     # Clock
 
     def greeted(self) -> None:
-        """Begin, or go on, to follow its clock, after CAPS."""
+        """Begin to estimate the clock after CAPS, or continue if the clock is the same."""
         if self.clock is None or self.clock.tick_hz != self.caps.tick_hz:
             self.clock = ClockEstimator(self.caps.tick_hz)
         self._probes.clear()
-        self._hurry = -math.inf
+        self._greeting_probe = -math.inf
 
     def reconnected(self) -> None:
-        """Take nothing that it said before for what it is now."""
-        self._told_all, self._told, self.host.pulse = False, None, None
+        """Forget the reported state, because the wire was opened again."""
+        self._status_seen, self._state, self.host.pulse = False, None, None
         self._restarted = False
 
     def _probe(self, now: float) -> Packet:
+        """Return a clock probe, TIME with the host time in ns."""
         stamp = int(now * 1e9)
         self._probes[stamp] = now
         while len(self._probes) > TRIES:
@@ -214,62 +279,130 @@ class Peer:
         packet = self.host.tell(m.Time(stamp))
         return replace(packet, payload=packet.payload.ljust(TIME_LENGTH, b"\0"))
 
-    def _measure(self, reply: m.TimeReply, now: float) -> None:
+    def _add_exchange(self, reply: m.TimeReply, now: float) -> None:
+        """Add an exchange of timestamps to the estimate, if its probe is known."""
         sent = self._probes.pop(reply.host_time, None)
         if sent is not None and self.clock is not None:
             before = self.clock.restarts
             if self.clock.add(sent, reply.received, reply.sent, now):
-                self._restarted |= self.clock.restarts > before and self._hurry == math.inf
-                self._hurry = math.inf
+                self._restarted |= self.clock.restarts > before and self._greeting_probe == math.inf
+                self._greeting_probe = math.inf
 
     @property
     def locked(self) -> bool:
-        """Whether its clock is known well enough to start by, since it was greeted as well."""
-        return self.clock is not None and self.clock.locked and self._hurry == math.inf
+        """Whether the clock is known well enough to start by, with an exchange since `greeted`."""
+        return self.clock is not None and self.clock.locked and self._greeting_probe == math.inf
 
     # Stream
 
     def start(self, position: int, time: float) -> m.Start:
-        """Return the START that plays a position at a host time [s]; what follows refers to it."""
+        """Return the START that plays a position at a host time; later calls refer to it.
+
+        Parameters
+        ----------
+        position : int
+            Position that is put out first.
+        time : float
+            Host time at which it is put out [s].
+
+        Returns
+        -------
+        Start
+            Message with the wire position and the tick of the amplifier's clock.
+        """
         assert self.clock is not None
-        begin = self._sent + SKIPPED
-        self._origin, self._sent = begin - position, begin
-        self._first, self.begun = position, self.clock.ticks_at(time)
+        begin = self._sent_end + SKIPPED
+        self._origin, self._sent_end = begin - position, begin
+        self._start_position, self.begun = position, self.clock.ticks_at(time)
         self._status_due = time
         return m.Start(self.host.session, begin % TURN, 0, self.begun)
 
     def due(self, position: int, rate: float) -> float:
-        """Return the host time at which a position is put out [s]."""
+        """Return the host time at which a position is put out.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+        rate : float
+            Sample rate [Hz].
+
+        Returns
+        -------
+        float
+            Host time by the estimate of the amplifier's clock [s].
+        """
         assert self.clock is not None
-        ticks = round((position - self._first) * self.clock.tick_hz / rate)
+        ticks = round((position - self._start_position) * self.clock.tick_hz / rate)
         return self.clock.host_time_at(self.begun + ticks)
 
     def wire_position(self, position: int, count: int) -> int:
-        """Return what a position is on the wire, unwrapped; ``count`` from it on count as sent."""
+        """Return a position on the wire, and record that samples from it on are sent.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        count : int
+            Number of samples.
+
+        Returns
+        -------
+        int
+            Position on the wire, not wrapped to 32 bits.
+        """
         at = position + self._origin
-        self._sent = max(self._sent, at + count)
+        self._sent_end = max(self._sent_end, at + count)
         return at
 
     def wire_end(self, position: int) -> int:
-        """Return what a position is on the wire."""
+        """Return a position on the wire without recording anything.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        int
+            Position on the wire, modulo 2³².
+        """
         return (position + self._origin) % TURN
 
     def has_credit(self, end: int) -> bool:
-        """Tell whether the amplifier takes what ends before a wire position."""
+        """Return whether the amplifier has room for samples.
+
+        Parameters
+        ----------
+        end : int
+            Wire position after the samples.
+
+        Returns
+        -------
+        bool
+            Whether they are within the credit of the latest PULSE, or there was none yet.
+        """
         pulse = self.host.pulse
         return pulse is None or distance(end, pulse.credit_position) <= 0
 
     def watch(self, now: float) -> None:
-        """Ask for STATUS from now on, as while it plays."""
+        """Begin to ask for STATUS each `POLL_INTERVAL`, as while the amplifier plays.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        """
         self._status_due = min(self._status_due, now + POLL_INTERVAL)
 
     def rest(self) -> None:
-        """Ask for no more STATUS."""
+        """Ask for STATUS no more."""
         self._status_due = math.inf
 
 
 def _since(count: int, last: int | None) -> int:
-    """Return by how much a counter has risen since it was seen last; it may have begun anew."""
+    """Return how much a counter has risen since its last value; it may have begun anew at 0."""
     if last is None:
         return 0
     return count - last if count >= last else count

@@ -1,9 +1,10 @@
-"""A session with the amplifiers of one link, from HELLO to DISARM: what to say, and when.
+"""Session with the amplifiers of one link, from HELLO to DISARM: what to send, and when.
 
-No waiting and no clock: whoever holds the wire hands over what came to `receive`, and lets `poll`
-send. It goes from phase to phase toward what is wanted of it; a phase ends when all amplifiers
-have answered what it asked. What goes wrong is told by `trouble` and, where it ends what was
-wanted, by `refusal`; nothing raises.
+The session does not wait and has no clock. The owner of the wire passes what was received to
+`LinkSession.receive`, and calls `LinkSession.poll` to send. The session moves from phase to phase
+toward what is wanted of it; a phase ends when all amplifiers have answered its requests. Failures
+are reported by `trouble` and, if they end what was wanted, by `refusal`. Nothing raises but the
+wire, in `LinkSession.poll`.
 """
 
 import math
@@ -29,52 +30,84 @@ from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
 
 SEARCH = 0.06
-"""s in which amplifiers answer a HELLO to all; asked again while none did."""
+"""Time in which amplifiers answer a HELLO to all nodes; it is repeated while none does [s]."""
 AHEAD = 30e-3
-"""s from START to the first sample."""
+"""Time from START to the first sample [s]."""
 SILENCE = 0.25
-"""s without a word from an amplifier, which sends PULSE every 10 ms, after which it is lost."""
+"""Time without a packet from an amplifier, which sends PULSE every 10 ms, after which the link
+counts as lost [s]."""
 GIVEN_UP = 0.1
-"""s since the last word from amplifiers, after which they are not taken to play any more."""
+"""Time since the last packet from an amplifier after which it is not known to play [s]."""
 QUEUED = 50e-3
-"""s of packets on their way to the wire, beyond which no HEARTBEAT is sent (SPEC.md, 14)."""
+"""Time of packets on their way to the wire beyond which no HEARTBEAT is sent, since one that waits
+for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
 HELD = 2e-3
-"""s of packets that may wait for the wire while another is given to it."""
+"""Time that packets given to the wire may still take when the next one is given to it [s]."""
 REASON = 1
-"""Of an ESTOP, as STATUS tells it: a host's."""
+"""Reason of an ESTOP by a host, as STATUS reports it."""
 LATCHED = (State.ESTOP, State.FAULT)
+"""States that only CLEAR_FAULT ends."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
+"""States in which an amplifier plays or ramps to 0 V."""
 
 
 AGAIN: dict[int, SessionPhase] = {
     NakCode.TIME: SessionPhase.START,
     NakCode.NOT_ARMED: SessionPhase.ARM,
 }
-"""Where a START that came too late, or after the watchdog, goes on."""
+"""Phase in which a START is tried again that came too late, or after the watchdog, by its NAK."""
 
 
 class LinkSession:
-    """What is said on one link.
+    """Session with the amplifiers of one link.
+
+    It has no lock; `LinkBus` calls it under its own. No method waits.
 
     Parameters
     ----------
-    wiring : what the amplifiers drive; its sample rate is replaced by the plan's
-    token : session on the wire, 1 … 65535
-    choose : makes the plan from the amplifiers' CAPS, once; may raise InputError
-    counters : of the bus
-    nodes : of the amplifiers, in the order of channels; all that answer, if not given
-    rearm : whether it may arm again what went to 0 V by itself
-    lead : by which samples go ahead [s]; None for one that goes with underruns
+    wiring : Wiring
+        Properties of the display that the amplifiers drive; its sample rate is replaced by that of
+        the plan.
+    token : int
+        Session token on the wire, 1 … 65535.
+    choose : callable
+        Function that makes the plan from the CAPS of the amplifiers; it is called once and may
+        raise InputError.
+    counters : BusCounters
+        Counters of the bus.
+    nodes : sequence of int
+        Nodes of the amplifiers in the order of the channels; all that answer, in rising order, if
+        empty.
+    rearm : bool
+        Whether it may arm an amplifier again that went to 0 V by itself.
+    lead : float or None
+        Time by which samples are sent before they are put out [s]; None for one that adapts to
+        underruns.
 
     Attributes
     ----------
-    phase, want, peers, plan : as they are now
-    stream : there once the plan is
-    trouble : one line on what is wrong; empty where nothing is
-    refusal : why what was wanted last cannot be; empty where it can
-    error : of a display that asks for more than there is
-    fragments : what is amiss though it plays on
-    tripped : an amplifier is in ESTOP or FAULT though nobody here asked for it
+    phase : SessionPhase
+        Present phase.
+    want : Want
+        State that the session works toward.
+    peers : list of Peer
+        Amplifiers in the order of channels; empty until they have been found.
+    plan : Plan or None
+        How the drive is sent; None until the capabilities of the amplifiers are known.
+    stream : LinkStream or None
+        Samples that wait to be sent; None as long as there is no plan.
+    carriers : (P,) array of float
+        Frequencies of the carriers of frames [Hz]; empty until they are set.
+    trouble : str
+        One line on what is wrong; empty if nothing is.
+    refusal : str
+        Reason why what was wanted last cannot be; empty if it can.
+    error : InputError or None
+        Error of a display that asks for more than the amplifiers or the link can give.
+    fragments : FragmentWatch
+        Warning about fragments that are lost while the session goes on.
+    tripped : bool
+        Whether an amplifier is in ESTOP or FAULT although this host did not ask for it.
     """
 
     def __init__(
@@ -100,10 +133,15 @@ class LinkSession:
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
         self._found: dict[int, m.Caps] = {}
+        """Capabilities of the amplifiers that answered in SEARCH, by their nodes."""
+        # Host times: of the next step of the phase; at which the wire will have sent what it was
+        # given; and at which all amplifiers of a link that was lost were last known to play.
         self._until = self._wire_free = self._known_to_run = -math.inf
         self._first: int | None = None
+        """Position that START is to play first; None once it has been acknowledged."""
         self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
+        """Host time of the last HEARTBEAT [s]."""
         self._seq = 0
         self._endings: dict[SessionPhase, Callable[[float], None]] = {
             SessionPhase.GREET: self._after_greet,
@@ -124,7 +162,13 @@ class LinkSession:
     # What is wanted
 
     def connected(self, now: float) -> None:
-        """Begin anew on a wire that was just opened."""
+        """Begin on a wire that was just opened.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        """
         self._wire_free = now
         self._found.clear()
         for peer in self.peers:
@@ -132,7 +176,17 @@ class LinkSession:
         self._enter(SessionPhase.GREET if self.peers else SessionPhase.SEARCH, now)
 
     def disconnected(self, now: float, why: str) -> None:
-        """Take the wire as gone."""
+        """Take note that there is no wire any more.
+
+        A start that has not been acknowledged is given up; a stream that plays is not.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        why : str
+            Reason, one line.
+        """
         self.trouble = why
         if self.stream is not None:
             self.stream.freeze(now)
@@ -145,7 +199,13 @@ class LinkSession:
             self.want, self.refusal = Want.READY, why
 
     def run(self, position: int) -> None:
-        """Play from a position on; nothing to do in an e-stop."""
+        """Work toward playing; do nothing in an e-stop.
+
+        Parameters
+        ----------
+        position : int
+            Position that is put out first.
+        """
         if self.want is Want.ESTOP:
             return
         self._first, self.want, self.refusal, self.trouble = position, Want.RUN, "", ""
@@ -153,7 +213,15 @@ class LinkSession:
         self.fragments.warning = ""
 
     def end(self, now: float, *, quick: bool) -> None:
-        """Ramp to 0 V; nothing to do in an e-stop."""
+        """Work toward 0 V, and drop what waits to be sent; do nothing in an e-stop.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        quick : bool
+            Whether to ramp at the slew limit, and not within the fade.
+        """
         if self.want is Want.ESTOP:
             return
         self.want, self._quick = Want.READY, quick
@@ -163,7 +231,18 @@ class LinkSession:
             self._enter(SessionPhase.END, now)
 
     def estop(self, now: float) -> Packet:
-        """Stop for good; return the packet that is to overtake all others."""
+        """Work toward an e-stop, which only `clear` ends, and drop what waits to be sent.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        Packet
+            ESTOP to all nodes, which the caller has to send ahead of everything else.
+        """
         self.want, self.refusal, self._gave_up = Want.ESTOP, "", False
         if self.stream is not None:
             self.stream.clear(wanted=True)
@@ -172,41 +251,88 @@ class LinkSession:
         return self._to_all(m.Estop(REASON))
 
     def clear(self, now: float) -> None:
-        """End an e-stop or a fault."""
+        """Work toward the end of an e-stop or a fault.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        """
         self.want, self.refusal, self.tripped, self._gave_up = Want.READY, "", False, False
         if self.phase is not SessionPhase.DOWN:
             self._enter(SessionPhase.TRIPS, now)
 
     def gives_up(self, now: float) -> bool:
-        """Decide whether what was played is over; tell whether it takes a `run` to play again."""
+        """Decide whether playing that was interrupted is given up.
+
+        Without leave to rearm, it is given up when the amplifiers have not been known to play for
+        `GIVEN_UP`.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        bool
+            Whether only `run` makes the amplifiers play again.
+        """
         goes_on = self.phase is SessionPhase.RUN or self.rearm or self._first is not None
         if self.want is Want.RUN and not goes_on and now > self._known_to_run + GIVEN_UP:
             self._give_up(self.trouble)
         return self.want is not Want.RUN
 
     def known_to_run(self, now: float) -> bool:
-        """Tell whether all amplifiers play, as they said not long ago."""
+        """Return whether all amplifiers are known to play.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        bool
+            Whether each has reported RUNNING, and sent a packet within `GIVEN_UP`.
+        """
         return self.phase is SessionPhase.RUN and all(
             peer.state is State.RUNNING and now <= peer.heard + GIVEN_UP for peer in self.peers
         )
 
     @property
     def latched(self) -> list[Peer]:
-        """Amplifiers that are in ESTOP or FAULT, as far as they have said."""
+        """Amplifiers that are in ESTOP or FAULT by their latest reports."""
         return [peer for peer in self.peers if peer.state in LATCHED]
 
     def leave(self) -> None:
-        """Disarm, once ready."""
+        """Work toward the end of the session: disarm as soon as nothing plays."""
         self.want = Want.GONE
 
     def alive(self, now: float) -> None:
-        """Tell that the loop that renders is alive: it is who feeds the watchdog."""
+        """Record that the loop that renders is alive; it alone feeds the watchdog.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        """
         self._owes_heartbeat |= now - self._heartbeat >= HEARTBEAT_MS * 1e-3
 
     # What comes and goes
 
     def receive(self, packets: list[Packet], now: float, dropped: int) -> None:
-        """Take what came, and how many fragments the wire has dropped so far."""
+        """Take what was received.
+
+        Parameters
+        ----------
+        packets : list of Packet
+            Packets in the order in which they came; may be empty.
+        now : float
+            Host time [s].
+        dropped : int
+            Number of fragments that the wire has dropped so far.
+        """
         known = {peer.host.node: peer for peer in self.peers}
         for packet in packets:
             if packet.flags >> 6 != MAJOR:
@@ -222,11 +348,24 @@ class LinkSession:
                     self._found[packet.node] = caps
         if self.stream is not None:
             self.stream.control(now, running=self.phase is SessionPhase.RUN)
-        told = [peer.host.status for peer in self.peers if peer.host.status is not None]
-        self.fragments.look(dropped + sum(status.fragments_dropped for status in told), now)
+        reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
+        self.fragments.look(dropped + sum(status.fragments_dropped for status in reports), now)
 
     def poll(self, now: float, wire: Wire) -> None:
-        """Hand to the wire what is to be sent now."""
+        """Move on to the next phases, and send what is to be sent now.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        wire : Wire
+            Wire that is not busy.
+
+        Raises
+        ------
+        OSError
+            If the wire is broken.
+        """
         self._advance(now)
         out = []
         if self.phase is SessionPhase.SEARCH and self._due(now, SEARCH):
@@ -243,19 +382,31 @@ class LinkSession:
                 self._send(part, now, wire)
 
     def _send(self, packets: list[Packet], now: float, wire: Wire) -> None:
+        """Send packets, and note when the wire will have sent them."""
         for packet in packets:
             self._wire_free = max(self._wire_free, now) + wire.send(packet)
 
     @property
     def deadline(self) -> float:
-        """Host time at which `poll` is next to be called, if nothing comes before [s]."""
+        """Host time at which `poll` is to be called next, if nothing is received before [s]."""
         stream = math.inf
         if self.phase is SessionPhase.RUN and self.stream is not None:
             stream = max(self.stream.deadline, self._wire_free - HELD)
         return min([peer.deadline for peer in self.peers] + [self._until, stream])
 
     def lost(self, now: float) -> str:
-        """Return why the link is to be taken as broken; empty where it is not."""
+        """Return why the link counts as broken.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        str
+            Reason, one line; empty if the link works.
+        """
         if any(peer.lost for peer in self.peers):
             return "the amplifier does not answer"
         if self.phase.value > SessionPhase.GREET.value and self.phase is not SessionPhase.GONE:
@@ -268,11 +419,12 @@ class LinkSession:
         return ""
 
     def _to_all(self, message: Message) -> Packet:
+        """Return the packet of a message to all nodes."""
         self._seq = (self._seq + 1) & 0xFF
         return Packet.of(message, seq=self._seq)
 
     def _due(self, now: float, interval: float) -> bool:
-        """Tell whether it is time, and set the next."""
+        """Return whether the time of the phase's next step has come; if so, set the one after."""
         if now < self._until:
             return False
         self._until = now + interval
@@ -281,7 +433,7 @@ class LinkSession:
     # Phases
 
     def _enter(self, phase: SessionPhase, now: float) -> None:
-        """Begin a phase: ask what it asks."""
+        """Begin a phase: make its requests to all amplifiers."""
         self.phase, self._until = phase, math.inf
         if phase is SessionPhase.SEARCH:
             self._until = now
@@ -307,10 +459,12 @@ class LinkSession:
             self._starting(now)
 
     def _greeting(self) -> list[Message]:
+        """Return the requests that take an amplifier; first of all ESTOP, if that is wanted."""
         hello = m.Hello(self.token, m.MAJOR, m.MINOR, m.SCHEMA_CRC)
         return [*([m.Estop(REASON)] if self.want is Want.ESTOP else []), hello, m.Poll()]
 
     def _arming(self) -> list[Message]:
+        """Return the requests that switch high voltage on, and set the carriers of frames."""
         assert self.plan is not None
         rate = round(self.plan.sample_rate)
         if not self.plan.carriers:
@@ -320,16 +474,21 @@ class LinkSession:
         return [carriers, m.Arm(self.token, Mode.SPECTRUM, rate)]
 
     def _limits(self, caps: m.Caps) -> m.Limits:
-        """Return the display's limits: no more than the amplifier's, which `_fits` has seen to."""
-        w = self.wiring
+        """Return the limits of the display, none of which is above that of the amplifier.
+
+        `check_limits` refuses a display whose voltage or slew limit is higher. A longer fade is cut
+        to that of the amplifier.
+        """
+        wiring = self.wiring
         return m.Limits(
             self.token,
-            min(int(w.voltage * 1e6), caps.voltage_limit_uv),
-            min(int(w.slew), caps.slew_limit_v_per_s),
-            min(max(round(w.fade * 1e6), 1), caps.fade_limit_us),
+            min(int(wiring.voltage * 1e6), caps.voltage_limit_uv),
+            min(int(wiring.slew), caps.slew_limit_v_per_s),
+            min(max(round(wiring.fade * 1e6), 1), caps.fade_limit_us),
         )
 
     def _starting(self, now: float) -> None:
+        """Request START of all amplifiers, at a position that is due soon if playing goes on."""
         assert self.stream is not None
         time = now + AHEAD
         position = self.stream.position_at(time) if self._first is None else self._first
@@ -340,16 +499,16 @@ class LinkSession:
             peer.ask(start)
 
     def _advance(self, now: float) -> None:
-        """Leave the phases whose time has come."""
-        before = None
-        while before is not self.phase:
-            before = self.phase
+        """End each phase whose requests have been answered, until one has not."""
+        previous = None
+        while previous is not self.phase:
+            previous = self.phase
             if self.phase is SessionPhase.SEARCH:
                 if self._found and now >= self._until:
                     self.peers = [Peer(self.token, node) for node in sorted(self._found)]
                     self._enter(SessionPhase.GREET, now)
             elif any(peer.lost for peer in self.peers):
-                return  # `lost` says so, and the wire is let go of
+                return  # `lost` reports it, and the owner closes the wire
             elif self.phase not in (SessionPhase.DOWN, SessionPhase.GONE) and all(
                 p.idle for p in self.peers
             ):
@@ -360,7 +519,7 @@ class LinkSession:
                     self._endings[self.phase](now)
 
     def _refused(self, nak: m.Nak, now: float) -> None:
-        """Act on what an amplifier would not do; one that was reset is seen to by `lost`."""
+        """Act on a refusal; that of an amplifier that was reset is reported by `lost`."""
         if nak.code == NakCode.SESSION:
             return
         if self.phase is SessionPhase.GREET and nak.code == NakCode.BUSY:
@@ -377,7 +536,7 @@ class LinkSession:
             self._enter(SessionPhase.DISARM if self.want is Want.GONE else SessionPhase.READY, now)
 
     def _wait(self, phase: SessionPhase, now: float) -> None:
-        """Enter a phase again after a while."""
+        """Enter a phase after `RETRY`; it is called repeatedly until then."""
         if self._until == math.inf:
             self._until = now + RETRY
         elif now >= self._until:
@@ -396,14 +555,15 @@ class LinkSession:
         self._enter(SessionPhase.CLOCK, now)
 
     def _fit(self, caps: Sequence[m.Caps]) -> None:
-        """See that the display's demands are within what the amplifiers can; make the plan."""
+        """Make the plan and the stream; raise InputError if the display asks for too much."""
         check_limits(self.wiring, caps)
         self.plan = self._choose(caps)
         self.wiring = replace(self.wiring, sample_rate=float(self.plan.sample_rate))
-        w = self.wiring
-        self.stream = LinkStream(self.peers, self.plan, w.channels, self._counters, self._lead)
+        wiring = self.wiring
+        self.stream = LinkStream(self.peers, self.plan, wiring.channels, self._counters, self._lead)
 
     def _after_clock(self, now: float) -> None:
+        """Resume playing if all amplifiers played on while the link was lost; else stop them."""
         if not all(peer.locked for peer in self.peers):
             return
         states = [peer.state for peer in self.peers]
@@ -428,6 +588,7 @@ class LinkSession:
         self._enter(SessionPhase.READY, now)
 
     def _after_ready(self, now: float) -> None:
+        """Leave READY for what is wanted; do not play while an amplifier is latched."""
         latched = self.latched
         if self.want is Want.ESTOP:
             self._enter(SessionPhase.ESTOP, now)
@@ -454,6 +615,7 @@ class LinkSession:
         self._enter(SessionPhase.RUN, now)
 
     def _after_run(self, now: float) -> None:
+        """End playing on all amplifiers when one does not run any more."""
         fallen = [peer for peer in self.peers if peer.state is not State.RUNNING]
         if not fallen:
             return
@@ -468,6 +630,7 @@ class LinkSession:
         self._enter(SessionPhase.END, now)
 
     def _give_up(self, why: str) -> None:
+        """Want to be ready in place of playing, since rearming is not allowed."""
         self.want, self._gave_up = Want.READY, True
         self.trouble = f"{why}; not armed again, since nobody said so: start again, or rearm=true"
 
@@ -478,6 +641,7 @@ class LinkSession:
             self._enter(SessionPhase.READY, now)
 
     def _after_estop(self, now: float) -> None:
+        """Repeat ESTOP until all amplifiers report it; leave the phase only to disarm."""
         if self.want is Want.GONE:
             self._enter(SessionPhase.DISARM, now)
         elif any(peer.state is not State.ESTOP for peer in self.peers):
@@ -497,4 +661,5 @@ class LinkSession:
 
     @property
     def _moving(self) -> bool:
+        """Whether an amplifier plays or ramps by its latest report."""
         return any(peer.state in MOVING for peer in self.peers)

@@ -1,4 +1,4 @@
-"""Why an amplifier does not run, as one line for a person."""
+"""Reasons why an amplifier does not run, each as one line for a person."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,22 @@ from firmware_protocol.messages import EstopReason, Fault, State
 from tactile.bus.link.peer import Peer
 
 INPUT_OPEN = "e-stop input open: release the button, then clear"
+"""Advice while an e-stop input is open."""
 
 
 def why_stopped(peer: Peer) -> str:
-    """Return why an amplifier does not run."""
+    """Return why an amplifier does not run.
+
+    Parameters
+    ----------
+    peer : Peer
+        Amplifier that is in another state than RUNNING.
+
+    Returns
+    -------
+    str
+        Reason with the node of the amplifier, one line.
+    """
     node, state, status = peer.host.node, peer.state, peer.host.status
     if state is State.FAULT:
         fault = 0 if status is None else status.fault
@@ -24,8 +36,21 @@ def why_stopped(peer: Peer) -> str:
 
 
 def open_input(peers: Sequence[Peer], now: float) -> str:
-    """Return which e-stop input is open, empty where none is; STATUS is asked for meanwhile."""
-    pulled = [peer for peer in peers if peer.input_open]
-    for peer in pulled:
+    """Return which e-stop input is open, and ask for STATUS as long as one is.
+
+    Parameters
+    ----------
+    peers : sequence of Peer
+        Amplifiers of the session.
+    now : float
+        Host time [s].
+
+    Returns
+    -------
+    str
+        Node of the first amplifier whose input is open, with advice; empty if there is none.
+    """
+    stopped = [peer for peer in peers if peer.input_open]
+    for peer in stopped:
         peer.watch(now)
-    return f"node {pulled[0].host.node}: {INPUT_OPEN}" if pulled else ""
+    return f"node {stopped[0].host.node}: {INPUT_OPEN}" if stopped else ""

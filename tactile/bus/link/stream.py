@@ -1,8 +1,9 @@
-"""The stream of a session: positions put out at the same time by all amplifiers of a link.
+"""Stream of a session: positions that all amplifiers of a link put out at the same time.
 
-Samples are packed as they are written and go out, a little ahead of their time (`lead`), as fast as
-the wire takes them. What is late already is not sent: the amplifiers go on at what is due by now.
-While the link is down positions pass as they did, so that playing goes on in step when it is back.
+Samples are packed as they are written, and sent as fast as the wire takes them, ahead of their time
+by `lead`. Samples that are late already are not sent: the amplifiers go on at the position that is
+due now. While the link is down, positions pass by the clock as before, so that playing continues in
+step when the link is back.
 """
 
 import math
@@ -24,22 +25,30 @@ from tactile.bus.link.follower import HALF, Follower, Piece
 from tactile.bus.link.peer import Peer
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
-"""s that samples are sent before they are put out: at first, and between what (SPEC.md, 8.1)."""
+"""Time by which samples are sent before they are put out: at first, at least and at most
+(SPEC.md, 8.1) [s]."""
 LONGEST_LEAD = 100e-3
-"""s that may be asked for. Amplifiers have room for 64 ms at least, which the credit keeps."""
+"""Longest lead that may be asked for; amplifiers have room for at least 64 ms, which the credit
+keeps [s]."""
 RAISE, LOWER = 1.5, 0.1e-3
-"""By which the lead grows at an underrun, and s by which it falls in a second."""
+"""Factor by which the lead grows at an underrun, and rate at which it falls [s/s]."""
 
 LATEST = 4e-3
-"""s before its time at which samples go that wait for others to fill their packet."""
+"""Time before they are due at which samples are sent that wait for others to fill a packet [s]."""
 HOLD = 25e-3
-"""s for which the last sample is held at the end, in which STOP comes: the ramp begins there."""
+"""Time for which the last sample is held at the end; STOP arrives in it, and the ramp begins at
+that sample [s]."""
 
 
 class PendingSamples(NamedTuple):
-    """Positions from ``start`` to before ``end`` that wait to be sent.
+    """Samples that wait to be sent.
 
-    ``packets`` are an amplifier's, with the wire position after them.
+    Attributes
+    ----------
+    start, end : int
+        First position, and the position after the last one.
+    packets : list of tuple of Peer, int and list of Packet
+        Amplifiers, each with the wire position after its samples and with its packets.
     """
 
     start: int
@@ -48,10 +57,10 @@ class PendingSamples(NamedTuple):
 
 
 def _room(plan: Plan) -> float:
-    """Return the longest lead for which amplifiers have room besides their credit [s].
+    """Return the longest lead for which amplifiers have room, apart from their credit [s].
 
-    A frame sets out by its spacing, the time that it takes on the wire, and the lead before its
-    position. Four spacings are the most of which none finds the queue full (SPEC.md, 8.1).
+    A frame is sent before its position by its spacing, its time on the wire and the lead. With four
+    spacings in all, no frame finds the queue of an amplifier full (SPEC.md, 8.1).
     """
     if not plan.carriers:
         return math.inf
@@ -59,20 +68,30 @@ def _room(plan: Plan) -> float:
 
 
 class LinkStream:
-    """What waits, and when it is due.
+    """Samples or frames that wait to be sent, and the times at which they are due.
+
+    It has no lock; `LinkBus` changes it under its own.
 
     Parameters
     ----------
-    peers : the amplifiers, each with as many channels as its CAPS says, in order
-    plan : how samples are packed
-    channels : C of what is written
-    counters : to count in what is late and what is dropped
-    lead : one that is kept [s]; None for one that goes with underruns
+    peers : sequence of Peer
+        Amplifiers in the order of channels, each with as many as its CAPS says.
+    plan : Plan
+        How samples are packed.
+    channels : int
+        Number of channels of what is written, C.
+    counters : BusCounters
+        Counters of underruns, late blocks and dropped samples.
+    lead : float or None
+        Lead that is kept [s]; None for one that adapts to underruns.
 
     Attributes
     ----------
-    lead : [s], of frames no longer than amplifiers have room for
-    end : position after what was written
+    lead : float
+        Time by which samples are sent before they are put out; for frames no longer than the
+        amplifiers have room for [s].
+    end : int
+        Position after what was written.
     """
 
     def __init__(
@@ -93,20 +112,40 @@ class LinkStream:
         self._peers = peers[: len(self._spans)]
         self._followers = [Follower(plan.sample_rate) for _ in self._peers[1:]]
         self._parts: deque[PendingSamples] = deque()
+        """Packets that wait to be sent."""
         self._partial: Floats = np.zeros((0, channels))
+        """Samples that wait for others to fill their packet."""
         self._partial_start = self.end = 0
         self._last: Floats | None = None
+        """Sample that was packed last."""
         self._playing = self._blocked = False
+        """Whether positions pass by the amplifiers' clock, and whether credit is lacking."""
         self._tail: int | None = None
+        """Position after the samples that followers have; they still need `HALF` more."""
+        # A position and its host time, for when the amplifiers' clock is out of reach; and the
+        # first position that may be written.
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
 
     # Time
 
     def begin(self, position: int, time: float, *, fade_in: bool = False) -> list[m.Start]:
-        """Return each amplifier's START that plays a position at a host time [s].
+        """Begin to play, and return the START of each amplifier.
 
-        To ``fade_in`` the first sample is kept back: an amplifier's gain rises then (SPEC.md, 8.2).
+        Parameters
+        ----------
+        position : int
+            Position that is put out first.
+        time : float
+            Host time at which it is put out [s].
+        fade_in : bool
+            Whether to leave out the first sample, upon which the gain of an amplifier rises from 0
+            (SPEC.md, 8.2).
+
+        Returns
+        -------
+        list of Start
+            Messages in the order of the amplifiers.
         """
         self.clear()
         self._from = position + fade_in
@@ -117,57 +156,96 @@ class LinkStream:
         return [peer.start(position, time) for peer in self._peers]
 
     def due(self, position: int) -> float:
-        """Return the host time at which a position is put out [s]."""
+        """Return the host time at which a position is put out.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Host time by the clock of the first amplifier, or by that of the host while the
+            amplifiers do not play or cannot be reached [s].
+        """
         rate = self._plan.sample_rate
         if self._playing and not self._peers[0].forgot:
             return self._peers[0].due(position, rate)
         return self._anchor[1] + (position - self._anchor[0]) / rate
 
     def position_at(self, time: float) -> int:
-        """Return the first position that is due at a host time [s] or later."""
+        """Return the first position that is due at a host time or later.
+
+        Parameters
+        ----------
+        time : float
+            Host time [s].
+
+        Returns
+        -------
+        int
+            Position of a sample.
+        """
         at, when = self._anchor
         at += math.ceil((time - when) * self._plan.sample_rate - 1e-9)
         return at + math.ceil((time - self.due(at)) * self._plan.sample_rate - 1e-9)
 
     @property
     def ahead(self) -> float:
-        """By which samples are to be handed over before they are put out [s].
+        """Time by which samples have to be written before they are put out [s].
 
-        That is the lead, the time that a packet, or a frame, takes on the wire, and what boards
-        after the first wait for to follow its clock.
+        It is the sum of the lead, the time that a packet or a frame takes on the wire, and the time
+        of the samples that the amplifiers after the first wait for to follow its clock.
         """
         plan = self._plan
         waits = HALF if len(self._peers) > 1 and not plan.carriers else 0
         return self.lead + (plan.use * plan.packet_samples + waits) / plan.sample_rate
 
     def freeze(self, now: float) -> None:
-        """Let positions pass by the host's clock, since the amplifiers' is out of reach."""
+        """Let positions pass by the clock of the host, since the amplifiers' is out of reach.
+
+        Samples that wait are dropped and counted.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        """
         self._set_anchor(now)
         self._playing = False
         self.clear()
 
     def _set_anchor(self, now: float) -> None:
-        """Remember where it is, for when the amplifiers' clock is out of reach, or another."""
+        """Remember the position of now, for when the amplifiers' clock is lost or began anew."""
         if self._playing and not self._peers[0].forgot:
             at = self.position_at(now)
             self._anchor = (at, self.due(at))
 
     def resume(self) -> None:
-        """Go on by the amplifiers' clock, after a freeze that they have played through."""
+        """Let positions pass by the amplifiers' clock again, as they played on during a freeze."""
         self._playing = True
 
     @property
     def underruns(self) -> int:
-        """Of all amplifiers."""
+        """Number of underruns of all amplifiers."""
         return sum(peer.underruns for peer in self._peers)
 
     @property
     def late(self) -> int:
-        """Samples that came too late to all amplifiers, as far as they have told."""
+        """Number of samples that were too late for their amplifiers, as far as reported."""
         return sum(peer.late for peer in self._peers)
 
     def control(self, now: float, *, running: bool) -> None:
-        """Count underruns, and adapt the lead to those that come while all is running."""
+        """Count new underruns and late samples, and adapt the lead.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+        running : bool
+            Whether the session is in `SessionPhase.RUN`; the lead adapts only then.
+        """
         self._blocked = False
         self._set_anchor(now)
         fresh, self._underruns = self.underruns - self._underruns, self.underruns
@@ -183,7 +261,18 @@ class LinkStream:
     # What waits
 
     def add(self, position: int, volts: Floats) -> None:
-        """Let samples (S, C) [V] wait, in packets of as many as the plan says."""
+        """Pack samples, which then wait to be sent.
+
+        Samples that do not fill a packet wait for the next ones. Positions before the start are
+        dropped and counted.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample.
+        volts : (S, C) array of float
+            Drive voltage [V].
+        """
         early = min(max(self._from - position, 0), len(volts))
         self._counters.dropped_samples += early
         position, volts = position + early, volts[early:]
@@ -198,10 +287,17 @@ class LinkStream:
         whole = len(volts) // size * size
         for k in range(0, whole, size):
             self._pack(start + k, volts[k : k + size])
-        self._partial, self._partial_start = volts[whole:].copy(), start + whole  # the caller's
+        # A copy, since the caller may reuse its array.
+        self._partial, self._partial_start = volts[whole:].copy(), start + whole
 
     def hold(self) -> int:
-        """Let the last sample go on for `HOLD`; return the position after what was written."""
+        """Repeat the last sample for `HOLD`.
+
+        Returns
+        -------
+        int
+            Position after what was written, without the repetitions.
+        """
         end = self.end
         self._flush()
         if self._last is not None:
@@ -211,21 +307,24 @@ class LinkStream:
         return end
 
     def _flush(self) -> None:
+        """Pack the samples that wait for others to fill their packet."""
         volts, self._partial = self._partial, self._partial[:0]
         if len(volts):
             self._pack(self._partial_start, volts)
 
     def _pack(self, position: int, volts: Floats) -> None:
+        """Pack samples for all amplifiers, those after the first resampled to their clocks."""
         self._last = volts[-1].copy()
         first, *others = self._peers
         packets = self._packed(first, [(position, volts[:, self._spans[0]])])
         for follower, peer, span in zip(self._followers, others, self._spans[1:], strict=True):
-            apart = self._apart(peer, position)
+            apart = self._clock_lead(peer, position)
             packets += self._packed(peer, follower.feed(position, volts[:, span], apart))
         self._parts.append(PendingSamples(position, position + len(volts), packets))
         self._tail = position + len(volts) if others else None
 
     def _packed(self, peer: Peer, pieces: list[Piece]) -> list[tuple[Peer, int, list[Packet]]]:
+        """Return packets of pieces for an amplifier, each with the wire position after it."""
         kind, packets = self._plan.sample_format, []
         assert kind is not None
         for start, piece in pieces:
@@ -234,11 +333,11 @@ class LinkStream:
                 at, codes_of(piece, peer.caps.full_scale_uv * 1e-6), session=peer.host.session,
                 sample_format=kind, packet_limit=self._plan.packet_limit,
             )  # fmt: skip
-            packets.append((peer, at + len(piece), self._told(peer, messages)))
+            packets.append((peer, at + len(piece), self._packets_of(peer, messages)))
         return packets
 
     def _flush_followers(self) -> None:
-        """Send what waits for samples that do not come."""
+        """Pack what the followers keep back for samples that do not come."""
         packets = []
         for follower, peer in zip(self._followers, self._peers[1:], strict=True):
             packets += self._packed(peer, follower.flush())
@@ -246,15 +345,27 @@ class LinkStream:
         self._parts.append(PendingSamples(self._tail - HALF, self._tail, packets))
         self._tail = None
 
-    def _apart(self, peer: Peer, position: int) -> float:
-        """Return by how many samples the first clock is ahead of another at a position."""
+    def _clock_lead(self, peer: Peer, position: int) -> float:
+        """Return the lead of the first amplifier over another one at a position [samples]."""
         if not self._playing or peer.forgot or self._peers[0].forgot:
             return 0.0
         rate = self._plan.sample_rate
         return (peer.due(position, rate) - self._peers[0].due(position, rate)) * rate
 
     def add_frame(self, position: int, volts: Complex, carriers: Floats) -> None:
-        """Let a frame (C, P) [V] wait; not that of the start, where all envelopes are 0."""
+        """Pack a frame, which then waits to be sent.
+
+        That of the start is left out: all envelopes are 0 there.
+
+        Parameters
+        ----------
+        position : int
+            Position of the frame.
+        volts : (C, P) array of complex
+            Envelopes [V].
+        carriers : (P,) array of float
+            Frequencies of the carriers [Hz].
+        """
         if position <= self._from:
             return
         plan, packets = self._plan, []
@@ -263,7 +374,7 @@ class LinkStream:
         valid = 2 * spacing  # 40 ms at the fewest frames a second; 50 are allowed (SPEC.md, 10.2)
         self.end = position
         for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
-            early = round(self._apart(peer, position)) if k else 0
+            early = round(self._clock_lead(peer, position)) if k else 0
             at = peer.wire_position(position - early, 1)
             turns = increment * ((at - position) % TURN) % TURN / TURN
             codes = spectrum.encode(
@@ -278,15 +389,22 @@ class LinkStream:
                 for first in range(0, len(codes), group)
                 for part in [codes[first : first + group]]
             )  # fmt: skip
-            packets.append((peer, at, self._told(peer, messages)))
+            packets.append((peer, at, self._packets_of(peer, messages)))
         self._parts.append(PendingSamples(position - spacing, position, packets))
 
     @staticmethod
-    def _told(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
+    def _packets_of(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
+        """Return messages to an amplifier as packets that want no answer."""
         return [peer.host.tell(message) for message in messages]
 
     def clear(self, *, wanted: bool = False) -> None:
-        """Forget what waits, and count it, unless whoever wrote it wants it gone."""
+        """Drop what waits to be sent.
+
+        Parameters
+        ----------
+        wanted : bool
+            Whether the caller wants it gone, as in a stop; otherwise it is counted.
+        """
         self._flush()
         for part in () if wanted else self._parts:
             self._drop(part)
@@ -294,13 +412,13 @@ class LinkStream:
         self._last = self._tail = None
 
     def _drop(self, part: PendingSamples) -> None:
-        """Count what is not sent: a frame as one sample, and nothing of what was held."""
+        """Count samples that are not sent: a frame as one, and repetitions of `hold` as none."""
         samples = 1 if self._plan.carriers else max(min(part.end, self.end) - part.start, 0)
         self._counters.dropped_samples += samples
 
     @property
     def deadline(self) -> float:
-        """Host time at which something has to go at the latest [s]."""
+        """Host time at which `take` has something to send, -inf for now and inf for never [s]."""
         if self._parts:
             return math.inf if self._blocked else -math.inf
         partial = self.due(self._partial_start) if len(self._partial) else math.inf
@@ -308,8 +426,22 @@ class LinkStream:
         return min(partial, tail) - LATEST
 
     def take(self, now: float) -> list[Packet]:
-        """Return the packets that are next, if the amplifiers have room for them."""
-        if len(self._partial) and now >= self.due(self._partial_start) - LATEST:  # as `deadline`
+        """Return the next packets, if the amplifiers have room for them.
+
+        Samples whose time has passed are dropped and counted.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        list of Packet
+            Packets of the same positions for all amplifiers; empty if nothing can be sent now.
+        """
+        # The times are those of `deadline`.
+        if len(self._partial) and now >= self.due(self._partial_start) - LATEST:
             self._flush()
         if self._tail is not None and now >= self.due(self._tail - HALF) - LATEST:
             self._flush_followers()

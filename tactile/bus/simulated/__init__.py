@@ -1,1 +1,1 @@
-"""Amplifiers in memory, and links to them that take their time and fail on request."""
+"""Amplifiers in memory, and links to them that take time and fail on request."""

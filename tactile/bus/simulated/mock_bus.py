@@ -1,10 +1,11 @@
-"""``mock:``, an amplifier that is not there but behaves: it decodes the frames a real one gets.
+"""``mock:``, an amplifier in memory that decodes the packets that a real one receives.
 
-What is written goes as packets of the protocol over a serial line in memory to the amplifier of
-`firmware_protocol`, whose sample clock stands still but for the samples that are written and the
-ramps that end them. So gaps are bridged or fade, limits are the amplifier's, and what was put out
-is what the wire could carry. It is remembered: the last second, or with ``?keep=all`` everything;
-``?format=pcm16`` (the default), ``pcm12`` or ``bfp8`` chooses how samples are packed.
+What is written is sent as packets of the protocol over a serial line in memory to the amplifier of
+`firmware_protocol`, whose sample clock advances only by the samples that are written and the ramps
+that end them. Gaps are therefore bridged or fade, the limits are those of the amplifier, and the
+output is restricted to what the wire can carry. The last second of the output is kept, or
+everything with ``?keep=all``. ``?format=pcm16`` (the default), ``pcm12`` or ``bfp8`` selects the
+coding of the samples.
 """
 
 import threading
@@ -28,16 +29,25 @@ class MockBus(Bus):
 
     Parameters
     ----------
-    wiring : what they drive
-    keep : "second" or "all" of the output
-    sample_format : on the line
-    clock : host time, by which `due` counts from the start
+    wiring : Wiring
+        What the amplifiers drive.
+    keep : str
+        Part of the output that is kept: "second" for the last second, or "all".
+    sample_format : SampleFormat
+        Format of the samples on the line.
+    clock : Clock
+        Clock of the host, by which `due` counts from the start.
+
+    Attributes
+    ----------
+    boards : list of Board
+        Amplifiers, as many as the channels need.
 
     Raises
     ------
     InputError
-        Where the protocol cannot carry the sample rate, or its promise to be at 0 V in time not
-        be kept within the slew limit.
+        If the protocol cannot carry the sample rate, or 0 V cannot be reached in time within the
+        slew limit.
     """
 
     on_host_death = "ramps"
@@ -53,11 +63,11 @@ class MockBus(Bus):
     ) -> None:
         super().__init__(wiring, clock)
         self._all = keep == "all"
-        self._kept: deque[Floats] = deque()
-        self._kept_samples = 0
+        self._recent: deque[Floats] = deque()
+        self._recent_samples = 0
         self._position = 0
         self._guard = threading.RLock()
-        """Held by whoever moves the amplifiers on: an e-stop may come from any thread."""
+        """Lock held while the amplifiers advance; an e-stop may come from any thread."""
         widths = [
             min(MOST_CHANNELS, wiring.channels - first)
             for first in range(0, wiring.channels, MOST_CHANNELS)
@@ -69,8 +79,8 @@ class MockBus(Bus):
 
     @property
     def output(self) -> Floats:
-        """Volts put out (S, C), what is kept of them [V]."""
-        return np.concatenate([np.zeros((0, self.wiring.channels)), *self._kept])
+        """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
+        return np.concatenate([np.zeros((0, self.wiring.channels)), *self._recent])
 
     def _start(self, position: int) -> None:
         with self._guard:
@@ -82,10 +92,11 @@ class MockBus(Bus):
         with self._guard:
             if self.state == "running":
                 self._take(block)
-            else:  # e-stopped just now
+            else:  # an e-stop has come since the caller saw the bus running
                 self.counters.dropped_samples += len(block.volts)
 
     def _take(self, block: DriveBlock) -> None:
+        """Play a block after the gap before it."""
         gap = block.position - self._position
         if gap > self.wiring.sample_rate * FADE_MS / 1000:
             self._play(gap)
@@ -97,11 +108,12 @@ class MockBus(Bus):
             gap = 0
 
     def _send(self, position: int, volts: Floats) -> None:
+        """Send samples to the amplifiers, each of which has a part of the channels."""
         for k, board in enumerate(self.boards):
             board.send(position, volts[:, k * MOST_CHANNELS : (k + 1) * MOST_CHANNELS])
 
     def _play(self, count: int) -> None:
-        """Let time pass, a heartbeat's at a time at most."""
+        """Advance the amplifiers, by at most the interval of the heartbeats at once."""
         longest = max(1, int(self.wiring.sample_rate) * HEARTBEAT_MS // 1000)
         for k in range(0, count, longest):
             parts = [board.play(min(longest, count - k)) for board in self.boards]
@@ -120,6 +132,7 @@ class MockBus(Bus):
             self._put_all([board.end(quick=quick) for board in self.boards])
 
     def _put_all(self, ends: list[Floats]) -> None:
+        """Put out the ends of all amplifiers, the shorter ones extended by 0 V."""
         longest = max(len(end) for end in ends)
         self._put(np.hstack([np.pad(end, ((0, longest - len(end)), (0, 0))) for end in ends]))
 
@@ -138,11 +151,13 @@ class MockBus(Bus):
                 board.clear()
 
     def _put(self, volts: Floats) -> None:
-        """Put volts out; a driver with something behind it goes on from here."""
-        self._kept.append(volts)
-        self._kept_samples += len(volts)
-        while not self._all and self._kept_samples - len(self._kept[0]) >= self.wiring.sample_rate:
-            self._kept_samples -= len(self._kept.popleft())
+        """Put voltages out; a subclass with something behind the amplifiers continues from here."""
+        self._recent.append(volts)
+        self._recent_samples += len(volts)
+        while (
+            not self._all and self._recent_samples - len(self._recent[0]) >= self.wiring.sample_rate
+        ):
+            self._recent_samples -= len(self._recent.popleft())
 
 
 def open_mock(
@@ -156,13 +171,13 @@ def open_mock(
     Parameters
     ----------
     address : Address
-        Address whose options say which.
+        Address with `MockOptions`.
     display : DisplayLike
         Display that the amplifiers drive.
     sample_rate : float or None
-        Sample rate of the drive [Hz]; by default the bus's choice.
+        Sample rate of the drive [Hz]; None for the bus's choice.
     clock : Clock
-        Clock by which amplifiers in memory are due.
+        Clock of the host, for amplifiers in memory.
 
     Returns
     -------
@@ -172,7 +187,7 @@ def open_mock(
     Raises
     ------
     InputError
-        If an option needs a link, and none is asked for.
+        If an option requires a link, and none is requested.
     """
     options = address.options
     if options.link is not None:

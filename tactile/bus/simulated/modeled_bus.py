@@ -1,8 +1,9 @@
-"""``mock:?link=…``, a link in memory that takes its time and fails as its URL says.
+"""``mock:?link=…``, a link in memory that takes time and fails as its URL requests.
 
-``mock:?link=serial&bit_rate=3000000&loss=0.001``, ``link=can``, ``canfd`` or ``i2c``. Everything
-but the device is what real links use. What the amplifiers put out is remembered as `mock_bus` does,
-without the instants before a start and those in which the last sample was held before the ramp.
+``mock:?link=serial&bit_rate=3000000&loss=0.001``; other links are ``can``, ``canfd`` and ``i2c``.
+Everything except the device is what real links use. The output of the amplifiers is kept as in
+`mock_bus`, without the instants before a start and those in which the last sample was held before
+the ramp.
 """
 
 import math
@@ -31,24 +32,31 @@ from tactile.clock import Clock, ModelClock
 from tactile.errors import InputError
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""Type of an option that is a probability."""
 Interval = Annotated[float, Meta(ge=0.01, le=1e9)]
+"""Type of an option that is an interval [s]."""
 
 
 class MockOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of a ``mock:`` URL; without ``link`` only ``keep`` and ``format`` are of use.
+    """Options of a ``mock:`` URL.
+
+    Without ``link`` only ``keep``, ``format`` and ``rearm`` may be given.
 
     Attributes
     ----------
     keep : str
-        How much of what was put out is remembered: the last second, or all.
+        Part of the output that is kept: the last second, or all.
     link : str or None
         Kind of the modeled link; None for amplifiers that samples reach at once.
     bit_rate, data_bit_rate : float or None
         Bit rates of the link, and of the data phase of CAN FD [bit/s]; None for the usual ones.
     loss, corrupt, reorder : float
-        Shares of the packets that are lost, damaged and delayed behind the next one.
-    delay_ms, arbitration_us : float
-        Delay of each packet [ms], and mean wait for other traffic [µs].
+        Probabilities that a chunk, frame or transfer is lost, damaged, or overtaken by the next
+        one.
+    delay_ms : float
+        Mean of the delay that a driver adds to each chunk or frame [ms].
+    arbitration_us : float
+        Longest time that a chunk or frame waits for other traffic [µs].
     fifo_ms : float
         Length of an amplifier's buffer [ms].
     disconnect_s, power_s, stall_s : float or None
@@ -80,35 +88,47 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
 
 
 RATES = (2500, 16000)
-"""Hz that the amplifiers play."""
+"""Lowest and highest sample rate that the amplifiers play [Hz]."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
+"""States in which an amplifier is not at rest."""
 
 
 class Heard:
-    """What one amplifier put out between starts and ends.
+    """Output of one amplifier between starts and ends.
 
     Parameters
     ----------
-    scale : volts per code
-    channels : C
-    kept : samples that are remembered; infinite for all
+    scale : float
+        Voltage of one code [V].
+    channels : int
+        Number of channels, C.
+    kept : float
+        Number of samples that are kept; infinite for all.
 
     Attributes
     ----------
-    total : samples there ever were
+    total : int
+        Number of samples so far, whether kept or not.
     """
 
     def __init__(self, scale: float, channels: int, kept: float) -> None:
-        self._scale, self._channels, self._most = scale, channels, kept
-        self._kept: deque[Floats] = deque()
+        self._scale, self._channels, self._limit = scale, channels, kept
+        self._samples: deque[Floats] = deque()
         self._count = self.total = 0
         self._last, self._sounding = State.IDLE, False
 
     def add(self, run: PlayedRun, begun: int, end: int | None) -> None:
-        """Take a run of instants.
+        """Add a run of instants.
 
-        ``begun`` is the tick of the latest START, ``end`` the wire position after what was written
-        before its STOP.
+        Parameters
+        ----------
+        run : PlayedRun
+            What the amplifier has put out.
+        begun : int
+            Tick of the latest START.
+        end : int or None
+            Wire position after the last sample that was written before the STOP; None before a
+            STOP.
         """
         ending = run.state == State.ARMED and self._last in MOVING
         state = State.RAMPDOWN if ending else run.state
@@ -123,33 +143,51 @@ class Heard:
         else:
             sounding = np.flatnonzero(run.codes.any(axis=1))
             count = sounding[-1] + 2 if len(sounding) else int(self._sounding)
-            keep = np.arange(len(run.codes)) < count  # to the first 0 V
+            keep = np.arange(len(run.codes)) < count  # up to and including the first 0 V
         self._sounding = bool(run.codes[-1:].any())
-        self._keep(run.codes[keep].astype(np.float64) * self._scale)
+        self._append(run.codes[keep].astype(np.float64) * self._scale)
 
-    def _keep(self, volts: Floats) -> None:
-        self._kept.append(volts)
+    def _append(self, volts: Floats) -> None:
+        """Keep samples, and discard the oldest ones beyond the limit."""
+        self._samples.append(volts)
         self.total += len(volts)
         self._count += len(volts)
-        while self._count - len(self._kept[0]) >= self._most:
-            self._count -= len(self._kept.popleft())
+        while self._count - len(self._samples[0]) >= self._limit:
+            self._count -= len(self._samples.popleft())
 
     def rest(self, total: int) -> None:
-        """Take 0 V up to a sample: another amplifier was at 0 V later, by an instant or so."""
-        self._keep(np.zeros((total - self.total, self._channels)))
+        """Extend the output by 0 V, because another amplifier came to rest slightly later.
+
+        Parameters
+        ----------
+        total : int
+            Number of samples after the extension.
+        """
+        self._append(np.zeros((total - self.total, self._channels)))
 
     @property
     def volts(self) -> Floats:
-        """What is kept (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self._channels)), *self._kept])
+        """Kept samples, array (S, C) [V]."""
+        return np.concatenate([np.zeros((0, self._channels)), *self._samples])
 
 
 class ModeledBus(LinkBus):
     """Amplifiers on a link in memory.
 
+    Parameters
+    ----------
+    wiring : Wiring
+        What the amplifiers drive.
+    model : Model
+        Link and amplifiers.
+    *arguments, **named : object
+        Further arguments of `LinkBus`, and ``keep``: "all" to keep the whole output, otherwise the
+        last second is kept.
+
     Attributes
     ----------
-    model : of the link
+    model : Model
+        Link and amplifiers.
     """
 
     paced = False
@@ -157,30 +195,34 @@ class ModeledBus(LinkBus):
     def __init__(self, wiring: Wiring, model: Model, *arguments: Any, **named: Any) -> None:
         self.model = model
         self._ends: list[int | None] = [None] * len(model.configs)
-        kept = math.inf if named.pop("keep") == "all" else wiring.sample_rate
+        limit = math.inf if named.pop("keep") == "all" else wiring.sample_rate
         self._heard = [
-            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, kept) for c in model.configs
+            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
+            for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)
         model.listener = self._hear
 
     @property
     def output(self) -> Floats:
-        """Volts put out (S, C), what is kept of them [V]."""
+        """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
         self._align()
-        volts = [heard.volts for heard in self._heard]
-        shortest = min(len(one) for one in volts)
-        return np.hstack([one[len(one) - shortest :] for one in volts])[:, : self.wiring.channels]
+        volts = [recording.volts for recording in self._heard]
+        shortest = min(len(samples) for samples in volts)
+        return np.hstack([samples[len(samples) - shortest :] for samples in volts])[
+            :, : self.wiring.channels
+        ]
 
     def _align(self) -> None:
-        """Let what all have put out be as long, where they have come to rest."""
+        """Extend the outputs of all amplifiers to the same length, if all are at rest."""
         self.model.listen()
         if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
-            longest = max(heard.total for heard in self._heard)
-            for heard in self._heard:
-                heard.rest(longest)
+            longest = max(recording.total for recording in self._heard)
+            for recording in self._heard:
+                recording.rest(longest)
 
     def _hear(self, board: int, run: PlayedRun) -> None:
+        """Keep what an amplifier has put out."""
         node = self.model.configs[board].node
         begun = [peer.begun for peer in self._session.peers if peer.host.node == node]
         self._heard[board].add(run, begun[0] if begun else 0, self._ends[board])

@@ -132,8 +132,8 @@ class CanChannel(ABC):
 class CanWire(Wire):
     """Packets on CAN.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
-    handler that interrupts one of these calls waits forever if it makes another one.
+    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
+    handler may call `urge` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class CanWire(Wire):
         """Frames for which the kernel had no room yet."""
         self._since = 0.0
         """Host time since which the kernel has taken none of them [s]."""
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     @property
     def warning(self) -> str:
@@ -218,7 +218,11 @@ class CanWire(Wire):
 
     def _flush(self) -> None:
         """Send queued frames as far as there is room; the lock is held."""
-        while self._queue and self._channel.send(self._queue[0]):
+        for frame in list(self._queue):
+            if not self._channel.send(frame):
+                return
+            if not self._queue:  # an e-stop of a signal handler dropped them meanwhile
+                return
             self._queue.popleft()
             self._since = self._clock.now()
 

@@ -191,9 +191,8 @@ class I2cEnd:
 class I2cWire(Wire):
     """Packets on I²C.
 
-    `send` and `urge` wait until the transfer has ended. There is no lock: one thread at a time
-    calls them, while another one may be in `receive`. With SMBus blocks and several addresses a
-    transfer may then go to the wrong target, since smbus2 selects the address by a call of its own.
+    `send` and `urge` wait until the transfer has ended. Different threads may call them and
+    `receive`: a transfer is one call of the kernel, or has the lock of `LinuxAdapter`.
 
     Parameters
     ----------
@@ -363,6 +362,9 @@ class LinuxAdapter(Adapter):
         import smbus2
 
         self._smbus2, self._bus = smbus2, smbus2.SMBus(path)
+        self._lock = threading.RLock()
+        """Held while a block is exchanged, since smbus2 selects the target by a call of its own;
+        reentrant, since a signal handler may send an e-stop."""
 
     def write(self, address: int, data: bytes) -> None:
         """Write a transfer.
@@ -407,7 +409,8 @@ class LinuxAdapter(Adapter):
         block : bytes
             At most 32 bytes.
         """
-        self._bus.write_block_data(address, command, list(block))
+        with self._lock:
+            self._bus.write_block_data(address, command, list(block))
 
     def read_block(self, address: int, command: int) -> bytes:
         """Read an SMBus block.
@@ -424,7 +427,8 @@ class LinuxAdapter(Adapter):
         bytes
             Bytes that the target sent, at most 32.
         """
-        return bytes(self._bus.read_block_data(address, command))
+        with self._lock:
+            return bytes(self._bus.read_block_data(address, command))
 
     def close(self) -> None:
         """Close the device."""

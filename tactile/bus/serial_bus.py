@@ -107,8 +107,8 @@ class SerialLine(ABC):
 class SerialWire(Wire):
     """Packets on a serial line.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
-    handler that interrupts one of these calls waits forever if it makes another one.
+    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
+    handler may call `urge` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class SerialWire(Wire):
         """Bytes that the kernel has not taken yet."""
         self._since = 0.0
         """Host time since which the kernel has taken none of them [s]."""
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._written = 0
         """Number of bytes that the kernel has taken."""
         self._times: deque[tuple[int, float]] = deque()
@@ -195,9 +195,11 @@ class SerialWire(Wire):
 
     def _flush(self) -> None:
         """Write what is queued, as far as the kernel takes it; the lock is held."""
-        taken = self._line.write(self._queue)
+        queue = self._queue
+        taken = self._line.write(queue)
         if taken:
-            self._queue, self._since = self._queue[taken:], self._clock.now()
+            if self._queue is queue:  # no e-stop of a signal handler took its place meanwhile
+                self._queue, self._since = queue[taken:], self._clock.now()
             self._written += taken
             self._times.append((self._written, self._since))
 

@@ -96,8 +96,8 @@ class Udp(Link):
 class UdpWire(Wire):
     """Packets in datagrams.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is not reentrant: a signal
-    handler that interrupts one of these calls waits forever if it makes another one.
+    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
+    handler may call `urge` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class UdpWire(Wire):
         self._decoder = SerialDecoder(counters=self.counters)
         self._queue: deque[tuple[bytes, float]] = deque()
         """Datagrams that the kernel has not taken, each with the host time of its sending [s]."""
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._woken, self._waker = socket.socketpair()
         for end in (self._socket, self._woken, self._waker):
             end.setblocking(False)
@@ -173,8 +173,10 @@ class UdpWire(Wire):
     def _flush(self) -> None:
         """Send queued datagrams as far as the kernel takes them; the lock is held."""
         try:
-            while self._queue:
-                self._socket.send(self._queue[0][0])
+            for datagram, _ in list(self._queue):
+                self._socket.send(datagram)
+                if not self._queue:  # an e-stop of a signal handler took their place meanwhile
+                    return
                 self._queue.popleft()
         except BlockingIOError:
             return

@@ -50,9 +50,8 @@ class LinkBus(Bus):
 
     The constructor waits until the amplifiers are ready, for `OPENING` at most.
 
-    `estop` sends its packet before it returns, unless there is no wire. A signal handler that
-    interrupts a thread while that sends on a serial, CAN or UDP wire must not call it, since the
-    lock of these wires is not reentrant.
+    `estop` sends its packet before it returns, unless there is no wire, also in a signal handler
+    that interrupts a thread which is sending.
 
     Parameters
     ----------

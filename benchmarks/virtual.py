@@ -197,7 +197,7 @@ class VirtualSocketCan(CanChannel):
         except OSError as error:
             raise WireError(str(error)) from error
 
-    def urge(self, frame: Frame) -> None:
+    def send_urgent(self, frame: Frame) -> None:
         """Send an urgent frame."""
         self.send(frame)
 

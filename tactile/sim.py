@@ -22,7 +22,7 @@ from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import Display
 from tactile.errors import InputError
 
-HEARD = (20.0, 1000.0)
+JUDGED_BAND = (20.0, 1000.0)
 """Lowest and highest frequency at which the fidelity of played shear is measured [Hz]."""
 
 
@@ -167,7 +167,7 @@ class Fidelity:
     """
 
     def __init__(self, sample_rate: float) -> None:
-        self._filter = butter(4, HEARD, "bandpass", fs=sample_rate, output="sos")
+        self._filter = butter(4, JUDGED_BAND, "bandpass", fs=sample_rate, output="sos")
         self._state: Floats | None = None
         self._energy = np.zeros(2)
 

@@ -58,7 +58,7 @@ def both(told: Response, seed: int | None = None) -> list[tuple[Measurement, Fin
 
 
 def value(fit: BimorphFit, name: str) -> float:
-    return next(c.value for c in fit.told if c.name == name)
+    return next(c.value for c in fit.reported if c.name == name)
 
 
 def test_all_constants_are_recovered_from_clean_data_without_a_good_start() -> None:
@@ -116,7 +116,7 @@ def test_intervals_cover_the_truth_19_times_of_20() -> None:
 
 def test_motion_alone_tells_nothing_of_capacitance_and_its_loss() -> None:
     fit = fit_bimorph(Bimorph(), [(measured(WHOLE, "velocity", 1), AIR)])
-    assert {"eps33t_relative", "loss_tangent"}.isdisjoint({c.name for c in fit.told})
+    assert {"eps33t_relative", "loss_tangent"}.isdisjoint({c.name for c in fit.reported})
     assert fit.notes[0].startswith("eps33t_relative and loss_tangent stay as they were")
     assert fit.bimorph.piezo.eps33T == Bimorph().piezo.eps33T
 

@@ -218,7 +218,7 @@ def test_writing_is_held_back_to_the_pace_of_the_card(bus: AudioBus) -> None:
     begun = time.monotonic()
     play(bus, volts)
     took = time.monotonic() - begun
-    told = bus.told
+    told = bus.player_status
     assert told is not None
     assert told.lead <= RATE * 8 // 1000 + 2 * LONG_BUFFER
     assert took >= 1 - (told.lead + PIECE + LONG_BUFFER) / RATE - 0.02

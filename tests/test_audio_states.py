@@ -11,7 +11,7 @@ import pytest
 
 from tactile.bus.audio import audio_bus
 from tactile.bus.audio.audio_bus import AudioBus
-from tactile.bus.audio.player import Order, StreamOpened, Told
+from tactile.bus.audio.player import Order, PlayerStatus, StreamOpened
 from tactile.bus.base import DriveBlock, Wiring
 from tactile.errors import BusError, BusStateError
 
@@ -34,16 +34,16 @@ class Card:
 
     def __init__(self, order: Order | None) -> None:
         self.opened = StreamOpened("card", WIRING, 0.0)
-        self.ended, self.failed, self.output, self.told_at = False, None, None, np.inf
+        self.ended, self.failed, self.output, self.status_time = False, None, None, np.inf
         self.phase = "rest"
         self.heard: list[str] = []
         self.hook: Callable[[str], object] = lambda kind: None
         made.append(self)
 
     @property
-    def told(self) -> Told:
+    def status(self) -> PlayerStatus:
         """How it stands: it takes whatever comes."""
-        return Told(0, self.phase, 0, 10**9, 0, 0, 0, 0, 0, 0.0, 0.0, "", "")  # type: ignore[arg-type]
+        return PlayerStatus(0, self.phase, 0, 10**9, 0, 0, 0, 0, 0, 0.0, 0.0, "", "")  # type: ignore[arg-type]
 
     def tell(self, kind: str, *rest: object, seconds: float = 1.0) -> int:
         self.heard.append(kind)
@@ -55,8 +55,8 @@ class Card:
         self.hook(kind)
         return number
 
-    def ask(self, kind: str = "ask", *, seconds: float = 1.0) -> Told | None:
-        return None if self.ended else self.told
+    def ask(self, kind: str = "ask", *, seconds: float = 1.0) -> PlayerStatus | None:
+        return None if self.ended else self.status
 
     def settled(self, seconds: float, *, rest: bool = True) -> bool:
         return not self.ended and (self.phase == "rest") == rest

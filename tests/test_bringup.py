@@ -188,7 +188,7 @@ def test_measuring_ends_with_its_block(serve: Callable[..., Served], four: Path)
 def test_readings_do_not_grow(serve: Callable[..., Served], four: Path) -> None:
     with open_bus(serve("--load-pf", "12800").url, load_display(four)) as bus:
         assert isinstance(bus, LinkBus)
-        kept = bus.peers[0].aside.senses
+        kept = bus.peers[0].queries.senses
         kept.extend([m.Sense()] * 1000)
         assert len(kept) == 256
         assert len(bus.sensed()) == 256

@@ -139,8 +139,8 @@ class TestRegisteredBus:
         assert opened == ["own"]
 
     def test_found_devices_are_those_of_every_kind(self) -> None:
-        def finder(scheme: str) -> Callable[[], list[registry.Found]]:
-            return lambda: [registry.Found(f"{scheme}:{k}", "a device") for k in range(2)]
+        def finder(scheme: str) -> Callable[[], list[registry.FoundDevice]]:
+            return lambda: [registry.FoundDevice(f"{scheme}:{k}", "a device") for k in range(2)]
 
         for scheme in ("one", "two"):
             registry.register_bus(scheme, open_mock, MockOptions, find=finder(scheme))

@@ -60,7 +60,7 @@ def test_what_cannot_fit_is_refused_with_the_table(command: Command) -> None:
 def test_devices_lists_what_every_driver_finds(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = [registry.Found("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
+    found = [registry.FoundDevice("serial:///dev/ttyACM7", "an amplifier, USB 1209:0001")]
     monkeypatch.setattr(registry, "_drivers", {})
     assert command("devices").out == "no device found; sim: and mock: are always available\n"
     registry.register_bus("serial", open_mock, MockOptions, find=lambda: found)

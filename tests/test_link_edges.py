@@ -37,7 +37,7 @@ class Faulty(Wire):
     def send(self, packet: Packet) -> float:
         return 0.0
 
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Do as `send` does."""
 
     def receive(self, until: float) -> list[Packet]:

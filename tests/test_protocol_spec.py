@@ -13,7 +13,8 @@ from firmware_protocol import clock, generate, i2c_link
 from firmware_protocol.messages import MAJOR, MESSAGES, MINOR, SCHEMA_CRC
 from firmware_protocol.packet import decode_packet
 from tactile.bus import wire
-from tactile.bus.link import aside, session, stream
+from tactile.bus.link import queries as aside
+from tactile.bus.link import session, stream
 
 SCHEMA = generate.load()
 SPEC = re.sub(

@@ -98,7 +98,7 @@ def test_an_estop_goes_before_what_waits(wire: UdpWire, amplifier: socket.socket
     assert wire.waited() >= 0
     estop = Packet.of(Estop(1))
     wire._socket = real
-    wire.urge(estop)
+    wire.send_urgent(estop)
     assert SerialDecoder().feed(amplifier.recv(2000)) == [estop]
     assert not wire.busy
     wire.send(numbered(9))

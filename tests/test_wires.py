@@ -78,7 +78,7 @@ class Channel(CanChannel):
         self._kernel.take(frame)
         return True
 
-    def urge(self, frame: Frame) -> None:
+    def send_urgent(self, frame: Frame) -> None:
         self._kernel.take(frame)
 
     def receive(self, until: float) -> list[Frame]:
@@ -126,13 +126,13 @@ def packets(taken: list[Any]) -> list[Packet]:
 
 
 @pytest.mark.parametrize("kind", [serial, can, udp])
-@pytest.mark.parametrize("interrupted", ["send", "urge"])
+@pytest.mark.parametrize("interrupted", ["send", "send_urgent"])
 def test_an_estop_of_a_signal_handler_goes_out_in_the_middle_of_a_send(
     kind: Callable[[Interrupted], Wire], interrupted: str
 ) -> None:
     kernel = Interrupted()
     wire = kind(kernel)
-    kernel.handler = lambda: wire.urge(ESTOP)
+    kernel.handler = lambda: wire.send_urgent(ESTOP)
     thread = threading.Thread(target=getattr(wire, interrupted), args=(LATER,), daemon=True)
     thread.start()
     thread.join(PATIENCE)

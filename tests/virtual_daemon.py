@@ -101,9 +101,9 @@ class DrawingProcess(Process):
         assert isinstance(order, drawing.DrawingRequest)
         try:
             keep = commands.KeepTexture(order.number, Stored(order))  # type: ignore[arg-type]
-            made = drawing.Made(order.number, pickle.dumps((order.number, keep)))
+            made = drawing.DrawnTexture(order.number, pickle.dumps((order.number, keep)))
         except TactileError as error:
-            made = drawing.Made(order.number, failure=str(error))
+            made = drawing.DrawnTexture(order.number, failure=str(error))
         self.clock.after(DRAWING, lambda: self.answer(made))
 
 

@@ -30,7 +30,7 @@ from firmware_protocol.packet import Packet, encode_packet
 from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC, Clock
@@ -91,7 +91,7 @@ class CanChannel(ABC):
         """
 
     @abstractmethod
-    def urge(self, frame: Frame) -> None:
+    def send_urgent(self, frame: Frame) -> None:
         """Send a frame ahead of those that wait.
 
         Parameters
@@ -132,8 +132,8 @@ class CanChannel(ABC):
 class CanWire(Wire):
     """Packets on CAN.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
-    handler may call `urge` while the thread that it interrupts sends.
+    A lock lets different threads call `send`, `send_urgent` and `receive`. It is reentrant, since a
+    signal handler may call `send_urgent` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class CanWire(Wire):
             self._flush()
         return self.link.seconds(encode_packet(packet))
 
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Send a packet in place of the frames that are queued, and past those in the kernel.
 
         Only socketcan has a second socket with priority; on other interfaces the packet follows the
@@ -214,7 +214,7 @@ class CanWire(Wire):
         with self._lock:
             self._queue.clear()
             for frame in self._encoder.frames(packet):
-                self._channel.urge(frame)
+                self._channel.send_urgent(frame)
 
     def _flush(self) -> None:
         """Send queued frames as far as there is room; the lock is held."""
@@ -321,7 +321,7 @@ class PythonCan(CanChannel):
         """
         return self._send_by(self._bus, frame)
 
-    def urge(self, frame: Frame) -> None:
+    def send_urgent(self, frame: Frame) -> None:
         """Send a frame by the bus for e-stops.
 
         Parameters
@@ -606,7 +606,7 @@ def _reason(interface: str, channel: str, error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Find the CAN interfaces of the kernel.
 
     Yields
@@ -621,7 +621,7 @@ def find() -> Iterator[Found]:
                 open(f"{INTERFACES}/{name}/type", encoding="ascii") as type_file,
             ):
                 if type_file.read().strip() == "280":  # ARPHRD_CAN
-                    yield Found(f"can:socketcan/{name}", "CAN interface")
+                    yield FoundDevice(f"can:socketcan/{name}", "CAN interface")
 
 
 def _open(address: Address[CanOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:

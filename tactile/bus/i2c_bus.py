@@ -34,7 +34,7 @@ from tactile.bus.budget import PULSE_INTERVAL
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.options import HEXADECIMAL
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import I2c
 from tactile.clock import MONOTONIC, Clock
@@ -191,7 +191,7 @@ class I2cEnd:
 class I2cWire(Wire):
     """Packets on I²C.
 
-    `send` and `urge` wait until the transfer has ended. Different threads may call them and
+    `send` and `send_urgent` wait until the transfer has ended. Different threads may call them and
     `receive`: a transfer is one call of the kernel, or has the lock of `LinuxAdapter`.
 
     Parameters
@@ -250,7 +250,7 @@ class I2cWire(Wire):
             self._next_read = min(self._next_read, now + ANSWER)
         return self.link.seconds(data)
 
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Write a packet; on I²C nothing but the transfer under way is ahead of it.
 
         Parameters
@@ -546,7 +546,7 @@ def _reason(error: OSError) -> str:
     return str(error.strerror or error)
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Find the I²C buses of this computer; their addresses are not searched.
 
     Yields
@@ -555,7 +555,9 @@ def find() -> Iterator[Found]:
         Bus, with the default address.
     """
     for path in sorted(glob.glob("/dev/i2c-*")):
-        yield Found(f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}")
+        yield FoundDevice(
+            f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}"
+        )
 
 
 def _open(address: Address[I2cOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:

@@ -49,7 +49,7 @@ Factory = Callable[[Address[O], DisplayLike, float | None], Bus]
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundDevice:
     """Device that was found.
 
     Attributes
@@ -89,7 +89,7 @@ class Driver(Generic[O]):
     options: type[O]
     takes_path: bool = False
     on_host_death: HostDeath = "ramps"
-    find: Callable[[], Iterable[Found]] = tuple
+    find: Callable[[], Iterable[FoundDevice]] = tuple
     link: Callable[[O], Link] | None = None
 
 
@@ -104,7 +104,7 @@ def register_bus(
     *,
     takes_path: bool = False,
     on_host_death: HostDeath = "ramps",
-    find: Callable[[], Iterable[Found]] = tuple,
+    find: Callable[[], Iterable[FoundDevice]] = tuple,
     link: Callable[[O], Link] | None = None,
 ) -> None:
     """Register a driver under a scheme; an earlier driver of that scheme is replaced.
@@ -119,7 +119,7 @@ def register_bus(
     _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find, link)
 
 
-def find_devices() -> Iterator[Found]:
+def find_devices() -> Iterator[FoundDevice]:
     """Find the devices of all registered drivers.
 
     Yields

@@ -25,7 +25,7 @@ from firmware_protocol.serial_link import DELIMITER, SerialDecoder, encode_frame
 from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
 from tactile.clock import MONOTONIC, Clock
@@ -107,8 +107,8 @@ class SerialLine(ABC):
 class SerialWire(Wire):
     """Packets on a serial line.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
-    handler may call `urge` while the thread that it interrupts sends.
+    A lock lets different threads call `send`, `send_urgent` and `receive`. It is reentrant, since a
+    signal handler may call `send_urgent` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class SerialWire(Wire):
         self._write(encode_frame(data))
         return self.link.seconds(data)
 
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Write a packet in place of everything that waits here and in the kernel.
 
         A delimiter goes first, which ends the frame that was cut off.
@@ -546,7 +546,7 @@ def _permission_advice(path: str) -> str:
     return f"sudo usermod -aG {group} $USER, then log in again"
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Find the serial ports of this computer.
 
     Yields
@@ -562,7 +562,7 @@ def find() -> Iterator[Found]:
             about += f", USB {port.vid:04x}:{port.pid:04x}"
         if port.serial_number:
             about += f", serial {port.serial_number}"
-        yield Found(f"serial://{port.device}", about)
+        yield FoundDevice(f"serial://{port.device}", about)
 
 
 def _open(

@@ -96,8 +96,8 @@ class Udp(Link):
 class UdpWire(Wire):
     """Packets in datagrams.
 
-    A lock lets different threads call `send`, `urge` and `receive`. It is reentrant, since a signal
-    handler may call `urge` while the thread that it interrupts sends.
+    A lock lets different threads call `send`, `send_urgent` and `receive`. It is reentrant, since a
+    signal handler may call `send_urgent` while the thread that it interrupts sends.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class UdpWire(Wire):
             self._flush()
         return self.link.seconds(data)
 
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Send a packet in place of the datagrams that are queued.
 
         Parameters

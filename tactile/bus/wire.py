@@ -1,7 +1,7 @@
 """Wire: the transport of packets between the host and the amplifiers of one link.
 
 The owner of a wire sends only while it is not `busy`, waits in `receive`, and lets an e-stop
-overtake other packets with `urge`. A broken wire raises `WireError`; its owner closes it and
+overtake other packets with `send_urgent`. A broken wire raises `WireError`; its owner closes it and
 connects a new one.
 """
 
@@ -62,8 +62,8 @@ class FragmentWatch:
 class Wire(ABC):
     """Host's end of a link, open from its construction on.
 
-    One thread at a time calls `receive` and `close`. Others may call `send` and `urge` meanwhile,
-    which `LinkBus` does under its own lock, and `wake` at any time.
+    One thread at a time calls `receive` and `close`. Others may call `send` and `send_urgent`
+    meanwhile, which `LinkBus` does under its own lock, and `wake` at any time.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Wire(ABC):
         """
 
     @abstractmethod
-    def urge(self, packet: Packet) -> None:
+    def send_urgent(self, packet: Packet) -> None:
         """Send a packet ahead of everything that is queued, which may be dropped.
 
         Parameters

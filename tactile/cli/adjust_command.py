@@ -163,7 +163,7 @@ def _facts(fit: "LoadFit | BimorphFit") -> dict[str, Any]:
                 "value": c.value, "low": c.low, "high": c.high if math.isfinite(c.high) else None,
                 "start": c.start, "known": c.known,
             }
-            for c in fit.told
+            for c in fit.reported
         },
         "misfit": {
             c.measurement.name: {
@@ -180,11 +180,11 @@ def _print(fit: "LoadFit | BimorphFit", name: str) -> None:
     """Print the fitted constants and the misfit of each measurement."""
     from tactile.study.load_fit import EXACT_BENDER
 
-    bender = len(fit.told) != len(fit.constants)
+    bender = len(fit.reported) != len(fit.constants)
     columns = right(*(["before"] if bender else []), "fitted", "95 % from", "to")
     rows = (
         (c.name, *(f"{v:.4g}" for v in (*([c.start] if bender else []), c.value, c.low, c.high)))
-        for c in fit.told
+        for c in fit.reported
     )
     print_table(["constant", *columns], rows, f"{'Bimorph' if bender else 'Finger'} of {name}")
     misfits = (

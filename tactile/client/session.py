@@ -17,9 +17,9 @@ from typing import Any
 import msgspec
 
 from tactile.client import wire
+from tactile.client.desired_state import DesiredState, EStops
 from tactile.client.telemetry_queue import TelemetryQueue
 from tactile.client.transport import Transport
-from tactile.client.wishes import EStops, Wishes
 from tactile.clock import Clock
 from tactile.errors import (
     ClientError,
@@ -171,7 +171,7 @@ class ClientSession:
         self._lock = threading.RLock()  # a transport may answer before `send` returns
         self._last_id = 0
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
-        self._wishes: dict[str, Wishes] = {}
+        self._wishes: dict[str, DesiredState] = {}
         self._queues: dict[str, weakref.WeakSet[TelemetryQueue]] = {}
         self._last_refusal = ("", 0.0)
         self.estops = EStops()
@@ -443,9 +443,9 @@ class ClientSession:
             case _:
                 self._answered(answer)
 
-    def _of(self, display: str) -> Wishes:
+    def _of(self, display: str) -> DesiredState:
         with self._lock:
-            return self._wishes.setdefault(display, Wishes())
+            return self._wishes.setdefault(display, DesiredState())
 
     def _fill(self, telemetry: TelemetryMessage) -> None:
         with self._lock:

@@ -40,14 +40,14 @@ def prepare() -> tuple[str, ...]:
     shorten_collections()
     gc.disable()
     refused = []
-    if not urge():
+    if not raise_priority():
         refused.append("no real-time priority: allow it by LimitRTPRIO=20, or rtprio 20")
     if not _lock():
         refused.append("memory not locked: allow it by LimitMEMLOCK=infinity, or memlock unlimited")
     return tuple(refused)
 
 
-def urge() -> bool:
+def raise_priority() -> bool:
     """Give real-time priority to all threads of this process.
 
     Returns

@@ -406,7 +406,7 @@ def main() -> None:
     outward.flush()
     pipe.begin(program)
     threading.Thread(target=program.watch, name="tactile-watch", daemon=True).start()
-    priority.urge()
+    priority.raise_priority()
     with suppress(SystemExit):
         try:
             program.run()

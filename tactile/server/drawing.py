@@ -54,7 +54,7 @@ class DrawingRequest:
 
 
 @dataclass(frozen=True)
-class Made:
+class DrawnTexture:
     """Answer to a request.
 
     Attributes
@@ -113,9 +113,9 @@ def main() -> None:
             sys.exit(0)
         try:
             order = request.number, KeepTexture(request.number, make(request))
-            answer = Made(request.number, pickle.dumps(order, protocol=5))
+            answer = DrawnTexture(request.number, pickle.dumps(order, protocol=5))
         except (TactileError, OSError) as error:
-            answer = Made(request.number, failure=str(error))
+            answer = DrawnTexture(request.number, failure=str(error))
         try:
             out.write(pickle.dumps(answer, protocol=5))
             out.flush()

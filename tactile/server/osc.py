@@ -245,14 +245,14 @@ class Sender:
         Requests of the client.
     bucket : TokenBucket
         Limit on its messages.
-    heard : float
+    last_received : float
         Time of its latest packet [s].
     """
 
     client: ClientProtocol
     requests: Requests
     bucket: TokenBucket
-    heard: float
+    last_received: float
 
 
 class OscProtocol(asyncio.DatagramProtocol):
@@ -395,7 +395,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         if sender is None:
             if len(self._senders) >= MOST_SENDERS:
                 oldest = next(iter(self._senders))
-                if now - self._senders[oldest].heard < YIELDS_AFTER:
+                if now - self._senders[oldest].last_received < YIELDS_AFTER:
                     return None
                 self._forget(oldest)
             client = self._host.connect(f"osc {addr[0]}:{addr[1]}", roles=ROLES)
@@ -407,7 +407,7 @@ class OscProtocol(asyncio.DatagramProtocol):
             requests = Requests(client, self._traffic, answered)
             sender = Sender(client, requests, TokenBucket(self._rate), now)
             self._traffic.clients.inc()
-        sender.heard = now
+        sender.last_received = now
         self._senders[addr] = sender  # ordered by the time of the latest packet
         return sender
 
@@ -434,7 +434,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         """Close the clients of senders that have been silent, until cancelled."""
         while True:
             now = loop_time()
-            for addr in [a for a, s in self._senders.items() if now - s.heard > SILENCE]:
+            for addr in [a for a, s in self._senders.items() if now - s.last_received > SILENCE]:
                 self._forget(addr)
             await asyncio.sleep(SILENCE / 10)
 

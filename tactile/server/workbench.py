@@ -109,7 +109,7 @@ class Workbench:
             self._job = job
             self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
 
-    def _receive(self, what: drawing.Made | None) -> None:
+    def _receive(self, what: drawing.DrawnTexture | None) -> None:
         """Take an answer of the process, or None if the process has ended."""
         if what is None:
             self._kill()
@@ -149,7 +149,7 @@ class Workbench:
         if self._child is not None:
             return
 
-        def on_answer(what: drawing.Made | None) -> None:
+        def on_answer(what: drawing.DrawnTexture | None) -> None:
             if self._child is child:  # ignore a process that was given up
                 self._receive(what)
 

@@ -89,7 +89,7 @@ class BimorphFit:
     notes: tuple[str, ...]
 
     @property
-    def told(self) -> tuple[Constant, ...]:
+    def reported(self) -> tuple[Constant, ...]:
         """Constants to report: those that were fitted, then those derived from them."""
         return self.constants + self.derived
 

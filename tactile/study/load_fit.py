@@ -85,7 +85,7 @@ class LoadFit:
         return (self.comparison,)
 
     @property
-    def told(self) -> tuple[Constant, ...]:
+    def reported(self) -> tuple[Constant, ...]:
         """Constants to report: all that were fitted."""
         return self.constants
 

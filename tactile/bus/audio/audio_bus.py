@@ -29,12 +29,12 @@ import numpy as np
 
 from tactile.arrays import Floats
 from tactile.bus.audio import process as audio_process
-from tactile.bus.audio.player import Order, Told
+from tactile.bus.audio.player import Order, PlayerStatus
 from tactile.bus.audio.process import ANSWER, AudioProcess, opened
 from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS
 from tactile.bus.options import Options
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.errors import BusError, InputError
 
 PIECE = 256
@@ -78,7 +78,8 @@ class AudioBus(Bus):
     device : str
         Name of the card and of its sound system.
     latency : float
-        Latency of the card's own buffers [s]. Samples are written ahead of it by `Told.lead`.
+        Latency of the card's own buffers [s]. Samples are written ahead of it by
+        `PlayerStatus.lead`.
 
     Raises
     ------
@@ -129,7 +130,7 @@ class AudioBus(Bus):
         )
 
     @property
-    def told(self) -> Told | None:
+    def player_status(self) -> PlayerStatus | None:
         """Present state of the player; None if the card is lost."""
         player = self._checked_player()
         if player is None:
@@ -141,7 +142,7 @@ class AudioBus(Bus):
     @property
     def status(self) -> BusStatus:
         """Present state of the bus."""
-        if self.state != "closed" and self.told is None:
+        if self.state != "closed" and self.player_status is None:
             self._checked_player()
         state, up = self.state, self._player is not None
         detail = self._problem or self._coupling_remark()
@@ -161,7 +162,7 @@ class AudioBus(Bus):
             f"weak, and after the drive, also in an e-stop, electrodes take {settling:.2g} s to 5 %"
         )
 
-    def _count(self, told: Told | None) -> None:
+    def _count(self, told: PlayerStatus | None) -> None:
         """Add what the player has counted since the last report to the counters."""
         if told is None:
             return
@@ -175,7 +176,7 @@ class AudioBus(Bus):
     def ahead(self) -> float:
         """Lead over the card, plus the latency of the card's own buffers [s]."""
         player = self._player
-        report = None if player is None else player.told
+        report = None if player is None else player.status
         return self.latency + (report.lead / self.wiring.sample_rate if report is not None else 0.0)
 
     # Loss and recovery of the card
@@ -185,7 +186,7 @@ class AudioBus(Bus):
         with self._guard:
             player = self._player
             if player is not None:
-                report = player.told
+                report = player.status
                 if player.ended:
                     self._lose("its player has ended")
                 elif report is not None and report.fault:
@@ -258,12 +259,16 @@ class AudioBus(Bus):
             player = self._started_player
             if player is None:
                 return None
-            report = player.told if self._clock.now() - player.told_at < FRESH else self.told
+            report = (
+                player.status
+                if self._clock.now() - player.status_time < FRESH
+                else self.player_status
+            )
             if report is None:
                 self._lose("its player does not answer")
                 return None
             playing = report.phase == "playing"
-            since = report.age + self._clock.now() - player.told_at if playing else 0.0
+            since = report.age + self._clock.now() - player.status_time if playing else 0.0
             ahead = (
                 position - report.lead - report.position - min(since, FRESH + self.latency) * rate
             )
@@ -271,12 +276,12 @@ class AudioBus(Bus):
                 return player
             if report.phase == "waiting":
                 player.tell("go")
-                player.told_at = 0.0
+                player.status_time = 0.0
             self._clock.sleep(min(max(ahead / rate, 5e-4), ANSWER / 10))
         return None
 
     def _stop(self) -> None:
-        report = self.told
+        report = self.player_status
         queued = 0 if report is None else max(0, self._next - report.position)
         self._end_playback("stop", ANSWER + queued / self.wiring.sample_rate)
 
@@ -294,14 +299,14 @@ class AudioBus(Bus):
         player.tell(how, seconds=seconds)
         if not player.settled(seconds):
             self._lose(f"it did not {how} in {seconds:.1f} s")
-        self._count(player.told)
+        self._count(player.status)
 
     def _clear(self) -> None:
         player = self._checked_player()
         if player is None:
             raise BusError(f"clear: the link is down: {self._problem}")
         player.tell("clear")
-        settled, report = player.settled(ANSWER), player.told
+        settled, report = player.settled(ANSWER), player.status
         if not settled or report is None or report.refused:
             why = report.refused if report is not None and report.refused else "no answer"
             raise BusError(f"clear: {why}; it stays e-stopped")
@@ -315,7 +320,7 @@ class AudioBus(Bus):
             self._player = self._opening = None
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Yield the output devices of PortAudio; none if PortAudio is missing.
 
     Yields
@@ -333,7 +338,7 @@ def find() -> Iterator[Found]:
     for d in devices:
         name = d.name if names.count(d.name) == 1 else str(d.number)
         usual = ", the default" if d.number == default else ""
-        yield Found(
+        yield FoundDevice(
             f"audio:{quote(name, safe=' :,()')}",
             f"{d.name} ({d.api}), {d.channels} channels, {d.rate:g} Hz{usual}",
         )

@@ -9,8 +9,8 @@ An audio card has no limits, fades or e-stop. The last stage of the amplifier is
 that only PortAudio's callback uses, and whose sample clock is that of the card. Messages of the
 host lie in a deque until the next callback takes them, so that nothing waits for a lock.
 
-Messages are pickled. Tuples arrive at the standard input; `StreamOpened`, `Told`, `Failed` and
-arrays leave by the standard output.
+Messages are pickled. Tuples arrive at the standard input; `StreamOpened`, `PlayerStatus`, `Failed`
+and arrays leave by the standard output.
 """
 
 import gc
@@ -120,7 +120,7 @@ class Failed(NamedTuple):
     text: str
 
 
-class Told(NamedTuple):
+class PlayerStatus(NamedTuple):
     """Message: state of the player.
 
     Attributes
@@ -206,11 +206,11 @@ class CardOutput:
     frames : int
         Length of the longest buffer so far [samples].
     xruns, late_blocks, dropped_samples : int
-        Counters as in `Told`.
+        Counters as in `PlayerStatus`.
     called : float
         Time of the latest call [s].
     refused, fault : str
-        Reasons as in `Told`.
+        Reasons as in `PlayerStatus`.
     busy : float
         Processor time of the callback while the output was not at rest [s].
     played : float
@@ -480,7 +480,7 @@ def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
 # The program
 
 
-def told(output: CardOutput, answered: int) -> Told:
+def told(output: CardOutput, answered: int) -> PlayerStatus:
     """Return the state of the player as a message.
 
     Parameters
@@ -495,7 +495,7 @@ def told(output: CardOutput, answered: int) -> Told:
     Told
         State of the player.
     """
-    return Told(
+    return PlayerStatus(
         answered, output.phase, len(output.inbox), output.position, output.lead,
         output.underruns, output.xruns,
         output.late_blocks, output.dropped_samples, output.busy / max(output.played, 1e-9),

@@ -18,7 +18,7 @@ import numpy as np
 
 from tactile.arrays import Floats
 from tactile.bus.audio.devices import Device
-from tactile.bus.audio.player import Failed, Order, StreamOpened, Told
+from tactile.bus.audio.player import Failed, Order, PlayerStatus, StreamOpened
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
 
@@ -46,7 +46,7 @@ class AudioProcess:
         The open stream; None before that.
     told : Told or None
         Latest state that the player reported.
-    told_at : float
+    status_time : float
         Time at which it was reported [s].
     failed : Failed or None
         Reason why no stream could be opened.
@@ -60,8 +60,8 @@ class AudioProcess:
 
     def __init__(self, order: Order | None) -> None:
         self.opened: StreamOpened | None = None
-        self.told: Told | None = None
-        self.told_at = 0.0
+        self.status: PlayerStatus | None = None
+        self.status_time = 0.0
         self.failed: Failed | None = None
         self.listed: tuple[list[Device], int] | None = None
         self.output: Floats | None = None
@@ -93,8 +93,8 @@ class AudioProcess:
 
     def _store(self, message: object) -> None:
         """Store a message, None for the end of the output."""
-        if isinstance(message, Told):
-            self.told, self.told_at = message, MONOTONIC.now()
+        if isinstance(message, PlayerStatus):
+            self.status, self.status_time = message, MONOTONIC.now()
         elif isinstance(message, StreamOpened):
             self.opened = message
         elif isinstance(message, Failed):
@@ -144,7 +144,7 @@ class AudioProcess:
         finally:
             self._sending.release()
 
-    def ask(self, kind: str = "ask", *, seconds: float = ANSWER) -> Told | None:
+    def ask(self, kind: str = "ask", *, seconds: float = ANSWER) -> PlayerStatus | None:
         """Send a message and wait for the answer.
 
         Parameters
@@ -160,8 +160,8 @@ class AudioProcess:
             State of the player; None if it does not answer in time.
         """
         number = self.tell(kind, seconds=seconds)
-        self.wait(lambda: self.told is not None and self.told.answered >= number, seconds)
-        report = self.told
+        self.wait(lambda: self.status is not None and self.status.answered >= number, seconds)
+        report = self.status
         return report if report is not None and report.answered >= number else None
 
     def wait(self, ready: Callable[[], bool], seconds: float) -> bool:

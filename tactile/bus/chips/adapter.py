@@ -14,7 +14,7 @@ from typing import Annotated, Any, Protocol
 from msgspec import Meta
 
 from tactile.bus.options import HEXADECIMAL, Options
-from tactile.bus.registry import Address, Found
+from tactile.bus.registry import Address, FoundDevice
 from tactile.errors import BusError, InputError
 
 CLOCK = 400_000
@@ -455,7 +455,9 @@ def transfer_bits(written: int, read: int = 0) -> int:
     ) + 1  # fmt: skip
 
 
-def found_on_adapters(probe: Callable[[str, I2cAdapter], Iterator[Found]]) -> Iterator[Found]:
+def found_on_adapters(
+    probe: Callable[[str, I2cAdapter], Iterator[FoundDevice]],
+) -> Iterator[FoundDevice]:
     """Yield what a probe finds on each adapter; adapters that cannot be used are skipped.
 
     Parameters

@@ -56,7 +56,7 @@ from tactile.bus.chips.chip_bus import (
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import Runner, ThreadRunner
 from tactile.bus.options import HEXADECIMAL
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.clock import Clock
 from tactile.errors import BusError
 
@@ -461,7 +461,7 @@ def _open(
     )
 
 
-def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
+def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
     """Yield the chips that return their CHIP_ID to a plain read, as they do after a reset.
 
     Parameters
@@ -479,13 +479,13 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
     for address in ADDRESSES:
         reply = adapter.answer(i2c, address, b"", 2)
         if len(reply) == 2 and int.from_bytes(reply, "big") & 0xFFF == IDENTITY:
-            yield Found(
+            yield FoundDevice(
                 f"bos1921:{number}?address=0x{address:02x}",
                 f"BOS1921 at 0x{address:02x} of I2C bus {number}",
             )
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Return the chips that answer on the available I2C adapters.
 
     Returns

@@ -56,7 +56,7 @@ from tactile.bus.chips.chip_bus import (
 from tactile.bus.chips.occupancy import RATE, RATES, Occupancy, measured_rates
 from tactile.bus.chips.pump import Runner, ThreadRunner
 from tactile.bus.options import HEXADECIMAL
-from tactile.bus.registry import Address, Found, register_bus
+from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.clock import Clock
 from tactile.errors import BusError
 
@@ -524,7 +524,7 @@ def _open(
     return opened(place.path, lambda i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide))
 
 
-def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
+def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
     """Yield the chip that answers on an adapter; chips behind multiplexers are not found.
 
     The chip is recognized by reading CONTROL_1.
@@ -543,10 +543,10 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[Found]:
     """
     reply = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)
     if reply and reply[0] >> 3 & 0xF == 7:
-        yield Found(f"drv2667:{number}", f"DRV2667 at 0x{ADDRESS:02x} of I2C bus {number}")
+        yield FoundDevice(f"drv2667:{number}", f"DRV2667 at 0x{ADDRESS:02x} of I2C bus {number}")
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Return the chips that answer on the available I2C adapters.
 
     Returns

@@ -265,7 +265,7 @@ def readings(bus: Bus) -> list[Readings]:
     -------
     list of Readings
         Measurements, those of each amplifier in order; only the newest if the last call was more
-        than `SENSES` of `aside` packets ago.
+        than `SENSES` of `queries` packets ago.
     """
     if not isinstance(bus, LinkBus):
         return []

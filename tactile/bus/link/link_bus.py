@@ -455,11 +455,11 @@ class LinkBus(Bus):
             Answer, which may be a refusal; None if none came.
         """
         with self._changed:
-            aside = next(peer.aside for peer in self.peers if peer.host.node == node)
-            aside.ask(message)
+            queries = next(peer.queries for peer in self.peers if peer.host.node == node)
+            queries.ask(message)
             self._pump()
-        self._wait(lambda: aside.answer is not None, ASKING)
-        return aside.answer
+        self._wait(lambda: queries.answer is not None, ASKING)
+        return queries.answer
 
     def sensed(self) -> list[tuple[Peer, m.Sense]]:
         """Return the readings that have come since the last call.
@@ -470,9 +470,9 @@ class LinkBus(Bus):
             Amplifiers and their readings, the newest `SENSES` of each amplifier at most.
         """
         with self._changed:
-            taken = [(peer, sense) for peer in self.peers for sense in peer.aside.senses]
+            taken = [(peer, sense) for peer in self.peers for sense in peer.queries.senses]
             for peer in self.peers:
-                peer.aside.senses.clear()
+                peer.queries.senses.clear()
         return taken
 
     def _wake(self) -> None:
@@ -513,7 +513,7 @@ class LinkBus(Bus):
             wire = self._wire
             if wire is not None:
                 try:
-                    wire.urge(packet)
+                    wire.send_urgent(packet)
                 except OSError as error:
                     self._failure = str(error)
                 self._pump()

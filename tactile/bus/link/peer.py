@@ -14,7 +14,7 @@ from firmware_protocol.host import AmplifierHost
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
-from tactile.bus.link.aside import RETRY, TRIES, Aside
+from tactile.bus.link.queries import RETRY, TRIES, Queries
 
 ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status}
 """Answers to requests that ACK does not answer, by the type of the request."""
@@ -45,7 +45,7 @@ class Peer:
         Host's side of the protocol, which makes packets and keeps the latest answers.
     clock : ClockEstimator or None
         Estimate of the amplifier's clock; None before the first CAPS.
-    heard : float
+    last_received : float
         Host time of the last packet from the amplifier [s].
     refused : Nak or None
         Refusal that ended the last requests; None if there was none.
@@ -57,14 +57,14 @@ class Peer:
         Number of samples that were too late for the amplifier, since then.
     begun : int
         Tick of the amplifier's clock at which the latest START plays.
-    aside : Aside
+    queries : Queries
         Requests outside of the course of the session, and readings.
     """
 
     def __init__(self, session: int, node: int) -> None:
         self.host = AmplifierHost(session, node)
         self.clock: ClockEstimator | None = None
-        self.heard = -math.inf
+        self.last_received = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
         self.underruns = self.late = 0
@@ -83,7 +83,7 @@ class Peer:
         self._request: Packet | None = None
         """Request that waits for its answer."""
         self._tries, self._next_try = 0, math.inf
-        self.aside = Aside(self.host)
+        self.queries = Queries(self.host)
         self._probes: dict[int, float] = {}
         """Host times of probes without an answer by their stamps [s]."""
         self._status_due = math.inf
@@ -154,13 +154,13 @@ class Peer:
         message = self.host.receive(packet)
         if message is None:
             return
-        self.heard = now
+        self.last_received = now
         request = self._request
         if isinstance(message, m.Pulse | m.Status):
             self._update(message)
         elif isinstance(message, m.TimeReply):
             self._add_exchange(message, now)
-        self.aside.receive(message)
+        self.queries.receive(message)
         if request is None:
             return
         if isinstance(message, m.Nak):
@@ -238,7 +238,7 @@ class Peer:
             else:
                 self._tries, self._next_try = self._tries + 1, now + RETRY
                 out.append(self._request)
-        out += self.aside.poll(now)
+        out += self.queries.poll(now)
         if self.clock is not None and (self.clock.probe_due(now) or now >= self._greeting_probe):
             self._greeting_probe = math.inf if self._greeting_probe == math.inf else now + RETRY
             out.append(self._probe(now))
@@ -251,7 +251,7 @@ class Peer:
     def deadline(self) -> float:
         """Host time at which `poll` has something to send, if nothing is received before [s]."""
         probe = math.inf if self.clock is None else min(self.clock.next_probe, self._greeting_probe)
-        first = min(probe, self._status_due, self.aside.deadline)
+        first = min(probe, self._status_due, self.queries.deadline)
         if self._request is None:
             return -math.inf if self._requests else first
         return min(first, self._next_try)

@@ -21,9 +21,9 @@ from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.base import BusCounters, Wiring
 from tactile.bus.budget import Plan, check_limits
-from tactile.bus.link.aside import RETRY
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import SessionPhase, Want
+from tactile.bus.link.queries import RETRY
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
 from tactile.bus.link.stream import LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
@@ -193,7 +193,7 @@ class LinkSession:
         if any(peer.forgot for peer in self.peers):
             self._known_to_run = -math.inf
         elif self.phase is SessionPhase.RUN:
-            self._known_to_run = min(peer.heard for peer in self.peers)
+            self._known_to_run = min(peer.last_received for peer in self.peers)
         self.phase = SessionPhase.DOWN
         if self.want is Want.RUN and self._first is not None:
             self.want, self.refusal = Want.READY, why
@@ -297,7 +297,8 @@ class LinkSession:
             Whether each has reported RUNNING, and sent a packet within `GIVEN_UP`.
         """
         return self.phase is SessionPhase.RUN and all(
-            peer.state is State.RUNNING and now <= peer.heard + GIVEN_UP for peer in self.peers
+            peer.state is State.RUNNING and now <= peer.last_received + GIVEN_UP
+            for peer in self.peers
         )
 
     @property
@@ -413,7 +414,7 @@ class LinkSession:
             for peer in self.peers:
                 if peer.forgot:
                     return f"node {peer.host.node} was reset: {peer.forgot}"
-            silent = [peer.host.node for peer in self.peers if now - peer.heard > SILENCE]
+            silent = [peer.host.node for peer in self.peers if now - peer.last_received > SILENCE]
             if silent:
                 return f"node {silent[0]} has been silent for {SILENCE * 1e3:.0f} ms"
         return ""

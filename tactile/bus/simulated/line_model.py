@@ -633,7 +633,7 @@ class CanModel(Model, CanChannel):
         self.out.put(frame, self._seconds(len(frame[1])), self.clock.now())
         return True
 
-    def urge(self, frame: Frame) -> None:
+    def send_urgent(self, frame: Frame) -> None:
         """Send a frame before those that wait.
 
         Parameters

@@ -93,7 +93,7 @@ MOVING = (State.RUNNING, State.RAMPDOWN)
 """States in which an amplifier is not at rest."""
 
 
-class Heard:
+class OutputRecord:
     """Output of one amplifier between starts and ends.
 
     Parameters
@@ -197,7 +197,7 @@ class ModeledBus(LinkBus):
         self._ends: list[int | None] = [None] * len(model.configs)
         limit = math.inf if named.pop("keep") == "all" else wiring.sample_rate
         self._heard = [
-            Heard(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
+            OutputRecord(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
             for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)

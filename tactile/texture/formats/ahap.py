@@ -205,7 +205,7 @@ def load_ahap(path: Path) -> tuple[Effect, list[str]]:
     pattern = reading.fitted(path, data, Pattern)
     if not 1 <= pattern.version < 2:
         raise InputError(f"{path}: Version = {pattern.version:g}: must be 1")
-    notes = reading.told("ignored:", reading.unknown(data, msgspec.inspect.type_info(Pattern)))
+    notes = reading.notes_on("ignored:", reading.unknown(data, msgspec.inspect.type_info(Pattern)))
     for i, raw in enumerate(data["Pattern"]):
         kinds = [kind for kind in KINDS if raw.get(kind) is not None]
         if len(kinds) != 1:
@@ -214,12 +214,12 @@ def load_ahap(path: Path) -> tuple[Effect, list[str]]:
                 f"{reading.one_line(str(key))!r}; {files.nearest(str(key), list(KINDS))}"
             )  # fmt: skip
             raise InputError(f"{path}: Pattern[{i}]: holds {reason}")
-    notes += reading.told("ignored: metadata", [
+    notes += reading.notes_on("ignored: metadata", [
         k for k, v in pattern.metadata.items() if not isinstance(v, str)
     ])  # fmt: skip
     limited: list[str] = []
     events = [e.event for e in pattern.pattern if e.event]
-    notes += reading.told("left out:", [
+    notes += reading.notes_on("left out:", [
         e.event_type for e in events if e.event_type not in ("HapticTransient", "HapticContinuous")
     ])  # fmt: skip
     bands = (
@@ -235,7 +235,7 @@ def load_ahap(path: Path) -> tuple[Effect, list[str]]:
             if isinstance(v, str) and k != "Description"
         },
     )  # fmt: skip
-    return effect, notes + reading.told("limited to its range:", limited)
+    return effect, notes + reading.notes_on("limited to its range:", limited)
 
 
 def _limit(name: str, value: float, low: float, limited: list[str]) -> float:

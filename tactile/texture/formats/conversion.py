@@ -161,7 +161,7 @@ def _lost_fields(effect: Effect, suffix: str) -> list[str]:
         parts += [*perception.reference_devices, *perception.library, *perception.channels]
         parts += [*(b for c in perception.channels for b in c.bands), *segments_of(perception)]
     names = [k for part in parts for k, v in part.other.items() if v and k not in UNTOLD]
-    return reading.told(f"{suffix} has no place for", names) + (
+    return reading.notes_on(f"{suffix} has no place for", names) + (
         _lost_features(effect, suffix) if suffix != ".hjif" else []
     )
 
@@ -171,7 +171,7 @@ def _lost_features(effect: Effect, suffix: str) -> list[str]:
     segments = [s for p in effect.perceptions for s in [*p.library, *segments_of(p)]]
     channels = [channel for _, channel in channels_of(effect)]
     words = [s.keywords for s in segments if s.keywords]
-    lost = reading.told(f"{suffix} has no place for keywords", words)
+    lost = reading.notes_on(f"{suffix} has no place for keywords", words)
     if any(perception.reference_devices for perception in effect.perceptions):
         lost.append(f"{suffix} has no place for reference devices")
     if any(c.description or c.body_part_mask or c.mixing_coefficient != 1 for c in channels):

@@ -219,7 +219,7 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
     clip = reading.fitted(path, data, Clip)
     envelopes = clip.signals.continuous.envelopes
     _check(path, envelopes)
-    ignored = reading.told("ignored:", reading.unknown(data, msgspec.inspect.type_info(Clip)))
+    ignored = reading.notes_on("ignored:", reading.unknown(data, msgspec.inspect.type_info(Clip)))
     bands = [outline.wave_band(
         [(p.time, p.amplitude) for p in envelopes.amplitude],
         [(p.time, hertz(p.frequency)) for p in envelopes.frequency or ()],

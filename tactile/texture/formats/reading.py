@@ -231,7 +231,7 @@ def unknown(data: Any, kind: msgspec.inspect.Type) -> Iterator[str]:
             yield from unknown(value, kind.item_type)
 
 
-def told(what: str, names: Iterator[str] | list[str]) -> list[str]:
+def notes_on(what: str, names: Iterator[str] | list[str]) -> list[str]:
     """Format names as notes, one line each.
 
     Parameters

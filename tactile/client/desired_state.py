@@ -21,7 +21,7 @@ from tactile.messages import (
 
 
 @dataclass
-class Wishes:
+class DesiredState:
     """Wishes of a program for one display, as far as the daemon confirmed them.
 
     Attributes

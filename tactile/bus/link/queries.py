@@ -20,7 +20,7 @@ SENSES = 256
 one every 10 ms these are 2.5 s."""
 
 
-class Aside:
+class Queries:
     """Requests to one amplifier outside of the course of its session, and its readings.
 
     It has no lock; `LinkBus` calls it under its own.

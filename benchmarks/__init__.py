@@ -26,6 +26,7 @@ from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from benchmarks.spectrum import measure_spectrum
+from benchmarks.startup import measure_startup
 from benchmarks.study import measure_study
 from benchmarks.tracking import measure_tracking
 from benchmarks.waves import measure_waves
@@ -41,6 +42,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "bands": measure_bands,
     "place": measure_place,
     "speed": measure_speed,
+    "startup": measure_startup,
     "spectrum": measure_spectrum,
     "plant": measure_plant,
     "study": measure_study,

@@ -23,7 +23,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Complex: TypeAlias = NDArray[np.complex128]
+from tactile.arrays import Complex
+
 Matrix2: TypeAlias = tuple[tuple[Complex, Complex], tuple[Complex, Complex]]
 """A 2 × 2 matrix whose entries are arrays."""
 Four: TypeAlias = tuple[Complex, Complex, Complex, Complex]

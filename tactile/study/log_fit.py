@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-Floats: TypeAlias = NDArray[np.float64]
-"""Array of real numbers."""
-Complex: TypeAlias = NDArray[np.complex128]
-"""Array of complex numbers."""
+from tactile.arrays import Complex, Floats
+
 Model: TypeAlias = Callable[[Floats], Complex]
 """Function from logarithms of constants (N, p) to responses (N, F)."""
 

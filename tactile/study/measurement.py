@@ -10,16 +10,12 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile.arrays import Complex, Floats
 from tactile.display.display import COLUMNS
 from tactile.errors import InputError
 from tactile.files import Row, nearest, numbers, read_columns
 
-Floats: TypeAlias = NDArray[np.float64]
-"""Array of real numbers."""
-Complex: TypeAlias = NDArray[np.complex128]
-"""Array of complex numbers."""
 Kind: TypeAlias = Literal["displacement", "velocity", "force", "admittance"]
 """Kind of measurement."""
 

@@ -1,7 +1,7 @@
 """A display inside this program, without a daemon: the interface of `tactile.client`, no network.
 
 >>> import tactile
->>> with tactile.open_display("reference-24", device="sim:") as display:
+>>> with tactile.open_display("reference-24", device="sim:") as display:  # doctest: +SKIP
 ...     display.select("wood-oak")
 ...     display.arm()
 ...     display.touch((0.0, 0.0), velocity=(0.08, 0.0), normal_force=0.5)
@@ -186,6 +186,14 @@ def open_display(
     ------
     TactileError
         If the display or the device cannot be used.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> with tactile.open_display("reference-24") as display:  # doctest: +SKIP
+    ...     display.select("wood-oak")
+    ...     display.arm()
+    ...     display.touch((0.0, 0.0), velocity=(0.08, 0.0), normal_force=0.5)
     """
     options: dict[str, Any] = {} if sample_rate is None else {"sample_rate_hz": sample_rate}
     config = DisplayConfig(

@@ -75,6 +75,19 @@ def bender_figures(bimorph: Bimorph) -> dict[str, float]:
     dict of str to float
         Static displacement [µm/V] and blocked force per volt [mN/V], tip stiffness [N/m],
         capacitance with the clamped length included [nF], and first resonance [Hz].
+
+    Examples
+    --------
+    Twice the length makes a quarter of the first resonance. The data sheet of the bender below
+    prints at least 140 mN at 200 V.
+
+    >>> import tactile
+    >>> [round(tactile.bender_figures(tactile.Bimorph(length=length))["first_resonance_hz"])
+    ...  for length in (20e-3, 40e-3)]
+    [930, 233]
+    >>> figures = tactile.bender_figures(tactile.BENDERS["mtp35x2.1x0.7"])
+    >>> round(200 * figures["blocked_force_mn_per_v"])
+    168
     """
     r = tip_response(bimorph, FingerLoad.none(), [0.0, 1.0])
     force, stiffness = blocked_force(bimorph, [0.0])

@@ -113,6 +113,17 @@ class Bimorph:
     is a documented surrogate. Its width is that of a bender of the MTP35×2.1×0.7 class and its
     length the paper's optimum. Clamped length and piezo thickness are assumed. The shim thickness
     is chosen so that the optimum ranges of length agree with those of the paper.
+
+    Examples
+    --------
+    A bender of twice the length, wired in series: each layer then has half the voltage.
+
+    >>> import tactile
+    >>> bender = tactile.Bimorph(length=40e-3, series=True)
+    >>> round(float(bender.height) * 1e3, 3)
+    0.72
+    >>> float(bender.layer_voltage)
+    0.5
     """
 
     width: Real = 2.1e-3

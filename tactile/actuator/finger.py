@@ -34,6 +34,15 @@ class FingerLoad:
     ------
     ValueError
         If a constant is negative or not finite.
+
+    Examples
+    --------
+    A spring beside a damper, whose part of the stiffness is 2π · 100 Hz · 0.1 N s/m:
+
+    >>> import tactile
+    >>> load = tactile.FingerLoad(k0=1000.0, d0=0.1)
+    >>> load.stiffness([0.0, 100.0]).round(1).tolist()
+    [(1000+0j), (1000+62.8j)]
     """
 
     k0: Real
@@ -53,6 +62,13 @@ class FingerLoad:
         -------
         FingerLoad
             Load with k0 = 1000 N/m, d0 = 0.11 N s/m and one branch.
+
+        Examples
+        --------
+        >>> import tactile
+        >>> finger = tactile.FingerLoad.low()
+        >>> finger.stiffness([0.0, 250.0]).real.round().tolist()
+        [1000.0, 1178.0]
         """
         return cls(k0=1000.0, d0=0.11, branches=((1300.0, 0.33),))
 
@@ -131,6 +147,14 @@ class FingerTable:
     ValueError
         If the forces do not ascend from above zero, or if the loads differ from them in number or
         from each other in their number of branches.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> loads = tactile.FingerLoad.low(), tactile.FingerLoad.high()
+    >>> table = tactile.FingerTable(normal_force=(0.2, 1.0), loads=loads)
+    >>> [round(float(table.at(force).k0)) for force in (0.2, 0.6, 1.0, 5.0)]
+    [1000, 2650, 4300, 4300]
     """
 
     normal_force: tuple[float, ...]

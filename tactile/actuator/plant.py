@@ -302,6 +302,18 @@ class Plant:
     -----
     `step` is a linear map of the last states and drive samples, so that a block costs two matrix
     products. Its outputs do not depend on how the drive is divided into blocks.
+
+    Examples
+    --------
+    Half a second at 10 V ends at ten times the 0.564 µm/V that `tip_response` gives at 0 Hz.
+
+    >>> import numpy as np
+    >>> import tactile
+    >>> finger = tactile.FingerLoad.low()
+    >>> plant = tactile.Plant(tactile.Bimorph(), finger, 8000.0, contactors=1)
+    >>> displacement, current = plant.step(np.full((4000, 1), 10.0))
+    >>> round(float(displacement[-1, 0]) * 1e6, 2)
+    5.64
     """
 
     def __init__(

@@ -339,6 +339,17 @@ def tip_response(
     -----
     Hofmann & Twiefel 2014, corrected (see `beam`, `bimorph`, `finger`): a Timoshenko beam with
     constant loss factors. The first resonance of the model itself is 1 % low (see `Bimorph`).
+
+    Examples
+    --------
+    Static displacement in air and on a finger, in µm/V; the finger's 1000 N/m add to the 1535 N/m
+    of the tip.
+
+    >>> import tactile
+    >>> loads = tactile.FingerLoad.none(), tactile.FingerLoad.low()
+    >>> tips = [tactile.tip_response(tactile.Bimorph(), load, [0.0]) for load in loads]
+    >>> [round(float(tip.displacement[0].real) * 1e6, 3) for tip in tips]
+    [0.931, 0.564]
     """
     electrodes = np.asarray(bimorph.length) + bimorph.clamped_length
     segment = replace(active_segment(bimorph), capacitance=capacitance(bimorph, electrodes))
@@ -386,6 +397,15 @@ def blocked_force(
     ------
     ValueError
         If a frequency is negative or not finite, or if the axial force is not finite.
+
+    Examples
+    --------
+    Static force in mN/V and stiffness in N/m; their ratio is the displacement in air.
+
+    >>> import tactile
+    >>> force, stiffness = tactile.blocked_force(tactile.Bimorph(), [0.0])
+    >>> round(float(force[0].real) * 1e3, 2), round(float(stiffness[0].real))
+    (1.43, 1535)
     """
     f, axial = _checked(frequency, axial_force)
     sweep = _sweep([over_frequency(active_segment(bimorph))], 2 * np.pi * f, axial)

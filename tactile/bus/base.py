@@ -65,6 +65,16 @@ class DriveBlock:
         Position of the first sample, counted in samples on the scale that `Bus.start` begins.
     volts : (S, C) array of float
         Drive voltage, one column per channel [V].
+
+    Examples
+    --------
+    Ten milliseconds of silence for 24 channels, and the position of the block that follows:
+
+    >>> import numpy as np
+    >>> import tactile
+    >>> block = tactile.DriveBlock(position=160, volts=np.zeros((80, 24)))
+    >>> block.position + len(block.volts)
+    240
     """
 
     position: int

@@ -255,6 +255,17 @@ def open_bus(
         that is not accepted; or if the device cannot do what the display needs.
     BusError
         If the device cannot be opened.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tactile
+    >>> display = tactile.load_display("reference-24")
+    >>> with tactile.open_bus("mock:", display) as bus:
+    ...     bus.start()
+    ...     bus.write(tactile.DriveBlock(0, np.zeros((80, display.channels))))
+    >>> bus.counters.samples, bus.state
+    (80, 'closed')
     """
     address = parse(url)
     driver = _drivers[address.scheme]

@@ -258,6 +258,19 @@ class Display:
         -------
         (L, C, F) complex array
             Response for each force of ``load_forces`` and each value of ``kind`` [m/V].
+
+        Examples
+        --------
+        Static displacement of the loaded tip, and that at 250 Hz, in µm/V:
+
+        >>> import numpy as np
+        >>> import tactile
+        >>> display = tactile.load_display("reference-24")
+        >>> response = display.responses(np.array([0.0, 250.0]), 8000.0)
+        >>> response.shape
+        (1, 1, 2)
+        >>> (np.abs(response[0, 0]) * 1e6).round(3).tolist()
+        [0.564, 0.529]
         """
         table = []
         for force in self.load_forces:
@@ -307,6 +320,15 @@ def load_display(
         If there is no such display; the message suggests the nearest name.
     InputError
         If the file is not valid; the message gives file, field, value and limit in one line.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> display = tactile.load_display("reference-24")
+    >>> display.channels, display.limits.voltage
+    (24, 100.0)
+    >>> tactile.load_display("reference-24", load=tactile.FingerLoad.high()).load.k0
+    4300.0
     """
     path = files.find("displays", name_or_path)
     content = files.read(path, DisplayFile)

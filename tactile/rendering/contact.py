@@ -51,6 +51,16 @@ class Trajectory:
     ------
     InputError
         If the times do not ascend, the shapes differ, or a value is not finite or out of range.
+
+    Examples
+    --------
+    A stroke of 40 mm in one second, after which the finger rests:
+
+    >>> import tactile
+    >>> place = [[0.0, 0.0], [0.04, 0.0], [0.04, 0.0]]
+    >>> stroke = tactile.Trajectory([0.0, 1.0, 2.0], place, normal_force=0.5)
+    >>> stroke.velocity(1.5).tolist()
+    [0.0, 0.0]
     """
 
     def __init__(self, time: ArrayLike, position: ArrayLike, normal_force: ArrayLike) -> None:
@@ -123,6 +133,14 @@ class Trajectory:
         -------
         Trajectory
             Stroke with one sample at either end.
+
+        Examples
+        --------
+        >>> import tactile
+        >>> stroke = tactile.Trajectory.line(speed=0.08, duration=0.5)
+        >>> position, normal_force = stroke.at(0.25)
+        >>> position.round(6).tolist(), float(normal_force)
+        ([0.02, 0.0], 0.5)
         """
         direction = np.array([np.cos(angle), np.sin(angle)])
         return cls([0.0, duration], np.outer([0.0, speed * duration], direction), normal_force)

@@ -149,6 +149,18 @@ class Renderer:
     ------
     InputError
         If the sample rate is below twice the band or too high.
+
+    Examples
+    --------
+    Ten milliseconds of a stroke at 80 mm/s, which are played 2 ms late:
+
+    >>> import numpy as np
+    >>> import tactile
+    >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+    >>> renderer = tactile.Renderer(display, texture)
+    >>> position = np.outer(np.arange(80) * 0.08 / 8000, [1.0, 0.0])
+    >>> renderer.block(position, np.full(80, 0.5)).shape, renderer.delay / 8000
+    ((80, 24), 0.002)
     """
 
     def __init__(
@@ -383,6 +395,15 @@ def render(
     -------
     Rendering
         Drive and shear, aligned: the renderer's delay is removed from both.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+    >>> stroke = tactile.Trajectory.line(speed=0.08, duration=0.1)
+    >>> played = tactile.render(display, texture, stroke)
+    >>> played.drive.shape, played.limited_samples
+    ((800, 24), 0)
     """
     renderer = Renderer(display, texture, sample_rate=sample_rate, seed=seed)
     blocks = list(trajectory.blocks(sample_rate, BLOCK, extra=renderer.delay))

@@ -72,6 +72,17 @@ class SteadyStroke:
     ------
     InputError
         If nothing would move, nothing would be touched, or a value is too large.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tactile
+    >>> tactile.SteadyStroke(speed=0.1, angle=np.pi / 2).direction.round(3).tolist()
+    [0.0, 1.0]
+    >>> tactile.SteadyStroke(speed=0.0)
+    Traceback (most recent call last):
+        ...
+    tactile.errors.InputError: speed 0 m/s: must be above 0 ...
     """
 
     speed: float = 0.08
@@ -261,6 +272,14 @@ def amplified(texture: Texture, gain: float) -> Texture:
     ------
     InputError
         If the gain is negative or not finite.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> texture = tactile.load_texture("wood-oak")
+    >>> louder = tactile.amplified(texture, 2.0)
+    >>> round(float(louder.amplitude.max() / texture.amplitude.max()), 3)
+    2.0
     """
     if not 0 <= gain < np.inf:
         raise InputError(f"gain {gain:g}: must be a number from 0")
@@ -504,6 +523,16 @@ def texture_strength(
     Strength
         Levels and drive, as means over the contactors in power. The effect of the limiter is that
         measured in a trial, where it reduces all bands alike.
+
+    Examples
+    --------
+    Oak is felt by the Pacinian channel alone, and the limiter takes nothing of it.
+
+    >>> import tactile
+    >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+    >>> strength = tactile.texture_strength(display, texture)
+    >>> strength.felt_by, round(strength.channels["P"]), strength.limited_share
+    (('P',), 22, 0.0)
     """
     stroke = stroke or SteadyStroke()
     lines, able = stroke.lines(texture), reach(display, stroke)
@@ -564,6 +593,18 @@ def automatic_gain(
     ------
     InputError
         If nothing can be felt in this stroke at any gain.
+
+    Examples
+    --------
+    Oak may be played 3.3 times as strong, or a little weaker for a level of 20 dB SL.
+
+    >>> import tactile
+    >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+    >>> largest = tactile.automatic_gain(display, texture)
+    >>> largest.limit, round(largest.value, 1)
+    ('voltage', 3.3)
+    >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
+    0.8
     """
     stroke = stroke or SteadyStroke()
     delivered = reach(display, stroke).delivered(stroke.lines(texture))

@@ -317,6 +317,12 @@ def textures() -> list[str]:
     -------
     list of str
         Names, sorted.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> [name for name in tactile.textures() if name.startswith("wood-")]
+    ['wood-cork', 'wood-oak', 'wood-paulownia', 'wood-pine-sanded', 'wood-spruce-sawn']
     """
     return list(files.shipped_names("textures"))
 

@@ -268,8 +268,9 @@ def load_texture(name_or_path: str | Path, *, partials: int = 384) -> Texture:
 
     Examples
     --------
-    >>> load_texture("wood-oak").amplitude.shape
-    (384,)
+    >>> import tactile
+    >>> tactile.load_texture("wood-oak", partials=200).amplitude.shape
+    (200,)
     """
     descriptor = descriptors.load(name_or_path)
     grating_waves = sum(

@@ -147,13 +147,13 @@ def is_alive(pid: int) -> bool:
 
 
 def children_of(pid: int) -> dict[str, int]:
-    """Return the processes that a server started: "playback_process", "drawing" and others."""
+    """Return the processes that a server started: "playback.process", "drawing" and others."""
     processes = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
                 words = (entry / "cmdline").read_text()
-                for kind in ("playback_process", "drawing", "estop_process"):
+                for kind in ("playback.process", "drawing", "estop.process"):
                     if kind in words and is_alive(int(entry.name)):
                         processes[kind] = int(entry.name)
     return processes
@@ -222,8 +222,8 @@ class Daemon:
 
     def playback(self) -> int:
         """Return the identifier of the playback process; wait while it is started again."""
-        wait_for("playback runs", lambda: "playback_process" in children_of(self.pid))
-        return children_of(self.pid)["playback_process"]
+        wait_for("playback runs", lambda: "playback.process" in children_of(self.pid))
+        return children_of(self.pid)["playback.process"]
 
     def is_running(self) -> bool:
         """Return whether the server has not ended."""

@@ -305,7 +305,7 @@ HOST = """
 import sys
 sys.path[:] = {path!r}
 import numpy as np
-from tactile.bus import audio_bus, audio_process
+from tactile.bus.audio import audio_bus
 from tactile.bus.base import DriveBlock
 from tactile.bus.registry import open_bus
 from tactile.display.display import load_display

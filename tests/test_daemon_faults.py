@@ -32,7 +32,7 @@ pytestmark = pytest.mark.realtime
 QUIET = 0.5
 """s of the amplifier's own record that must hold nothing but 0 V."""
 WAIT = 60.0
-KINDS = ("playback_process", "drawing", "estop_process", "")
+KINDS = ("playback.process", "drawing", "estop.process", "")
 """Of the processes that a server starts, as they stand in a command line."""
 APP = """
 import itertools, sys, time, tactile.client
@@ -219,7 +219,7 @@ def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Daemon
 def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Daemon) -> None:
     served.play()
     before = served.children
-    assert {"playback_process", "drawing", "estop_process"} <= set(before)
+    assert {"playback.process", "drawing", "estop.process"} <= set(before)
     served.server.kill()
     served.falls_silent()
     wait_for("its children are gone", lambda: not any(map(alive, before.values())))
@@ -260,7 +260,7 @@ def test_a_server_that_hangs_is_stopped_by_tactile_estop(served: Daemon) -> None
 def test_an_e_stop_while_playback_is_started_again_holds(served: Daemon) -> None:
     served.play()
     with tactile.client.connect(served.url, timeout=WAIT) as display:
-        os.kill(served.children["playback_process"], signal.SIGKILL)
+        os.kill(served.children["playback.process"], signal.SIGKILL)
         display.estop()
         served.falls_silent()
         wait_for("it is back", lambda: display.stats().state == "estopped")
@@ -299,7 +299,7 @@ def test_an_e_stop_holds_over_a_server_that_is_killed(served: Daemon) -> None:
 
 def test_playback_that_is_killed_is_started_again_and_not_armed(served: Daemon) -> None:
     app = served.play()
-    os.kill(served.children["playback_process"], signal.SIGKILL)
+    os.kill(served.children["playback.process"], signal.SIGKILL)
     served.falls_silent()
     with tactile.client.connect(served.url, timeout=WAIT) as display:
         wait_for("it is back", lambda: display.stats().state == "disarmed")
@@ -310,7 +310,7 @@ def test_playback_that_is_killed_is_started_again_and_not_armed(served: Daemon) 
 
 def test_playback_that_hangs_leaves_0_volts(served: Daemon) -> None:
     served.play()
-    playback = served.children["playback_process"]
+    playback = served.children["playback.process"]
     os.kill(playback, signal.SIGSTOP)
     served.falls_silent()
     os.kill(playback, signal.SIGCONT)
@@ -327,7 +327,7 @@ def test_playback_that_hangs_leaves_0_volts(served: Daemon) -> None:
 
 def test_playback_that_hangs_for_good_is_started_again_once(served: Daemon) -> None:
     served.play().kill()
-    hung = served.children["playback_process"]
+    hung = served.children["playback.process"]
     os.kill(hung, signal.SIGSTOP)
     wait_for("it is gone", lambda: not alive(hung))
     with tactile.client.connect(served.url, timeout=WAIT) as display:

@@ -161,7 +161,7 @@ def test_contactors_keep_their_comments_and_all_else_its_place(four: Path) -> No
     assert "# glued the other way round\n" in text
     for part in ('description = "A # that is none, and [grid] in a text"', "[finger]          "):
         assert part in text
-    assert text.index("[finger]") < text.rindex("[[contactor]]") < text.index("# of the limits")
+    assert text.rindex("\n[[contactor]]") < text.index("[finger]"), "contactors are gathered"
     assert rewritten(four.with_name("new.toml")) == text
 
 
@@ -188,20 +188,39 @@ def test_responses_stay_and_keep_the_folder(four: Path, tmp_path: Path) -> None:
         checked_target(four, tmp_path / "other" / "new.toml", force=False)
 
 
+INLINE = "{columns = 3, rows = 2, pitch_mm = [2.9, 3.7], polarity = -1, first_channel = 2}"
+REST = re.sub(r"# the comment(.|\n)*first_channel = 2\n", "", GRID)
 OTHER_FORMS = {
-    "dotted": GRID.replace("[grid]", "[grid.x]"),
-    "inline": re.sub(r"# the comment(.|\n)*first_channel = 2\n", "", GRID).replace(
-        "# Rows", "grid = {columns = 3, rows = 2, pitch_mm = [2.9, 3.7]}\n# Rows"
+    "dotted": REST.replace(
+        "# Rows",
+        "grid.columns = 3 # x\ngrid.rows = 2\ngrid.pitch_mm = [2.9, 3.7]\ngrid.polarity = -1\n"
+        "grid.first_channel = 2\n# Rows",
     ),
-    "in a text": GRID.replace('"Two rows of three"', "'''\n[grid]\n'''\n# '''"),
+    "inline": REST.replace("# Rows", f"grid = {INLINE} # x\n# Rows"),
+    "in a text": GRID.replace('"Two rows of three"', '"""\n[grid]\n"""').replace("along", "# x"),
+    "quoted": GRID.replace("[grid]", '["grid"]').replace("along", "# x"),
 }
 
 
 @pytest.mark.parametrize("text", OTHER_FORMS.values(), ids=OTHER_FORMS)
-def test_contactors_in_another_form_are_refused(text: str, grid: Path) -> None:
+def test_a_grid_in_any_form_becomes_contactors(text: str, grid: Path) -> None:
     grid.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"not written as tables|unknown key"):
-        checked_target(grid, grid.with_name("new.toml"), force=False)
+    new = rewritten(grid)
+    same(load_display(grid.with_name("new.toml")), load_display(grid))
+    assert new.count("[[contactor]]") == 6
+    assert sorted(re.findall("#.*", new)) == sorted(re.findall("#.*", text))
+
+
+def test_contactors_in_line_stay_in_line(four: Path) -> None:
+    head, tail = FOUR.partition("# how")[0], FOUR[FOUR.index("# of the limits") :]
+    rows = "contactor = [\n{position_mm = [0, 0], channel = 0}, # left\n"
+    rows += "{position_mm = [3, 0], channel = 1},\n]\n"
+    four.write_text(rows + head + '[finger]\npreset = "low"\n' + tail, encoding="utf-8")
+    text = rewritten(four, Map((1, 0), (-1, 1)))
+    new = load_display(four.with_name("new.toml"))
+    assert (new.channel.tolist(), new.polarity.tolist()) == ([1, 0], [-1, 1])
+    assert "{position_mm = [3, 0], channel = 0},\n" in text
+    assert "# left" in text
 
 
 def test_nothing_is_overwritten_without_force(four: Path, tmp_path: Path) -> None:

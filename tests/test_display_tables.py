@@ -209,21 +209,37 @@ def test_what_would_be_no_display_is_not_written(
     assert [file.name for file in path.parent.iterdir()] == ["one.toml"]
 
 
+NO_BENDER = re.sub(r"# the bender(.|\n)*0\.26\n", "", TEXT)
+
+
 @pytest.mark.parametrize(
-    "text",
+    "keys",
     [
-        TEXT.replace("[bimorph]    ", "[bimorph.x]"),
-        re.sub(r"\[bimorph\]  (.|\n)*0\.26\n", "", TEXT).replace(
-            "# A", "bimorph = {length_mm = 20.0}\n# A"
-        ),
+        "bimorph = {length_mm = 20.0, width_mm = 2.1} # as delivered\n",
+        "bimorph.length_mm = 20.0\nbimorph.width_mm = 2.1 # as delivered\n",
+        "bimorph.width_mm = 2.1 # as delivered\n",
     ],
-    ids=["dotted", "inline"],
+    ids=["inline", "dotted", "one"],
 )
-def test_a_bender_in_another_form_is_refused(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"not written as tables|unknown key"):
-        write_tables(path, path, bimorph=FITTED, force=True)
-    assert path.read_text("utf-8") == text
+def test_a_bender_in_another_form_takes_keys_as_well(keys: str, path: Path) -> None:
+    path.write_text(keys + NO_BENDER, encoding="utf-8")
+    write_tables(path, path, bimorph=FITTED, finger=LOAD, force=True)
+    assert tables(path)["bimorph"] == {"width_mm": 2.1} | FITTED
+    assert "# as delivered\n" in path.read_text("utf-8")
+
+
+def test_a_finger_in_another_form_gives_way_as_well(path: Path) -> None:
+    start, end = TEXT.index("# under the thumb"), TEXT.index("[limits]")
+    for old in ('finger = {preset = "high"} # row\n', 'finger.preset = "high" # row\n'):
+        path.write_text(old + TEXT[:start] + TEXT[end:], encoding="utf-8")
+        write_tables(path, path, finger=LOAD, force=True)
+        assert tables(path)["finger"] == LOAD
+        assert "# row\n" in path.read_text("utf-8")
+
+
+def test_a_key_that_is_added_stands_above_the_comment_of_the_next_table(path: Path) -> None:
+    write_tables(path, path, bimorph={"piezo_quality": 41.0}, force=True)
+    assert "piezo_height_mm = 0.26\npiezo_quality = 41.0\n\n# under" in path.read_text("utf-8")
 
 
 def test_nothing_is_overwritten_without_force(path: Path) -> None:

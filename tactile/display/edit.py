@@ -2,8 +2,9 @@
 
 `write_map` writes which channel drives which contactor and with which polarity. `write_tables`
 writes constants of the bender and of the finger, such as a fit to a measurement yields. Everything
-else in the file remains as it was, comments included: whatever replaces ``[grid]``, the
-``[[contactor]]`` tables or ``[finger]`` is preceded by their comments.
+else in the file remains as it was, comments included: whatever replaces ``[grid]`` or ``[finger]``
+is preceded by their comments. Only ``[[contactor]]`` tables that stand apart, with other tables
+between them, are gathered behind the first one.
 """
 
 import json
@@ -11,28 +12,26 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Item, Key, Table
 
 from tactile import files
 from tactile.display.display import Display, contactors_of, load_display
 from tactile.display.tables import Contactor, DisplayFile
 from tactile.errors import InputError
 
-HEADER = re.compile(r"""\s*(\[{1,2})\s*["']?([\w-]+(?:[\w."'\s-]*\w)?)["']?\s*\]{1,2}\s*(?:#.*)?""")
-"""Header line of a table; its groups are the opening brackets and the name."""
-COMMENT = re.compile(r"""(?:[^"'#]|"(?:\\.|[^"\\])*"|'[^']*')*(#.*)""")
-"""Line with a comment outside of strings; its group is the comment."""
-ASSIGNED = re.compile(r"""\s*["']?([\w-]+)["']?\s*=""")
-"""Start of a line that assigns a value; its group is the key."""
-MAPPED = {("[", "grid"), ("[[", "contactor")}
-"""Tables that hold the map of contactors to channels."""
-
 Value = bool | float | str | Sequence["Value"]
 """Value of a key in a table; a row of Maxwell branches is a sequence."""
+Entry = tuple[Key | None, Item]
+"""Item of a document with its key; a comment or a blank line has none."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,10 @@ def checked_target(source: str | Path, target: Path, *, force: bool) -> None:
     InputError
         If the target exists and must not be overwritten, if its folder does not exist, if it does
         not end in .toml, if the display's measured responses would not be found from there, or if
-        the map in the source is not written as tables.
+        the source cannot be edited.
     """
     path, content = _checked_place(source, target, force=force)
-    _replaced(path, contactors_of(content))
+    _mapped(path, contactors_of(content))
 
 
 def _checked_place(source: str | Path, target: Path, *, force: bool) -> tuple[Path, DisplayFile]:
@@ -126,19 +125,14 @@ def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> No
         As in `checked_target`, or if the result would not be a valid display with that map; nothing
         is written then.
     """
-    checked_target(source, target, force=force)
-    path = files.find("displays", source)
+    path, content = _checked_place(source, target, force=force)
     contactors = [
-        Contactor(
-            position_mm=c.position_mm, channel=channel, polarity=1 if polarity > 0 else -1,
-            shear_direction_deg=c.shear_direction_deg, response=c.response,
-        )
+        msgspec.structs.replace(c, channel=channel, polarity=1 if polarity > 0 else -1)
         for c, channel, polarity in zip(
-            contactors_of(files.read(path, DisplayFile)), told.channel, told.polarity, strict=True
+            contactors_of(content), told.channel, told.polarity, strict=True
         )
-    ]  # fmt: skip
-    text = _replaced(path, contactors)
-    _write(text, target, force=force, told=told)
+    ]
+    _write(_mapped(path, contactors), target, force=force, told=told)
 
 
 def write_tables(
@@ -169,21 +163,23 @@ def write_tables(
     Raises
     ------
     InputError
-        If a key or value is not valid, if the target cannot be written, or if the file has
-        ``bimorph`` or ``finger`` in another form than as tables; nothing is written then.
+        If a key or value is not valid, if the target cannot be written, or if the source cannot be
+        edited; nothing is written then.
     """
     path, _ = _checked_place(source, target, force=force)
-    old = files.read_text(path)
-    expected, text = tomllib.loads(old), old
+    document, expected = _parsed(path)
     if bimorph:
-        expected["bimorph"] = expected.get("bimorph", {}) | _plain(bimorph)
-        text = _with_keys(text, "bimorph", bimorph)
+        values = {name: _plain(value) for name, value in bimorph.items()}
+        if "bimorph" in document:
+            _set(document["bimorph"], values)
+        else:
+            _replace(document, "bimorph", "bimorph", tomlkit.item(values))
+        expected["bimorph"] = expected.get("bimorph", {}) | values
     if finger:
-        expected["finger"] = _plain(finger)
-        text = _with_table(text, "finger", finger)
-    if json.dumps(_parsed(text), sort_keys=True) != json.dumps(expected, sort_keys=True):
-        raise InputError(f"{path}: bimorph and finger are not written as tables, a key on a line")
-    _write(text, target, force=force)
+        values = {name: _plain(value) for name, value in finger.items()}
+        _replace(document, "finger", "finger", tomlkit.item(values))
+        expected["finger"] = values
+    _write(_checked_text(path, document, expected), target, force=force)
 
 
 def _write(text: str, target: Path, *, force: bool, told: Map | None = None) -> None:
@@ -208,130 +204,116 @@ def _write(text: str, target: Path, *, force: bool, told: Map | None = None) -> 
             os.unlink(name)
 
 
-def _with_keys(text: str, table: str, values: Mapping[str, Value]) -> str:
-    """Return the text of a file with keys of a table set, each in place or after the last one."""
-    out: list[str] = []
-    pending, is_present = {k: _line(k, v) for k, v in values.items()}, False
-    for kind, lines in _sections(text.splitlines(keepends=True)):
-        if kind != ("[", table):
-            out += lines
-            continue
-        is_present, last = True, 0
-        for k, line in enumerate(lines):
-            assignment = ASSIGNED.match(line)
-            if assignment is not None and assignment[1] in pending:
-                comment = COMMENT.fullmatch(line.rstrip("\n"))
-                new = pending.pop(assignment[1])
-                lines[k] = new if comment is None else f"{new.rstrip()}  {comment[1]}\n"
-            last = k + 1 if line.strip() else last
-        lines[last - 1] = lines[last - 1].rstrip("\n") + "\n"
-        out += [*lines[:last], *pending.values(), *lines[last:]]
-    return "".join(out) if is_present else _appended(text, table, pending.values())
-
-
-def _with_table(text: str, table: str, values: Mapping[str, Value]) -> str:
-    """Return the text of a file with a table and its subtables replaced; their comments remain."""
-    out: list[str] = []
-    comments: list[str] = []
-    place = None
-    for (_, name), lines in _sections(text.splitlines(keepends=True)):
-        if name != table and not name.startswith(f"{table}."):
-            out += lines
-            continue
-        place = len(out) if place is None else place
-        matches = (COMMENT.fullmatch(line.rstrip("\n")) for line in lines)
-        comments += [match[1] + "\n" for match in matches if match]
-    rows = [_line(k, v) for k, v in values.items()]
-    if place is None:
-        return _appended(text, table, rows)
-    return "".join([*out[:place], *comments, f"[{table}]\n", *rows, "\n", *out[place:]])
-
-
-def _appended(text: str, table: str, rows: Iterable[str]) -> str:
-    """Return text with a table appended."""
-    return "".join([text.rstrip("\n"), f"\n\n[{table}]\n", *rows])
-
-
-def _line(key: str, value: Value) -> str:
-    """Return the line that assigns a value to a key."""
-    return f"{key} = {_toml(value)}\n"
-
-
-def _toml(value: Value) -> str:
-    """Return a value in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value)
-    if isinstance(value, int | float):
-        return repr(float(value))
-    return f"[{', '.join(map(_toml, value))}]"
-
-
-def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
-    """Return values as a TOML parser returns them."""
-    return tomllib.loads("".join(_line(k, v) for k, v in values.items()))
-
-
-def _replaced(path: Path, contactors: Sequence[Contactor]) -> str:
-    """Return the text of a file with its contactors replaced; all other tables remain."""
+def _parsed(path: Path) -> tuple[tomlkit.TOMLDocument, dict[str, Any]]:
+    """Return a file as a document, which keeps comments and layout, and as plain data."""
     text = files.read_text(path)
-    pending, out = list(contactors), []
-    for kind, lines in _sections(text.splitlines(keepends=True)):
-        if kind not in MAPPED:
-            out += lines
-            continue
-        replacement = pending if kind == ("[", "grid") else pending[:1]
-        pending = pending[len(replacement) :]
-        comments = [
-            match[1] + "\n" for line in lines if (match := COMMENT.fullmatch(line.rstrip("\n")))
-        ]
-        out += [*comments, *(line for c in replacement for line in _lines(c))]
-    new = "".join(out)
-    expected = _without_map(text)
-    if pending or _parsed(new) is None or _without_map(new) != expected:
-        raise InputError(f"{path}: the map is not written as tables [grid] or [[contactor]]")
-    return new
-
-
-def _sections(lines: list[str]) -> Iterator[tuple[tuple[str, str], list[str]]]:
-    """Yield the tables of a file, each with the comment lines directly above its header."""
-    kind, begin = ("", ""), 0
-    for k, line in enumerate(lines):
-        header = HEADER.fullmatch(line.rstrip("\n"))
-        if header is None:
-            continue
-        first = k
-        while first > begin and lines[first - 1].lstrip().startswith("#"):
-            first -= 1
-        yield kind, lines[begin:first]
-        kind, begin = (header[1], header[2]), first
-    yield kind, lines[begin:]
-
-
-def _lines(c: Contactor) -> list[str]:
-    """Return the lines of a ``[[contactor]]`` table."""
-    rows: dict[str, Any] = {
-        "position_mm": list(c.position_mm),
-        "channel": c.channel,
-        "shear_direction_deg": c.shear_direction_deg,
-        "polarity": c.polarity,
-    }
-    text = [f"{name} = {value!r}\n" for name, value in rows.items()]
-    if c.response is not None:
-        escaped = c.response.replace("\\", "\\\\").replace('"', '\\"')
-        text.append(f'response = "{escaped}"\n')
-    return ["[[contactor]]\n", *text, "\n"]
-
-
-def _parsed(text: str) -> dict[str, Any] | None:
-    """Return the content of TOML text, or None if it is not valid."""
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return None
+        return tomlkit.parse(text), tomllib.loads(text)
+    except (TOMLKitError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be edited: {error}") from error
 
 
-def _without_map(text: str) -> dict[str, Any]:
-    """Return the content of TOML text without its contactors."""
-    return {k: v for k, v in (_parsed(text) or {}).items() if k not in ("grid", "contactor")}
+def _checked_text(path: Path, document: tomlkit.TOMLDocument, expected: dict[str, Any]) -> str:
+    """Return the text of a document after a check that it reads back as the expected data."""
+    text = tomlkit.dumps(document)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: cannot be edited: {error}") from error
+    # NaN equals itself only in JSON; `load_display` refuses it with a better message.
+    if json.dumps(content, sort_keys=True) != json.dumps(expected, sort_keys=True):
+        raise InputError(f"{path}: cannot be edited without a change of other values")
+    return text
+
+
+def _mapped(path: Path, contactors: Sequence[Contactor]) -> str:
+    """Return the text of a display file with the map of contactors; a grid becomes contactors."""
+    document, expected = _parsed(path)
+    if "contactor" in document:
+        entries = zip(document["contactor"], expected["contactor"], contactors, strict=True)
+        for entry, row, contactor in entries:
+            told = {"channel": contactor.channel, "polarity": contactor.polarity}
+            changes = {key: value for key, value in told.items() if row.get(key, 1) != value}
+            _set(entry, changes)
+            row |= changes
+    else:
+        rows = [msgspec.to_builtins(c) for c in contactors]
+        rows = [{key: value for key, value in row.items() if value is not None} for row in rows]
+        tables = tomlkit.aot()
+        for row in rows:
+            if tables.body:
+                tables.body[-1].add(tomlkit.nl())
+            tables.append(tomlkit.item(row))
+        _replace(document, "grid", "contactor", tables)
+        del expected["grid"]
+        expected["contactor"] = rows
+    return _checked_text(path, document, expected)
+
+
+def _set(table: Any, values: Mapping[str, Any]) -> None:
+    """Set keys of a table, each in place or after the last one."""
+    tail = _cut_tail(table)
+    for name, value in values.items():
+        table[name] = value
+    if tail:
+        table.value.body.extend(tail)
+
+
+def _replace(document: tomlkit.TOMLDocument, old: str, name: str, new: Item) -> None:
+    """Replace a table, or append one; comments of the old one precede the new one.
+
+    The document can only be dumped afterwards, since its index of keys is left as it was.
+    """
+    body = document.body
+    places = [i for i, (key, _) in enumerate(body) if key is not None and key.key == old]
+    # A table without a header of its own is among the keys that precede all tables.
+    has_header = bool(places) and _has_header(body[places[0]])
+    comments: list[Entry] = []
+    for i in reversed(places):
+        tail = _cut_tail(body[i][1])
+        comments = [*_comments(body[i]), *comments]
+        body[i : i + 1] = tail
+    place = places[0] if has_header else len(body)
+    gap: list[Entry] = [] if has_header else [(None, tomlkit.nl())]
+    body[place:place] = [*gap, *comments, (tomlkit.key(name), new)]
+
+
+def _has_header(entry: Entry) -> bool:
+    """Return whether an item is written below a header in brackets."""
+    key, item = entry
+    return isinstance(item, Table | AoT) and key is not None and not key.is_dotted()
+
+
+def _cut_tail(item: Any) -> list[Entry]:
+    """Remove and return what follows the last key of a table.
+
+    These are blank lines and comments, which mostly belong to the table below.
+    """
+    if isinstance(item, AoT):
+        return _cut_tail(item.body[-1])
+    if not isinstance(item, Table):
+        return []
+    body = item.value.body
+    if body and _has_header(body[-1]):
+        return _cut_tail(body[-1][1])
+    end = len(body)
+    while end and body[end - 1][0] is None:
+        end -= 1
+    tail = body[end:]
+    del body[end:]
+    return tail
+
+
+def _comments(entry: Entry) -> list[Entry]:
+    """Return the comments in ``grid`` or ``finger``, whose strings cannot contain a #."""
+    part = tomlkit.document()
+    part.body.append(entry)
+    texts = re.findall("#.*", part.as_string())
+    return [(None, tomlkit.comment(text[1:].removeprefix(" "))) for text in texts]
+
+
+def _plain(value: Value) -> Any:
+    """Return a value as a TOML parser returns it."""
+    if isinstance(value, bool | str):
+        return value
+    return float(value) if isinstance(value, int | float) else [_plain(v) for v in value]

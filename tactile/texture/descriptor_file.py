@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import msgspec
+import tomlkit
 
 from tactile.errors import InputError
 from tactile.texture.descriptor import Descriptor
@@ -23,8 +24,6 @@ ROW = 8
 """Number of values in a row of an array."""
 WIDTH = 100
 """Width at which strings are wrapped [columns]."""
-ESCAPES = {"\\": "\\\\", '"': '\\"', "\b": "\\b", "\t": "\\t", "\f": "\\f", "\r": "\\r"}
-"""TOML escape sequence of each character that has a short one."""
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 """Control characters, which a TOML comment must not contain."""
 NO_COMMENTS: Mapping[str, str] = MappingProxyType({})
@@ -185,9 +184,7 @@ def _text(name: str, text: str) -> str:
 
 def _escaped(text: str) -> str:
     """Return a text with the escape sequences of a TOML basic string."""
-    return "".join(
-        ESCAPES.get(c, f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c) for c in text
-    )
+    return tomlkit.string(text).as_string()[1:-1]
 
 
 def _wrapped(line: str) -> str:

@@ -21,6 +21,7 @@ from tactile import files
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.descriptor import Descriptor
+from tactile.texture.descriptor_file import as_toml
 from tactile.texture.formats import ahap, haptic_clip, hatt, hjif, pcm, reading, surface_effect
 from tactile.texture.formats.document import Effect, EffectFile, channels_of, segments_of
 from tactile.texture.formats.synthesis import duration
@@ -39,7 +40,8 @@ def _load_toml(path: Path) -> Loaded:
 
 def _saved_toml(effect: Effect) -> Saved:
     """Format an effect as a TOML file."""
-    return _as_toml(EffectFile(effect=effect)), []
+    data = _without_none(msgspec.to_builtins(EffectFile(effect=effect)))
+    return tomli_w.dumps(data).encode(), []
 
 
 LOADERS: dict[str, Callable[[Path], Loaded]] = {
@@ -278,7 +280,7 @@ def _checked_target(path: Path, *, force: bool) -> None:
 def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
     """Write a texture under the name of its file, after a check that it can be read back."""
     identity = msgspec.structs.replace(texture.texture, id=target.stem)
-    content = _as_toml(msgspec.structs.replace(texture, texture=identity))
+    content = as_toml(msgspec.structs.replace(texture, texture=identity)).encode()
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / target.name
         trial.write_bytes(content)
@@ -287,11 +289,6 @@ def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
         except InputError as error:
             raise InputError(str(error).replace(str(trial), str(target))) from error
     _write(target, content, force=force)
-
-
-def _as_toml(part: msgspec.Struct) -> bytes:
-    """Return a Struct as TOML, without the fields that equal their defaults."""
-    return tomli_w.dumps(_without_none(msgspec.to_builtins(part))).encode()
 
 
 def _without_none(value: Any) -> Any:

@@ -106,6 +106,15 @@ def test_more_than_the_coil_withstands_is_refused(tmp_path: Path) -> None:
     assert str(caught.value).endswith(refused)
 
 
+def test_the_current_limit_of_the_amplifier_holds_for_a_coil_too(tmp_path: Path) -> None:
+    """It cannot be held by a limit of slew, as that into a capacitance is."""
+    coil_display(tmp_path, limits=LIMITS + "current_ma = 375.0\n")
+    with pytest.raises(InputError) as caught:
+        coil_display(tmp_path, limits=LIMITS + "current_ma = 100.0\n")
+    refused = "limits.voltage_v = 3: 0.375 A through the coil exceeds 0.1 A; at most 0.8 V"
+    assert str(caught.value).endswith(refused)
+
+
 def test_a_coil_that_does_not_fit_its_opening_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the actuator with its travel needs"):
         coil_display(tmp_path, coil=COIL.replace("[1.4, 1.4]", "[20.0, 2.0]"))

@@ -111,7 +111,9 @@ def can(kernel: Interrupted) -> Wire:
 
 
 def udp(kernel: Interrupted) -> Wire:
-    wire = UdpWire(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), Udp(10e6), ModelClock())
+    wire = UdpWire(
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM), Udp(10e6), ModelClock(), "nobody"
+    )
     wire._socket.close()
     wire._socket = Socket(kernel)  # type: ignore[assignment]
     return wire

@@ -107,10 +107,13 @@ class UdpWire(Wire):
         Medium, which knows how long packets take.
     clock : Clock
         Host time.
+    name : str
+        Host and port, for error messages.
     """
 
-    def __init__(self, connection: socket.socket, link: Link, clock: Clock) -> None:
+    def __init__(self, connection: socket.socket, link: Link, clock: Clock, name: str) -> None:
         super().__init__(link)
+        self._name = name
         self._socket, self._clock = connection, clock
         self._decoder = SerialDecoder(counters=self.counters)
         self._queue: deque[tuple[bytes, float]] = deque()
@@ -181,7 +184,7 @@ class UdpWire(Wire):
         except BlockingIOError:
             return
         except OSError as error:
-            raise WireError(_reason(error)) from error
+            raise WireError(f"udp: {self._name}: {_reason(error)}") from error
 
     def waited(self) -> float:
         """Return how long the oldest datagram that the kernel has not taken has been waiting.
@@ -230,7 +233,7 @@ class UdpWire(Wire):
             except BlockingIOError:
                 break
             except OSError as error:
-                raise WireError(_reason(error)) from error
+                raise WireError(f"udp: {self._name}: {_reason(error)}") from error
             packets += self._decoder.feed(DELIMITER + datagram)
         return packets
 
@@ -316,7 +319,7 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
         raise WireError(f"udp: {path}: {_reason(error)}") from error
     try:
         connection.connect(address)
-        return UdpWire(connection, link, clock)
+        return UdpWire(connection, link, clock, path)
     except OSError as error:
         connection.close()
         raise WireError(f"udp: {path}: {_reason(error)}") from error

@@ -402,7 +402,7 @@ def _actuator(content: DisplayFile, path: Path) -> Actuator:
         measured=load_response(path.parent / coil.response).at,
         resistance=coil.resistance_ohm,
         inductance=coil.inductance_mh * 1e-3,
-        largest_current=coil.current_a,
+        largest_current=min(coil.current_a, _limits(content.limits).current),
         room=(coil.size_mm[0] * 1e-3, coil.size_mm[1] * 1e-3),
     )
 

@@ -310,8 +310,9 @@ class LimitsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     slew_v_per_us : float
         Largest rate at which the drive changes.
     current_ma : float or None
-        Largest current into the capacitance of one bender; it lowers the slew limit where the
-        amplifier cannot keep up.
+        Largest current of one channel. Into the capacitance of a bender it lowers the slew limit
+        where the amplifier cannot keep up; a voltage limit at which a coil would take more is
+        refused.
     fade_ms : float
         Length of the ordinary ramp to and from 0 V.
     """

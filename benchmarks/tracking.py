@@ -30,6 +30,7 @@ from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import load_texture
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.finger_motion import MotionFilter, Numbers, Pair, Stillness
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
 
 BLOCK = 16
@@ -157,8 +158,10 @@ def tracked(
         while k < len(samples.time) and samples.arrival[k] <= now:
             arrival = float(samples.arrival[k])
             stamp = float(samples.time[k]) + 77.0 if client.stamped else None
-            pace = samples.velocity[k] if client.velocity else None
-            tracker.add(clock(stamp, arrival), samples.place[k], FORCE, pace, arrival=arrival)
+            vx, vy = samples.velocity[k].tolist()
+            pace = (vx, vy) if client.velocity else None
+            x, y = samples.place[k].tolist()
+            tracker.add(FingerSample(clock(stamp, arrival), arrival, x, y, FORCE, pace))
             k += 1
         times = now + ahead
         parts.append((times, *tracker.at(times, now)))
@@ -459,7 +462,7 @@ def measure_cost() -> Iterator[Figure]:
             while sent / rate <= now:
                 moment, kind = sent / rate, "at"
                 begun = stopwatch()
-                tracker.add(moment, (0.08 * moment, 0.0), FORCE, arrival=moment)
+                tracker.add(FingerSample(moment, moment, 0.08 * moment, 0.0, FORCE))
                 spent["add"].append(stopwatch() - begun)
                 sent += 1
             begun = stopwatch()

@@ -37,6 +37,7 @@ from tactile.study.plots import plot_length_map
 from tactile.study.sweep import solve_study
 from tactile.texture.surface import without_friction
 from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
 
 HERE = Path(__file__).parent
@@ -297,7 +298,7 @@ def followed(taken: Floats, came: Floats, told: Floats) -> tuple[Floats, Floats,
             k = waiting.pop(0)
             arrival, newest = float(came[k]), float(told[k])
             when = clock(float(taken[k]) - 1000.0, arrival)  # its clock is another
-            tracker.add(when, (newest, 0.0), 0.5, arrival=arrival)
+            tracker.add(FingerSample(when, arrival, newest, 0.0, 0.5))
         put_out = now + LATENCY + np.arange(BLOCK) / RATE
         times.append(put_out)
         places.append(tracker.at(put_out, float(now))[0][:, 0])

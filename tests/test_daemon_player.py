@@ -18,12 +18,13 @@ from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
-from tactile.playback.shared_memory import Shared, Touch
+from tactile.playback.shared_memory import Shared
 from tactile.playback.waves import Curve, Voice
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import render
 from tactile.texture.surface import load_texture
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
 
 RATE = 8000.0
@@ -57,15 +58,14 @@ class Stage:
 
     @property
     def now(self) -> float:
-        return self.player.rendering.asked(self.player._position)
+        return self.player.rendering.write_time(self.player.position)
 
     def touch(
         self, x: float, force: float = 0.5, client: int = ME, velocity: float | None = SPEED
     ) -> None:
         now = self.now
-        self.memory.write_contact(
-            Touch(client, now, now, x, 0.0, velocity or 0.0, 0.0, force, velocity is not None)
-        )
+        pair = None if velocity is None else (velocity, 0.0)
+        self.memory.write_contact(client, FingerSample(now, now, x, 0.0, force, pair))
 
     def slide(self, seconds: float, force: float = 0.5, client: int = ME) -> Floats:
         """Play, the finger sliding at `SPEED` from the origin, a sample a block; return volts."""
@@ -128,7 +128,7 @@ def test_a_sliding_finger_feels_what_was_selected(stage: Stage, display: Display
 
 def test_the_place_is_that_of_the_time_at_which_a_block_is_put_out(stage: Stage) -> None:
     stage.slide(0.5)
-    last = stage.memory.traces(0)[1][-1].position + BLOCK - 1
+    last = stage.player.position - 1
     put_out = stage.bus.due(last + stage.player.rendering.lag)
     assert stage.player.report.position[0] == pytest.approx(
         SPEED * (put_out - stage.origin), abs=2e-5
@@ -281,10 +281,9 @@ def test_transients_that_are_too_many_at_once_are_counted(stage: Stage) -> None:
 def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: Display) -> None:
     stage.slide(0.3)
     stage.clock.sleep(BLOCK / RATE + 0.05)
-    before = stage.memory.traces(0)[1][-1].position
+    before = stage.player.position
     stage.player.step()
-    after = stage.memory.traces(0)[1][-1].position
-    assert after - before == pytest.approx(0.05 * RATE + BLOCK, abs=2 * BLOCK)
+    assert stage.player.position - before == pytest.approx(0.05 * RATE + BLOCK, abs=2 * BLOCK)
     stage.player.write_report()
     assert stage.memory.report().counters["skipped_samples"] >= 0.05 * RATE - BLOCK
     played = stage.slide(0.2)
@@ -323,10 +322,7 @@ def test_the_report_tells_what_is_played(stage: Stage) -> None:
     assert report.normal_force == pytest.approx(0.5, rel=0.01)
     assert stage.memory.drive.any()
     assert stage.memory.shear.any()
-    following, traces = stage.memory.traces(0)
-    assert following == len(traces) == 250
-    assert [t.position for t in traces] == list(range(0, 250 * BLOCK, BLOCK))
-    assert traces[-1].contacts == 250
+    assert stage.player.position == 250 * BLOCK
 
 
 def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) -> None:
@@ -345,12 +341,11 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
         player.keep(1, texture)
         player.voice(ME).state.layers = ((1, 1.0),)
         player.arm()
-        begun = player.rendering.asked(0)
+        begun = player.rendering.write_time(0)
         for k in range(30):
-            now = player.rendering.asked(k * player.rendering.spacing)
-            memory.write_contact(
-                Touch(ME, now, now, SPEED * (now - begun), 0.0, SPEED, 0.0, 0.5, True)
-            )
+            now = player.rendering.write_time(k * player.rendering.spacing)
+            x = SPEED * (now - begun)
+            memory.write_contact(ME, FingerSample(now, now, x, 0.0, 0.5, (SPEED, 0.0)))
             player.step()
         assert not isinstance(player.rendering, SamplePlayback)
         assert bus.counters.faults() == {}
@@ -362,14 +357,17 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
 def test_contacts_are_read_whole_and_once_and_lost_ones_are_counted() -> None:
     memory = Shared.create(1)
     reader = Shared(memory.handle, 1)
-    one = Touch(1, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.5, True)
-    for k in range(10):
-        memory.write_contact(one._replace(time=float(k)))
-    assert [t.time for t in reader.contacts()] == list(range(10))
+    one = FingerSample(1.0, 2.0, 3.0, 4.0, 0.5)
+    sent = [
+        (k, one._replace(time=float(k), velocity=(5.0, 6.0) if k % 2 else None)) for k in range(10)
+    ]
+    for client, sample in sent:
+        memory.write_contact(client, sample)
+    assert list(reader.contacts()) == sent
     assert list(reader.contacts()) == []
     for k in range(1000):
-        memory.write_contact(one._replace(time=float(k)))
-    times = [t.time for t in reader.contacts()]
+        memory.write_contact(1, one._replace(time=float(k)))
+    times = [sample.time for _, sample in reader.contacts()]
     assert times == list(range(1000 - len(times), 1000))
     assert reader.lost_contacts == 1000 - len(times)
     memory.close()

@@ -9,6 +9,7 @@ from tracking_rig import BLOCK, LATENCY, RATE, ROUNDING, Run, needs_slide, speed
 from benchmarks import tracking as bench
 from benchmarks.tracking import Held, SamplingClient, misses, rms, tracked
 from tactile.tracking.finger_motion import MotionFilter, Noise
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker, Path
 
 GOAL = 0.3
@@ -288,7 +289,7 @@ def test_a_contact_is_over_in_the_sample_that_is_100_ms_after_the_last_arrival(
 ) -> None:
     """The last of a block as well: 100 ms after 0.15 s; all times are exact."""
     tracker = ContactTracker()
-    tracker.add(0.15, (0.0, 0.0), 0.5, arrival=0.15)
+    tracker.add(FingerSample(0.15, 0.15, 0.0, 0.0, 0.5))
     for block in range(2):
         begin = 0.1875 + block * 2**-5
         tracker.at(np.linspace(begin, last if block else 0.21875 - 2**-13, 2), begin)

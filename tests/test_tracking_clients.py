@@ -14,6 +14,7 @@ from benchmarks import tracking as bench
 from benchmarks.tracking import SamplingClient
 from tactile.arrays import Floats
 from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
 
 # What clients may send
@@ -21,7 +22,7 @@ from tactile.tracking.tracker import ContactTracker
 
 def test_the_first_velocity_is_believed() -> None:
     run = Run()
-    run.tracker.add(0.0, (0.0, 0.0), 0.5, (0.2, -0.1), arrival=0.0)
+    run.tracker.add(FingerSample(0.0, 0.0, 0.0, 0.0, 0.5, (0.2, -0.1)))
     run.until(0.01)
     assert run.place == pytest.approx(np.outer(run.times, [0.2, -0.1]), abs=1e-9)
 
@@ -34,7 +35,7 @@ def test_order_of_arrival_does_not_matter_between_blocks() -> None:
         mixed.until(rows[k][0])
         mixed.samples([]).until(rows[k + 1][0])
         for time, x, y, force in reversed(rows[k : k + 2]):
-            mixed.tracker.add(time, (x, y), force, arrival=rows[k + 1][0])
+            mixed.tracker.add(FingerSample(time, rows[k + 1][0], x, y, force))
     assert np.abs(ordered.place[800:] - mixed.place[800 : len(ordered.place)]).max() < 1e-6
     assert mixed.tracker.late == 0
 
@@ -45,9 +46,9 @@ def test_late_and_double_samples_are_counted_and_change_nothing() -> None:
     for k, row in enumerate(rows):
         plain.samples([row]).block()
         other.samples([row]).block()
-        other.tracker.add(row[0], (row[1], row[2]), row[3], arrival=row[0])
+        other.tracker.add(FingerSample(row[0], *row))
         if k:
-            other.tracker.add(rows[k - 1][0], (0.4, 0.0), 0.5, arrival=row[0])
+            other.tracker.add(FingerSample(rows[k - 1][0], row[0], 0.4, 0.0, 0.5))
         plain.block()
         other.block()
     assert other.tracker.late == 2 * len(rows) - 1
@@ -55,29 +56,28 @@ def test_late_and_double_samples_are_counted_and_change_nothing() -> None:
     assert np.array_equal(plain.force, other.force)
 
 
-NONSENSE: list[tuple[Any, ...]] = [
-    (0.1, (math.nan, 0.0), 0.5),
-    (0.1, (0.0, math.inf), 0.5),
-    (0.1, (1e9, 0.0), 0.5),
-    (0.1, (0.0, 0.0), math.nan),
-    (0.1, (0.0, 0.0), -1.0),
-    (0.1, (0.0, 0.0), 1e9),
-    (math.nan, (0.0, 0.0), 0.5),
-    (math.inf, (0.0, 0.0), 0.5),
-    (0.1, (0.0, 0.0), 0.5, (math.nan, 0.0)),
-    (0.1, (0.0, 0.0), 0.5, (1e5, 0.0)),
-    (0.1, (0.0, 0.0, 0.0), 0.5),
-    (0.1, None, 0.5),
-    (0.1, ("a", "b"), 0.5),
-    (0.1, (10**400, 0), 0.5),
-    (1e9, (0.0, 0.0), 0.5),
+VALID = FingerSample(0.1, 0.1, 0.0, 0.0, 0.5)
+NONSENSE = [
+    VALID._replace(x=math.nan),
+    VALID._replace(y=math.inf),
+    VALID._replace(x=1e9),
+    VALID._replace(normal_force=math.nan),
+    VALID._replace(normal_force=-1.0),
+    VALID._replace(normal_force=1e9),
+    VALID._replace(time=math.nan),
+    VALID._replace(time=math.inf),
+    VALID._replace(time=1e9),
+    VALID._replace(arrival=math.nan),
+    VALID._replace(arrival=1e9),
+    VALID._replace(velocity=(math.nan, 0.0)),
+    VALID._replace(velocity=(1e5, 0.0)),
 ]
 
 
 @pytest.mark.parametrize("sample", NONSENSE, ids=repr)
-def test_nonsense_is_counted_and_changes_nothing(sample: tuple[Any, ...]) -> None:
+def test_nonsense_is_counted_and_changes_nothing(sample: FingerSample) -> None:
     run = Run().samples(stroke(0.1, 0, 0.1))
-    run.tracker.add(*sample)
+    run.tracker.add(sample)
     plain = Run().samples(stroke(0.1, 0, 0.1)).samples(stroke(0.1, 0.12, 0.3))
     run.samples(stroke(0.1, 0.12, 0.3))
     assert run.tracker.invalid == 1
@@ -87,7 +87,7 @@ def test_nonsense_is_counted_and_changes_nothing(sample: tuple[Any, ...]) -> Non
 def test_what_nobody_asks_for_does_not_pile_up() -> None:
     tracker = ContactTracker()
     for k in range(2560):
-        tracker.add(k * 1e-3, (0.0, 0.0), 0.5)
+        tracker.add(FingerSample(k * 1e-3, k * 1e-3, 0.0, 0.0, 0.5))
     assert tracker.dropped == 2560 - 256, "256 wait: a quarter of a second of 1000 a second"
 
 
@@ -108,7 +108,7 @@ def test_whatever_comes_what_goes_out_is_a_finger(rows: list[tuple[Any, ...]], b
     """Never an exception; places finite, a force that a finger has, no jump that is heard."""
     run = Run(block=block)
     for offset, x, y, force, velocity, blocks in rows:
-        run.tracker.add(run.now + offset, (x, y), force, velocity, arrival=run.now)
+        run.tracker.add(FingerSample(run.now + offset, run.now, x, y, force, velocity))
         for _ in range(blocks):
             run.block()
     run.block()
@@ -232,7 +232,7 @@ def test_samples_alike_but_for_a_velocity_raise_nothing() -> None:
     for order in ((None, (0.1, 0.0)), ((0.1, 0.0), None)):
         tracker = ContactTracker()
         for velocity in order:
-            tracker.add(1.0, (0.0, 0.0), 0.5, velocity, arrival=1.0)
+            tracker.add(FingerSample(1.0, 1.0, 0.0, 0.0, 0.5, velocity))
         tracker.at(1.0 + np.arange(16) / 8000, 1.0)
         assert tracker.touching
 
@@ -244,8 +244,8 @@ def test_samples_that_wait_within_4_ms_are_averaged(
 ) -> None:
     """Two that came together begin a contact between them; others one after the other."""
     tracker = ContactTracker()
-    tracker.add(0.0, (0.0, 0.0), 0.5, velocity, arrival=apart)
-    tracker.add(apart, (1e-3, 0.0), 0.5, velocity, arrival=apart)
+    tracker.add(FingerSample(0.0, apart, 0.0, 0.0, 0.5, velocity))
+    tracker.add(FingerSample(apart, apart, 1e-3, 0.0, 0.5, velocity))
     place, _ = tracker.at(apart + np.arange(4) / 8000, apart)
     if averaged:
         np.testing.assert_allclose(place, np.tile([0.5e-3, 0.0], (4, 1)), atol=1e-12)
@@ -258,8 +258,8 @@ def heard_again(speed: float, gap: float, x: float) -> ContactTracker:
     tracker = ContactTracker()
     for k in range(46):
         time = 0.5 - (45 - k) / 90
-        tracker.add(time, (speed * time, 0.0), 0.5, arrival=time)
-    tracker.add(0.5 + gap, (x, 0.0), 0.5, arrival=0.5 + gap)
+        tracker.add(FingerSample(time, time, speed * time, 0.0, 0.5))
+    tracker.add(FingerSample(0.5 + gap, 0.5 + gap, x, 0.0, 0.5))
     tracker.at(0.5 + gap + 0.001 * np.arange(4), 0.5 + gap)
     return tracker
 

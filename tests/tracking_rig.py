@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import tracking as bench
 from tactile.arrays import Floats
+from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
 
 RATE = 8000.0
@@ -44,7 +45,7 @@ class Run:
         """Play while samples (time, x, y, force) come, each when it was taken."""
         for time, x, y, force in rows:
             self.until(time)
-            self.tracker.add(time, (x, y), force, arrival=time)
+            self.tracker.add(FingerSample(time, time, x, y, force))
         return self
 
     @property

@@ -21,7 +21,6 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.shared_memory import (
-    BlockTrace,
     PlaybackCounters,
     PlaybackReport,
     Shared,
@@ -135,7 +134,7 @@ class SamplePlayback:
         rate = self._bus.wiring.sample_rate
         return np.asarray(self._bus.due(position + self.lag) + np.arange(BLOCK) / rate)
 
-    def asked(self, position: int) -> float:
+    def write_time(self, position: int) -> float:
         """Return the time at which the bus wants a block.
 
         Parameters
@@ -168,7 +167,7 @@ class SamplePlayback:
         self._bus.write(DriveBlock(position, self._display.to_channels(drive)))
         self.drive, self.shear = drive[-1], shear[-1]
 
-    def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
+    def warm_up(self, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Use a texture once, so that its memory is allocated.
 
         Parameters
@@ -265,7 +264,7 @@ class FramePlayback:
         steps = np.arange(self.spacing // BLOCK)[::-1]
         return np.asarray(end - steps * (BLOCK / self._rate))
 
-    def asked(self, position: int) -> float:
+    def write_time(self, position: int) -> float:
         """Return the time at which the bus wants the frame at the end of a stretch.
 
         Parameters
@@ -308,7 +307,7 @@ class FramePlayback:
         self._rise = 1.0
         self.drive = np.asarray(np.abs(total).sum(axis=1))
 
-    def touch(self, texture: RealizedLayer | SpectrumRenderer) -> None:
+    def warm_up(self, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Use a texture once, so that its memory is allocated.
 
         Parameters
@@ -356,6 +355,8 @@ class PlaybackLoop:
         Voice of each client.
     rendering : SamplePlayback or FramePlayback
         Rendering for the kind of link.
+    position : int
+        Position of the next block [samples].
     tracker : ContactTracker
         Tracker of the finger.
     report : PlaybackReport
@@ -378,7 +379,7 @@ class PlaybackLoop:
         self.tracker = ContactTracker()
         self.report = PlaybackReport(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
-        self._client = self._position = self._skipped = self._dropped_waves = 0
+        self.position = self._client = self._skipped = self._dropped_waves = 0
         step = 1 / (self.display.limits.fade * self._rate)
         self._air = Ramp(step, 1.0 if self.worn else IN_AIR)
         self._touching = self.worn
@@ -396,7 +397,7 @@ class PlaybackLoop:
             Texture realized for the display.
         """
         self.textures[number] = texture
-        self.rendering.touch(texture)
+        self.rendering.warm_up(texture)
 
     def voice(self, client: int) -> Voice:
         """Return the voice of a client, which is created if there is none.
@@ -457,7 +458,7 @@ class PlaybackLoop:
         self.rendering.fade_in()
         for voice in self.voices.values():
             voice.silence()
-        self._position = 0
+        self.position = 0
         self.bus.start()
         self.write_report()
 
@@ -475,26 +476,25 @@ class PlaybackLoop:
 
     def step(self) -> None:
         """Wait until it is time for a block, render it and play it."""
-        self.clock.sleep(self.rendering.asked(self._position) - MARGIN - self.clock.now())
+        self.clock.sleep(self.rendering.write_time(self.position) - MARGIN - self.clock.now())
         now = self.clock.now()
         if not self.running:
             return
         self._catch_up(now)
         arrival = self._take_contacts()
-        times = self.rendering.due(self._position)
+        times = self.rendering.due(self.position)
         place, force = self.tracker.at(times, now)
         waves = self._waves(len(times))
-        position = self._position
-        self._position += self.rendering.spacing
+        position = self.position
+        self.position += self.rendering.spacing
         try:
             self.rendering.write(position, place, force, waves)
         except BusStateError:
             if self.running:
                 raise
             return  # an e-stop or a fault came since the state was read: nothing to play
-        due = self.bus.due(position + self.rendering.first)
-        self.memory.write_trace(BlockTrace(position, self.memory.contacts_read, now, due))
         if arrival is not None:
+            due = self.bus.due(position + self.rendering.first)
             self.report.latency += SMOOTHED * (due - arrival - self.report.latency)
         self.report.blocks += 1
         self.report.position = float(place[-1, 0]), float(place[-1, 1])
@@ -504,26 +504,23 @@ class PlaybackLoop:
 
     def _catch_up(self, now: float) -> None:
         """Continue with the block that is due now, if the loop was delayed."""
-        late = now - self.rendering.asked(self._position)
+        late = now - self.rendering.write_time(self.position)
         if late > (LATENESS * self.bus.ahead or HELD_UP):
             spacing = self.rendering.spacing
             count = math.ceil(late * self._rate / spacing) * spacing
-            self._position += count
+            self.position += count
             self._skipped += count
             self.rendering.fade_in()
 
     def _take_contacts(self) -> float | None:
         """Pass contacts to the tracker; return when the newest of them arrived [s]."""
         arrival = None
-        for touch in self.memory.contacts():
-            velocity = (touch.vx, touch.vy) if touch.has_velocity else None
-            self.tracker.add(
-                touch.time, (touch.x, touch.y), touch.normal_force, velocity, arrival=touch.arrival
-            )
-            arrival = touch.arrival
-            if touch.client != self._client:
-                self._client = touch.client
-                self.refresh(touch.client)
+        for client, sample in self.memory.contacts():
+            self.tracker.add(sample)
+            arrival = sample.arrival
+            if client != self._client:
+                self._client = client
+                self.refresh(client)
         return arrival
 
     def _waves(self, count: int) -> Singles | None:

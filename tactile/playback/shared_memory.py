@@ -2,8 +2,7 @@
 
 Neither side ever waits for the other. Contacts are a ring of entries, each with a number that is
 odd while the entry is written (a sequence lock), so that a reader takes only complete entries and
-knows how many it missed. The report is a single such entry, the latest. A trace tells which
-contacts each of the latest blocks was rendered from, and when the block is put out.
+knows how many it missed. The report is a single such entry, the latest.
 
 On Linux the memory is a memfd that the child inherits, which leaves nothing behind; elsewhere it is
 a file in the folder for temporary files, which the server removes. A kill at any instant leaves at
@@ -19,16 +18,16 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import BusCounters
+from tactile.tracking.finger_sample import FingerSample
 
-CONTACTS, TRACES = 256, 8192
-"""Lengths of the rings: a quarter of a second of contacts at 1 kHz, and 16 s of blocks
-[entries]."""
+CONTACTS = 256
+"""Length of the ring of contacts: a quarter of a second at 1 kHz [entries]."""
 DETAIL = 240
 """Space for the line of detail of a report [bytes]."""
 
@@ -65,87 +64,26 @@ COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
 """Names of the counters, in the order of the report."""
 NUMBER = struct.Struct("<Q")
 """Format of a count."""
-CONTACT = struct.Struct("<QQddddddd?")
-"""Format of an entry of the ring of contacts: its number and a `Touch`."""
-TRACE = struct.Struct("<QQQdd")
-"""Format of an entry of the ring of traces: its number and a `BlockTrace`."""
+CONTACT = struct.Struct("<QQddddd?dd")
+"""Format of an entry of the ring of contacts: its number, the client, and a `FingerSample`, in
+which a flag tells whether there is a velocity."""
+CONTACT_SPACE = 128
+"""Distance between two entries of the ring of contacts [bytes]."""
 REPORT = struct.Struct(f"<Qd4BQ7d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
-HEADS = 64
-"""Space before the rings [bytes]: how many contacts and traces were written, the number of the
-report, and the number of heartbeats of the server."""
-AT_CONTACTS = HEADS
+AT_HEAD, AT_REPORTED, AT_BEATS = 0, 8, 16
+"""Offsets of the number of contacts that were written, the number of the report, and the number of
+heartbeats of the server [bytes]."""
+AT_CONTACTS = 64
 """Offset of the ring of contacts [bytes]."""
-AT_TRACES = AT_CONTACTS + 128 * CONTACTS
-"""Offset of the ring of traces [bytes]."""
-AT_REPORT = AT_TRACES + 64 * TRACES
+AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
 """Offset of the arrays of shear and drive [bytes]."""
-Ring = tuple[int, int, int, struct.Struct, int]
-"""Offset of a ring, size of an entry [bytes], number of entries, format of an entry, offset of the
-count."""
-CONTACT_RING: Ring = (AT_CONTACTS, 128, CONTACTS, CONTACT, 0)
-"""Ring of the contacts, written by the server."""
-TRACE_RING: Ring = (AT_TRACES, 64, TRACES, TRACE, 8)
-"""Ring of the traces, written by playback."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
 STATES: tuple[State, ...] = get_args(State)
 """All states, in the order of their codes in the report."""
-
-
-class Touch(NamedTuple):
-    """Contact of a finger.
-
-    Attributes
-    ----------
-    client : int
-        Number of the client to which the finger belongs.
-    time : float
-        Time at which it was measured, in the host's clock [s].
-    arrival : float
-        Time at which it arrived, in the host's clock [s].
-    x, y : float
-        Position of the finger [m].
-    vx, vy : float
-        Velocity of the finger [m/s].
-    normal_force : float
-        Normal force [N].
-    has_velocity : bool
-        Whether the client gave the velocity.
-    """
-
-    client: int
-    time: float
-    arrival: float
-    x: float
-    y: float
-    vx: float
-    vy: float
-    normal_force: float
-    has_velocity: bool
-
-
-class BlockTrace(NamedTuple):
-    """Trace of a block.
-
-    Attributes
-    ----------
-    position : int
-        Position of the block [samples].
-    contacts : int
-        Number of contacts that had come when it was rendered.
-    time : float
-        Time at which it was rendered, in the host's clock [s].
-    due : float
-        Time at which it is put out, in the host's clock [s].
-    """
-
-    position: int
-    contacts: int
-    time: float
-    due: float
 
 
 @dataclass
@@ -234,7 +172,7 @@ class Shared:
         arrays = np.frombuffer(self._map, np.float32, 2 * contactors, AT_ARRAYS)
         self.shear: NDArray[np.float32] = arrays[:contactors]
         self.drive: NDArray[np.float32] = arrays[contactors:]
-        self._read = self._contact = self._trace = self._reported = 0
+        self._read = self._written = self._reported = 0
         self.lost_contacts = 0
 
     @classmethod
@@ -285,99 +223,60 @@ class Shared:
 
     def beat(self) -> None:
         """Count one more sign of life of the server."""
-        NUMBER.pack_into(self._map, 24, self.beats + 1)
+        NUMBER.pack_into(self._map, AT_BEATS, self.beats + 1)
 
     @property
     def beats(self) -> int:
         """Number of signs of life that the server has given."""
-        return int(NUMBER.unpack_from(self._map, 24)[0])
+        return int(NUMBER.unpack_from(self._map, AT_BEATS)[0])
 
     # Contacts
 
-    def write_contact(self, touch: Touch) -> int:
+    def write_contact(self, client: int, sample: FingerSample) -> None:
         """Add a contact.
 
         Parameters
         ----------
-        touch : Touch
-            Contact to add.
-
-        Returns
-        -------
-        int
-            Number of contacts so far.
+        client : int
+            Number of the client that the finger belongs to.
+        sample : FingerSample
+            Sample of the finger.
         """
-        self._contact = self._put(CONTACT_RING, self._contact, touch)
-        return self._contact
+        *numbers, velocity = sample
+        n, place = self._written, _place(self._written)
+        NUMBER.pack_into(self._map, place, 2 * n + 1)
+        CONTACT.pack_into(
+            self._map, place, 2 * n + 1, client, *numbers,
+            velocity is not None, *(velocity or (0.0, 0.0)),
+        )  # fmt: skip
+        NUMBER.pack_into(self._map, place, 2 * n + 2)
+        self._written = n + 1
+        NUMBER.pack_into(self._map, AT_HEAD, self._written)
 
-    def contacts(self) -> Iterator[Touch]:
+    def contacts(self) -> Iterator[tuple[int, FingerSample]]:
         """Yield the contacts that came since the last call.
+
+        Contacts that could not be read whole are counted as lost.
 
         Yields
         ------
-        Touch
-            Contact that could be read whole; others are counted as lost.
+        client : int
+            Number of the client that the finger belongs to.
+        sample : FingerSample
+            Sample of the finger.
         """
-        head = NUMBER.unpack_from(self._map, 0)[0]
+        head = NUMBER.unpack_from(self._map, AT_HEAD)[0]
         first = max(self._read, head - CONTACTS + 8)
         self.lost_contacts += first - self._read
         self._read = head
         for n in range(first, head):
-            row = CONTACT.unpack_from(self._map, AT_CONTACTS + 128 * (n % CONTACTS))
-            if row[0] == 2 * n + 2:
-                yield Touch(*row[1:])
+            row = CONTACT.unpack_from(self._map, _place(n))
+            number, client, time, arrival, x, y, force, has_velocity, vx, vy = row
+            if number == 2 * n + 2:
+                velocity = (vx, vy) if has_velocity else None
+                yield client, FingerSample(time, arrival, x, y, force, velocity)
             else:
                 self.lost_contacts += 1
-
-    @property
-    def contacts_read(self) -> int:
-        """Number of contacts that the reader has seen or missed."""
-        return self._read
-
-    def _put(self, ring: Ring, n: int, row: tuple[object, ...]) -> int:
-        """Write entry ``n`` of a ring under its sequence lock; return the number of the next."""
-        at, size, slots, form, head = ring
-        place = at + size * (n % slots)
-        NUMBER.pack_into(self._map, place, 2 * n + 1)
-        form.pack_into(self._map, place, 2 * n + 1, *row)
-        NUMBER.pack_into(self._map, place, 2 * n + 2)
-        NUMBER.pack_into(self._map, head, n + 1)
-        return n + 1
-
-    # Traces
-
-    def write_trace(self, trace: BlockTrace) -> None:
-        """Add the trace of a block.
-
-        Parameters
-        ----------
-        trace : BlockTrace
-            Trace to add.
-        """
-        self._trace = self._put(TRACE_RING, self._trace, trace)
-
-    def traces(self, first: int) -> tuple[int, list[BlockTrace]]:
-        """Return the traces from a number on that are still there.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first trace to return.
-
-        Returns
-        -------
-        next : int
-            Number of the next trace.
-        traces : list of BlockTrace
-            Traces that could be read whole.
-        """
-        head = NUMBER.unpack_from(self._map, 8)[0]
-        traces = []
-        for n in range(max(first, head - TRACES + 64), head):
-            row = TRACE.unpack_from(self._map, AT_TRACES + 64 * (n % TRACES))
-            if row[0] == 2 * n + 2:
-                traces.append(BlockTrace(*row[1:]))
-        return head, traces
 
     # The report
 
@@ -390,14 +289,14 @@ class Shared:
             Report to write.
         """
         self._reported += 1
-        NUMBER.pack_into(self._map, 16, 2 * self._reported - 1)
+        NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported - 1)
         REPORT.pack_into(
             self._map, AT_REPORT, r.blocks, r.time, STATES.index(r.state), r.link == "up",
             r.running, r.touching, r.client, *r.position, *r.velocity, r.normal_force,
             r.sample_rate, r.latency, *(r.counters[name] for name in COUNTERS),
             r.detail.encode()[:DETAIL],
         )  # fmt: skip
-        NUMBER.pack_into(self._map, 16, 2 * self._reported)
+        NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported)
 
     def report(self) -> PlaybackReport:
         """Return the latest complete report.
@@ -410,9 +309,9 @@ class Shared:
             Report of the playback process.
         """
         for _ in range(100):
-            before = NUMBER.unpack_from(self._map, 16)[0]
+            before = NUMBER.unpack_from(self._map, AT_REPORTED)[0]
             row = REPORT.unpack_from(self._map, AT_REPORT)
-            if before % 2 == 0 and before == NUMBER.unpack_from(self._map, 16)[0]:
+            if before % 2 == 0 and before == NUMBER.unpack_from(self._map, AT_REPORTED)[0]:
                 break
         counters = dict(zip(COUNTERS, row[-len(COUNTERS) - 1 : -1], strict=True))
         blocks, time, state, link, running, touching, client, *rest = row[: -len(COUNTERS) - 1]
@@ -422,3 +321,8 @@ class Shared:
             client, (x, y), (vx, vy), force, rate, late, counters,
             row[-1].rstrip(b"\0").decode(errors="replace"),
         )  # fmt: skip
+
+
+def _place(n: int) -> int:
+    """Return the offset of entry ``n`` of the ring of contacts [bytes]."""
+    return AT_CONTACTS + CONTACT_SPACE * (n % CONTACTS)

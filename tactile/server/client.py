@@ -26,13 +26,13 @@ from tactile.messages import (
     kind_of,
 )
 from tactile.playback import commands
-from tactile.playback.shared_memory import Touch
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import hint
 from tactile.server.playing import Playing
 from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import watched
 from tactile.tracking.clock_map import ClockMap
+from tactile.tracking.finger_sample import FingerSample
 
 if TYPE_CHECKING:
     from tactile.server.host import Host
@@ -164,14 +164,12 @@ class Client:
             clock = self._clocks.setdefault(message.display, ClockMap())
             when = clock(message.time_us * 1e-6, arrival)
         x, y = message.position_mm
-        vx, vy = message.velocity_mm_s or (0.0, 0.0)
-        playing.touch(
-            self.number,
-            Touch(
-                self.number, when, arrival, x * 1e-3, y * 1e-3, vx * 1e-3, vy * 1e-3,
-                message.normal_force_n, message.velocity_mm_s is not None,
-            ),
-        )  # fmt: skip
+        velocity = None
+        if message.velocity_mm_s is not None:
+            vx, vy = message.velocity_mm_s
+            velocity = vx * 1e-3, vy * 1e-3
+        sample = FingerSample(when, arrival, x * 1e-3, y * 1e-3, message.normal_force_n, velocity)
+        playing.add_sample(self.number, sample)
         return None
 
     async def request(self, command: Command) -> Answer:

@@ -3,7 +3,7 @@
 import math
 
 from tactile.messages import SILENCE
-from tactile.playback.shared_memory import Touch
+from tactile.tracking.finger_sample import FingerSample
 
 
 class FingerOwnership:
@@ -18,10 +18,10 @@ class FingerOwnership:
     def __init__(self) -> None:
         self.client: int | None = None
         self._last = -math.inf
-        self._touch: Touch | None = None
+        self._sample: FingerSample | None = None
 
-    def take(self, client: int, touch: Touch) -> bool:
-        """Take a contact, if the finger belongs to its client or to nobody.
+    def take(self, client: int, sample: FingerSample) -> bool:
+        """Take a sample, if the finger belongs to its client or to nobody.
 
         An owner that has been silent for longer than `SILENCE` loses the finger to the next client
         that touches.
@@ -29,39 +29,39 @@ class FingerOwnership:
         Parameters
         ----------
         client : int
-            Number of the client that sent the contact.
-        touch : Touch
-            The contact.
+            Number of the client that sent the sample.
+        sample : FingerSample
+            Sample of the client's finger.
 
         Returns
         -------
         bool
-            Whether the contact counts.
+            Whether the sample counts.
         """
         if client != self.client:
-            silent = touch.arrival - self._last > SILENCE
-            if touch.normal_force <= 0 or not (self.client is None or silent):
+            silent = sample.arrival - self._last > SILENCE
+            if sample.normal_force <= 0 or not (self.client is None or silent):
                 return False
-        self._last, self._touch = touch.arrival, touch
-        self.client = client if touch.normal_force > 0 else None
+        self._last, self._sample = sample.arrival, sample
+        self.client = client if sample.normal_force > 0 else None
         return True
 
-    def lifted(self, client: int, now: float) -> Touch | None:
-        """Return the contact that lifts a client's finger.
+    def lifted(self, client: int, now: float) -> FingerSample | None:
+        """Return the sample that lifts a client's finger.
 
         Parameters
         ----------
         client : int
             Number of the client.
         now : float
-            Time of the contact [s].
+            Time of the sample [s].
 
         Returns
         -------
-        Touch or None
-            Last contact of the client with a normal force of 0; None if the finger is not the
+        FingerSample or None
+            Last sample of the client with a normal force of 0; None if the finger is not the
             client's.
         """
-        if self.client != client or self._touch is None:
+        if self.client != client or self._sample is None:
             return None
-        return self._touch._replace(time=now, arrival=now, normal_force=0.0)
+        return self._sample._replace(time=now, arrival=now, normal_force=0.0)

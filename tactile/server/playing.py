@@ -26,7 +26,7 @@ from tactile.messages import (
 )
 from tactile.playback import commands
 from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
-from tactile.playback.shared_memory import PlaybackReport, Shared, Touch
+from tactile.playback.shared_memory import PlaybackReport, Shared
 from tactile.playback.waves import ClientState
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, load_configured
@@ -36,6 +36,7 @@ from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.shelf import Shelf
 from tactile.server.tasks import watched
 from tactile.server.workbench import Workbench
+from tactile.tracking.finger_sample import FingerSample
 
 log = logging.getLogger("tactile.playback")
 
@@ -583,18 +584,18 @@ class Playing:
         for n, _ in old.values():
             await self._drop_texture(n)
 
-    def touch(self, client: int, touch: Touch) -> None:
-        """Take a contact, if the finger belongs to its client or to nobody.
+    def add_sample(self, client: int, sample: FingerSample) -> None:
+        """Add a sample of the finger, if that belongs to its client or to nobody.
 
         Parameters
         ----------
         client : int
             Number of the client.
-        touch : Touch
-            The contact.
+        sample : FingerSample
+            Sample of the client's finger.
         """
-        if self.finger.take(client, touch):
-            self.memory.write_contact(touch)
+        if self.finger.take(client, sample):
+            self.memory.write_contact(client, sample)
 
     async def leave(self, client: int) -> None:
         """Lift a client's finger, fade what it plays, and give up its high voltage.
@@ -607,7 +608,7 @@ class Playing:
         self.cancel_drawings(client)
         lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
-            self.touch(client, lifted)
+            self.add_sample(client, lifted)
         work = [self.give_up(client)]
         if self.states.pop(client, None) is not None and not self.lost:
             work.append(self._forget(client))

@@ -40,7 +40,6 @@ smoothness and a moving one needs speed; the weights of the filters make that ch
 
 import math
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +55,7 @@ from tactile.tracking.finger_motion import (
     Stillness,
     basis,
 )
+from tactile.tracking.finger_sample import FingerSample
 
 SILENCE = 0.1
 """Age of the newest arrival at which the finger is taken as gone [s]."""
@@ -101,31 +101,6 @@ OLDEST = 1.0
 """Age beyond which a sample is late, whatever came before [s]."""
 SAME = 1e-5
 """Interval of time within which two samples count as one [s]."""
-
-
-class Sample(NamedTuple):
-    """Sample of a client, in the host's time.
-
-    Attributes
-    ----------
-    time : float
-        Time at which the sample was taken [s].
-    x, y : float
-        Position of the finger [m].
-    normal_force : float
-        Normal force [N].
-    velocity : tuple of 2 floats or None
-        Velocity, if the client knows it [m/s].
-    arrival : float
-        Time at which the sample arrived [s].
-    """
-
-    time: float
-    x: float
-    y: float
-    normal_force: float
-    velocity: Pair | None
-    arrival: float
 
 
 class Path:
@@ -363,10 +338,10 @@ class ContactTracker:
     def __init__(self, *, motion: MotionFilter | None = None) -> None:
         self.touching = False
         self.late = self.invalid = self.dropped = self.jumps = self.silences = 0
-        self._waiting: deque[Sample] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[FingerSample] = deque(maxlen=MOST_WAITING)
         self._motion, self._stillness = motion or MotionFilter(), Stillness()
         self._path, self._press = Path(), Press()
-        self._last: Sample | None = None
+        self._last: FingerSample | None = None
         self._arrival = -math.inf
         self._down = self._leapt = self._fresh = False
         self._rest: Pair | None = None
@@ -379,41 +354,14 @@ class ContactTracker:
         """Velocity (2,) of the position at the end of the last block; 0 without contact [m/s]."""
         return np.array(self._path.now(self._time)[1])
 
-    def add(
-        self,
-        time: float,
-        position: ArrayLike,
-        normal_force: float,
-        velocity: ArrayLike | None = None,
-        *,
-        arrival: float | None = None,
-    ) -> None:
-        """Add a sample; samples may come in any order and with any content.
+    def add(self, sample: FingerSample) -> None:
+        """Add a sample; samples may come in any order, and their numbers may be any.
 
         Parameters
         ----------
-        time : float
-            Time at which the sample was taken, in the host's clock [s].
-        position : (2,) array_like of float
-            Position of the finger on the surface [m].
-        normal_force : float
-            Normal force; 0 for a lifted finger [N].
-        velocity : (2,) array_like of float, optional
-            Velocity, if the client knows it [m/s].
-        arrival : float, optional
-            Time at which the sample arrived, by default ``time`` [s].
+        sample : FingerSample
+            Sample to add.
         """
-        try:
-            x, y = map(float, position)  # type: ignore[arg-type]
-            velocity_pair = None
-            if velocity is not None:
-                vx, vy = map(float, velocity)  # type: ignore[arg-type]
-                velocity_pair = vx, vy
-            arrived = float(time if arrival is None else arrival)
-            sample = Sample(float(time), x, y, float(normal_force), velocity_pair, arrived)
-        except (TypeError, ValueError, OverflowError):
-            self.invalid += 1
-            return
         if not _is_plausible(sample):
             self.invalid += 1
             return
@@ -499,7 +447,7 @@ class ContactTracker:
 
     def _process_waiting(self, now: float) -> None:
         """Pass the waiting samples to the filters, in the order of their times."""
-        samples, group = sorted(self._waiting, key=lambda s: s.time), list[Sample]()
+        samples, group = sorted(self._waiting, key=lambda s: s.time), list[FingerSample]()
         self._waiting.clear()
         newest = self._motion.time
         for sample in samples:
@@ -517,10 +465,10 @@ class ContactTracker:
         if group:
             self._update_filters(group)
 
-    def _update_filters(self, group: list[Sample]) -> None:
+    def _update_filters(self, group: list[FingerSample]) -> None:
         """Update the filters with the mean of some samples; start anew if the finger leapt."""
         count, first, last = len(group), group[0], group[-1]
-        time, x, y, velocity = first[0], first[1], first[2], first.velocity
+        time, x, y, velocity = first.time, first.x, first.y, first.velocity
         if count > 1:
             time = math.fsum(s.time for s in group) / count
             x, y = math.fsum(s.x for s in group) / count, math.fsum(s.y for s in group) / count
@@ -543,7 +491,7 @@ class ContactTracker:
             self._arrival = max(self._arrival, sample.arrival)
         self.touching = last.normal_force > 0
 
-    def _leaps(self, sample: Sample, time: float, x: float, y: float) -> bool:
+    def _leaps(self, sample: FingerSample, time: float, x: float, y: float) -> bool:
         """Return whether a sample is too far from the last one or from its expected position."""
         last = self._last
         if last is None or _differ(last, sample, contact=False):
@@ -554,7 +502,7 @@ class ContactTracker:
         return math.hypot(x - px, y - py) > FARTHEST_MISS
 
 
-def _is_plausible(sample: Sample) -> bool:
+def _is_plausible(sample: FingerSample) -> bool:
     """Return whether a sample is finite and within what a finger does; False for NaN."""
     fast = 0.0 if sample.velocity is None else math.hypot(*sample.velocity)
     return (
@@ -567,7 +515,7 @@ def _is_plausible(sample: Sample) -> bool:
     )
 
 
-def _differ(one: Sample, next_one: Sample, *, contact: bool = True) -> bool:
+def _differ(one: FingerSample, next_one: FingerSample, *, contact: bool = True) -> bool:
     """Return whether the finger leapt between two samples.
 
     With ``contact``, also whether only one of them is in contact, or only one has a velocity.

@@ -2,32 +2,40 @@
 
 A client in its own process sends a position a thousand times a second over a WebSocket to the
 daemon, whose playback plays oak on 24 contactors to the C amplifier on a pty. The contacts that
-each block was rendered from are in the trace that playback leaves; the time at which the amplifier
-put that block out is in the amplifier's record. The first sample that can depend on a contact is
+each block was rendered from are in the trace of `benchmarks.traced_playback`, which the daemon
+starts in place of its own playback; the time at which the amplifier put that block out is in the
+amplifier's record. The first sample that can depend on a contact is
 the first of the next block, delayed by the look-ahead of the limiter.
 """
 
 import asyncio
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks import traced_playback
+from benchmarks.traced_playback import FILE
 from benchmarks.virtual import VirtualAmplifier, can_be_built, workshop
 from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_most, beside_machine
-from tactile.playback.shared_memory import BlockTrace, Touch
 from tactile.rendering.limiter import LOOK_AHEAD
+from tactile.server import playing as server_playing
+from tactile.server.children import Child
 from tactile.server.config import DaemonConfig, DisplayConfig, ServerConfig
 from tactile.server.host import Host
-from tactile.server.playing import Playing
 from tactile.server.server import running
+from tactile.tracking.finger_sample import FingerSample
 
 RATE = 1000.0
 """Rate of messages [1/s]."""
@@ -65,59 +73,42 @@ def send(url: str, seconds: float, file: str) -> None:
         display.disarm(timeout=5.0)
 
 
-class Traced:
-    """Collector of the traces of playback, as it plays."""
-
-    def __init__(self, playing: Playing) -> None:
-        self._playing, self._next, self._touch = playing, 0, playing.touch
-        self.traces: list[BlockTrace] = []
-        self.numbers: list[int] = []
-        """Numbers of the messages whose contacts came, in order; the client drops outdated ones."""
-        setattr(playing, "touch", self._noted)  # noqa: B010
-
-    def _noted(self, client: int, touch: Touch) -> None:
-        self._touch(client, touch)
-        self.numbers.append(round((touch.normal_force - FORCE) / MARK))
-
-    async def follow(self) -> None:
-        """Collect traces until cancelled."""
-        while True:
-            self.take()
-            await asyncio.sleep(1.0)
-
-    def take(self) -> None:
-        """Collect new traces."""
-        self._next, traces = self._playing.memory.traces(self._next)
-        self.traces += traces
-
-
 async def _session(
     folder: Path, device: str, seconds: float
-) -> tuple[Traced, Floats, m.StatsReply]:
+) -> tuple[Floats, Floats, m.StatsReply]:
+    """Play while a client sends.
+
+    Returns the trace (B, 3), the time at which each contact that came was sent (K,) [s], and the
+    statistics of the display.
+    """
     config = DaemonConfig(
         server=ServerConfig(port=0, socket=""),
         display=(DisplayConfig(name=NAME, device=device),),
     )
     host = Host(config)
+    numbers: list[int] = []  # of the messages whose contacts came: the client drops outdated ones
     async with running(config, host=host) as server:
-        traced = Traced(host.playing[NAME])
-        task = asyncio.create_task(traced.follow())
+        playing = host.playing[NAME]
+        add = playing.add_sample
+
+        def add_sample(client: int, sample: FingerSample) -> None:
+            add(client, sample)
+            numbers.append(round((sample.normal_force - FORCE) / MARK))
+
+        setattr(playing, "add_sample", add_sample)  # noqa: B010
         code = CLIENT.format(server.url, seconds, str(folder / "sent.npy"))
         client = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
         if await client.wait():
             raise subprocess.CalledProcessError(client.returncode or 1, "client")
-        task.cancel()
-        traced.take()
         stats = await host.connect("bench", roles=frozenset({"watch"})).request(
             m.GetStats(display=NAME)
         )
         assert isinstance(stats, m.StatsReply)
     sent = np.load(folder / "sent.npy")
-    numbers = [n for n in traced.numbers if n >= 0]
-    return traced, sent[numbers], stats
+    return np.load(folder / "trace.npy"), sent[[n for n in numbers if n >= 0]], stats
 
 
-def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
+def latencies(trace: Floats, sent: Floats, amplifier: VirtualAmplifier) -> Floats:
     """Return the time from each message to the first sample that depends on it (K,) [s].
 
     Messages before the first block or after the last are left out.
@@ -126,17 +117,15 @@ def latencies(traces: list[BlockTrace], sent: Floats, amplifier: VirtualAmplifie
     playing = records.state == State.RUNNING
     ticks, positions = records.tick[playing], records.position[playing].astype(np.int64)
     times = amplifier.powered_up + ticks.astype(np.float64) * 1e-6
-    block = np.array([t.position for t in traces])
-    seen = np.array([t.contacts for t in traces])
-    due = np.array([t.due for t in traces])
+    block, contacts, due = trace.T
     first_affected = block + LOOK_AHEAD
     nearest = np.clip(np.searchsorted(times, due), 1, len(times) - 1)
     nearest -= due - times[nearest - 1] < times[nearest] - due
     apart = np.rint(np.median(positions[nearest] - first_affected)).astype(np.int64)
     when = dict(zip((positions - apart).tolist(), times.tolist(), strict=True))
     played = np.array([when.get(int(p), np.nan) for p in first_affected])
-    first = np.searchsorted(seen, np.arange(len(sent)), side="right")
-    inside = (first > 0) & (first < len(traces))
+    first = np.searchsorted(contacts, np.arange(len(sent)), side="right")
+    inside = (first > 0) & (first < len(trace))
     late = played[first[inside]] - sent[inside]
     return np.asarray(late[np.isfinite(late)])
 
@@ -149,12 +138,22 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
 
 
+def _traced_child(child: type[Child], module: str, *rest: Any) -> Child:
+    """Start the traced playback in place of a playback process."""
+    assert module == "tactile.playback.process"
+    return child(traced_playback.__name__, *rest)
+
+
 def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterator[Figure]:
     with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         device = f"serial://{amplifier.path}{options}"
-        traced, sent, stats = asyncio.run(_session(folder, device, seconds))
+        with (
+            patch.object(server_playing, "Child", partial(_traced_child, Child)),
+            patch.dict(os.environ, {FILE: str(folder / "trace.npy")}),
+        ):
+            trace, sent, stats = asyncio.run(_session(folder, device, seconds))
         time.sleep(0.1)
-        late = 1e3 * latencies(traced.traces, sent, amplifier)
+        late = 1e3 * latencies(trace, sent, amplifier)
     yield Figure(f"{name}.messages", float(len(late)), "")
     for part, goal in ((50, 12), (99, 20), (99.9, 40)):
         value = float(np.percentile(late, part))

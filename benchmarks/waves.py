@@ -14,7 +14,7 @@ from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import load_display
 from tactile.playback.loop import BLOCK, PlaybackLoop
-from tactile.playback.shared_memory import Shared
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.waves import BLOCK_WORK, Curve, Voice
 
 CLIENTS = 60
@@ -60,7 +60,7 @@ def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
 
 def _player() -> PlaybackLoop:
     display = load_display("reference-24")
-    memory = Shared.create(len(display.contactors))
+    memory = PlaybackMemory.create(len(display.contactors))
     return PlaybackLoop(display, MockBus(Wiring.of(display, RATE)), memory)
 
 

@@ -18,7 +18,7 @@ from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
-from tactile.playback.shared_memory import Shared
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.waves import Curve, Voice
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
@@ -54,7 +54,7 @@ class Stage:
 
     player: PlaybackLoop
     bus: MockBus
-    memory: Shared
+    memory: PlaybackMemory
 
     @property
     def now(self) -> float:
@@ -89,8 +89,8 @@ class Stage:
 
 @pytest.fixture
 def stage(display: Display, oak: RealizedLayer, leather: RealizedLayer) -> Iterator[Stage]:
-    memory = Shared.create(len(display.contactors))
-    reader = Shared(memory.handle, len(display.contactors))
+    memory = PlaybackMemory.create(len(display.contactors))
+    reader = PlaybackMemory(memory.handle, len(display.contactors))
     clock = ModelClock()
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
     player = PlaybackLoop(display, bus, reader, clock=clock)
@@ -200,7 +200,9 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
     touched = rms(stage.slide(0.4)[800:])
     assert air / touched == pytest.approx(10 ** (-34 / 20), rel=0.05)
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=stage.clock)
-    worn = PlaybackLoop(display, bus, Shared(stage.memory.handle, 24), worn=True, clock=stage.clock)
+    worn = PlaybackLoop(
+        display, bus, PlaybackMemory(stage.memory.handle, 24), worn=True, clock=stage.clock
+    )
     worn.arm()
     worn.voice(ME).queue.append(tone, RATE, ())
     for _ in range(150):
@@ -328,7 +330,7 @@ def test_the_report_tells_what_is_played(stage: Stage) -> None:
 def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) -> None:
     from tactile.rendering.spectrum import SpectrumRenderer
 
-    memory = Shared.create(24)
+    memory = PlaybackMemory.create(24)
     url = "mock:?link=can&format=spectrum&keep=all"
     with open_bus(url, display) as bus:
         assert isinstance(bus, ModeledBus)
@@ -337,7 +339,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
             display, load_texture("wood-oak"), carriers=bus.frames.carriers,
             frame_rate=bus.frames.rate, whole_band=True,
         )  # fmt: skip
-        player = PlaybackLoop(display, bus, Shared(memory.handle, 24), clock=LinkTime(bus))
+        player = PlaybackLoop(display, bus, PlaybackMemory(memory.handle, 24), clock=LinkTime(bus))
         player.keep(1, texture)
         player.voice(ME).state.layers = ((1, 1.0),)
         player.arm()
@@ -355,8 +357,8 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
 
 
 def test_contacts_are_read_whole_and_once_and_lost_ones_are_counted() -> None:
-    memory = Shared.create(1)
-    reader = Shared(memory.handle, 1)
+    memory = PlaybackMemory.create(1)
+    reader = PlaybackMemory(memory.handle, 1)
     one = FingerSample(1.0, 2.0, 3.0, 4.0, 0.5)
     sent = [
         (k, one._replace(time=float(k), velocity=(5.0, 6.0) if k % 2 else None)) for k in range(10)

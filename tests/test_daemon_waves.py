@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile.arrays import Floats
-from tactile.playback.waves import Curve, EffectPlayer, Queue
+from tactile.playback.waves import Curve, EffectPlayer, WaveformQueue
 
 RATE = 8000.0
 N = 3
@@ -13,7 +13,7 @@ ENDING = 5e-3
 """s in which what is replaced or ends early falls to nothing."""
 
 
-def drained(queue: Queue, most: int = 2000) -> Floats:
+def drained(queue: WaveformQueue, most: int = 2000) -> Floats:
     parts = []
     for _ in range(most):
         part = queue.take(BLOCK)
@@ -27,7 +27,7 @@ def drained(queue: Queue, most: int = 2000) -> Floats:
 def test_a_waveform_is_itself_at_the_drives_rate(rate: float) -> None:
     """A sine of 100 Hz, resampled, is that sine to 50 dB."""
     source = np.sin(2 * np.pi * 100 * np.arange(int(rate * 0.9)) / rate).astype(np.float32)
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     assert queue.append(source, rate, ()) == len(source)
     played = drained(queue)
     time = np.arange(len(played)) / RATE
@@ -39,14 +39,14 @@ def test_a_waveform_is_itself_at_the_drives_rate(rate: float) -> None:
 
 def test_what_is_above_the_drives_band_is_not_folded_into_it() -> None:
     source = np.sin(2 * np.pi * 7000 * np.arange(24000) / 48000).astype(np.float32)
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     queue.append(source, 48000.0, ())
     assert np.abs(drained(queue)[200:-200]).max() < 1e-3
 
 
 def test_a_waveform_is_the_same_however_it_is_cut_into_messages() -> None:
     source = np.random.default_rng(0).uniform(-1, 1, 900).astype(np.float32)
-    whole, cut = Queue(RATE, N), Queue(RATE, N)
+    whole, cut = WaveformQueue(RATE, N), WaveformQueue(RATE, N)
     whole.append(source, 1000.0, (1,))
     for k in range(0, 900, 77):
         cut.append(source[k : k + 77], 1000.0, (1,))
@@ -54,7 +54,7 @@ def test_a_waveform_is_the_same_however_it_is_cut_into_messages() -> None:
 
 
 def test_only_the_named_contactors_play() -> None:
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     queue.append(np.ones(100, np.float32), RATE, (0, 2))
     queue.append(np.full(100, 2, np.float32), RATE, (1,))
     played = drained(queue)
@@ -64,7 +64,7 @@ def test_only_the_named_contactors_play() -> None:
 
 @pytest.mark.parametrize("rate", [1000.0, 8000.0, 48000.0])
 def test_what_does_not_fit_is_not_taken_and_fits_when_some_was_played(rate: float) -> None:
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     one = np.zeros(4000, np.float32)
     taken = 0
     for _ in range(20):
@@ -78,7 +78,7 @@ def test_what_does_not_fit_is_not_taken_and_fits_when_some_was_played(rate: floa
 
 
 def test_what_is_replaced_fades_within_its_time_and_without_a_step() -> None:
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     queue.append(np.ones(4000, np.float32), RATE, ())
     before = queue.take(BLOCK)
     assert before is not None

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.playback.waves import Curve, EffectPlayer, Queue, Voice, affordable
+from tactile.playback.waves import Curve, EffectPlayer, Voice, WaveformQueue, affordable
 
 RATE = 8000.0
 N = 3
@@ -131,7 +131,7 @@ def test_a_waveform_is_its_formula_however_it_comes_and_goes(seed: int, rate: fl
     """Windowed sincs, summed sample by sample, to the table's 4e-6 of each that takes part."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, 200).astype(np.float32)
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     parts: list[NDArray[np.float32]] = []
     cuts = np.sort(rng.integers(0, 200, 3))
     for part in np.split(x, cuts):
@@ -196,7 +196,7 @@ def test_all_transients_at_one_time_are_those_that_may_sound() -> None:
 
 
 def test_segments_are_bounded_and_one_more_is_not_taken_until_some_were_played() -> None:
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     one = np.ones(1, np.float32)
     taken = [queue.append(one, RATE, (k % 2,)) for k in range(MOST_SEGMENTS)]
     assert taken == [1] * MOST_SEGMENTS
@@ -208,7 +208,7 @@ def test_segments_are_bounded_and_one_more_is_not_taken_until_some_were_played()
 
 def test_the_work_of_a_block_grows_with_its_segments_and_its_rate() -> None:
     def work(rate: float, cut: int) -> int:
-        queue = Queue(RATE, N)
+        queue = WaveformQueue(RATE, N)
         for k in range(0, 96, cut):
             queue.append(np.ones(cut, np.float32), rate, (k // cut % 2,))
         return queue.work(BLOCK)
@@ -218,7 +218,7 @@ def test_the_work_of_a_block_grows_with_its_segments_and_its_rate() -> None:
 
 
 def test_memory_is_bounded_by_what_waits() -> None:
-    queue = Queue(RATE, N)
+    queue = WaveformQueue(RATE, N)
     for _ in range(2000):
         queue.append(np.zeros(4000, np.float32), 48_000.0, ())
         queue.take(BLOCK)
@@ -230,7 +230,7 @@ def test_memory_is_bounded_by_what_waits() -> None:
 def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
     """After silence the waves are where they would be, but for an effect's phase."""
     rng = np.random.default_rng(seed)
-    queues = Queue(RATE, N), Queue(RATE, N)
+    queues = WaveformQueue(RATE, N), WaveformQueue(RATE, N)
     for k in range(int(rng.integers(1, 9))):
         x = rng.uniform(-1, 1, int(rng.integers(1, 700))).astype(np.float32)
         for queue in queues:

@@ -22,7 +22,7 @@ from tactile.playback import commands
 from tactile.playback.commands import Answer, News, Order
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.process import Program
-from tactile.playback.shared_memory import Shared
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.waves import Curve
 
 RATE = 8000.0
@@ -43,7 +43,7 @@ class Stage:
     program: Program
     player: PlaybackLoop
     bus: MockBus
-    memory: Shared
+    memory: PlaybackMemory
     latch: Latch
     said: list[Answer | News]
     _number: int = 0
@@ -83,11 +83,11 @@ class Stage:
 
 @pytest.fixture
 def stage(display: Display) -> Iterator[Stage]:
-    memory = Shared.create(len(display.contactors))
+    memory = PlaybackMemory.create(len(display.contactors))
     latch = Latch.open("sim:", Path())
     clock = ModelClock()
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
-    shared = Shared(memory.handle, len(display.contactors))
+    shared = PlaybackMemory(memory.handle, len(display.contactors))
     player = PlaybackLoop(display, bus, shared, worn=True, clock=clock)
     said: list[Answer | News] = []
     program = Program(player, Latch(latch.handle, LatchWriter.PLAYBACK), said.append)

@@ -57,7 +57,7 @@ from tactile.playback import process as playback_process
 from tactile.playback.commands import DeviceOpened, Setup
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.process import Program
-from tactile.playback.shared_memory import Shared
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import drawing, host
 from tactile.server.config import DaemonConfig
 from tactile.server.host import Host
@@ -169,7 +169,7 @@ class PlaybackProcess(Process):
             self.threads += (bus.pump.runner.thread,)
             atexit.unregister(bus.close)
         file = int(self.handle(setup.memory).partition(":")[2])
-        self._memory = Shared(f"fd:{os.dup(file)}", len(setup.display.contactors))
+        self._memory = PlaybackMemory(f"fd:{os.dup(file)}", len(setup.display.contactors))
         file = int(self.handle(setup.latch).partition(":")[2])
         self._latch = Latch(f"fd:{os.dup(file)}", LatchWriter.PLAYBACK)
         clock = LinkTime(bus) if isinstance(bus, ModeledBus) else self.clock

@@ -22,8 +22,8 @@ from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.shared_memory import (
     PlaybackCounters,
+    PlaybackMemory,
     PlaybackReport,
-    Shared,
     State,
 )
 from tactile.playback.waves import TURN, ClientState, Voice, affordable
@@ -338,7 +338,7 @@ class PlaybackLoop:
         Display to play.
     bus : Bus
         Bus of the display.
-    memory : Shared
+    memory : PlaybackMemory
         Memory shared with the server.
     gain : float
         Gain of the display, on top of that of each client.
@@ -365,7 +365,7 @@ class PlaybackLoop:
 
     display: Display
     bus: Bus
-    memory: Shared
+    memory: PlaybackMemory
     gain: float = 1.0
     worn: bool = False
     clock: Clock = MONOTONIC
@@ -428,7 +428,7 @@ class PlaybackLoop:
         if voice is not None:
             voice.queue.clear()
             voice.effect.begin(None)
-            voice.state.layers, voice.gone = (), True
+            voice.state.layers, voice.has_left = (), True
             self.refresh(client)
 
     def refresh(self, client: int) -> None:
@@ -540,7 +540,7 @@ class PlaybackLoop:
             if wave is not None:
                 scaled = wave * np.float32(voice.state.gain * self.gain)
                 total = scaled if total is None else total + scaled
-            elif voice.gone and client not in work:
+            elif voice.has_left and client not in work:
                 del self.voices[client]
         if total is None:
             return None

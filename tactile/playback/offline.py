@@ -186,28 +186,28 @@ class _Delayed:
 
     def __init__(self, begin: float, sample_rate: float, delay: int) -> None:
         self._begin, self._rate, self._delay = begin, sample_rate, delay
-        self._touch = np.zeros((0, 3))
+        self._contact = np.zeros((0, 3))
         self._count = -delay
 
     def __call__(
         self, position: Floats, normal_force: Floats, drive: Floats, shear: Floats
     ) -> PlayedBlock | None:
         """Add a block; return the samples whose output has come, None if there are none."""
-        touch = np.concatenate([self._touch, np.column_stack([position, normal_force])])
+        contact = np.concatenate([self._contact, np.column_stack([position, normal_force])])
         early = min(max(-self._count, 0), len(drive))
         count = len(drive) - early
-        self._touch = touch[count:]
+        self._contact = contact[count:]
         first = self._count + early
         self._count += len(drive)
         if not count:
             return None
         return PlayedBlock(
             self._begin + (first + np.arange(count)) / self._rate,
-            touch[:count, :2],
-            touch[:count, 2],
+            contact[:count, :2],
+            contact[:count, 2],
             drive[early:],
             shear[early:],
-            self._speed(touch[:, :2], count - 1),
+            self._speed(contact[:, :2], count - 1),
         )
 
     def _speed(self, place: Floats, at: int) -> float:

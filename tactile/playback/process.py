@@ -30,7 +30,7 @@ from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import commands, priority
 from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
 from tactile.playback.loop import PlaybackLoop, state_of
-from tactile.playback.shared_memory import Shared
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
 
 IDLE = 20e-3
@@ -396,7 +396,7 @@ def main() -> None:
         outward.write(pickle.dumps(DeviceOpened(why_not=str(error)), protocol=5))
         outward.flush()
         sys.exit(1)
-    memory = Shared(setup.memory, len(setup.display.contactors))
+    memory = PlaybackMemory(setup.memory, len(setup.display.contactors))
     player = PlaybackLoop(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
     pipe = Pipe(inward, outward)
     program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)

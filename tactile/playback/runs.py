@@ -345,7 +345,7 @@ def _play_frames(
     summary.invalid_samples = renderer.invalid_frames
 
 
-def _rows(block: PlayedBlock, felt: Floats | None) -> dict[str, Floats]:
+def _rows(block: PlayedBlock, skin_shear: Floats | None) -> dict[str, Floats]:
     """Return the arrays of a block to record, by name."""
     rows = {
         "drive_v": block.drive,
@@ -353,4 +353,4 @@ def _rows(block: PlayedBlock, felt: Floats | None) -> dict[str, Floats]:
         "time_s": block.time,
         "position_mm": block.position * 1e3,
     }
-    return rows if felt is None else rows | {"shear_played_m": felt}
+    return rows if skin_shear is None else rows | {"shear_played_m": skin_shear}

@@ -139,7 +139,7 @@ class PlaybackReport:
     detail: str = ""
 
 
-class Shared:
+class PlaybackMemory:
     """Shared memory, mapped into the process.
 
     Parameters
@@ -176,7 +176,7 @@ class Shared:
         self.lost_contacts = 0
 
     @classmethod
-    def create(cls, contactors: int) -> "Shared":
+    def create(cls, contactors: int) -> "PlaybackMemory":
         """Create memory that is all zero.
 
         Parameters
@@ -186,7 +186,7 @@ class Shared:
 
         Returns
         -------
-        Shared
+        PlaybackMemory
             New memory.
         """
         size = AT_ARRAYS + 8 * contactors

@@ -1,9 +1,9 @@
 """Waves that clients add to the surface as shear: streamed waveforms and parametric effects.
 
-A `Queue` plays samples in the order of their arrival, resampled to the rate of the drive. What does
-not fit is not taken, and the client is told so (``samplesConsumed`` of XR_FB_haptic_pcm). An
-`EffectPlayer` evaluates an effect block by block from its points (XR_EXT_haptic_parametric). Both
-pass the limiter like everything else.
+A `WaveformQueue` plays samples in the order of their arrival, resampled to the rate of the drive.
+Samples that do not fit are refused, and the client learns how many were taken (``samplesConsumed``
+of XR_FB_haptic_pcm). An `EffectPlayer` evaluates an effect block by block from its points
+(XR_EXT_haptic_parametric). Both pass the limiter like everything else.
 
 All clients together may use `BLOCK_WORK` per block. Work is counted before it is done, in
 evaluations of a kernel or of a transient at one sample, so that what is played never depends on the
@@ -188,7 +188,7 @@ class WaveformSegment:
         self._at += self._ratio * count
 
 
-class Queue:
+class WaveformQueue:
     """Samples of one client that wait to be played.
 
     Parameters
@@ -539,13 +539,13 @@ class Voice:
 
     Attributes
     ----------
-    queue : Queue
+    queue : WaveformQueue
         Streamed waveforms.
     effect : EffectPlayer
         Parametric effects.
     state : ClientState
         Textures and gain.
-    gone : bool
+    has_left : bool
         Whether the client has left.
     """
 
@@ -553,11 +553,12 @@ class Voice:
         self._rate, self._contactors = sample_rate, contactors
         self.silence()
         self.state = ClientState()
-        self.gone = False
+        self.has_left = False
 
     def silence(self) -> None:
         """Drop all waves at once, while nothing sounds."""
-        self.queue, self.effect = Queue(self._rate, self._contactors), EffectPlayer(self._rate)
+        self.queue = WaveformQueue(self._rate, self._contactors)
+        self.effect = EffectPlayer(self._rate)
         self._last: Singles | None = None
         self._silent = False
 

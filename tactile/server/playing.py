@@ -26,7 +26,7 @@ from tactile.messages import (
 )
 from tactile.playback import commands
 from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
-from tactile.playback.shared_memory import PlaybackReport, Shared
+from tactile.playback.shared_memory import PlaybackMemory, PlaybackReport
 from tactile.playback.waves import ClientState
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, load_configured
@@ -98,7 +98,7 @@ class Playing:
         The display, with the limits of the configuration.
     latch : Latch
         E-stop latch of the display.
-    memory : Shared
+    memory : PlaybackMemory
         Memory that is shared with the playback process.
     how : DeviceOpened
         How the device plays.
@@ -124,7 +124,7 @@ class Playing:
         self.config, self.display = config, load_configured(config)
         self._loop = asyncio.get_running_loop()
         self.latch = latch
-        self.memory = Shared.create(len(self.display.contactors))
+        self.memory = PlaybackMemory.create(len(self.display.contactors))
         self.how = DeviceOpened()
         self.states: dict[int, ClientState] = {}
         self.finger = FingerOwnership()

@@ -21,9 +21,9 @@ from tactile.bus.registry import open_bus
 from tactile.errors import BusError
 
 PEAK = 80.0
-"""V of `waves`."""
+"""Amplitude of `waves` [V]."""
 CODE = 100.0 / FULL_SCALE_CODE
-"""V."""
+"""Voltage of one sample code [V]."""
 ROUNDING = {SampleFormat.PCM16: 0.5, SampleFormat.PCM12: 8.0, SampleFormat.BFP8: 128.0}
 """Codes by which a format is off at most, at `PEAK` (SPEC.md, 9)."""
 BLOCK = 16
@@ -33,7 +33,7 @@ TRIES = 5
 
 @dataclass(frozen=True)
 class Limits:
-    """Of a display, in SI units."""
+    """Limits of a display, in SI units."""
 
     voltage: float = 100.0
     fade: float = 20e-3
@@ -41,7 +41,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of an audio card."""
+    """Calibration of an audio card."""
 
     audio_full_scale: float | None = 100.0
     ac_coupling: float = 0.0
@@ -150,7 +150,7 @@ class Record:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Which rows are at 0 V."""
+        """Return which rows are at 0 V."""
         return np.asarray(~self.volts.any(axis=1))
 
     def began(self, bus: LinkBus, node: int = 0) -> int:

@@ -16,11 +16,12 @@ from tactile.bus.registry import open_bus
 CARD, EAR = "Loopback: PCM (hw:0,0)", "Loopback: PCM (hw:0,1)"
 CHANNELS = 24
 RATE = 16000
-"""Hz. At 48 kHz the buffer is of 8 ms, too short for a card that ticks every 4 ms, in a guest."""
+"""Sample rate [Hz]. At 48 kHz the buffer has 8 ms, too short in a guest for a card that ticks every
+4 ms."""
 BLOCK = RATE // 100
 QUIET = RATE // 10
 FULL_SCALE = 100.0
-"""V of `Rig`."""
+"""Full scale of `Rig` [V]."""
 
 
 class Ear:

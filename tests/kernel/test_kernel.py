@@ -24,7 +24,8 @@ from tested import RECORD, digest
 HERE = Path(__file__).parent
 PROJECT = HERE.parents[1]
 HANGING = 20
-"""s of a guest's time after which a check tells where it is; the longest takes 5."""
+"""Time in a guest after which a check is taken to hang and reports its place [s]; the longest takes
+5 s."""
 FETCHING = ("apt-get", "dpkg-deb", "depmod")
 RESULT = re.compile(r"^([A-Z]+) \S*?(\w+\.py)::(\w+)", re.MULTILINE)
 TITLE = re.compile(r"^(?:_{3,}|={3,}) (.+) (?:_{3,}|={3,})$", re.MULTILINE)

@@ -39,7 +39,7 @@ class UsbDevice:
     product = 0
     name = ""
     endpoints: tuple[int, ...] = ()
-    """Their addresses; 0x80 and above lead to the kernel."""
+    """Addresses of the endpoints; 0x80 and above lead to the kernel."""
 
     def __init__(self, port: int) -> None:
         self._socket, kernels = socket.socketpair()

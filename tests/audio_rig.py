@@ -35,7 +35,7 @@ STEP = SLEW / RATE
 ANY = 2e7
 """V/s, with which any sample may follow any other."""
 CODE = VOLTAGE / 32767
-"""V; what 16 bits over the limit tell apart."""
+"""Voltage of one sample code, which 16 bits can tell apart over the limit [V]."""
 WIRE = 0.51 * CODE
 BUFFER, LONG_BUFFER = 256, 1024
 """Frames of JACK's dummy card: for times, and for what must not be disturbed by other programs."""

@@ -34,22 +34,25 @@ Rows = NDArray[Any]
 Test = TypeVar("Test", bound=type)
 
 RATE, SLOW_RATE = 8000.0, 2500.0
-"""Hz; the slower one for slcan, where python-can and a fake adapter in one Python process spend a
-tenth of a millisecond on each of 4500 frames a second."""
+"""Sample rates [Hz]. The slower one is for slcan, where python-can and a fake adapter in one Python
+process spend a tenth of a millisecond on each of 4500 frames per second."""
 PCM16 = 5e-3
-"""V; 16 bits over ±100 V round by 1.5 mV at most."""
+"""Largest error of PCM16 [V]; 16 bits over ±100 V round by 1.5 mV at most."""
 PCM12 = 60e-3
-"""V; 12 bits round by 25 mV, and end 46 mV below ±100 V."""
+"""Largest error of PCM12 [V]; 12 bits round by 25 mV, and end 46 mV below ±100 V."""
 LONGEST_HOLD = 50e-3
-"""s for which the last sample may be held before the ramp, while STOP is on its way."""
+"""Longest time for which the last sample may be held before the ramp, while STOP is on its way
+[s]."""
 FLUSHED = 45_000
 """Ticks of 1 µs by which the amplifier in C has written, each 20 ms, what it put out before."""
 SETTLING = 30e-3
-"""s in which an amplifier in memory, whose time goes only while somebody waits, is at 0 V."""
+"""Time after which an amplifier in memory, whose time passes only while somebody waits, is at 0 V
+[s]."""
 SWITCH, FAST_SWITCH = sys.getswitchinterval(), 5e-4
-"""s after which Python's threads take turns: 5 ms, and while bridge and host are in one process."""
+"""Intervals after which Python's threads take turns: 5 ms as usual, and the one for bridge and host
+in one process [s]."""
 LEAD = "lead_ms=60"
-"""Of buses in real time: a machine that stands still for less does no harm."""
+"""Parameter of buses in real time: a machine that stands still for less does no harm."""
 TRIES = 12
 """Runs of a test, where the machine stalls."""
 STALLS = ("underruns", "late_blocks", "dropped_samples", "disconnects")
@@ -363,7 +366,7 @@ def steadied(cases: Test) -> Test:
 # Which there are
 
 IDEAL = ("mock:", "mock:?keep=all", "sim:", "sim:?plant=plant_of_the_bus_contract:make")
-"""They play as fast as they are written to."""
+"""Buses that play as fast as they are written to."""
 MODELED = (
     "mock:?link=serial",
     "mock:?link=serial&bit_rate=3000000",

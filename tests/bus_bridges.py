@@ -25,7 +25,7 @@ import serial
 from serial import rfc2217
 
 STEP = 50e-3
-"""s after which a thread looks whether it is to end."""
+"""Interval at which a thread checks whether it has to end [s]."""
 FRAME = struct.Struct("<IBB2x64s")
 """Linux' struct canfd_frame."""
 FD, EXTENDED = 0x04, 0x80000000

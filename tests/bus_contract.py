@@ -22,7 +22,7 @@ any sample may follow any other at 8 kHz."""
 LONG = 1200
 """Samples, 75 ms at the highest rate: more than any bus sends ahead."""
 ROUNDING = 1e-9
-"""V; of differences of doubles up to 100 V, with ample room."""
+"""Largest rounding error of differences of doubles up to 100 V, with ample margin [V]."""
 
 DISPLAY = """
 [display]

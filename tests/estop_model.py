@@ -18,14 +18,14 @@ from tactile.server.client import Client
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
-"""Of the display [V] and [V/s]."""
+"""Limits of the display: voltage [V] and slew [V/s]."""
 CODE = LIMIT / 32767
 QUIET = 0.05
-"""s from an e-stop to 0 V."""
+"""Longest time from an e-stop to 0 V [s]."""
 DEAD_MAN = 0.25
-"""s from the server's last heartbeat to 0 V."""
+"""Longest time from the server's last heartbeat to 0 V [s]."""
 UNOWNED = 1.0
-"""s from the last leave of those who armed to high voltage off."""
+"""Longest time until the high voltage is off after the last client that had armed has left [s]."""
 DEVICES = {"left": "mock:", "right": "mock:?format=pcm12"}
 
 

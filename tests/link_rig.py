@@ -30,7 +30,7 @@ VOLTAGE = 100.0
 SLEW = 0.05e6
 """V/s: 20 V from sample to sample at 2.5 kHz, 6.25 V at 8 kHz."""
 PEAK, LEVEL = 80.0, 50.0
-"""V, of the triangle and of the level."""
+"""Amplitudes of the triangle and of the constant level [V]."""
 PERIOD = 4000
 """Samples of the triangle: 0.08 V from one to the next, 26 codes of 16 bits."""
 FOLD = 60
@@ -39,11 +39,11 @@ SETTLED = 20
 """Samples for which the level has stood before the triangle is compared: so long from 0 V at most
 at the slew limit."""
 SAMPLE = 1.0
-"""By which samples may be early or late [samples]."""
+"""Number of samples by which a signal may be early or late [samples]."""
 RECOVERY = 2.0
-"""s within which a link must play again."""
+"""Longest time until a link plays again [s]."""
 FADED = 20e-3
-"""s, of a fade."""
+"""Length of a fade [s]."""
 
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
@@ -71,7 +71,7 @@ class _Wired:
 
 @dataclass(frozen=True)
 class Panel:
-    """As much of a display as a link asks for."""
+    """Part of a display that a link needs."""
 
     channels: int = 2
     slew: float = SLEW

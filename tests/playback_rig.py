@@ -21,7 +21,8 @@ FADE = 160
 SINGLE = 1e-6
 """Relative: shear is computed in single precision."""
 FIDELITY = 45.0
-"""dB; 55 are measured, of which the finger's and beam's damping take most (see the plant)."""
+"""Smallest fidelity [dB]. 55 dB are measured; the damping of finger and beam accounts for most of
+the error (see the plant)."""
 SLIDE = Path(__file__).parents[2] / "shared" / "data" / "paths" / "slide.csv"
 
 

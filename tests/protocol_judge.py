@@ -20,7 +20,7 @@ WATCHDOG_MS, FADE_MS, SETTLED_MS = 150, 20, 50
 POWERED = ("ARMED", "RUNNING", "RAMPDOWN")
 LATCHED = ("FAULT", "ESTOP")
 SETTLED = ("IDLE", "SAFE")
-"""In which the node may change (section 5)."""
+"""States in which the node may change (section 5)."""
 BUSY, STATE, FAULT, INPUT_OPEN = 6, 7, 9, 18
 """Codes of NAK."""
 HELLO, ESTOP, CLEAR_FAULT = 0x01, 0x08, 0x09
@@ -49,7 +49,7 @@ LAYOUTS = {
 }
 """Name, fixed part, and whether a body follows (section 4)."""
 STATUS = Struct("<4BHIQBQ3I")
-"""Without its counters."""
+"""Layout of STATUS without its counters."""
 COUNTER = Struct("<I")
 COUNTERS = 21
 PULSE = Struct("<IBBBB")
@@ -77,7 +77,7 @@ STATES, TABLE = table_of_states()
 
 
 class Limits(NamedTuple):
-    """In force (section 11.1)."""
+    """Limits in force (section 11.1)."""
 
     voltage_uv: int
     slew_v_per_s: int

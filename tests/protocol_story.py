@@ -102,7 +102,7 @@ class Story:
         self.tell("DISARM", self.session)
 
     def estop(self) -> None:
-        """Of anyone."""
+        """Send an ESTOP, which needs no session."""
         self.tell("ESTOP", self.some(0, 1, 255), node=self.some(0, self.rig.amplifier.node))
         self.poll()
 

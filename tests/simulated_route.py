@@ -23,15 +23,16 @@ from tactile.errors import ClientError
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
-"""Of the display [V] and [V/s]."""
+"""Limits of the display: voltage [V] and slew [V/s]."""
 SILENT = 0.3
-"""s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
+"""Longest time to 0 V from an e-stop, or from the death of any process between a program and its
+amplifier [s]."""
 STOPPED = 0.03
 """Longest time from an e-stop to 0 V where nothing fails [s]: a look at the latch, and a fade."""
 ORPHANED = 0.6
-"""s from a program's death to 0 V where an engine plays on, by the high voltage of that program."""
+"""Longest time to 0 V from the death of a program that armed, while an engine plays on [s]."""
 UNPOWERED = 1.0
-"""s from then to high voltage off."""
+"""Longest time from that death until the high voltage is off [s]."""
 
 
 class Program(LoopProcess):

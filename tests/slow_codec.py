@@ -96,7 +96,7 @@ def slow_fragments(packet: bytes, size: int, transfer: int) -> list[bytes]:
 
 
 def rounded(value: Fraction) -> int:
-    """To the nearest, halves up (section 9)."""
+    """Round to the nearest integer, halves up (section 9)."""
     return floor(value + Fraction(1, 2))
 
 

@@ -82,7 +82,7 @@ def test_transfer_matrix_equals_the_matrix_exponential(length: float, axial_forc
     [(5e-3, 0.1, 0.0), (20e-3, 0.1, -5.0), (20e-3, 930.0, 0.0), (45e-3, 5e3, 5.0)],
 )
 def test_each_entry_is_right_by_itself(length: float, frequency: float, axial_force: float) -> None:
-    """Against 40 digits, so that no small entry hides behind another (1e-11).
+    """Each is compared with 40 digits by itself, so that no small one hides (1e-11).
 
     Not row I and column U: they hold K (T − 1), which loses what T has in common with 1.
     """
@@ -202,7 +202,7 @@ def test_c_functions_pass_through_zero(z2: float) -> None:
 
 @pytest.mark.parametrize("length", [1e-3, 2e-3, 5e-3])
 def test_matrix_passes_where_lambda1_turns_imaginary(length: float) -> None:
-    """About 1 MHz, from a tenth of √(AG/ρI) to three times it, with and without losses.
+    """Frequencies lie about 1 MHz, from 0.1 to 3 times √(AG/ρI), with and without losses.
 
     Very close to it a lossless beam has λ1 → 0 and may lose epsilon/λ1: 1e-9 to within 1e-9 of it.
     """

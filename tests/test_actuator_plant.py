@@ -23,11 +23,13 @@ from tactile.arrays import Complex, Floats
 
 RATE = 8000.0
 SINES = np.arange(10.0, 1001.0, 30.0)
-"""Hz; multiples of 10, so that 0.1 s holds whole periods. 940 lies on the resonance in air."""
+"""Frequencies [Hz], multiples of 10, so that 0.1 s holds whole periods. 940 Hz lies on the
+resonance in air."""
 LOADS = {"air": FingerLoad.none(), "low": FingerLoad.low(), "high": FingerLoad.high()}
 REFERENCE: dict[str, Load | None] = {"air": None, "low": LOW_FINGER, "high": HIGH_FINGER}
 STATED = {"air": (0.05, 0.7), "low": (0.03, 0.5), "high": (0.03, 0.5)}
-"""dB and degrees. tanθ alone, which the plant leaves out, makes 0.57 degrees."""
+"""Stated errors of magnitude [dB] and phase [degrees]. tanθ alone, which the plant leaves out,
+makes 0.57 degrees."""
 AMPLIFIERS = {
     "ideal": Amplifier(),
     "gain": Amplifier(gain=50.0),
@@ -122,7 +124,7 @@ def test_slender_beam_has_the_textbook_modes() -> None:
 
 @each_load
 def test_slow_drive_gives_the_static_response(name: str) -> None:
-    """With the modes above left out as a static rest nothing is missing at 0 Hz.
+    """Nothing is missing at 0 Hz although the modes above are left out as a static rest.
 
     What differs is the loss: 1/Q squared, 2e-4 in air.
     """
@@ -355,7 +357,7 @@ def test_plant_is_stable_and_passive(name: str, kind: str) -> None:
 
 
 def test_energy_goes_into_the_finger_and_the_losses() -> None:
-    """Of a burst's electrical energy the finger's damper takes the most, the beam's own the rest.
+    """The finger's damper takes most of the electrical energy of a burst, the beam's own the rest.
 
     Sums over samples are integrals here, since power has no content above half the rate.
     """

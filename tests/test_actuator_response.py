@@ -216,7 +216,7 @@ def test_static_response_is_the_limit_of_slow_ones(name: str) -> None:
     ],
 )
 def test_static_response_under_axial_force(axial_force: float) -> None:
-    """At 0 Hz λ1 or λ2 is zero, and the other one √(N l²/EI)."""
+    """Either λ1 or λ2 is zero at 0 Hz, and the other one is √(N l²/EI)."""
     with np.errstate(invalid="ignore"):
         found = tip_response(Bimorph(), FingerLoad.low(), 0, axial_force=axial_force)
     exact = response(Beam(), 0, load=LOW_FINGER, axial_force=axial_force)
@@ -233,7 +233,7 @@ def test_shimless_bimorph_deflects_by_the_textbook_formula() -> None:
 
 
 def test_finger_pushes_back() -> None:
-    """With the paper's printed sign the result would be 13 dB off; it is not.
+    """The result would be 13 dB off with the sign that the paper prints; it is not.
 
     A negative stiffness of 1000 N/m against a tip of 1535 N/m gives 20 log 2535/535 = 13.5 dB.
     """

@@ -101,7 +101,7 @@ def test_a_fit_is_better_than_the_start_that_a_hand_adjusted() -> None:
 
 @pytest.mark.ci
 def test_intervals_cover_the_truth_19_times_of_20() -> None:
-    """Those of constants that are known; bounds that 95 % leaves once in a thousand runs."""
+    """Counts lie within bounds that intervals of 95 % exceed once in a thousand runs."""
     count, within = 30, dict.fromkeys(ADJUSTED, 0)
     for seed in range(count):
         for c in fit_bimorph(Bimorph(), both(WHOLE, seed)).constants:

@@ -89,7 +89,8 @@ BY_NAME = {"__init__", "cli.app", "sim"}
 """Modules that may import by a name made at run time: lazily, a command, and a user's plant."""
 
 PROTOCOL_MAY_IMPORT = {"numpy", "cobs"}
-"""Besides the standard library: the protocol knows no physics and no bus."""
+"""Packages besides the standard library that the protocol may import: it knows no physics and no
+bus."""
 PROTOCOL_IMPORTERS = {"bus", "sim"}
 """Rooms of tactile that know how drive goes over the wire."""
 GENERATED = {"messages"}

@@ -376,7 +376,7 @@ def test_a_card_that_is_lost_is_told_and_comes_back_at_rest(
 
 @pytest.mark.realtime
 def test_a_player_that_hangs_holds_nobody_up(bus: AudioBus) -> None:
-    """It is ended, and with it the card's output."""
+    """The e-stop kills the player, and thereby ends the card's output."""
     bus.start()
     play(bus, np.full((4800, CHANNELS), 50.0))
     player = bus._player

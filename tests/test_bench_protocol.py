@@ -74,7 +74,7 @@ def test_the_benchmarks_are_registered() -> None:
 
 @pytest.mark.ci
 def test_promised_figures_that_no_clock_decides_are_reached() -> None:
-    """Those of `measure_faults` are seen to in `test_figures.py`."""
+    """The figures of `measure_faults` are checked in `test_figures.py`."""
     figures = list(measure_formats())
     assert any(f.reached is not None for f in figures)
     assert [f for f in figures if f.reached is False] == []

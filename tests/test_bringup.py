@@ -27,9 +27,9 @@ from tactile.devices import open_bus
 from tactile.display.display import load_display
 
 INTERVAL = 10e-3
-"""s between readings: the shortest that SENSE_MS has (SPEC.md, 4)."""
+"""Interval between readings, the shortest that SENSE_MS allows (SPEC.md, 4) [s]."""
 FREQUENCY = 161.8
-"""Hz of the tone: 1.618 turns from reading to reading, the golden ratio."""
+"""Frequency of the tone [Hz]: 1.618 turns from reading to reading, the golden ratio."""
 
 
 @pytest.mark.realtime
@@ -265,7 +265,7 @@ def test_capacitance_and_resistance_come_out_whatever_delay_and_offset() -> None
 
 
 def test_the_stated_error_is_that_of_noise() -> None:
-    """Of 400 fits the deviation is the mean stated one within 15 % (3.5 % is its own spread)."""
+    """The deviation of 400 fits is the mean stated one within 15 % (3.5 % is its own spread)."""
     random = np.random.default_rng(1)
     found = []
     for _ in range(400):

@@ -116,7 +116,7 @@ def test_a_channel_that_moves_nothing_is_a_fault(four: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("answers", [["", "", "q"], ["", "", ""], ["", "", "", "bad"]])
 def test_who_goes_away_ends_the_questions(answers: list[str], four: Path, tmp_path: Path) -> None:
-    """By q, or by the end of input, in either question."""
+    """Either question ends by q, or by the end of input."""
     left = iter(answers)
 
     def ask(question: str) -> str:

@@ -98,7 +98,7 @@ DESIGN = {
 
 
 class LongI2c(I2c):
-    """With transfers as long as need be, as the design counted them."""
+    """I²C with transfers as long as need be, as the design counted them."""
 
     def largest(self) -> int:
         return 4096
@@ -179,7 +179,7 @@ def packets(found: Plan, channels: int, rng: np.random.Generator) -> Iterator[Pa
 @each_link
 @pytest.mark.parametrize("channels", [1, 2, 6, 15, 24, 64, 180])
 def test_a_plan_fits_when_its_packets_are_made(link: Link, channels: int) -> None:
-    """Of random data with its own stuff bits, within 1 %, and with beats and answers besides."""
+    """Random data with their own stuff bits fit within 1 %, with heartbeats and answers."""
     found = planned(link, channels)
     if isinstance(found, BudgetError):
         assert all(row.use > link.cap for row in found.rows)
@@ -213,7 +213,7 @@ def test_a_plan_fits_when_its_packets_are_made(link: Link, channels: int) -> Non
 def test_the_order_of_choice_on_a_uart_of_1_mbit(
     channels: int, sample_format: SampleFormat | None, rate: int, samples: int
 ) -> None:
-    """By hand: 85 000 B/s, less 376; a packet has 20 B beside its data, 250 or 500 a second."""
+    """Computed by hand: 85 000 B/s, less 376; a packet has 20 B beside its data, 250 or 500/s."""
     found = plan(Uart(1e6), channels)
     assert (found.sample_format, found.sample_rate, found.packet_samples) == (
         sample_format, rate, samples,
@@ -289,7 +289,7 @@ def test_a_spectrum_frame_beyond_the_packet_limit_is_cut_by_channels() -> None:
 
 @given(any_link, st.sampled_from(CODINGS), st.integers(1, 100), st.integers(1, 20))
 def test_more_channels_never_use_less(link: Link, coding: Coding, few: int, more: int) -> None:
-    """As long as a packet holds one sample of all channels; BFP8 beyond is cut better by `pcm`."""
+    """The packet holds one sample of all channels; beyond, `pcm` divides BFP8 better."""
     limit = link.largest() - 18
     few = min(few, limit // 2)
     for samples in coding.packet_samples:

@@ -28,7 +28,7 @@ from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 
 DEADLINE = 60.0
-"""s in which anything must have happened that is waited for."""
+"""Time within which anything that is waited for must have happened [s]."""
 
 
 def open_files() -> set[tuple[str, str]]:
@@ -233,7 +233,7 @@ def test_an_echo_is_no_amplifier(three: Display) -> None:
 
 
 def test_an_amplifier_of_another_major_version_is_told_which(three: Display) -> None:
-    """Its packets have another version in their flags (SPEC.md, 4); their CRC-32 holds."""
+    """The packets have another version in their flags (SPEC.md, 4); their CRC-32 is right."""
     decoder = SerialDecoder()
 
     def answer(data: bytes) -> bytes:

@@ -141,7 +141,7 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
 
 
 def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemon: Daemon) -> None:
-    """By a clock that goes on by almost half of the timeout with each answer."""
+    """The clock advances by almost half of the timeout with each answer."""
     clock = remote.connection._session.clock = ModelClock()
 
     def nothing(said: m.Append) -> m.AppendedReply:

@@ -43,7 +43,7 @@ def test_it_passes_through_its_samples() -> None:
 
 
 def test_position_is_continuous_with_its_velocity() -> None:
-    """From either side of each sample, 1 µs away: no jump of place, none of velocity.
+    """Neither place nor velocity jumps from 1 µs before each sample to 1 µs after it.
 
     In 1 µs a finger below 1 m/s moves by less than 1 µm. A cubic between samples 50 ms apart has
     accelerations below 10 m/s²: 20 µm/s in 2 µs; a broken line would jump by 10 mm/s and more.
@@ -78,14 +78,14 @@ def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, co
 
 @pytest.mark.parametrize("force", [5e-324, 2.2e-313])
 def test_forces_below_all_normal_numbers_are_taken_without_a_warning(force: float) -> None:
-    """Their slopes have no finite inverse in double precision."""
+    """The slopes of such forces have no finite inverse in double precision."""
     way = Trajectory(TIME[:3], np.zeros((3, 2)), [0.0, 0.0, force])
     _, between = way.at(np.linspace(TIME[0], TIME[2], 50))
     assert np.all((between >= 0) & (between <= force))
 
 
 def test_a_finger_that_rests_stays_at_rest() -> None:
-    """To the last bit: any movement would sound."""
+    """The place stays the same to the last bit: any movement would sound."""
     position, _ = trajectory().at(np.linspace(0.65, 0.9, 1001))
     assert np.all(position == PLACE[2])
 

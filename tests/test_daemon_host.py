@@ -29,7 +29,7 @@ from tactile.server.playing import Playing
 T = TypeVar("T")
 NAME = "right"
 PATIENCE = 60.0
-"""s until a test gives up; nothing that is tested depends on it."""
+"""Time until a test gives up [s]; nothing that is tested depends on it."""
 PATIENT = "from tactile.playback import process as p; p.SILENCE = 600.0; main()"
 """What a process runs: playback that waits for the server's heartbeats for long."""
 

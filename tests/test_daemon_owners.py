@@ -1,4 +1,4 @@
-"""To whom high voltage belongs, and when it belongs to nobody."""
+"""Tests of whom high voltage belongs to, and when it belongs to nobody."""
 
 from tactile.server.owners import Owners
 

@@ -24,7 +24,7 @@ from tactile.server.playing import hangs
 
 NAME = "left"
 BACK = 2.0
-"""s within which a playback that died plays again: 0.5 s, and what opening takes."""
+"""Longest time until a playback that died plays again [s]: 0.5 s, and what opening takes."""
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ RATE = 8000.0
 N = 3
 BLOCK = 16
 ENDING = 5e-3
-"""s in which what is replaced or ends early falls to nothing."""
+"""Time in which what is replaced or ends early falls to nothing [s]."""
 
 
 def drained(queue: Queue, most: int = 2000) -> Floats:

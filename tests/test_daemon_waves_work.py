@@ -16,12 +16,13 @@ RATE = 8000.0
 N = 3
 BLOCK = 16
 ENDING, HOLD = 5e-3, 50e-3
-"""s in which an effect that is replaced or ends falls to nothing, and for which a streamed one is
-held after its last point (messages.py)."""
+"""Time in which an effect that is replaced or ends falls to nothing, and time for which a streamed
+one is held after its last point (messages.py) [s]."""
 PLAIN, PERIODS = 160.0, 2.0
-"""Hz of an effect without a frequency, and periods that a transient lasts."""
+"""Frequency of an effect without one [Hz], and number of periods that a transient lasts."""
 MOST_TRANSIENTS, MOST_SEGMENTS = 16, 128
-"""That sound at once, 1280 taps a second of 160 Hz, and that wait, one each 8 ms of a second."""
+"""Largest number of transients that sound at once, which is 1280 taps of 160 Hz per second, and of
+segments that wait, one for each 8 ms of a second."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 Take = tuple[int, Curve | None]
@@ -228,7 +229,7 @@ def test_memory_is_bounded_by_what_waits() -> None:
 
 @given(st.integers(0, 2**32), st.integers(1, 300))
 def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
-    """After silence the waves are where they would be, but for an effect's phase."""
+    """Waves after a silence are where they would be without it, but for an effect's phase."""
     rng = np.random.default_rng(seed)
     queues = Queue(RATE, N), Queue(RATE, N)
     for k in range(int(rng.integers(1, 9))):

@@ -39,7 +39,7 @@ NAMES = st.sampled_from(list(DEVICES))
 MOMENTS = st.sampled_from(
     [0, 0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 25, 30, 40, 55, 60, 110, 160, 260, 700]
 ).map(lambda ms: 1e-3 * ms + 1e-4)
-"""s; few are long, since what plays takes a tenth of its time."""
+"""Moments of events [s]. Few are long, since playing takes a tenth of their time."""
 ROLES = st.frozensets(st.sampled_from(sorted(m.ALL_ROLES))) | st.just(m.ALL_ROLES)
 KINDS = st.sampled_from(
     ["arm"] * 3

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(
     not hasattr(socket, "AF_UNIX"), reason="datagrams of a Unix socket are read here"
 )
 PATIENCE = 60.0
-"""s until a request gives up; nothing that is tested depends on it."""
+"""Time until a request gives up [s]; nothing that is tested depends on it."""
 
 
 @pytest.fixture
@@ -226,7 +226,7 @@ PROGRAM = "from tactile.estop.process import main; main()"
 def test_the_process_ends_with_the_server_whatever_became_of_that(
     latches: dict[str, Latch],
 ) -> None:
-    """Its standard input ends; nobody is there who could kill it."""
+    """The standard input of the process ends; nobody is left who could kill it."""
     files = {name: latch.descriptor for name, latch in latches.items()}
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -263,7 +263,7 @@ def test_a_process_that_has_no_socket_says_why_and_ends() -> None:
 
 
 def test_who_reads_no_answers_holds_up_nobody(served: Path, latches: dict[str, Latch]) -> None:
-    """Its queue of answers runs full, and the rest of them are thrown away."""
+    """The queue of answers runs full, and further answers are discarded."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
         deaf.bind("")
         for _ in range(1000):

@@ -68,7 +68,7 @@ HAPTIC = {
             }}}}}},
     },
 }  # fmt: skip
-"""From the format's text."""
+"""Schema of HAPTIC, written from the text of the format."""
 AHAP = {
     "type": "object", "required": ["Version", "Pattern"],
     "properties": {"Pattern": {"items": {
@@ -88,7 +88,7 @@ AHAP = {
                     "ParameterCurveControlPoints": {"minItems": 1, "maxItems": 16}}},
         }}}},
 }  # fmt: skip
-"""From Apple's text: 16 points to a curve, 30 s to an event."""
+"""Schema of AHAP, written from Apple's text: 16 points in a curve, 30 s in an event."""
 HJIF = {
     "type": "object",
     "required": ["version", "profile", "level", "date", "description", "timescale", "avatars",
@@ -120,7 +120,7 @@ HJIF = {
             }}}}}},
     }}},
 }  # fmt: skip
-"""From the format's text."""
+"""Schema of HJIF, written from the text of the format."""
 
 
 def through(effect: Effect, path: Path) -> Effect:
@@ -260,7 +260,7 @@ def curve(file: Any, kind: str, *, absolute: bool = False) -> NDArray[np.float64
 
 
 def test_lofelts_curves_count_from_the_beginning_of_the_pattern() -> None:
-    """As they would from the curve's own, the last would end after 19 s of an event of 9.8 s."""
+    """The last would end at 19 s in an event of 9.8 s if curves counted from their own start."""
     effect = load_effect(sample("ahap/studio_export.ahap"))
     bands = {band.kind: band for band in effect.perceptions[0].channels[0].bands}
     ends = [s.start_s + s.keyframes[-1].time_s for s in bands["control"].segments]

@@ -96,7 +96,7 @@ def test_at_a_model_the_spectrum_is_the_models_and_noise_has_it(model: ModelSet)
 
 
 def test_between_models_they_are_weighed_by_the_triangle(model: ModelSet) -> None:
-    """At a third from each corner of (200, 0), (200, 4), (100, 2): variance and gain are means."""
+    """Variance and gain are means at a third from each corner of (200, 0), (200, 4), (100, 2)."""
     b, a, variance = model.filter_at(0.5 / 3, 2.0)
     assert variance == pytest.approx((0 + 0.08 + 0.02) / 3)
     assert b == pytest.approx((2.0 + 2.5 + 3.5) / 3 * B, abs=1e-8)
@@ -146,7 +146,7 @@ def test_a_models_texture_has_its_displacement_spectrum_in_space(model: ModelSet
 
 
 def test_a_models_force_law_is_that_of_its_variance(tmp_path: Path) -> None:
-    """From half to twice 2 N at 100 mm/s the noise's power alone would tell; gains change too."""
+    """The law is fitted from half to twice 2 N at 100 mm/s, and gains change as well."""
     model = load_model(model_set(tmp_path / "x.xml"))
     f = np.geomspace(20, 1000, 4000)
     power = [

@@ -27,7 +27,7 @@ SIZE = 8 * 8 + 3 * 256
 """Bytes of a file: eight words, and a time and a note for each of three writers. One of another
 size is damaged, and so an e-stop: a file of an earlier version would be one."""
 LOCK_WITHIN = 3.0
-"""s that what is left of a killed daemon has to let go of its file."""
+"""Time in which what is left of a killed daemon has to release its file [s]."""
 
 
 def opened(folder: Path, device: str = DEVICE) -> AbstractContextManager[Latch]:
@@ -73,7 +73,7 @@ def test_it_holds_over_a_restart_of_the_server(tmp_path: Path) -> None:
 
 @given(st.lists(st.sampled_from([*WRITERS, "clear latest", "clear older"]), max_size=30))
 def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
-    """Against plain counting: three writers, each with a mapping of its own."""
+    """Three writers, each with a mapping of its own, are compared with plain counting."""
     server = Latch.open("sim:", Path())
     views = {writer: Latch(f"fd:{os.dup(_fd(server))}", writer) for writer in WRITERS}
     number = cleared = 0
@@ -273,7 +273,7 @@ def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) ->
 def test_displays_on_one_bus_keep_their_own_e_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemons: int
 ) -> None:
-    """Those of one daemon, which does not wait for itself, and those of two."""
+    """The displays are those of one daemon, which does not wait for itself, and those of two."""
 
     class Impatient(ModelClock):
         def sleep(self, seconds: float) -> None:

@@ -219,7 +219,7 @@ def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
 def test_an_open_estop_input_asks_for_its_release_and_then_for_a_clear(
     linked: Linked, link: str, playing: bool
 ) -> None:
-    """Its release alone ends nothing, nor does a clear that was refused act once it is released."""
+    """The release alone ends nothing, and a clear that was refused does not act afterwards."""
     rig = linked(link)
     if playing:
         rig.start()
@@ -264,7 +264,7 @@ def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
 def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As one of version 1.0 is, on which this host plays all the same."""
+    """Amplifiers of version 1.0 have no input; this host plays on them all the same."""
     with caplog.at_level("WARNING", "tactile.bus"):
         linked("serial")
         assert caplog.messages == []

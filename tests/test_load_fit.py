@@ -171,7 +171,7 @@ def test_a_small_damping_is_found_where_the_first_guess_says_that_there_is_none(
 
 @pytest.mark.parametrize("kind", ["displacement", "velocity", "force"])
 def test_a_point_s_stiffness_is_weighed_by_what_it_changes_of_the_response(kind: Kind) -> None:
-    """By a difference of the response of two loads a millionth apart, over the response."""
+    """Weights are relative differences of the response of two loads a millionth apart."""
     blank = Measurement("m.csv", kind, FREQUENCY, KNOWN)
     tip = load_fit._checked(Bimorph(), replace(blank, kind="displacement"), 1)
     tip = replace(tip, measurement=blank)
@@ -274,7 +274,7 @@ def test_the_figures_for_the_benchmark_reach_their_goals() -> None:
 def test_a_bimorph_that_is_off_shifts_the_stiffness_as_the_note_says(
     load: Load, shift: float, error: float
 ) -> None:
-    """By two finite-element beams: one that is measured, one that the fit takes it for."""
+    """One finite-element beam is measured, another is the one that the fit takes it for."""
     measured = response(Beam(d31=Beam().d31 * error), FREQUENCY, load=load).displacement
     k0 = fitted(measured, branches=1).constants[0].value
     assert abs(k0 / load[0] - 1) == pytest.approx(shift, abs=0.015)

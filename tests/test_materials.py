@@ -43,7 +43,7 @@ PRINTED_MODULUS = {"3203hd": 62, "5a4e": 66, "pzt-4": 81, "pzt-5a": 61, "pzt-8":
 PRINTED_N1 = {
     "apc-855": 1390, "pic-255": 1420, "pzt-4": 1650, "pzt-5a": 1400, "pzt-5h": 1420, "pzt-8": 1700,
 }  # fmt: skip
-"""Hz m: half the speed of sound along a bar, short-circuited."""
+"""Printed frequency constants, half the speed of sound along a short-circuited bar [Hz m]."""
 
 PRINTED_SPEED = {"brass": (3480, 2110), "steel": (5000, 3100), "titanium": (5090, 3125)}
 """m/s along a thin rod, and of shear: CRC Handbook of Chemistry and Physics (70/30 brass,
@@ -67,7 +67,7 @@ def test_modulus_is_as_printed_to_half_its_last_digit(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRINTED_N1)
 def test_frequency_constant_is_as_printed(name: str) -> None:
-    """To 1 %: the print has three digits, of which the last is rounded to 0 or 5."""
+    """Agreement is to 1 %: the print has three digits, of which the last is rounded to 0 or 5."""
     piezo = PIEZOS[name]
     speed = 1 / np.sqrt(piezo.density * piezo.s11E)
     assert speed / 2 == pytest.approx(PRINTED_N1[name], rel=0.01)
@@ -75,7 +75,7 @@ def test_frequency_constant_is_as_printed(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRINTED_SPEED)
 def test_sound_in_a_metal_shim_is_as_fast_as_printed(name: str) -> None:
-    """To 4 %: what alloys of one name differ by; E and G each count by their root."""
+    """Agreement is to 4 %, by which alloys of one name differ; E and G each count by their root."""
     shim = SHIMS[name]
     along, across = PRINTED_SPEED[name]
     assert 1 / np.sqrt(shim.density * shim.s11) == pytest.approx(along, rel=0.04)

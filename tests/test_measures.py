@@ -93,7 +93,7 @@ def test_a_short_a_coarse_and_a_broken_stroke_are_refused() -> None:
 
 
 def test_a_stroke_of_just_ten_periods_of_the_lowest_band_is_long_enough() -> None:
-    """Of 0.25 cycles/mm it is 40 mm; rounding does not count."""
+    """Ten periods of 0.25 cycles/mm are 40 mm; rounding does not count."""
     center = 250 * 10 ** (np.arange(16) / 10)
     stroke = rough(1, 19, count=800)[0]
     assert np.all(np.isfinite(measures.band_spectrum(stroke, STEP, center=center)))
@@ -143,7 +143,7 @@ def test_a_level_that_differs_from_stroke_to_stroke_is_neither_kurtosis_nor_dept
     ("slope", "corner"), [(-1.5, 0.05), (-1.5, 0.3), (-0.5, 0.1), (0.0, 0.05), (0.0, 0.3)]
 )
 def test_noise_alone_has_no_depth(slope: float, corner: float) -> None:
-    """Without what its own envelope does taken off it would have 0.1 … 0.3."""
+    """The depth would be 0.1 … 0.3 if what the noise's own envelope makes were not subtracted."""
     assert measures.am_depth(rough(20, 8, slope), STEP, corner * 1e3) < 0.04
 
 

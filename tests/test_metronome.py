@@ -14,9 +14,9 @@ from tactile.bench.metronome import beat, beating
 
 BLOCKS, HELD_UP_AT, HELD_UP = 200, 80, 37e-3
 PERIOD = 2e-3
-"""s of docs/benchmarks.md's bare loop: a block of 16 samples at 8 kHz."""
+"""Period of the bare loop of docs/benchmarks.md: a block of 16 samples at 8 kHz [s]."""
 STEP = 1e-4
-"""s of lateness that count as one in what a beat tells."""
+"""Lateness that counts as one in what a beat tells [s]."""
 
 
 class Clock:

@@ -31,9 +31,10 @@ ARM, DISARM = m.ArmDisplay(display=NAME), m.DisarmDisplay(display=NAME)
 BLOCK = 16
 ME = 1
 WATCH = 5e-3
-"""s between looks at the latch and the server."""
+"""Interval between looks at the latch and the server [s]."""
 SILENCE = 0.15
-"""s without a heartbeat after which all fades and is disarmed, as docs/guide/server.md says."""
+"""Time without a heartbeat after which all fades and is disarmed, as docs/guide/server.md says
+[s]."""
 
 
 @dataclass

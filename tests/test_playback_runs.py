@@ -236,7 +236,7 @@ def test_an_oak_that_is_too_strong_is_limited_and_the_summary_says_so(
 def test_memory_does_not_grow_with_the_length_of_a_run(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:
-    """Past the second that the bus keeps, 0.3 s more would be 1.4 MB of drive and two shears."""
+    """Another 0.3 s beyond the second that the bus keeps would be 1.4 MB of drive, two shears."""
     used: list[int] = []
 
     def watch(block: PlayedBlock, renderer: Renderer) -> None:

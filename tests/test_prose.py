@@ -7,13 +7,15 @@ sections for what it takes, returns and yields, which numpydoc's own validator c
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 PROJECT = Path(__file__).parents[1]
 ROOTS = ("tactile", "firmware_protocol", "benchmarks")
+AROUND = ("tests", ".ci", "docs", "examples")
+"""Folders beside the product whose docstrings are to begin like those of the product."""
 DANGLING = {
     "about", "above", "across", "after", "against", "along", "among", "around", "as", "at",
     "before", "behind", "below", "beneath", "beside", "besides", "between", "beyond", "by",
@@ -36,9 +38,9 @@ CHECKED = {"GL08", "PR01", "PR02", "PR03", "PR07", "RT01", "RT03", "YD01"}
 in their order and with a description, and what is returned or yielded."""
 
 
-def sources() -> dict[str, Path]:
-    """Return the path of each module by its name in files."""
-    paths = [path for root in ROOTS for path in sorted((PROJECT / root).rglob("*.py"))]
+def sources(roots: Iterable[str] = ROOTS) -> dict[str, Path]:
+    """Return the path of each module in some folders by its name in files."""
+    paths = [path for root in roots for path in sorted((PROJECT / root).rglob("*.py"))]
     return {path.relative_to(PROJECT).as_posix(): path for path in paths}
 
 
@@ -85,7 +87,7 @@ def test_a_docstring_that_hangs_in_the_air_is_seen(docstring: str, *, dangling: 
 def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
     begun = [
         f"{name}:{line}: {text.splitlines()[0]}"
-        for name, path in sources().items()
+        for name, path in sources((*ROOTS, *AROUND)).items()
         for line, text in docstrings(ast.parse(path.read_text("utf-8")))
         if is_dangling(text)
     ]

@@ -160,7 +160,7 @@ def test_can_frames_are_those_of_the_slow_rule(fd: bool, packets: list[Packet]) 
 def test_interleaved_transfers_of_nodes_arrive(
     fd: bool, extended: bool, packets: list[Packet], data: st.DataObject
 ) -> None:
-    """Up to four at once, in any order that keeps each one's own: all come, whole."""
+    """All of up to four at once arrive whole, in any order that keeps each one's own."""
     encoder, decoder = can_pair(fd=fd, extended=extended)
     waiting = [frames for p in packets if (frames := encoder.frames(p))]
     mixed: list[Frame] = []

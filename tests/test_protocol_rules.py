@@ -190,7 +190,7 @@ def test_the_address_changes_in_idle_and_safe_only(state: str) -> None:
 
 
 def test_a_second_host_changes_no_code_that_is_put_out() -> None:
-    """It sends everything it can but ESTOP, to the address and to all, between any two packets."""
+    """The second host sends all it can but ESTOP, to the address and to all, between packets."""
     config, rng = CONFIGS["fast ticks"], Random(5)
     rig = loud(Rig(config), 2_000)
     rig.packet(packet("STOP", OWNER, 0))

@@ -22,7 +22,7 @@ SPEC = re.sub(
     " ",
     (Path(generate.__file__).parent / "SPEC.md").read_text("utf-8"),
 )
-"""Its paragraphs and items in a line each."""
+"""Text of SPEC.md with each of its paragraphs and items in one line."""
 
 
 def section(number: str) -> str:

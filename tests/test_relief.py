@@ -46,10 +46,10 @@ from tactile.texture.relief_texture import texture_of
 from tactile.texture.surface import load_texture
 
 PRESSURE, MODULUS = 5e3, 50e3
-"""Pa of a fingertip on what it touches, and its E*."""
+"""Pressure of a fingertip on what it touches, and effective modulus E* of the fingertip [Pa]."""
 GAIN = math.hypot(0.4, 2 * PRESSURE / MODULUS) / 3
-"""µm of skin per µm of relief: friction of 0.4 and the normal traction, in a patch that moves three
-times as much as the skin beside it: 0.15."""
+"""Movement of the skin per relief [µm/µm]: friction of 0.4 and the normal traction, in a patch that
+moves three times as much as the skin beside it, give 0.15."""
 
 # Gratings
 

@@ -400,7 +400,7 @@ class Counted(RealizedLayer):
 def test_after_going_over_to_another_texture_that_one_alone_plays(
     display: tactile.Display,
 ) -> None:
-    """At its gain; what fell silent is not rendered any more, until it plays again."""
+    """The second plays at its gain; the silent one is no longer rendered until it plays again."""
     first, second = (Counted(display, plain(name)) for name in ("wood-oak", "leather-calf"))
     changing, alone = tactile.Renderer(display, None), tactile.Renderer(display, None)
     place = np.column_stack([np.arange(6400) * 1e-5, np.zeros(6400)])

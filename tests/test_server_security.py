@@ -1,4 +1,4 @@
-"""Who may connect, and what those can do who should not: nothing that others notice.
+"""Tests of who may connect, and that misuse by one client has no effect on the others.
 
 Figures are counts and orders, not times: what one client does must not show in what others get.
 """

@@ -10,7 +10,7 @@ import pytest
 
 UNIT = Path(__file__).parents[1] / "packaging" / "systemd" / "tactile.service"
 MOST_EXPOSED = 2.5
-"""Of 10, as systemd-analyze counts; 9.6 without any restriction."""
+"""Largest exposure of 10, as systemd-analyze counts; it is 9.6 without any restriction."""
 
 
 def values(name: str) -> list[str]:

@@ -35,9 +35,10 @@ from tactile.texture.surface import Texture, load_texture, without_friction
 pytestmark = pytest.mark.usefixtures("brief")
 
 HEADROOM = 10 ** (-3.5 / 20)
-"""By which a trial stays below the limit: that of half a minute is up to 3.1 dB above it."""
+"""Factor by which a trial stays below the limit: the peak of half a minute is up to 3.1 dB above
+it."""
 STROKE_SHARE = 0.3
-"""Of full drive, that friction takes at most."""
+"""Largest share of full drive that friction takes."""
 
 
 # Closed form

@@ -167,7 +167,7 @@ def test_unless_told_otherwise_a_drive_is_for_10_um_of_an_amplifier_of_100_v() -
 
 
 def test_less_is_better_of_what_costs_and_more_of_what_is_gained() -> None:
-    """By exactly one: a sign turns values for a search, and must not weigh them."""
+    """Signs are exactly one: they turn values for a search, and must not weigh them."""
     costs = {"drive", "field", "current", "shaping", "footprint", "standing"}
     for name, criterion in CRITERIA.items():
         expected = -1 if name in costs else 0 if name == "first_resonance" else 1

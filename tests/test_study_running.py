@@ -148,7 +148,7 @@ def test_a_store_of_another_study_that_appears_meanwhile_is_refused(
 
 
 def test_a_block_whose_mark_is_missing_is_solved_again(whole: xr.Dataset, tmp_path: Path) -> None:
-    """As where a run is killed between the values and the mark."""
+    """A run that is killed between the values and the mark leaves such a block."""
     path = tmp_path / "s.zarr"
     run_study(study(), store=path)
     (path / "progress" / "stored" / "c" / "1" / "0").unlink()

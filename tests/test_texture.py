@@ -73,7 +73,7 @@ def test_the_grain_turns_with_its_direction(tmp_path: Path, degrees: float) -> N
 
 @pytest.mark.parametrize("spread", [5.0, 15.0, 40.0])
 def test_wave_vectors_scatter_with_the_stated_spread(tmp_path: Path, spread: float) -> None:
-    """Of 384 low-discrepancy draws the standard deviation errs by far less than 2 %."""
+    """The standard deviation of 384 low-discrepancy draws has an error far below 2 %."""
     grain = bands(direction_deg=30.0, direction_spread_deg=spread)
     texture = load_texture(write(tmp_path / "grain.toml", stochastic=grain))
     turn = np.degrees(np.arctan2(texture.wave_vector[:, 1], texture.wave_vector[:, 0])) - 30
@@ -301,7 +301,7 @@ def test_jitter_keeps_power_place_and_direction_of_each_harmonic(
 def test_jitter_spreads_each_harmonic_by_the_stated_standard_deviation(
     tmp_path: Path, jitter: float
 ) -> None:
-    """Of wavelength, weighted by power; 5 % for a distribution of a few lines (JND: 18 %)."""
+    """The deviation is of wavelength, weighted by power, to 5 % for few lines (JND: 18 %)."""
     for n, waves in enumerate(harmonic_groups(tmp_path, jitter)):
         wavelength = 2 * np.pi / np.linalg.norm(waves.wave_vector, axis=1) * (n + 1)
         power = waves.amplitude**2

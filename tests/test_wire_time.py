@@ -191,7 +191,7 @@ def test_an_fd_frame_has_no_more_bits_than_the_most(
 
 @pytest.mark.parametrize("identifier", [0x302, 0x304, 0x32A, 0x1D0B0302])
 def test_the_mean_is_that_of_random_data(identifier: int) -> None:
-    """Within 1.5 %: how many stuff bits a head has depends on the node, 0 to 2."""
+    """Means agree within 1.5 %: the stuff bits of a head depend on the node, 0 to 2."""
     rng, extended = np.random.default_rng(0), identifier > 0x7FF
     classic = np.mean([can_bits(identifier, rng.bytes(8)) for _ in range(400)])
     assert can_estimate(8, "mean", extended=extended) == pytest.approx(classic, rel=0.015)

@@ -84,7 +84,7 @@ def same_prompt(packet: Packet, vector: Vector) -> None:
 
 
 Instants = dict[int, tuple[int | None, int | None, list[int]]]
-"""By tick: position, state, codes; None where they are not known."""
+"""Instants by tick: position, state and codes; None where they are not known."""
 
 
 def check_answers(step: Vector, sent: list[Packet]) -> None:

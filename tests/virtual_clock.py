@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PIPE = 0.3e-3
-"""s from a process to another."""
+"""Delay of a pipe from one process to another [s]."""
 LONGEST = 60.0
-"""s that anybody waits at a time who has nothing to do."""
+"""Longest time for which a process without work waits at once [s]."""
 LOOK = 2e-3
-"""s after which a program that waits for a link looks whether it was woken."""
+"""Interval after which a program that waits for a link checks whether it was woken [s]."""
 
 
 class Killed(BaseException):
@@ -269,7 +269,7 @@ class VirtualLock:
 
 
 class ChipThread:
-    """In place of `tactile.bus.chips.pump.ThreadRunner`: the thread that writes to chips.
+    """Substitute for `tactile.bus.chips.pump.ThreadRunner`, the thread that writes to chips.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ class LinkTime:
 
 
 class Process:
-    """In place of `tactile.server.children.Child`: the server's end of a process, and the process.
+    """Substitute for `tactile.server.children.Child`: the server's end and the process.
 
     Parameters
     ----------

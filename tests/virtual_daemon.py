@@ -65,11 +65,11 @@ from tactile.server.server import running
 
 T = TypeVar("T")
 OPENING, DRAWING = 20e-3, 30e-3
-"""s to open a device, and to make a texture ready."""
+"""Times that it takes to open a device, and to make a texture ready [s]."""
 RENDERING = 0.2e-3
-"""s for a block."""
+"""Time that it takes to render a block [s]."""
 ALONE = 5e-3
-"""s after which amplifiers on a link go on by themselves, at the latest."""
+"""Longest time after which amplifiers on a link go on by themselves [s]."""
 
 
 class EstopProcess(Process):

@@ -25,7 +25,7 @@ from tactile.errors import BusError, BusStateError
 
 @on(BENCHES)
 class TestStates:
-    """Which calls are allowed, and what ends."""
+    """Tests of the calls that each state allows, and of what ends a state."""
 
     def test_opens_idle_for_its_display_and_declares_what_host_death_does(
         self, bench: Bench, three: Display

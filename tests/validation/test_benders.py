@@ -45,7 +45,8 @@ PRINTED = {
     "mtp49x2.3x0.8": (200.0, 12.0, 1.5, 0.15),
     "mtp60x20x0.7": (150.0, 120.0, 2.6, 0.50),
 }
-"""V, nF of one layer (±20 %), mm (±20 %), N."""
+"""Printed values: voltage [V], capacitance of one layer (±20 %) [nF], free deflection (±20 %) [mm],
+blocked force [N]."""
 
 each_mtp = pytest.mark.parametrize("name", PRINTED)
 

@@ -31,7 +31,8 @@ from tactile.arrays import Floats
 DESIGN = Bimorph()
 AIR, LOW, HIGH = FingerLoad.none(), FingerLoad.low(), FingerLoad.high()
 BAND = np.arange(0.0, 1001.0, 10.0)
-"""Hz; the paper's band. Loaded, no resonance is narrower than the grid."""
+"""Frequencies of the paper's band [Hz]. No resonance of a loaded bender is narrower than the
+grid."""
 
 
 def moved(design: Bimorph, load: FingerLoad, axial_force: float = 0.0) -> Floats:

@@ -115,7 +115,7 @@ def playing(bus: Bus, block: int = BLOCK) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Record:
-    """What an amplifier put out, an instant a row.
+    """Output of an amplifier, one row per instant.
 
     Attributes
     ----------

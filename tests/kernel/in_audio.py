@@ -25,13 +25,13 @@ FULL_SCALE = 100.0
 
 
 class Ear:
-    """What comes out of the card's other end, as long as the context lasts."""
+    """Recorder of the card's other end, as long as the context lasts."""
 
     def __init__(self) -> None:
         sd = importlib.import_module("sounddevice")
         number = next(d["index"] for d in sd.query_devices() if d["name"] == EAR)
         self.gaps: list[str] = []
-        """What PortAudio says was lost."""
+        """Losses that PortAudio reports."""
         self._blocks: list[NDArray[np.float32]] = []
         self.stream = sd.InputStream(
             device=number, callback=self._take, dtype="float32", samplerate=RATE,
@@ -44,7 +44,7 @@ class Ear:
 
     @property
     def heard(self) -> Floats:
-        """What was heard so far (S, C) [V]."""
+        """Everything that was recorded so far (S, C) [V]."""
         return np.concatenate([np.zeros((1, CHANNELS)), *self._blocks]) * FULL_SCALE
 
     @property

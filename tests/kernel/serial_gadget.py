@@ -35,7 +35,7 @@ class SerialGadget:
         self.plug()
 
     def plug(self) -> None:
-        """Plug it in; HOST is there afterwards."""
+        """Plug the gadget in; HOST is there afterwards."""
         (GADGET / "UDC").write_text(CONTROLLER)
         wait_for(f"{HOST} appears", HOST.exists)
 

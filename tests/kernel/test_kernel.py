@@ -122,7 +122,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 Results = tuple[dict[str, set[str]], str]
-"""What came of each check, and all that was written."""
+"""Outcomes of each check, and everything that was written."""
 
 
 def run(machine: Machine, environment: dict[str, str]) -> Results:

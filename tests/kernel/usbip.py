@@ -32,7 +32,7 @@ class UsbDevice:
 
     Parameters
     ----------
-    port : of vhci-hcd, 0 to 7
+    port : port of vhci-hcd, 0 to 7
     """
 
     vendor = 0

@@ -24,16 +24,16 @@ from tactile.arrays import Floats
 from tactile.display.display import Display
 
 Block = tuple[float, Floats]
-"""What came at a time [s, monotonic], (S, C) [full scale]."""
+"""Time at which a block came [s, monotonic] and the block (S, C) [full scale]."""
 
 CHANNELS = 24
 RATE = 48000
 FADE = 960
-"""Samples: 20 ms."""
+"""Number of samples of a block, 20 ms."""
 VOLTAGE, FULL_SCALE, SLEW = 100.0, 125.0, 0.7e6
 STEP = SLEW / RATE
 ANY = 2e7
-"""V/s, with which any sample may follow any other."""
+"""Slew limit with which any sample may follow any other [V/s]."""
 CODE = VOLTAGE / 32767
 """Voltage of one sample code, which 16 bits can tell apart over the limit [V]."""
 WIRE = 0.51 * CODE
@@ -80,9 +80,9 @@ class Server:
 
     Parameters
     ----------
-    path : of jackd
+    path : path of jackd
     buffer : frames
-    folder : for what they log
+    folder : folder for their logs
     """
 
     def __init__(self, path: str, buffer: int, folder: Path) -> None:

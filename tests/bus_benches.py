@@ -59,7 +59,7 @@ STALLS = ("underruns", "late_blocks", "dropped_samples", "disconnects")
 
 
 class Watched(Protocol):
-    """What the tests see of a bus in memory."""
+    """View of a bus in memory for the tests."""
 
     @property
     def output(self) -> Floats: ...
@@ -70,11 +70,11 @@ class Bench:
 
     Attributes
     ----------
-    url : that opens it, or the name of a real link
+    url : URL that opens the bus, or the name of a real link
     reached : URL that opened the latest one
-    rate : of samples [Hz]
+    rate : sample rate [Hz]
     wire : volts by which its samples are rounded at most
-    rates : of samples that it can carry beside 8 kHz [Hz]
+    rates : sample rates that the bus can carry beside 8 kHz [Hz]
     boards : amplifiers behind it
     """
 
@@ -233,7 +233,7 @@ class RealBench(Bench):
     ----------
     link : "pty", "rfc2217", "udp", "virtual" or "slcan"
     program : virtual-amplifier
-    directory : for what it writes
+    directory : folder for the files that it writes
     """
 
     def __init__(self, link: str, program: Path, directory: Path) -> None:
@@ -375,14 +375,15 @@ MODELED = (
     "mock:?link=i2c&bit_rate=1000000",
 )
 REAL = ("pty", "rfc2217", "udp", "virtual", "slcan")
-"""Run with ``-m realtime``."""
+"""Buses of which only tests with ``-m realtime`` run."""
 SELDOM = (
     "mock:?keep=all",
     "mock:?link=serial",
     "mock:?link=can",
     "mock:?link=i2c&bit_rate=1000000",
 )
-"""Run with ``-m ci``: they differ little from the others, or take their time."""
+"""Buses that only tests with ``-m ci`` run on: they differ little from the others, or take their
+time."""
 BENCHES = [
     *(
         pytest.param(name, id=name, marks=[pytest.mark.ci] if name in SELDOM else [])

@@ -31,15 +31,15 @@ DEVICES = {"left": "mock:", "right": "mock:?format=pcm12"}
 
 @dataclass
 class Expected:
-    """What is known of a display from what was answered, and what follows from that.
+    """State that a display must have by what was answered.
 
     Attributes
     ----------
-    number, since : of the latest e-stop that was answered, and when [s]
+    number, since : number of the latest e-stop that was answered, and its time [s]
     cleared : highest number of a clear that was, or might have been, accepted
     opened : whether somebody asked to arm since then, and that was allowed
     owners : when each client that might own high voltage asked for it last [s]
-    unowned : since when nobody might [s]
+    unowned : time since when no client might own it [s]
     hang : beginning and end of the last hang of playback [s]
     """
 
@@ -82,7 +82,7 @@ class App:
 
 @dataclass
 class Tally:
-    """What the test came across, so that it is known to have tested something."""
+    """Counts of what the test came across, which show that it has tested something."""
 
     steps: int = 0
     seconds: float = 0.0

@@ -19,7 +19,7 @@ from tactile.texture.surface import Texture
 RATE = 8000.0
 FADE = 160
 SINGLE = 1e-6
-"""Relative: shear is computed in single precision."""
+"""Relative rounding error: shear is computed in single precision."""
 FIDELITY = 45.0
 """Smallest fidelity [dB]. 55 dB are measured; the damping of finger and beam accounts for most of
 the error (see the plant)."""
@@ -56,7 +56,7 @@ TRAJECTORIES = {
 
 @dataclass(frozen=True)
 class Played:
-    """What became of a trajectory."""
+    """Outcome of a trajectory."""
 
     blocks: list[PlayedBlock]
     written: list[DriveBlock]

@@ -75,7 +75,7 @@ def packets(data: bytes) -> None:
 
 
 def serial(data: bytes) -> None:
-    """However a stream is cut, the same comes of it; what is kept stays below the limit."""
+    """Decode a stream, cut anywhere; check the result, and that what is kept is bounded."""
     source = Source(data)
     limit = 8 + source.number() * 2
     whole, cut = SerialDecoder(limit), SerialDecoder(limit)

@@ -26,8 +26,8 @@ class Story:
 
     Parameters
     ----------
-    rig : with the amplifier
-    rng : of all chances; may be replaced at any time
+    rig : rig with the amplifier
+    rng : source of all chances; may be replaced at any time
     trouble : share of packets that the link loses, repeats or delays
     """
 
@@ -304,7 +304,7 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
     (Story.clear, 2), (Story.hello, 1), (Story.tune, 1), (Story.fault, 1), (Story.silence, 1),
     (Story.button, 1),
 )  # fmt: skip
-"""What happens, and how often."""
+"""Events, and the relative frequency of each."""
 
 
 def told(

@@ -51,7 +51,7 @@ CONFIGS = {
 
 
 class Record(NamedTuple):
-    """What happened: a packet came, a fault, the e-stop input moved, or time passed."""
+    """Event: a packet came, a fault, the e-stop input moved, or time passed."""
 
     tick: int
     kind: int
@@ -89,7 +89,7 @@ class Rig:
 
     Parameters
     ----------
-    config : of it
+    config : configuration of the amplifier
     judged : hold everything against a `Judge`
     singly : put out instant by instant, not in runs
     """

@@ -19,7 +19,7 @@ FADED = 500
 
 
 class Ledger:
-    """What was written of a stream, and what the first amplifier put out in its place.
+    """Record of what was written of a stream, and of what the first amplifier put out in its place.
 
     Attributes
     ----------

@@ -40,8 +40,8 @@ class Program(LoopProcess):
 
     Parameters
     ----------
-    world : that it is in
-    url : of the daemon
+    world : world of the program
+    url : URL of the daemon
     rearm : whether to arm again after a reconnection
     """
 
@@ -64,22 +64,22 @@ class Program(LoopProcess):
 
 @dataclass
 class Route:
-    """What is between a program and the amplifiers of one display, and what was asked of it.
+    """Way from a program to the amplifiers of one display, and the requests that went over it.
 
     Attributes
     ----------
-    name, device : of the display
-    program : that plays on it
-    wrong : what broke a promise, on any way, a line each
-    model : of the link and its amplifiers, or of chips; None before it is opened
-    number : of the latest e-stop that was answered
+    name, device : name and device of the display
+    program : program that plays on the display
+    wrong : broken promises on any way, one line each
+    model : model of the link and its amplifiers, or of chips; None before it is opened
+    number : number of the latest e-stop that was answered
     stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
     woken : when playback went on that had stood still; who died meanwhile it learns then [s]
     disturbed : until when something that has failed may still be felt [s]
     moved : until when an engine moves a finger [s]
-    last : what each amplifier put out last (C,) [V]
-    ledger : of samples
+    last : latest output of each amplifier (C,) [V]
+    ledger : ledger of samples
     sounding : samples other than 0 V that were put out
     worst : longest time from an e-stop or a death to 0 V [s]
     """

@@ -86,7 +86,7 @@ def slow_uncobs(coded: bytes) -> bytes | None:
 
 
 def slow_fragments(packet: bytes, size: int, transfer: int) -> list[bytes]:
-    """Section 3.2: the first carries the length, and two bytes less."""
+    """Divide a packet by section 3.2: the first carries the length, and two bytes less."""
     rest = len(packet).to_bytes(2, "little") + packet
     pieces = [rest[k : k + size - 1] for k in range(0, len(rest), size - 1)]
     heads = [transfer + 0x20 * (k % 2) for k in range(len(pieces))]

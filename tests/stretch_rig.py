@@ -20,7 +20,7 @@ RATE = 8000.0
 DISPLAY = load_display("reference-24")
 STICKY_ONLY = friction_only(STICKY)
 VS = 10e-3
-"""m/s, Stribeck speed of the shipped textures and of those here."""
+"""Stribeck speed of the shipped textures and of those here [m/s]."""
 STROKE_SHARE = 0.3
 """Share of the shear that full drive attains at rest that friction may take; the rest is left to
 the texture."""

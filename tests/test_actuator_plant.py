@@ -291,7 +291,7 @@ def test_held_sinusoids_are_those_of_the_frequency_response(name: str) -> None:
 
 @pytest.mark.parametrize("block", [1, 7, 64, 65, 160, 333])
 def test_block_size_is_not_heard(block: int) -> None:
-    """However the drive is cut, the outputs agree to 1e-12 of their peaks."""
+    """Outputs agree to 1e-12 of their peaks however the drive is cut."""
     drive = np.random.default_rng(1).standard_normal((500, 3))
     whole = Plant(Bimorph(), LOADS["low"], RATE, contactors=3).step(drive)
     plant = Plant(Bimorph(), LOADS["low"], RATE, contactors=3)

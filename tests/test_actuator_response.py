@@ -248,7 +248,7 @@ def test_finger_pushes_back() -> None:
 
 
 def test_blocked_force_and_tip_stiffness_are_those_of_the_finite_elements() -> None:
-    """What two springs of the reference tell: from u0 and u1, S = k u1/(u0 − u1), F = S u0.
+    """Two springs of the reference tell, from u0 and u1: S = k u1/(u0 − u1), F = S u0.
 
     The difference u0 − u1 of ten good digits leaves nine: 1e-8.
     """
@@ -361,7 +361,7 @@ def test_finger_load_is_soft_when_slow_and_stiff_when_fast() -> None:
 
 
 def test_branch_without_spring_or_damper_carries_nothing() -> None:
-    """Also where only some of the designs have none, and at rest."""
+    """Some of the designs have such a branch and some do not; one frequency is 0."""
     k, d = np.array([1300.0, 0.0, 1300.0]), np.array([0.33, 0.33, 0.0])
     load = FingerLoad(k0=1000.0, d0=0.11, branches=((k, d), (0.0, 1.0)))
     frequencies = np.array([0.0, 100.0])
@@ -430,7 +430,7 @@ def test_bad_input_is_named(field: str) -> None:
 
 @pytest.mark.parametrize("place", [-1e-3, 0.0, 20.001e-3, np.nan, [10e-3, 0.0], [10e-3, 21e-3]])
 def test_a_measuring_point_off_the_beam_is_refused_and_so_is_the_clamp(place: Any) -> None:
-    """Where nothing moves; the tip itself is on the beam."""
+    """Nothing moves there; the tip itself is on the beam."""
     with pytest.raises(ValueError, match=r"is not between clamp and tip \(0 … 0\.02 m\)"):
         tip_response(Bimorph(), FingerLoad.low(), 10.0, measuring_point=np.asarray(place))
 

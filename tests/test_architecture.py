@@ -212,7 +212,7 @@ def calls(module: str, name: str) -> list[ast.Call]:
 
 
 def test_only_clocks_read_the_time_and_let_it_pass() -> None:
-    """So that a test or the simulator can pass its own; benchmarks measure the real one."""
+    """Tests and the simulator pass a clock of their own; benchmarks measure the real one."""
     banned = {f"time.{name}" for name in ("monotonic", "monotonic_ns", "perf_counter", "sleep")}
     users = {
         module
@@ -236,7 +236,7 @@ def test_nothing_waits_by_what_swallows_a_cancellation() -> None:
 
 
 def test_every_background_task_of_the_daemon_is_watched() -> None:
-    """Else an exception ends it in silence."""
+    """An exception would end an unwatched task in silence."""
     unwatched: Counter[str] = Counter()
     for module in SOURCES:
         if room_of(module) in ("server", "local"):
@@ -431,7 +431,7 @@ def test_lengths_are_counted_from_after_the_docstring_to_the_last_line() -> None
 
 
 def test_imports_of_every_form_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Otherwise the tests above would pass for nothing."""
+    """The tests above would pass for nothing if an import were missed."""
     text = (
         "import tactile\nimport tactile.bus.registry as b\nfrom tactile import files\n"
         "from tactile.sim import Fidelity\nfrom ..texture import surface\nfrom . import limiter\n"

@@ -84,7 +84,7 @@ def test_an_error_in_the_middle_leaves_the_device_idle(
     serve: Callable[..., Served], four: Path, error: type[BaseException],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """While it sounds, at full level."""
+    """The error comes while the tone sounds at full level."""
     served = serve("--load-pf", "12800")
     write, count = LinkBus._write, [0]
 
@@ -286,7 +286,7 @@ def test_readings_meet_ever_other_phases() -> None:
 
 
 def test_the_tone_is_slow_against_the_resonance(four: Path) -> None:
-    """So that motion adds no more than half a percent to the capacitance in air."""
+    """Motion adds no more than half a percent to the capacitance in air."""
     from tactile.actuator.finger import FingerLoad
     from tactile.actuator.response import tip_response
 

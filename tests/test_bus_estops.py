@@ -30,8 +30,8 @@ class Hooked(Bus):
 
     Attributes
     ----------
-    hooks : what to call, once each, by where: "before _start" and so on
-    plays, latched : of the amplifier
+    hooks : functions to call, once each, by their place: "before _start" and so on
+    plays, latched : state of the amplifier
     """
 
     on_host_death = "ramps"

@@ -81,7 +81,7 @@ def test_over_can_the_amplifier_plays_what_the_reference_synthesizer_does(
     frame_rate: float,
     extra: str,
 ) -> None:
-    """However long a lead is asked for: of frames an amplifier keeps four (SPEC.md, 10.3)."""
+    """The lead may be as long as one likes: an amplifier keeps four frames (SPEC.md, 10.3)."""
 
     def config(*args: object, **named: object) -> AmplifierConfig:
         return replace(config_of(*args, **named), carriers=carriers_at_most)  # type: ignore[arg-type]

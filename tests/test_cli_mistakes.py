@@ -209,7 +209,7 @@ MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
 def test_a_mistake_is_one_line_and_nothing_is_written(
     command: Command, folder: Path, case: str
 ) -> None:
-    """Where a file is at fault the line names it."""
+    """The line names the file that is at fault, if there is one."""
     arguments, said = MISTAKES[case]
     before = content(folder)
     assert_mistake(command(*arguments), *said)

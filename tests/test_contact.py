@@ -61,7 +61,7 @@ def test_position_is_continuous_with_its_velocity() -> None:
 @settings(max_examples=60)
 @given(data=st.data(), count=st.integers(2, 12))
 def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, count: int) -> None:
-    """Nor does it reverse between two: each coordinate and the force is monotone there."""
+    """Each coordinate and the force is monotone between two samples, without reversals."""
     steps = data.draw(st.lists(st.floats(0.01, 1), min_size=count - 1, max_size=count - 1))
     time = np.cumsum([data.draw(st.floats(-5, 5)), *steps])
     some = st.lists(st.floats(-0.03, 0.03), min_size=count, max_size=count)  # at most 8.5 m/s

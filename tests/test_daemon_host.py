@@ -31,7 +31,7 @@ NAME = "right"
 PATIENCE = 60.0
 """Time until a test gives up [s]; nothing that is tested depends on it."""
 PATIENT = "from tactile.playback import process as p; p.SILENCE = 600.0; main()"
-"""What a process runs: playback that waits for the server's heartbeats for long."""
+"""Program that a process runs: playback that waits long for the server's heartbeats."""
 
 
 @pytest.fixture(scope="module", autouse=True)

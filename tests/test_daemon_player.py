@@ -28,7 +28,7 @@ from tactile.tracking.tracker import ContactTracker
 
 RATE = 8000.0
 BLOCK = 16
-"""Samples, 2 ms at 8 kHz."""
+"""Number of samples of a block, 2 ms at 8 kHz."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 SPEED = 0.08
@@ -210,7 +210,7 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
 
 
 def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) -> None:
-    """Neither after a disarm nor after an e-stop: whoever arms decides what sounds."""
+    """The client that arms decides what sounds, after a disarm and after an e-stop."""
     stage.player.voice(ME).state.layers = ()
     stage.player.refresh(ME)
     tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)

@@ -187,7 +187,7 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
 def test_each_texture_of_a_selection_is_felt(
     world: World, serve: Callable[..., Client], peaks: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where no more than one stays ready that nobody has selected."""
+    """The shelf keeps no more than one texture that nobody has selected."""
     monkeypatch.setattr(shelf, "MOST_TEXTURES", 1)
     client = serve(worn=True)
     layers = (m.Layer(texture="wood-oak"), m.Layer(texture="leather-calf"))

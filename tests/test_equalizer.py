@@ -30,7 +30,7 @@ from tactile.rendering.equalizer import (
 FREQUENCY: Floats = np.arange(0, 1251, 10, dtype=np.float64)
 HEARD: NDArray[np.bool_] = (FREQUENCY >= 10) & (FREQUENCY <= 1000)
 PER_VOLT = 1e-6
-"""m/V: far above what full drive needs for the smallest shear."""
+"""Response far above that which lets full drive reach the smallest shear [m/V]."""
 VOLTAGE = 100.0
 SMALLEST_SHEAR = 0.1e-6
 """Smallest peak shear that skin feels at best (250 Hz; Verrillo and Bolanowski) [m]."""
@@ -145,7 +145,7 @@ def test_filter_times_response_is_one_within_the_stated_error(name: str, rate: f
 
 
 def test_a_filter_is_within_its_error_of_the_bounded_inverse() -> None:
-    """Where 1 V cannot give 0.1 µm the bound is what counts; and drive stays near it."""
+    """The bound counts where 1 V cannot give 0.1 µm; and drive stays near it."""
     response = 1e-6 * low_pass(FREQUENCY, 30) ** 2
     found = design(response[None, None], 1.0, 8000.0)
     bounded = inverse(response, 1.0)[HEARD]
@@ -376,7 +376,7 @@ def test_polarity_turns_the_sign_and_nothing_else() -> None:
     ("force", "share"), [(0.0, 0.0), (0.2, 0.0), (0.35, 0.25), (0.5, 0.5), (0.8, 1.0), (9.0, 1.0)]
 )
 def test_filters_run_straight_between_the_forces_of_the_table(force: float, share: float) -> None:
-    """And are held beyond its ends."""
+    """Filters are held beyond the ends of the table."""
     shear = shear_of(64)
     ends = []
     for k in (0, 1):

@@ -51,7 +51,7 @@ KINDS = st.sampled_from(
 
 
 class Model(Judged):
-    """What happens to a daemon."""
+    """Events that may happen to a daemon."""
 
     # The beginning
 

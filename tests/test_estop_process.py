@@ -102,7 +102,7 @@ class WaitsForDeaf(ModelClock):
 def test_one_daemon_that_hangs_holds_up_no_other(
     served: Path, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And both are told of: the one that was stopped, and the one that did not answer."""
+    """The answer tells of both: the one that was stopped, and the one that did not answer."""
     path, clock = served.with_name("estop-1.sock"), WaitsForDeaf()
     begun = clock.now()
     monkeypatch.setattr(estop_request, "MONOTONIC", clock)
@@ -171,7 +171,7 @@ def test_others_may_write_to_the_socket(served: Path) -> None:
 
 
 def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
-    """Where the daemon makes it, whatever it takes away from files that it creates."""
+    """The daemon makes the folder, whatever its umask takes away from files that it creates."""
     assert not runtime_folder().exists()
     usual = os.umask(0)
     try:
@@ -183,7 +183,7 @@ def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
 
 
 class Awaited(threading.Event):
-    """What the thread that saves waits for: two e-stops, and the end."""
+    """Events that the saving thread waits for: two e-stops, and the end."""
 
     def __init__(self, story: list[str]) -> None:
         super().__init__()
@@ -203,7 +203,7 @@ class Awaited(threading.Event):
 def test_every_e_stop_is_saved_once_in_each_latch(
     desk: Desk, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And one that cannot be saved keeps no other from that."""
+    """An e-stop that cannot be saved keeps no other from being saved."""
     story: list[str] = []
 
     def save(name: str) -> None:

@@ -308,7 +308,7 @@ def test_a_clip_sounds_the_same_as_pattern_and_as_hjif(tmp_path: Path) -> None:
 
 
 def test_a_pattern_sounds_the_same_as_a_clip(tmp_path: Path) -> None:
-    """Where its sharpness stays in 0 … 1; a transient's is limited there."""
+    """The sharpness stays in 0 … 1; that of a transient is limited there."""
     tap = {"Event": {"Time": 0.05, "EventType": "HapticTransient", "EventParameters": [
         {"ParameterID": "HapticIntensity", "ParameterValue": 0.9},
         {"ParameterID": "HapticSharpness", "ParameterValue": 0.3}]}}  # fmt: skip

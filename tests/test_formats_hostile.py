@@ -22,7 +22,8 @@ from tactile.texture.formats.hatt import load_model
 CLIP = '{"version":{"major":1},"signals":{"continuous":{"envelopes":{"amplitude":[%s]}}}}'
 POINT = '{"time":0,"amplitude":0.5}'
 LARGEST_FILE = 8 * 1024 * 1024
-"""Bytes, as the refusal says: minutes of effects, as Python objects some 200 MB at worst."""
+"""Largest size that a refusal states [bytes]: minutes of effects, as Python objects some 200 MB at
+worst."""
 
 
 def refusal(path: Path) -> str:

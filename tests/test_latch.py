@@ -93,7 +93,7 @@ def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
 
 
 def test_each_that_trips_it_counts_in_a_word_of_its_own(tmp_path: Path) -> None:
-    """So that none ever waits for another, nor loses an e-stop to it; and the note of each stays.
+    """None ever waits for another, nor loses an e-stop to it; and the note of each stays.
 
     Three words after the first, then the one that holds what was cleared.
     """
@@ -140,7 +140,7 @@ def test_a_file_that_says_more_was_cleared_than_tripped_is_damaged(tmp_path: Pat
 
 
 def test_all_blocks_are_there_from_the_beginning(latch: Latch, tmp_path: Path) -> None:
-    """So that a disk that is full keeps no e-stop from being written."""
+    """A disk that is full must not keep an e-stop from being written."""
     path = tmp_path / file_name(DEVICE)
     assert path.stat().st_size == SIZE
     assert path.stat().st_blocks > 0
@@ -290,7 +290,7 @@ def test_displays_on_one_bus_keep_their_own_e_stops(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
 def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) -> None:
-    """What is left of one that was killed has the lock for almost as long as is waited."""
+    """The rest of a daemon that was killed has the lock for almost as long as is waited."""
     dying = Latch.open(DEVICE, tmp_path)
     dying.trip("by a person")
 
@@ -306,7 +306,7 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) 
 
 
 def test_a_file_that_cannot_be_read_is_an_e_stop(tmp_path: Path) -> None:
-    """And those that no daemon made are none."""
+    """A file that no daemon made is no e-stop."""
     for name in ("mock%3A%2F%2F[", "serial%3A%2F%2F%2F%00"):
         (tmp_path / f"{name}.estop").touch()
     with opened(tmp_path, EDITED) as latch:

@@ -215,7 +215,7 @@ def test_samples_that_come_too_late_are_counted_in_blocks(linked: Linked) -> Non
 def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, quick: bool
 ) -> None:
-    """What they played was ended while the link was down; they have not noticed yet."""
+    """The stroke was ended while the link was down; the amplifiers have not noticed yet."""
     heard = overheard(monkeypatch)
     rig = linked("serial", extra="&lead_ms=100&fifo_ms=200")
     rig.begin(0.2)
@@ -257,7 +257,7 @@ def test_however_long_the_link_was_away_all_play_again_in_place(
 def test_every_sample_reaches_the_amplifier_once_in_its_place_or_is_counted_as_dropped(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    """Also those written before the position at which it fades in again."""
+    """Samples before the position at which the link fades in again count as well."""
     heard = overheard(monkeypatch)
     rig = linked("serial")
     rig.start()

@@ -72,7 +72,7 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
     ],
 )
 def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> None:
-    """What a host says next, a heartbeat or an e-stop, comes soon (SPEC.md, 14, of a host, 3)."""
+    """The next message of a host, a heartbeat or an e-stop, comes soon (SPEC.md, 14, duty 3)."""
     rig, waiting = saturated(link), [0]
     listener = rig.model.listener
 
@@ -92,7 +92,7 @@ def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> No
 def test_an_estop_overtakes_what_waits_for_a_link_that_takes_nothing(
     link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """But not the 4 ms that had left before the link stood still (SPEC.md, 14, of a host, 3)."""
+    """The 4 ms that had left before the link stood still come first (SPEC.md, 14, duty 3)."""
     heard = overheard(monkeypatch)
     rig = saturated(link)
     rig.begin(0.1)

@@ -16,7 +16,7 @@ from tactile.texture import measures
 
 STEP = 50e-6
 LONG = 32_000
-"""Samples: 1.6 m."""
+"""Number of samples of a stroke, 1.6 m."""
 EXACT = 10 ** (np.arange(-6, 10) / 10)
 """Centers [cycles/mm]; a third octave is 10^±0.05 wide on either side (IEC 61260-1)."""
 WIDTH = EXACT * (10**0.05 - 10**-0.05)
@@ -44,7 +44,7 @@ def modulator(rows: int, seed: int, variance: float, corner: float) -> Floats:
 
 @pytest.mark.parametrize("band", range(16))
 def test_the_power_of_a_sine_is_in_its_band_alone(band: int) -> None:
-    """a²/2 over the band's width; beside it 20 dB less in the lowest bands, nothing in others."""
+    """The power is a²/2 over the width; 20 dB less in the lowest neighbors, else nothing."""
     place = np.arange(LONG) * STEP * 1e3
     level = measures.band_spectrum(3e-6 * np.sin(2 * np.pi * EXACT[band] * place + 1), STEP)
     assert level.shape == (16,)
@@ -194,6 +194,6 @@ def test_depth_is_the_same_however_much_of_chance_lies_below_the_corner() -> Non
 
 
 def test_noise_alone_has_no_corner_to_speak_of() -> None:
-    """Where there is none it is NaN or a guess; the depth at it stays that of chance."""
+    """The corner is NaN or a guess; the depth at it stays that of chance."""
     corner = measures.am_corner(rough(20, 13), STEP)
     assert math.isnan(corner) or measures.am_depth(rough(20, 13), STEP, corner) < 0.08

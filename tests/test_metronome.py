@@ -20,7 +20,7 @@ STEP = 1e-4
 
 
 class Clock:
-    """One that passes by sleeping: a sleep takes too long, and the last one ends standard input."""
+    """Clock that passes by sleeping, for too long; the last sleep ends standard input."""
 
     def __init__(self, end: int) -> None:
         self.now, self.sleeps, self._end = 1000.0, 0, end

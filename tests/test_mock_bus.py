@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("plant")
 
 @pytest.mark.parametrize("bench", IDEAL, indirect=True)
 class TestEveryIdealBus:
-    """What holds for all of them."""
+    """Tests of what holds for all ideal buses."""
 
     def test_what_was_written_has_been_played(self, bench: Bench, three: Display) -> None:
         bus, volts = bench.open(three), noise(500)

@@ -200,7 +200,7 @@ def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> 
 def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
     playing: Stage,
 ) -> None:
-    """Else a clear of the first would end the second, which came a moment before."""
+    """A clear of the first would otherwise end the second, which came a moment before."""
     playing.latch.trip("by a program")
     playing.play(0.05)
     playing.bus.estop()

@@ -65,7 +65,7 @@ def test_the_skin_follows_an_oak_over_the_whole_recording(
 def test_one_sample_of_misalignment_would_be_noticed(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:
-    """What the 45 dB are worth: shifted by one sample of 125 µs the same recording fails."""
+    """The same recording, shifted by one sample of 125 µs, fails the 45 dB."""
     run(display, oak, stroke(1.0), device="sim:", record=tmp_path / "oak.npz")
     r = recorded(tmp_path / "oak.npz")
     for shift in (-1, 1):

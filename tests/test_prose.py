@@ -1,8 +1,8 @@
 """The words of the house: how docstrings begin, and that the public interface is documented.
 
 A docstring is understandable with the line above it hidden. It begins with a verb (functions) or a
-noun (values), never with a preposition, a pronoun or a bare unit. Every public function has
-sections for what it takes, returns and yields, which numpydoc's own validator checks.
+noun (values), never with a preposition, a pronoun, a conjunction or a bare unit. Every public
+function has sections for what it takes, returns and yields, which numpydoc's own validator checks.
 """
 
 import ast
@@ -24,11 +24,12 @@ DANGLING = {
     "to", "toward", "towards", "under", "until", "up", "upon", "with", "within", "without",
     "he", "her", "hers", "his", "it", "its", "she", "that", "their", "them", "they", "this",
     "these", "those", "which", "who", "whom", "whose",
+    "also", "and", "because", "but", "else", "nor", "or", "otherwise", "so",
 }  # fmt: skip
-"""Words that no docstring begins with: prepositions and pronouns."""
+"""Words that no docstring begins with: prepositions, pronouns and conjunctions."""
 UNITS = {
     "s", "ms", "µs", "us", "ns", "Hz", "kHz", "MHz", "V", "mV", "mA", "m", "mm", "µm", "um",
-    "nm", "N", "mN", "rad", "deg", "dB", "F", "nF", "Pa", "kg", "ppm",
+    "nm", "N", "mN", "rad", "deg", "dB", "F", "nF", "Pa", "GPa", "kg", "ppm", "m/s", "V/s", "m/V",
 }  # fmt: skip
 """Units that no docstring begins with; the unit stands in brackets behind the noun."""
 COVERAGE = 0.95
@@ -61,7 +62,7 @@ def docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def is_dangling(docstring: str) -> bool:
-    """Return whether a docstring begins with a preposition, a pronoun or a bare unit."""
+    """Return whether a docstring begins with a word that needs the line above it."""
     words = re.findall(r"[^\s,;:.()]+", docstring)
     return bool(words) and (words[0] in UNITS or words[0].lower() in DANGLING)
 
@@ -72,6 +73,8 @@ def is_dangling(docstring: str) -> bool:
         ("Of a client, that wait.", True),
         ("s between looks at the queue.", True),
         ("Hz of the bus.", True),
+        ("V/s of the display.", True),
+        ("Also at rest.", True),
         ("In a row.", True),
         ("Its name.", True),
         ("Maximum number of requests that one client may have queued.", False),

@@ -224,7 +224,7 @@ def any_message(described: dict[str, Any], rng: random.Random) -> Message:
 
 @each_message
 def test_an_unknown_tail_is_ignored(described: dict[str, Any]) -> None:
-    """But for a body, which ends where the payload does."""
+    """A body is the exception: it ends where the payload does."""
     rng = random.Random(1)
     for size in range(20):
         message = any_message(described, rng)
@@ -236,7 +236,7 @@ def test_an_unknown_tail_is_ignored(described: dict[str, Any]) -> None:
 
 @each_message
 def test_a_missing_tail_reads_as_0_and_a_missing_head_is_none(described: dict[str, Any]) -> None:
-    """Wherever it is cut: of a field that is cut, the missing bytes are 0."""
+    """The missing bytes of a field that is cut are 0, wherever it is cut."""
     message = any_message(described, random.Random(2))
     kind, payload = type(message), message.pack()
     for kept in range(kind.HEAD.size):

@@ -64,7 +64,7 @@ def test_a_frame_as_long_as_the_limit_is_a_packet_and_a_longer_one_is_not(cut: i
 
 
 def test_both_forms_of_a_packet_that_ends_with_254_bytes_other_than_0_are_taken() -> None:
-    """Also where it is as long as the limit."""
+    """One of the packets is as long as the limit."""
     candidates = (Packet(0x10, bytes([k]) * 246, 0x40, 1, 1) for k in range(1, 256))
     packet = next(p for p in candidates if 0 not in encode_packet(p))
     shorter = encode_frame(encode_packet(packet))
@@ -77,7 +77,7 @@ def test_both_forms_of_a_packet_that_ends_with_254_bytes_other_than_0_are_taken(
 def test_any_cut_of_a_stream_gives_the_same_packets(
     sent: list[Packet], data: st.DataObject
 ) -> None:
-    """Whatever stray zeros and rubbish lie between them, packets and counts are the same."""
+    """Packets and counts are the same whatever stray zeros and rubbish lie between them."""
     noise = st.binary(max_size=20).map(lambda b: b + b"\0") | st.just(b"\0\0")
     stream = b"".join(data.draw(noise) + encode_frame(encode_packet(p)) for p in sent)
     whole = SerialDecoder()

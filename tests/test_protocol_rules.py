@@ -110,7 +110,7 @@ def test_what_bounds_the_fall_is_reached(fade_us: int, step: int, fade: int, ins
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
-    """And are the least: "low slew" could not be armed at all rates with 1 V/s less."""
+    """The limits are the least: "low slew" could not be armed at all rates with 1 V/s less."""
     c = CONFIGS[name]
     rates = range(c.rate_min_hz, c.rate_max_hz + 1)
     voltage, slew = c.voltage_limit_uv, c.slew_limit_v_per_s
@@ -217,7 +217,7 @@ def test_a_second_host_changes_no_code_that_is_put_out() -> None:
 
 
 def test_a_host_that_never_reads_costs_no_memory() -> None:
-    """What is sent and not taken is dropped and counted."""
+    """Packets that are sent and not taken are dropped and counted."""
     rig = Rig(CONFIGS["as shipped"], judged=False)
     rig.packet(packet("HELLO", OWNER, 1, 0, 0))
     before = rig.memory()

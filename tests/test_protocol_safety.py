@@ -148,7 +148,7 @@ def test_no_long_story_breaks_a_rule_of_safety(name: str) -> None:
 
 
 def test_the_table_of_states_is_read_whole() -> None:
-    """What the judge knows of states comes from the document: 12 events in 7 states."""
+    """The judge has its table of states from the document: 12 events in 7 states."""
     assert STATES == ("IDLE", "ARMED", "RUNNING", "RAMPDOWN", "SAFE", "FAULT", "ESTOP")
     assert len(TABLE) == 12
     assert all(len(cells) == len(STATES) for cells in TABLE.values())

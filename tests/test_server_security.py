@@ -246,7 +246,7 @@ def test_each_token_has_its_roles_and_none_can_be_read_back() -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
 def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
-    """Also where a name that seemed to be this machine turns out to be more."""
+    """A name that seemed to be this machine may turn out to be more."""
     config = ServerConfig(host=host, port=0, token_file="x")
     with pytest.raises(
         InputError, match=r"which others can reach: server\.token_file must be given"

@@ -201,7 +201,7 @@ def test_no_speed_and_no_law_give_no_change() -> None:
 
 TILE = 25.6e-3
 PITCH = TILE / 2048
-"""12.5 µm"""
+"""Pitch of the raster, 12.5 µm [m]."""
 
 
 def surface(place: Floats, peak: Floats, kind: NDArray[np.intp]) -> Surface:
@@ -275,7 +275,7 @@ def test_the_raster_is_the_sum_of_its_events_at_random_places() -> None:
 @pytest.mark.parametrize("shape", ["pulse", "edge"])
 @pytest.mark.parametrize("width", [0.1, 0.25, 1.0])
 def test_one_event_is_read_within_the_error_of_a_bilinear_reading(width: float, shape: str) -> None:
-    """Wherever on the raster it lies, and wherever between pixels it is read."""
+    """The event may lie anywhere on the raster, and be read anywhere between pixels."""
     worst = worst_reading(width, shape)
     assert worst < bend(width, shape) + 2e-5
     assert worst > 0.3 * bend(width, shape)

@@ -158,7 +158,7 @@ def test_criteria_are_those_of_finite_elements() -> None:
 
 
 def test_unless_told_otherwise_a_drive_is_for_10_um_of_an_amplifier_of_100_v() -> None:
-    """And of any current, so that full voltage is what limits."""
+    """The current is unlimited, so that full voltage is what limits."""
     asked = ("drive", "attainable", "smallest_displacement")
     found = solve_study(study(axes={"load": ["none", "low"]}, criteria=asked))
     least = found.smallest_displacement_um_per_v.values
@@ -187,7 +187,7 @@ def test_a_thin_layer_bears_less_drive_and_twice_as_much_in_series() -> None:
 
 @pytest.mark.parametrize("length", [2e-3, 9e-3, 20e-3, 45e-3])
 def test_first_resonance_is_that_of_finite_elements(length: float) -> None:
-    """Also where the beam is short enough for shear to matter."""
+    """Beams are also short enough for shear to matter."""
     fem = reference.natural_frequencies(reference.Beam(length=length), 1)[0]
     assert first_resonance(Bimorph(length=length)) == pytest.approx(fem, rel=1e-9)
 

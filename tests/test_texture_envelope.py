@@ -41,7 +41,7 @@ def along_a_path(folder: Path, seed: int, *, length: float = 300.0, **more: floa
 
 @pytest.mark.parametrize("depth", [0.1, 0.3, 0.6])
 def test_the_envelope_has_the_stated_depth(tmp_path: Path, depth: float) -> None:
-    """And its mean square is one, so that bands keep their levels.
+    """The mean square of the envelope is one, so that bands keep their levels.
 
     Twelve sinusoids are nearly a normal process: ∏ I₀(2a)/∏ I₀(a)² − 1 is 1.3 % low in its root at
     0.6, less below. A path of 300 m holds 3·10⁴ periods of the fastest, so that sampling adds 1 %.

@@ -23,7 +23,8 @@ from tactile.texture.surface import Texture, load_texture
 
 DISPLAY = load_display("reference-24")
 REFERENCE = {"speed": 0.04, "normal_force": 0.5}
-"""m/s and N at which the shipped textures' numbers hold: the laws' factor is one."""
+"""Speed [m/s] and force [N] at which the shipped textures' numbers hold: the laws' factor is
+one."""
 CENTER = 10 ** (np.arange(34) / 10)
 EDGES = 10 ** ((np.arange(35) - 0.5) / 10)
 """Edges of the third octaves from 1 Hz to 2 kHz (IEC 61260-1) [Hz]."""

@@ -18,7 +18,8 @@ HORIZON, BRAKING = 0.060, 0.020
 the latency of 12 ms), and time in which a finger that says nothing more is then brought to rest
 [s]."""
 SETTLING, FORCE_SETTLING = 0.003, 0.005
-"""1/ω of the place at speed and of the force [s]: as short as noise allows, by measurement."""
+"""Time constants 1/ω of the place at speed and of the force [s]: as short as noise allows, by
+measurement."""
 CLEARING = 8 / 2500
 """Time from a jump of the place to the rise of the force [s]: the 8 samples from which the renderer
 reads its velocity, at the slowest rate of an amplifier (2.5 kHz)."""
@@ -46,7 +47,7 @@ def test_the_recorded_slide_is_met_within_300_um() -> None:
 
 @needs_slide
 def test_at_five_times_its_speed_nobody_meets_the_slide_within_300_um() -> None:
-    """What is reached is held, as a regression; 0.34 mm are blind, see the benchmark."""
+    """The error that is reached is held; a blind tracker has 0.34 mm (see the benchmark)."""
     slide = bench.recorded(5.0)
     assert rms(bench.blind(slide, SamplingClient(), 20)) > GOAL
     assert rms(misses(slide, SamplingClient(), 10)) <= 1.0

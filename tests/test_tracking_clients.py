@@ -268,7 +268,7 @@ def heard_again(speed: float, gap: float, x: float) -> ContactTracker:
 def test_a_finger_is_expected_on_its_stroke_for_a_quarter_of_a_second(
     gap: float, jumps: tuple[int, int]
 ) -> None:
-    """Then where it was last: 20 mm are within its reach, and 0.1 m/s go 24 mm and 26 mm."""
+    """The finger is then where it was last: 20 mm are within its reach; 0.1 m/s go 24 and 26 mm."""
     found = [heard_again(0.1, gap, x) for x in (0.05 + 0.1 * gap, 0.05)]
     assert (found[0].jumps, found[1].jumps) == jumps
 

@@ -81,7 +81,7 @@ def test_a_can_frame_has_44_bits_8_a_byte_and_3_between(size: int, bits: int, mo
 
 @pytest.mark.parametrize("identifier", [0x2AA, 0x0AAAAAAA])
 def test_a_can_frame_of_its_own_bits_has_them_all(identifier: int) -> None:
-    """Where bits alternate, and the CRC happens to have no five of a kind, none is stuffed."""
+    """No bit is stuffed where bits alternate, and the CRC happens to have no five of a kind."""
     frames = [b"\x55" * 7 + bytes([last]) for last in range(256)]
     least = min(can_bits(identifier, data) for data in frames)
     assert least == can_estimate(8, "none", extended=identifier > 0x7FF)
@@ -220,7 +220,7 @@ def test_pacing_is_never_faster_than_the_wire(
 
 @pytest.mark.parametrize("link", LINKS, ids=str)
 def test_a_plan_at_the_cap_can_be_paced(link: Link) -> None:
-    """Also by the most stuff bits the packets take less than the whole wire."""
+    """The packets take less than the whole wire even with the most stuff bits."""
     packet = pcm_packet(link.largest())
     assert link.cap * link.seconds(packet) / link.mean_seconds(packet) < 0.87
 

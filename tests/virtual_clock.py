@@ -49,7 +49,7 @@ class Thread:
     Attributes
     ----------
     turn : number of its latest sleep
-    awaited : what would wake it before its time, where that is true
+    awaited : condition that would wake it before its time
     held : whether its process hangs
     due : whether it would run, did its process not hang
     """
@@ -200,7 +200,7 @@ class VirtualLock:
 
     Parameters
     ----------
-    clock : of the threads
+    clock : clock of the threads
     reentrant : whether who has it may take it again
     """
 
@@ -273,7 +273,7 @@ class ChipThread:
 
     Parameters
     ----------
-    clock : of all
+    clock : clock of all threads
     """
 
     thread: Thread
@@ -334,8 +334,8 @@ class Process:
 
     Parameters
     ----------
-    world : that it is in
-    module, heard, inherited : as of `Child`
+    world : world of the process
+    module, heard, inherited : parameters of `Child`
     """
 
     def __init__(
@@ -353,7 +353,7 @@ class Process:
 
     @property
     def of_server(self) -> bool:
-        """Whether the server that started it is the one that runs."""
+        """Whether the server that started the process is the one that runs."""
         return self._loop is self.world.loop
 
     def tell(self, order: object) -> None:
@@ -362,7 +362,7 @@ class Process:
         self.clock.after(PIPE, lambda: self._deliver(data))
 
     async def end(self, patience: float) -> None:
-        """Close its input and wait for its end; kill it after a while."""
+        """Close the input of the process and wait for its end; kill it after a while."""
         self.hang_up()
         deadline = self._loop.time() + patience
         while self.alive and self._loop.time() < deadline:
@@ -419,4 +419,4 @@ class Process:
         self.kill()
 
     def let_go(self) -> None:
-        """Unmap what it shares."""
+        """Unmap the memory that the process shares."""

@@ -365,7 +365,7 @@ class World:
 
     @property
     def threading(self) -> SimpleNamespace:
-        """What stands for the module `threading`: locks that threads wait for on the clock."""
+        """Substitute for the module `threading`: locks that threads wait for on the clock."""
         again = functools.partial(VirtualLock, self.clock)
         once = functools.partial(again, reentrant=False)
         return SimpleNamespace(Lock=once, RLock=again, Condition=again, Event=threading.Event)
@@ -378,7 +378,7 @@ class World:
 
     @property
     def desk(self) -> Desk | None:
-        """What `tactile estop` reaches."""
+        """Desk that `tactile estop` reaches."""
         desks = [p.desk for p in self.processes if isinstance(p, EstopProcess) and p.desk]
         return desks[-1] if desks else None
 

@@ -56,7 +56,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     @property
     def files(self) -> set[int]:
-        """Numbers of its sockets that are open."""
+        """Numbers of the open sockets of the selector."""
         connected = {file for file, one in self._transports.items() if not one.is_closing()}
         return {*self._files.get_map(), *connected} - self._own
 
@@ -66,7 +66,7 @@ class Datagrams(socket.socket):
 
     Parameters
     ----------
-    folder : of all sockets that reach each other
+    folder : folder of all sockets that reach each other
     """
 
     def __init__(self, folder: Path, family: int = -1, kind: int = socket.SOCK_DGRAM) -> None:
@@ -121,12 +121,12 @@ class LoopProcess:
 
     Parameters
     ----------
-    clock : of all
+    clock : clock of all processes
     errors : takes what fails in the loop
 
     Attributes
     ----------
-    opened : what it closes when it ends in good order
+    opened : resources that it closes when it ends in good order
     """
 
     def __init__(self, clock: VirtualClock, errors: Errors) -> None:
@@ -137,7 +137,7 @@ class LoopProcess:
 
     @property
     def hung(self) -> bool:
-        """Whether it stands still."""
+        """Whether the process stands still."""
         return self._thread.held
 
     def begin(self, work: Coroutine[Any, Any, T]) -> "Future[T]":

@@ -27,7 +27,7 @@ from tactile.errors import InputError
 
 @on(BENCHES)
 class TestRamps:
-    """How it comes to 0 V, and how fast it moves at all."""
+    """Tests of the ways to 0 V, and of the speed of any movement."""
 
     def test_stop_is_a_straight_ramp_of_the_fades_length_to_exactly_0_volts(
         self, bench: Bench, three: Display

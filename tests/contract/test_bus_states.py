@@ -190,7 +190,7 @@ class TestStates:
 @pytest.mark.realtime
 @on(REAL)
 class TestRealLinks:
-    """What is seen of each link in real time, also of slcan, which has the least to spare."""
+    """Tests of each link in real time, also of slcan, which has the least to spare."""
 
     def test_a_stream_is_put_out_stopped_and_broken_off(self, bench: Bench, slow: Display) -> None:
         bus, step = bench.open(slow), SLOW / bench.rate

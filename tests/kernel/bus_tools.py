@@ -1,4 +1,4 @@
-"""What the checks of the project's own buses inside a guest have in common.
+"""Common tools of the checks of the project's own buses inside a guest.
 
 `tactile.devices` is left alone, since it loads scipy, which takes a guest a minute.
 """
@@ -49,7 +49,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Rig:
-    """All that a bus asks of a display."""
+    """Part of a display that a bus needs."""
 
     channels: int
     slew: float = 0.7e6
@@ -195,6 +195,6 @@ def play(bus: Bus, seconds: float = 0.5, block: int = BLOCK) -> Floats:
 
 
 def wait_for_link(bus: Bus, link: str) -> None:
-    """Wait until the link is told to be up or down."""
+    """Wait until the status of the link is up or down."""
     wait_for(f"the link is {link}", lambda: bus.status.link == link)
     assert "\n" not in bus.status.detail

@@ -1,4 +1,4 @@
-"""What answers on an emulated I²C bus."""
+"""Targets of an emulated I²C bus."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""Checks in QEMU: our audio bus on a sound card, whose other end is heard."""
+"""Checks in QEMU: our audio bus on a sound card, whose other end is recorded."""
 
 import importlib
 from collections.abc import Iterator
@@ -49,7 +49,7 @@ class Ear:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing is heard any more."""
+        """Whether the recording has fallen silent."""
         return len(self.heard) > QUIET and not self.heard[-QUIET:].any()
 
 

@@ -40,7 +40,7 @@ class SerialGadget:
         wait_for(f"{HOST} appears", HOST.exists)
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Pull the cable of the gadget."""
         (GADGET / "UDC").write_text("\n")
 
     def remove(self) -> None:

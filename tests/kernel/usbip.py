@@ -53,7 +53,7 @@ class UsbDevice:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Pull the cable of the device."""
         with self._lock:
             self._plugged = False
             self._socket.shutdown(socket.SHUT_RDWR)

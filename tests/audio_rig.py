@@ -1,4 +1,4 @@
-"""What the tests of ``audio:`` share: a display, and JACK's dummy card with a recorder behind it.
+"""Rig of the tests of ``audio:``: a display, and JACK's dummy card with a recorder behind it.
 
 The recorder is a program of its own (this file, run): the JACK library does not bear two servers
 in one process, nor one that ends before its clients.
@@ -227,7 +227,7 @@ class Recorder:
 
 
 def main(server: str, inward: IO[bytes], outward: IO[bytes]) -> None:
-    """Do what comes in, a word a line, and pickle the answers."""
+    """Carry out commands from standard input, one word per line, and pickle the answers."""
     recorder = Recorder(server)
     for line in inward:
         word = line.decode().strip()

@@ -1,4 +1,4 @@
-"""Buses under contract, each with what tells its tests what was put out.
+"""Buses under contract, each with a bench that gives its output to the tests.
 
 A bus in memory remembers that itself. Behind a real one is the amplifier in C, which writes each
 instant to a file; `put_out` maps that as `tactile.bus.simulated.modeled_bus` does. A new bus joins
@@ -160,7 +160,7 @@ class Amplifier:
         return rows
 
     def watch(self, bus: Bus) -> None:
-        """Note with each start how far it is to play."""
+        """Store with each start the position up to which it is to play."""
         start, stop, first = bus._start, bus._stop, 0
 
         def starting(position: int) -> None:
@@ -190,7 +190,7 @@ def prefer(process: int, priority: int = 1) -> None:
 
 
 def select_nothing(seconds: float) -> None:
-    """Sleep, also where the clock of the tests does not."""
+    """Sleep, also when the clock of the tests does not."""
     select.select([], [], [], seconds)
 
 

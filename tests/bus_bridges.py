@@ -1,4 +1,4 @@
-"""What lies between a host's driver and the amplifier in C: a port server, a CAN bus, an adapter.
+"""Bridges from a host's driver to the amplifier in C: a port server, a CAN bus, an adapter.
 
 Each is a context that serves until it is left. Run as a program, ``bus_bridges.py KIND PATH``, this
 is one in a process of its own, so that host and bridge do not take turns in one Python; its first
@@ -80,7 +80,7 @@ class Connection:
         self._stream, self._lock = stream, threading.Lock()
 
     def write(self, data: bytes) -> None:
-        """Send."""
+        """Send bytes."""
         with self._lock:
             self._stream.sendall(data)
 

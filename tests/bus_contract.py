@@ -154,7 +154,7 @@ def assert_broken_off(out: Floats, volts: Floats, step: float, wire: float) -> N
 
 
 def played(bench: Bench, bus: Bus, volts: Floats, cuts: list[int] | None = None) -> Floats:
-    """Start, write samples, stop; return what that put out."""
+    """Start, write samples and stop; return the output."""
     before = len(bench.put_out(bus))
     bus.start()
     play(bus, volts, cuts or [])

@@ -1,4 +1,4 @@
-"""DRV2667, BOS1921 and TCA9548A as their registers behave, on a virtual clock.
+"""Models of DRV2667, BOS1921 and TCA9548A by their registers, on a virtual clock.
 
 Written from what is published of the chips, not from the driver. A chip has ``write(data)`` and
 ``read(size)``, each a transfer on the wire, which raise OSError(ENXIO) where the address is not

@@ -188,7 +188,7 @@ class Daemon:
         return [said for said in list(self.heard) if isinstance(said, kinds)]
 
     def drop(self) -> None:
-        """Cut the connection without a word."""
+        """Cut the connection without a farewell."""
         with contextlib.suppress(OSError):
             self.last.socket.shutdown(socket.SHUT_RDWR)
 

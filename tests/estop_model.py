@@ -1,4 +1,4 @@
-"""What is right of an e-stop, by plain counting of what was answered; the rules are in the test."""
+"""Model of e-stops that counts what was answered; the rules are in the test."""
 
 import asyncio
 import tempfile

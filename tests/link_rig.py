@@ -1,4 +1,4 @@
-"""A bench for links under faults: what is written, what comes out when, and what must hold of it.
+"""Bench for links under faults: writes a signal, records the output and checks it.
 
 Even channels carry a triangle, whose value tells the position to within its fold; odd ones carry a
 level, which tells whether the gain is full. Everything that each amplifier puts out is kept with
@@ -195,7 +195,7 @@ class Bench:
         return last - since
 
     def idle(self, seconds: float) -> None:
-        """Let time pass while nobody writes."""
+        """Let time pass while the program writes nothing."""
         end = self.clock.now() + seconds
         while self.clock.now() < end:
             self.bus._turn(end)

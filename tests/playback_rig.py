@@ -1,4 +1,4 @@
-"""Runs that are played once and looked at by many tests."""
+"""Runs that are played once and examined by many tests."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What an amplifier may do, computed from SPEC.md alone, to be held against what one does.
+"""Judge of an amplifier: bounds on its behavior that are computed from SPEC.md alone.
 
 The judge is told every packet and fault before the amplifier is, and every instant after it was put
 out. It foresees states, session, limits, sample clock and position, and bounds the output; what the
@@ -378,7 +378,7 @@ class Judge:
         self.instants += 1
 
     def _move_gain(self, waiting: bool) -> None:
-        """Foresee the most that the gain may be (8.3): who joins late fades in."""
+        """Update the largest gain that is possible (8.3); a host that is late fades in."""
         if self.state != "RUNNING" or waiting:
             return
         n = self.position - 1

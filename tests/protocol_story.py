@@ -1,4 +1,4 @@
-"""Stories: what may happen to an amplifier, made of chances.
+"""Stories: random sequences of events at an amplifier.
 
 An owner that streams, a second host, noise, and a link that loses, repeats, delays and reorders.
 The chances come from seeds; hypothesis shrinks what happens.
@@ -22,7 +22,7 @@ WRONG = 0.02
 
 
 class Story:
-    """Something that may happen to an amplifier, made of chances.
+    """Random sequence of events at an amplifier.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class Story:
     # Others
 
     def foreign(self, name: str = "") -> None:
-        """Let a second host try something, with its own session or that of nobody."""
+        """Let a second host try something, with its own session or with session 0."""
         session = self.some(NOBODY, 0, self.session ^ 1)
         name = name or self.rng.choice(
             ["HELLO", "START", "STOP", "ARM", "DISARM", "CLEAR_FAULT", "HEARTBEAT", "LIMITS", "SET",
@@ -275,7 +275,7 @@ class Story:
         self.rig.fault(self.some(0, 0, 1, 4, 200))
 
     def button(self) -> None:
-        """Let somebody pull the e-stop button, or release it, with a contact that may bounce."""
+        """Pull the e-stop button, or release it, with a contact that may bounce."""
         for _ in range(self.some(1, 1, 1, 3)):
             self.rig.estop_input(self.some(0, 1) == 1)
             self.poll()

@@ -1,4 +1,4 @@
-"""Traces: what was told to an amplifier and when, with what it put out and sent.
+"""Traces: input of an amplifier with its times, and everything that it put out and sent.
 
 A `Rig` plays a trace on the Python amplifier while it is made, and keeps it; `replay` plays it on
 the one in C.

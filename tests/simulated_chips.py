@@ -1,4 +1,4 @@
-"""Two DRV2667 behind a multiplexer in a simulation, and what they put out."""
+"""Two DRV2667 behind a multiplexer in a simulation, and their output."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What is between a program of a simulation and its amplifiers, judged by what these put out."""
+"""Way from a program of a simulation to its amplifiers, judged by their output."""
 
 import asyncio
 import math
@@ -105,7 +105,7 @@ class Route:
 
     @property
     def dead(self) -> float:
-        """Time since when the way is cut [s]; infinite where it is not."""
+        """Time since when the way is cut [s]; infinite if it is not."""
         return min(self.deaths.values(), default=math.inf)
 
     def judge(self, board: int, run: PlayedRun, times: Floats, code: float) -> None:

@@ -1,4 +1,4 @@
-"""A simulated daemon with its programs, processes, links and amplifiers, and all that fails.
+"""Simulation of a daemon with its programs, processes, links and amplifiers, and of all faults.
 
 All is real but time, process boundaries and wires (`virtual_daemon`): programs have the SDK, and
 talk to the server over its socket; an engine sends it OSC. All that happens follows from a seed.

@@ -1,4 +1,4 @@
-"""The codec's rules once more, slowly, written from SPEC.md: what the fast ones are compared with.
+"""Slow codec, written from SPEC.md, with which the fast ones are compared.
 
 Bitwise (CRC-32), byte by byte (COBS, fragments) or in Python's integers (sample formats).
 """
@@ -105,7 +105,7 @@ def clamp(value: int, limit: int) -> int:
 
 
 def slow_pcm12(codes: list[int]) -> bytes:
-    """Nibble by nibble, low one first."""
+    """Encode PCM12 nibble by nibble, low one first."""
     nibbles: list[int] = []
     for code in codes:
         v = clamp(rounded(Fraction(code, 16)), 2047) % 4096

@@ -1,4 +1,4 @@
-"""Friction alone, read from the renderer's shear with a texture of one wave so small as nothing."""
+"""Friction alone, read from the shear of a texture with one wave of a vanishing amplitude."""
 
 import math
 from dataclasses import replace

@@ -186,7 +186,7 @@ ROOTS = [
 
 @pytest.mark.parametrize(("z1", "z2"), ROOTS)
 def test_c_functions_have_all_their_digits(z1: complex, z2: complex) -> None:
-    """Real or imaginary λ1, series or closed form, to 450 epsilon."""
+    """λ1 is real or imaginary, in series or closed form, and 450 epsilon are allowed."""
     found = c_functions(np.array([z1 + z2], np.complex128), np.array([z1 * z2], np.complex128))
     limit = 1e-13
     for a, b in zip(found, exact_c(z1, z2), strict=True):

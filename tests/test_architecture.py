@@ -1,4 +1,4 @@
-"""The house holds: which room may know which, what is imported where, how long things may be.
+"""Tests of the structure: rooms and their imports, uses of libraries, and lengths.
 
 `MAP` says for each room (a package or module directly in `tactile`) which other rooms it may
 import. A new room gets its line here.

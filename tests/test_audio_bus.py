@@ -1,4 +1,4 @@
-"""``audio:`` plays what it is told and nothing else, and ends at 0 V whatever happens.
+"""Tests of ``audio:``, which plays what is written and ends at 0 V whatever happens.
 
 The whole way runs in real time on JACK's dummy card, where a recorder keeps what the card is given,
 and on an ALSA device that writes a file. Other programs may keep a dummy card waiting, which real

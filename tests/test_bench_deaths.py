@@ -87,7 +87,7 @@ def test_each_fault_meets_each_sound_as_often_in_random_order() -> None:
 
 
 class MadeAmplifier:
-    """Hands out records that were made before."""
+    """Amplifier that hands out records that were made before."""
 
     powered_up = 7.0
 

@@ -1,4 +1,4 @@
-"""How the figures of the protocol are measured: by hand what links carry, faults that are seen."""
+"""Tests of the figures of the protocol: capacities by hand, and faults that are noticed."""
 
 import numpy as np
 import pytest

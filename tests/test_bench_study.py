@@ -5,7 +5,7 @@ from benchmarks.study import REFERENCE, measure_study, sweep_robustly
 
 
 def test_studies_are_measured_beside_the_finite_elements_of_the_checkout() -> None:
-    """Elsewhere those figures would be left out without a word."""
+    """The figures would be left out silently outside of a checkout."""
     assert REFERENCE.is_file()
     assert BENCHMARKS["study"] is measure_study
 

@@ -1,4 +1,4 @@
-"""What is measured of lines: capacitance, faults, and what a load's current tells."""
+"""Tests of the measurement of lines: capacitance, faults, and the current of a load."""
 
 import itertools
 import math

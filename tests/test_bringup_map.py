@@ -1,4 +1,4 @@
-"""Bring-up writes what a person tells of the contactors into a display's file, and nothing else."""
+"""Bring-up writes the answers about contactors into a display's file, and nothing else."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What fits a link: counts by hand, the table of the design, and plans that really fit."""
+"""Tests of the capacity of links: counts by hand, the table of the design, and plans that fit."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -272,7 +272,7 @@ def test_each_board_gets_its_own_packets_beats_and_probes() -> None:
 
 
 def test_amplifiers_that_say_nonsense_are_refused_like_others() -> None:
-    """No channels, no rate: neither loops nor divides by zero."""
+    """CAPS without channels or rates neither loop nor divide by zero."""
     assert list(Ability(channels=(24, 0)).shares(25)) == [24, 1]
     for ability in (Ability(channels=(0,)), Ability.of([m.Caps()]), Ability(rate_max=0)):
         assert isinstance(planned(Uart(1e6), 4, ability=ability), BudgetError)

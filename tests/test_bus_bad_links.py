@@ -1,4 +1,4 @@
-"""What a link cannot be: each mistake is one line, the right error, and leaves nothing behind."""
+"""Tests of bad links: each mistake is one line, the right error, and leaves nothing behind."""
 
 import errno
 import os

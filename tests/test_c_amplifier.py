@@ -1,4 +1,4 @@
-"""What of the C amplifier no vector of firmware_protocol says: its own figures, and closed forms.
+"""Tests of the C amplifier beyond the vectors: its own figures, and closed forms.
 
 How it starts, fades, stops, counts and refuses is in `test_protocol_vectors_c`.
 """

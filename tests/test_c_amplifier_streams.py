@@ -1,4 +1,4 @@
-"""What the C amplifier puts out where the vectors do not look: long streams, fades, its log."""
+"""Tests of the C amplifier beyond the vectors: long streams, fades, its log."""
 
 from pathlib import Path
 

@@ -287,7 +287,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
 def test_a_mistake_of_our_own_is_not_hidden(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever finds one can report where it is."""
+    """A bug of ours shows where it is, so that it can be reported."""
 
     def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError

@@ -108,7 +108,7 @@ def test_append_sends_one_message_and_cuts_what_is_beyond(remote: Any, daemon: D
 def test_play_hands_over_all_although_the_daemon_takes_only_part(
     remote: Any, script: Script, most: int
 ) -> None:
-    """Every third time it takes nothing at all."""
+    """The daemon takes nothing at all every third time."""
     taken: list[float] = []
     replaced: list[bool] = []
     turns = itertools.count()

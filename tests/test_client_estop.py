@@ -173,7 +173,7 @@ def test_a_cancellation_that_comes_with_the_result_is_not_lost() -> None:
 
 
 def test_sending_without_end_leaves_others_their_turn() -> None:
-    """Such as the reader, which answers the daemon's pings."""
+    """One of the others is the reader, which answers the daemon's pings."""
     contact = m.Contact(display="left", position_mm=(0.0, 0.0), normal_force_n=0.5)
 
     async def main() -> None:

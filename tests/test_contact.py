@@ -224,7 +224,7 @@ def test_samples_that_are_no_way_of_a_finger_are_refused_in_one_line(
 
 @pytest.mark.parametrize("far", [1e160, 1e300], ids=["its square overflows", "beyond reason"])
 def test_a_place_beyond_reason_is_refused_without_a_warning(far: float) -> None:
-    """Warnings are errors here."""
+    """A warning is an error in tests."""
     with pytest.raises(InputError, match="position: reaches"):
         Trajectory([0.0, 1.0], [[0.0, 0.0], [far, 0.0]], 0.5)
 

@@ -1,4 +1,4 @@
-"""Whatever dies or hangs, the amplifier goes to 0 V and stays there until somebody arms it anew.
+"""Tests of faults: the amplifier goes to 0 V and stays there until somebody arms it again.
 
 The daemon is a process of its own, as a user starts it; a program plays through it from another
 one, a stroke or an effect of a minute; the C amplifier on a pty records what it puts out. How soon

@@ -1,4 +1,4 @@
-"""Tests of whom high voltage belongs to, and when it belongs to nobody."""
+"""Tests of the ownership of high voltage."""
 
 from tactile.server.owners import Owners
 

@@ -1,4 +1,4 @@
-"""Playback of one display: what is rendered when, the rule of mixing, and being held up.
+"""Tests of playback of one display: rendering, the rule of mixing, and being held up.
 
 The bus is the mock amplifier, the clock turns as playback waits.
 """

@@ -1,4 +1,4 @@
-"""Textures that are made ready: whose turn it is, how many there may be, and what is given up."""
+"""Tests of textures that are made ready: turns of clients, their number, and what is dropped."""
 
 import asyncio
 import gc
@@ -52,7 +52,7 @@ Story = Callable[[Bench], Coroutine[Any, Any, None]]
 
 
 async def told(story: Story, unseen: list[Any]) -> None:
-    """Tell a story, and collect what failed unseen: of tasks that nobody waited for too."""
+    """Run a story, and collect hidden failures, also of tasks that nothing waited for."""
     gc.freeze()  # else all that was there before is looked at
     bench = Bench()
     try:

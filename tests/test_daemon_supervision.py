@@ -1,4 +1,4 @@
-"""What the daemon says and does of a playback that dies or hangs, on the virtual clock."""
+"""Tests of how the daemon handles a playback that dies or hangs, on the virtual clock."""
 
 import asyncio
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Waveforms and parametric effects: what is taken, what is played, and how they end."""
+"""Tests of waveforms and parametric effects: what is accepted, what is played, how they end."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What waves cost, and that they are the same as by their formulas, whatever is left out."""
+"""Tests of the cost of waves, and that shortcuts give the same as their formulas."""
 
 import itertools
 import math

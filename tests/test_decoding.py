@@ -1,4 +1,4 @@
-"""What a message that is no command is answered with; the texts are those of the documentation."""
+"""Tests of the answers to messages that are no commands, in the words of the documentation."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A display's file says what stands where; what does not fit is refused.
+"""Tests of a display's file: positions of parts, and refusals of what does not fit.
 
 Geometry is checked against a brute force that samples points, the room that a bender needs
 against the closed form of its static deflection, arrays against what is written in the file.

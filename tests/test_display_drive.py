@@ -1,4 +1,4 @@
-"""A display's file says what its drive meets: finger, amplifier, limits, measured responses."""
+"""Tests of the drive in a display's file: finger, amplifier, limits, measured responses."""
 
 import math
 from pathlib import Path

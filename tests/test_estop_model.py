@@ -194,7 +194,7 @@ class Model(Judged):
 
     @rule(name=NAMES)
     def estop_by_amplifier(self, name: str) -> None:
-        """Let somebody press the amplifier's own e-stop: playback latches it."""
+        """Press the amplifier's own e-stop button: playback latches it."""
         assert self.world.host is not None
         playing, before = self.world.host.playing[name], self.expected[name].number
         for playback in self.world.playbacks(DEVICES[name]):
@@ -229,7 +229,7 @@ class Model(Judged):
         tripped=st.none() | st.floats(0, 0.7),
     )
     def stall(self, seconds: float, name: str | None, tripped: float | None) -> None:
-        """Let the server stand still, and perhaps somebody call `tactile estop` meanwhile."""
+        """Let the server stand still, and perhaps call `tactile estop` meanwhile."""
         if tripped is not None:
             self.world.clock.after(tripped, lambda: self.trip(name))
         self.stand_still(seconds)

@@ -1,4 +1,4 @@
-"""The e-stop's own way in: what it answers, to whom, and what nobody can do to it."""
+"""Tests of the e-stop process: its answers, who gets them, and attempts to block it."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""Files that nobody should have to trust: each is read, or refused with one line."""
+"""Tests of files that nobody should trust: each is read, or refused with one line."""
 
 import io
 import json

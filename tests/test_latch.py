@@ -1,4 +1,4 @@
-"""The e-stop latch: what holds, what ends it, and what survives whom."""
+"""Tests of the e-stop latch: what sets it, what ends it, and which deaths it survives."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""What is rendered of the library is what its descriptors say, and it is played faithfully.
+"""Tests that rendered textures agree with their descriptors and are played faithfully.
 
 Rendered cuts are judged by `tactile.texture.measures`, which `test_measures` proves against closed
 forms; what the benchmark adds of its own is proven here in the same way. A few textures run by

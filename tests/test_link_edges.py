@@ -1,4 +1,4 @@
-"""What the host's side of a link does in moments that seldom come: halts, last words, back-off."""
+"""Tests of rare moments of the host's side of a link: halts, last messages, back-off."""
 
 import math
 import secrets

@@ -1,4 +1,4 @@
-"""E-stops over links: in time, remembered, told, and ended by a person alone."""
+"""Tests of e-stops over links: in time, remembered, reported, and ended by a person alone."""
 
 from dataclasses import replace
 

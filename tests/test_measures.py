@@ -1,4 +1,4 @@
-"""What measures bands, kurtosis and AM depth, against signals whose numbers are known in advance.
+"""Tests of the measurement of bands, kurtosis and AM depth with signals of known numbers.
 
 Sines, white noise and log-normally modulated normal noise have closed forms; noise here is drawn
 in the frequency domain and shares nothing with waves or surfaces. Where a sample is random its

@@ -1,4 +1,4 @@
-"""What only an ideal bus promises: what was written it has played at once, and it remembers.
+"""Tests of promises of ideal buses alone: they have played what was written, and remember it.
 
 ``mock:`` and ``sim:`` play as fast as they are written to; what they share with all other buses
 is in `contract`.

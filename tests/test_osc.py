@@ -1,4 +1,4 @@
-"""OSC: what engines send, read as python-osc writes it, and what nobody should send.
+"""Tests of OSC: packets of engines, read as python-osc writes them, and bad packets.
 
 The judge of what is OSC is python-osc, where it comes to an end; it hangs on one packet here.
 """

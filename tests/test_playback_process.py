@@ -1,4 +1,4 @@
-"""What playback does by itself: it watches the latch and the server's signs of life.
+"""Tests of the playback process, which watches the latch and the server's signs of life.
 
 The loop is turned by hand and time is passed in; the bus is the mock amplifier.
 """

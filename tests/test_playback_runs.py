@@ -1,4 +1,4 @@
-"""Whole runs: what the skin did, what is recorded and told, and what goes wrong.
+"""Tests of whole runs: movement of the skin, recordings, reports, and faults.
 
 The whole chain is judged by its end: what the simulated skin did against what it was to do.
 """

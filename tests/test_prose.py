@@ -1,4 +1,4 @@
-"""The words of the house: how docstrings begin, and that the public interface is documented.
+"""Tests of the language: how docstrings begin, and that the public interface is documented.
 
 A docstring is understandable with the line above it hidden. It begins with a verb (functions) or a
 noun (values), never with a preposition, a pronoun, a conjunction or a bare unit. Every public

@@ -82,7 +82,7 @@ CODE = st.integers(-32767, 32767) | st.sampled_from([-32767, -32760, -24, -8, 8,
 
 @st.composite
 def code_arrays(draw: st.DrawFn) -> Codes:
-    """Codes (S, C), loud and quiet ones."""
+    """Draw sample codes (S, C), loud and quiet ones."""
     shape = draw(st.integers(1, 70)), draw(st.integers(1, 5))
     loudness = draw(st.sampled_from([1, 100, 127, 128, 255, 4000, 32640, 32767]))
     seed = draw(st.integers(0, 2**32 - 1))

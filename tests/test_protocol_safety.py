@@ -40,7 +40,7 @@ def assert_same(rig: Rig, program: Path, at: Path) -> None:
 
 
 def assert_bounded(rig: Rig) -> None:
-    """Nothing that came is kept for longer than its use."""
+    """Check that nothing received is kept for longer than its use."""
     c = rig.config
     frames = 5 * c.channels * (16 * c.carriers + 300)
     assert rig.memory() < 10_000 + 20 * c.fifo * c.channels + frames

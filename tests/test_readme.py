@@ -1,4 +1,4 @@
-"""README.md and the pages of docs/ say what runs: Python lines, commands and files that exist."""
+"""Tests of README.md and docs/: Python lines and commands run, and linked files exist."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What is wrong is told to who sent it, with a code and a field, and the stream goes on."""
+"""Tests of bad input: its sender is told, with a code and a field, and the stream goes on."""
 
 import json
 from typing import Any

@@ -1,4 +1,4 @@
-"""Whatever is sent, nothing breaks, and no volt."""
+"""Tests with random messages: nothing breaks, and nothing is driven."""
 
 import asyncio
 import json
@@ -107,7 +107,7 @@ async def disturb(talker: Talker, link: socket.socket, rng: random.Random) -> No
 
 
 async def arm_and_touch(talker: Talker) -> None:
-    """Do what an app does, and see that it is done."""
+    """Do what an app does, and check that it is done."""
     estop = (await talker.asked(type="get_stats", display="default")).get("estop", 0)
     clear = {"type": "clear", "estop": max(estop, 1)}
     for request, state in ((clear, "disarmed"), ({"type": "arm"}, "armed")):

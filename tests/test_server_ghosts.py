@@ -1,4 +1,4 @@
-"""Whoever is gone leaves nothing: no place taken, no client of the host, no request without end."""
+"""Tests that a client that is gone leaves no place taken, no host client, no endless request."""
 
 import asyncio
 import random

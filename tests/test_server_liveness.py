@@ -1,4 +1,4 @@
-"""Signs of life: how silence is counted, without a clock, and what a real connection gives."""
+"""Tests of signs of life: counting of silence without a clock, and real connections."""
 
 import pytest
 from daemon_rig import daemon, talking, until

@@ -421,7 +421,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notic
 async def test_frames_that_carry_nothing_do_not_pile_up(
     flood: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pings whose pongs nobody reads, and a message of fragments without end."""
+    """One sends pings whose pongs it does not read, another a message of fragments without end."""
     monkeypatch.setattr(sockets, "MOST_UNREAD", 4096)
     async with daemon() as (there, hands):
         link = await unread(there)

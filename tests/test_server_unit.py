@@ -1,4 +1,4 @@
-"""The unit that systemd runs the daemon by: what it may do, and that it comes back."""
+"""Tests of the systemd unit of the daemon: its permissions, and that it is restarted."""
 
 import os
 import re

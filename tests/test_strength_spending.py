@@ -1,4 +1,4 @@
-"""Spending drive where it is felt: optimal by linear programming, and never beyond what is felt."""
+"""Tests of how drive is spent on what is felt: optimal by linear programming, and no more."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What it takes to solve a study: pieces, the extra, a band; and what of it is labeled."""
+"""Tests of the parts of a study's solution: pieces, the extra, a band, and labels."""
 
 import subprocess
 import sys

@@ -43,7 +43,7 @@ from tactile.study.sweep import Block, Study, solve_block, solve_study
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Five lengths a block, so that small studies have several."""
+    """Make blocks of five lengths, so that small studies have several."""
     monkeypatch.setattr(block_store, "BLOCK_POINTS", SMALL)
 
 
@@ -78,7 +78,7 @@ def test_a_store_holds_the_same_bits(whole: xr.Dataset, suffix: str, tmp_path: P
 
 
 class StoppedError(Exception):
-    """Ends a run from within."""
+    """Error that ends a run from within."""
 
 
 def stop_at(block: int) -> runs.Progress:
@@ -251,7 +251,7 @@ def test_a_study_of_too_many_blocks_is_refused_before_anything_is_listed_or_made
 
 
 class LazyCrew:
-    """Solves a part only when asked for, the last first, and counts what is under way."""
+    """Crew that solves a part only when asked for, the last first, and counts what is under way."""
 
     size = 3
 
@@ -295,7 +295,7 @@ def test_only_a_few_blocks_are_under_way_at_once(monkeypatch: pytest.MonkeyPatch
 
 
 class FrailCrew(PoolCrew):
-    """Loses a pool with every second part."""
+    """Crew that loses a pool with every second part."""
 
     asked = 0
 

@@ -1,4 +1,4 @@
-"""Tracking the finger: where it will be, without jumps, from samples that are noisy and late."""
+"""Tests of tracking: prediction without jumps, from samples that are noisy and late."""
 
 import math
 

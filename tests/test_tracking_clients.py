@@ -1,4 +1,4 @@
-"""Tracking takes whatever clients send, whenever they say it was."""
+"""Tests of tracking with clients of all kinds, whatever times they give."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A finger's samples, as clients send them, and what tracking makes of them."""
+"""Samples of a finger, as clients send them, and the result of tracking them."""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The vectors of firmware_protocol, and how what was decoded is said in their words."""
+"""Vectors of firmware_protocol, and decoded messages in their words."""
 
 import json
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""A clock that passes as far as the next thing that any process does, and the processes on it.
+"""Virtual clock that goes on to the next event of any process, and the processes on it.
 
 Each thread of a process is a greenlet that runs until it sleeps or waits; then the next one does
 whose time has come. So everything happens in one order, which depends on nothing but what happens.
@@ -257,7 +257,7 @@ class VirtualLock:
         return done()
 
     def notify_all(self) -> None:
-        """Do nothing: who waits looks again whenever anything happens."""
+        """Do nothing: waiting threads check again whenever anything happens."""
 
     def __enter__(self) -> "VirtualLock":
         if not self.acquire():
@@ -306,7 +306,7 @@ class ChipThread:
 
 
 class LinkTime:
-    """The clock of a program with a bus that has no thread: who waits lets both of its ends go on.
+    """Clock of a program with a bus that has no thread: waiting lets both of its ends go on.
 
     Parameters
     ----------

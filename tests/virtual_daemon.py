@@ -247,7 +247,8 @@ class World:
         self.on_link: Callable[[Address[MockOptions], Model, int, PlayedRun], None] = lambda *_: (
             None
         )
-        """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
+        """Function that gets all that an amplifier on a link puts out, also when no host talks to
+        it."""
         self.server: LoopProcess | None = None
         self.host: Host | None = None
         self.killed: list[LoopProcess] = []
@@ -356,7 +357,7 @@ class World:
                 model.listener(board, run)
 
     def _go_on(self, model: Model) -> None:
-        """Let amplifiers go on, also where nobody talks to them."""
+        """Let amplifiers go on, also when no host talks to them."""
         model.exchange()
         model.listen()
         self.clock.after(ALONE, lambda: self._go_on(model))

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class VirtualSelector(selectors.DefaultSelector):
-    """Waits on the virtual clock, until a file is ready."""
+    """Selector that waits on the virtual clock, until a file is ready."""
 
     def __init__(self, clock: VirtualClock) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ def lose(files: Iterable[int]) -> None:
 
 
 class Errors(logging.Handler):
-    """Collects each exception that anything of a daemon logs, or leaves."""
+    """Collector of each exception that anything of a daemon logs, or leaves."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -169,7 +169,7 @@ class LoopProcess:
         lose(self.loop.files)
 
     def bury(self) -> None:
-        """Let a killed process end its tasks, once that reaches nobody any more."""
+        """Let a killed process end its tasks, once that has no effect on others."""
         self.loop.set_exception_handler(lambda loop, context: None)
         tasks = asyncio.all_tasks(self.loop)
         for task in tasks:

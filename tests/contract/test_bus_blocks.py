@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: what arrives, also where it is wrong."""
+"""Tests of the contract of `tactile.bus.base`: the samples that arrive, also when wrong."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: how it comes to 0 V."""
+"""Tests of the contract of `tactile.bus.base`: the ways of a bus to 0 V."""
 
 import numpy as np
 import pytest

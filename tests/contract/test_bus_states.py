@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: its states, and links in real time."""
+"""Tests of the contract of `tactile.bus.base`: states of a bus, and links in real time."""
 
 from typing import get_args
 

@@ -1,4 +1,4 @@
-"""Benders that one can buy: what is printed of them or was measured, beside the model.
+"""Benders on the market: printed and measured values, compared with the model.
 
 | bender | figure | printed or measured | model |
 |---|---|---|---|

@@ -1,4 +1,4 @@
-"""Hofmann & Twiefel 2014: what the paper prints, and what the default design makes of it.
+"""Hofmann & Twiefel 2014: values of the paper, compared with the default design.
 
 "Optimization of a Piezoelectric Bending Actuator for a Tactile Virtual Reality Display", Energy
 Harvesting and Systems, doi 10.1515/ehs-2014-0055.

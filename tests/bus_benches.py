@@ -363,7 +363,7 @@ def steadied(cases: Test) -> Test:
     return cases
 
 
-# Which there are
+# All benches
 
 IDEAL = ("mock:", "mock:?keep=all", "sim:", "sim:?plant=plant_of_the_bus_contract:make")
 """Buses that play as fast as they are written to."""

@@ -364,7 +364,7 @@ def remote(twin: client_rig.Twin, daemon: client_rig.Daemon) -> Iterator[Any]:
         yield remote
 
 
-# What was skipped
+# Skipped tests
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

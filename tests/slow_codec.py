@@ -36,7 +36,7 @@ def drawn(*values: Any, examples: int = 100, **named: Any) -> Callable[[Callable
     return lambda test: relaxed(draw(test))
 
 
-# What is compared with
+# The slow codec
 
 
 def slow_crc(data: bytes) -> int:

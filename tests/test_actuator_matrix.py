@@ -137,7 +137,7 @@ def test_cut_parts_multiply_to_the_whole(fraction: float) -> None:
 
 
 def test_cross_section_constants_are_the_printed_integrals() -> None:
-    """EI, AG, m and ρI of the page's formulas, summed by the reference in another way (1e-14)."""
+    """The reference sums EI, AG, m and ρI of the page's formulas in another way (1e-14)."""
     found, exact = section(Bimorph()), reference_section(Beam())
     pairs = [
         (found.EI, exact.bending),

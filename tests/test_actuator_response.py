@@ -151,7 +151,7 @@ def test_rotational_load_is_that_of_the_finite_elements() -> None:
 @each_load
 @pytest.mark.parametrize("place", [0.5e-3, 7e-3, 19.9e-3, 20e-3])
 def test_measuring_point_is_that_of_the_finite_elements(name: str, place: float) -> None:
-    """Anywhere on the beam, and asking changes nothing at the tip.
+    """The point lies anywhere on the beam, and measuring there changes nothing at the tip.
 
     Near the clamp u is 1e-4 of the tip's, so that it keeps four digits fewer: 1e-8.
     """
@@ -331,7 +331,7 @@ def test_designs_in_arrays_equal_designs_in_a_loop() -> None:
 
 
 def test_axes_of_designs_broadcast() -> None:
-    """Lengths down, loads across: a grid of (3, 2) designs, frequency last."""
+    """Three lengths and two loads make a grid of (3, 2) designs, with frequency as last axis."""
     lengths = np.array([15e-3, 20e-3, 25e-3])[:, None]
     load = FingerLoad(k0=np.array([1000.0, 4300.0]), d0=0.2)
     grid = tip_response(Bimorph(length=lengths), load, FREQUENCIES)
@@ -373,7 +373,7 @@ def test_branch_without_spring_or_damper_carries_nothing() -> None:
 
 
 def test_finger_table_runs_straight_and_is_held_at_its_ends() -> None:
-    """Exact at its forces, the mean half-way, and nothing invented beyond them."""
+    """The table is exact at its forces, the mean half-way, and constant beyond them."""
     table = FingerTable(normal_force=(0.1, 0.5), loads=(FingerLoad.low(), FingerLoad.high()))
 
     def constants(load: FingerLoad) -> list[float]:

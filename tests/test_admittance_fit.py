@@ -111,7 +111,7 @@ def test_intervals_cover_the_truth_19_times_of_20() -> None:
     assert all(least <= hits <= most for hits in within.values()), within
 
 
-# What cannot be known is said
+# Constants that cannot be known
 
 
 def test_motion_alone_tells_nothing_of_capacitance_and_its_loss() -> None:

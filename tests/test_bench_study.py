@@ -11,5 +11,5 @@ def test_studies_are_measured_beside_the_finite_elements_of_the_checkout() -> No
 
 
 def test_the_smallest_robust_sweep_is_solved() -> None:
-    """One length, four widths, four heights, 32 scenarios."""
+    """The sweep has one length, four widths, four heights and 32 scenarios."""
     sweep_robustly(512)

@@ -239,7 +239,7 @@ def test_loads_that_are_none(virtual_amplifier: Path, text: str) -> None:
     assert "no number from 0 to 1000000, nor short" in done.stderr
 
 
-# What a load is
+# Loads
 
 
 def pairs(

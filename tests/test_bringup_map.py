@@ -14,7 +14,7 @@ from tactile.display.display import load_display
 from tactile.display.edit import Map, checked_target, write_map
 from tactile.errors import InputError
 
-# What a person tells
+# Answers of a person
 
 
 class Person:

@@ -139,7 +139,7 @@ def test_where_the_table_has_more_than_the_design_a_count_by_hand_has_it_too() -
 
 
 def test_what_transfers_of_2_ms_and_255_bytes_cost_on_i2c() -> None:
-    """Regression. Cut in time rather than by channels BFP8 had 7, 25 and 70 at 2.5 kHz."""
+    """Regression: divided in time and not by channels, BFP8 had 7, 25 and 70 at 2.5 kHz."""
     assert counted(I2c(400e3)) == [1, 2, 3, 5, 8, 15, 15]
     assert counted(I2c(1e6)) == [6, 9, 12, 18, 27, 48, 48]
     assert counted(I2c(3.4e6)) == [21, 31, 42, 61, 95, 163, 163]

@@ -172,7 +172,7 @@ def test_a_can_interface_that_does_not_exist_or_a_kernel_without_can_is_told_so(
         assert said == "can: socketcan/none0: this kernel has no CAN"
 
 
-# What is there is no amplifier
+# Other devices on the link
 
 
 @contextmanager

@@ -231,7 +231,7 @@ def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
     assert content(folder) == before
 
 
-# What is nobody's mistake
+# No mistakes
 
 
 def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(

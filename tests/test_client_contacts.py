@@ -20,7 +20,7 @@ from tactile.errors import ClientTimeoutError
 
 
 def test_touch_does_not_wait_for_a_daemon_that_does_not_read(remote: Any, daemon: Daemon) -> None:
-    """More is said than all buffers between the two could hold; the newest arrives in the end."""
+    """More is sent than all buffers in between can hold; the newest arrives in the end."""
     said = fill(daemon, remote)
     assert remote.connected
     daemon.reading.set()

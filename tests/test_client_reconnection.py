@@ -127,7 +127,7 @@ def test_a_daemon_that_answers_no_ping_is_given_up(
 def test_a_daemon_that_does_not_read_is_given_up_and_found_again(
     twin: Twin, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever waits long for answers waits no longer for the farewell of a silent daemon."""
+    """A long timeout for answers does not prolong the wait for the farewell of a silent daemon."""
     events: list[str] = []
     with twin.connect(daemon.url, timeout=10 * PATIENCE) as display:
         display.on_event(lambda event: events.append(event.kind))

@@ -112,7 +112,7 @@ def test_any_shape_of_times_is_answered_in_kind() -> None:
 
 
 def test_beyond_either_end_the_finger_goes_on_as_it_was_and_its_force_is_held() -> None:
-    """Straight, at the velocity that the last (first) microsecond had."""
+    """The finger goes on straight, at the velocity that the last (first) microsecond had."""
     way, d = trajectory(), 1e-7
     for end, inward in ((0.5, 1), (1.1, -1)):
         at_end, inside = values(way, np.array([end, end + inward * d]))
@@ -166,7 +166,7 @@ def test_a_line_is_a_straight_stroke_from_the_origin(angle: float) -> None:
 def test_blocks_cover_the_duration_and_the_extra_samples_exactly(
     rate: float, size: int, extra: int, count: int
 ) -> None:
-    """Sample k is at time[0] + k/fs, whatever the block; the finger goes on after the end."""
+    """Sample k is at time[0] + k/fs in blocks of any size; the finger goes on after the end."""
     blocks = list(trajectory().blocks(rate, size, extra=extra))
     lengths = [len(force) for _, force in blocks]
     assert sum(lengths) == count
@@ -233,7 +233,7 @@ HEADER = "time_s,x_mm,y_mm,normal_force_n\n"
 
 
 def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
-    """Columns in any order; millimeters become meters."""
+    """Columns may stand in any order; millimeters become meters."""
     path = tmp_path / "way.csv"
     path.write_text("x_mm,note,y_mm,normal_force_n,time_s\n0,a,1,0.5,10\n40,b,-1,0.75,11\n")
     way = Trajectory.from_csv(path)

@@ -282,7 +282,7 @@ def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
 def test_a_device_that_stays_away_is_opened_less_and_less_often(
     world: World, serve: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half a second after the first try in vain, twice as long each time, 10 s in the end."""
+    """The wait is 0.5 s after the first try in vain, twice as long each time, 10 s in the end."""
     serve()
     tries: list[float] = []
 

@@ -129,7 +129,7 @@ def test_a_whole_effect_is_its_formula_and_does_not_depend_on_the_block() -> Non
 
 @given(st.integers(0, 2**32), st.sampled_from([100.0, 1000.0, 8000.0, 11025.0, 48000.0]))
 def test_a_waveform_is_its_formula_however_it_comes_and_goes(seed: int, rate: float) -> None:
-    """Windowed sincs, summed sample by sample, to the table's 4e-6 of each that takes part."""
+    """The reference sums windowed sincs sample by sample, to the table's 4e-6 of each."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, 200).astype(np.float32)
     queue = Queue(RATE, N)

@@ -99,7 +99,7 @@ def test_what_full_drive_attains_is_response_times_voltage() -> None:
 
 
 def test_shear_is_commanded_in_full_to_1000_hz_and_not_at_all_from_1250_hz() -> None:
-    """Half a cosine between: one half in the middle, and nowhere a jump."""
+    """The taper is half a cosine: one half in the middle, and nowhere a jump."""
     frequency = np.arange(0, 2000.5, 0.5)
     weight = roll_off(frequency)
     assert np.all(weight[frequency <= 1000] == 1)
@@ -168,7 +168,7 @@ def test_a_filter_is_held_down_beyond_the_band(name: str) -> None:
 
 
 def test_the_first_delay_that_is_good_enough_is_taken() -> None:
-    """One ms for what responds at once, and no less than the response's own delay.
+    """The delay is 1 ms for a prompt response, and no less than the response's own delay.
 
     Eight samples are just good enough for 1.05 ms, with 5.5e-3, and not for 1.057 ms, with 6.5e-3.
     """

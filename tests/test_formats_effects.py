@@ -404,7 +404,7 @@ def test_a_texture_sounds_as_the_reference_software_renders_it() -> None:
 
 
 def test_the_curve_below_72_hz_is_what_the_reference_encoder_took_from_the_wave() -> None:
-    """Power within 0.5 dB: Cubic between extremes is not quite the sine that was there."""
+    """The power is within 0.5 dB, since a cubic between extremes is not quite a sine."""
     effect = load_effect(sample("hjif/synth2ch_8k_wav.hjif"))
     with wave.open(str(sample("hjif/synth2ch_8k.wav"))) as file:
         raw = np.frombuffer(file.readframes(file.getnframes()), "<i2").reshape(-1, 2)

@@ -227,7 +227,7 @@ def test_an_effect_of_ours_that_does_not_fit_is_refused_in_a_line(tmp_path: Path
         assert reason in refusal(path)
 
 
-# What anybody may make of a sample
+# Altered samples
 
 
 FUZZED = [

@@ -214,7 +214,7 @@ def ribbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[str, .
 def test_a_texture_as_wav_has_the_power_of_its_waves_at_their_frequencies(
     ribbed: tuple[Path, tuple[str, ...]], tmp_path: Path
 ) -> None:
-    """WAV read by scipy, against the surface's wave vectors and law: within 2 %."""
+    """The file, read by scipy, agrees with the surface's wave vectors and law within 2 %."""
     speed, target = 0.08, tmp_path / "out.wav"
     convert_file(str(ribbed[0]), target)
     (told,) = [line for line in ribbed[1] if "µm of displacement" in line]

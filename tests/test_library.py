@@ -67,7 +67,7 @@ def recordings(*parts: str) -> Path:
     return path
 
 
-# What there is
+# Contents of the library
 
 
 def test_there_are_at_least_forty_and_three_of_each_category() -> None:
@@ -88,7 +88,7 @@ def test_files_are_named_for_their_texture_and_folders_for_their_category() -> N
 
 @pytest.mark.parametrize("name", sorted(LIBRARY))
 def test_each_number_has_its_origin_beside_it(name: str) -> None:
-    """Bands have theirs above; the license and the reference stroke are common to all."""
+    """Sources of bands are tested above; license and reference stroke are common to all."""
     text = PATHS[name].read_text(encoding="utf-8").partition("[stochastic]")[2]
     for line in text.splitlines():
         if re.match(r"\w+ = (-?\d|\[-?\d|\")", line):
@@ -178,7 +178,7 @@ def test_a_surface_is_as_strong_as_said_whatever_the_seed(name: str, seed: int) 
 
 @pytest.mark.parametrize("shape", ["pulse", "edge"])
 def test_events_are_as_strong_as_campbell_says(shape: Literal["pulse", "edge"]) -> None:
-    """Mean square of a drawn tile at 10⁵ places, against the events that are drawn in it.
+    """The mean square of a tile at 10⁵ places is compared with the events that are drawn in it.
 
     About 130 of them overlap little, which leaves 6 %; their number and size are `scatter`'s.
     """
@@ -262,7 +262,7 @@ def test_any_two_textures_can_be_told_apart() -> None:
     assert len(by_friction) <= 0.03 * len(pairs)
 
 
-# What is fitted
+# Fitted textures
 
 BIOTAC = {
     "cotton": "textile-cotton", "bath_towel": "textile-towel", "felt": "textile-felt",

@@ -72,7 +72,7 @@ def test_other_numbers_give_other_statistics(
 
 
 def test_a_cut_is_bands_under_their_envelope_and_a_grating_as_it_is() -> None:
-    """Waves added up in double precision at p + x_i, contactors turned with the motion."""
+    """The reference adds waves in double precision at p + x_i; contactors turn with the motion."""
     pine = load_texture("wood-pine-sanded")
     texture = replace(pine, descriptor=changed(pine.descriptor, laws=Laws()))
     offsets, angle = np.array([[0.0, 0.0], [2.0, 0.5]]), 0.7

@@ -373,7 +373,7 @@ def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: 
     assert first.guarded_samples == pytest.approx(second.guarded_samples, abs=3)
 
 
-# What it counts
+# Counters
 
 
 @pytest.mark.parametrize("size", [1, 7, 5000])

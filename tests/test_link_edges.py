@@ -177,7 +177,7 @@ def test_an_amplifier_that_never_starts_is_told_after_2_s(
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
     linked: Linked,
 ) -> None:
-    """Fewer samples than a packet has: they wait for others to fill it."""
+    """The samples are fewer than a packet has, and wait for others to fill it."""
     rig = linked("serial")
     rig.start()
     rig.write(3)

@@ -220,7 +220,7 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
 def test_a_heartbeat_comes_every_50_ms(
     linked: Linked, link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Later by as long as the loop that writes sleeps at most, 20 ms (SPEC.md, 6.2)."""
+    """The limit includes 20 ms, for which the loop that writes sleeps at most (SPEC.md, 6.2)."""
     heard = overheard(monkeypatch)
     rig = linked(link)
     rig.begin(0.1)

@@ -109,7 +109,7 @@ def test_random_loads_are_predicted_within_0_3_db(branches: int) -> None:
 @pytest.mark.ci
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_intervals_cover_the_truth_19_times_of_20(load: Load) -> None:
-    """Per constant, bounds that a coverage of 95 % leaves once in a thousand runs."""
+    """Counts per constant lie in bounds that 95 % intervals leave once in a thousand runs."""
     count, truth = 100, moved(load)
     within = np.zeros(4)
     for seed in range(count):
@@ -153,7 +153,7 @@ def test_branches_come_by_ascending_corner() -> None:
     assert corners == sorted(corners)
 
 
-# What cannot be known is said
+# Loads that cannot be known
 
 
 def unknown(fit: LoadFit) -> set[str]:

@@ -185,7 +185,7 @@ def test_a_limit_is_kept_and_binds() -> None:
 
 @pytest.mark.ci
 def test_two_layers_at_rest_follow_the_closed_form_all_along_the_front() -> None:
-    """Length against shear: u = 3 d31 L²/(4 h²) per volt, without shim, load and losses."""
+    """Shear depends on length as u = 3 d31 L²/(4 h²) per volt, without shim, load and losses."""
     height = 0.3
     task = Task(
         bounds={"length_mm": LENGTHS},
@@ -204,7 +204,7 @@ def test_two_layers_at_rest_follow_the_closed_form_all_along_the_front() -> None
 
 @pytest.mark.ci
 def test_shear_against_footprint_follows_a_spring_and_a_cantilever() -> None:
-    """Per volt u0 k/(k + k0), 1/k = l³/3EI + l/AG, with EI and AG as the width."""
+    """Shear per volt is u0 k/(k + k0), 1/k = l³/3EI + l/AG, with EI and AG as the width."""
     length, height = 20e-3, 0.3e-3
     task = Task(
         bounds={"width_mm": WIDTHS},
@@ -378,7 +378,7 @@ def test_what_cannot_be_asked_is_one_clear_line(line: str) -> None:
 
 @pytest.mark.parametrize("objectives", [("footprint",), pytest.param(WISHES, marks=pytest.mark.ci)])
 def test_a_limit_that_nothing_meets_comes_with_the_nearest(objectives: tuple[str, ...]) -> None:
-    """Standing length is the free one and 5 mm of clamp, 13 mm at the least."""
+    """The standing length is the free length and 5 mm of clamp, at least 13 mm."""
     task = Task(
         bounds=BOUNDS,
         objectives=objectives,

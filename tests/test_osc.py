@@ -53,7 +53,7 @@ async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.s
             yield there, hands, link
 
 
-# What is read
+# Decoding
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_bundles_nested_as_deep_as_a_packet_holds_are_read() -> None:
         read_packet(bytes(4097))
 
 
-# What it means
+# Meaning
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture
 
-# What the skin did
+# Movement of the skin
 
 
 def heard(shear: Floats) -> Floats:
@@ -251,7 +251,7 @@ def test_memory_does_not_grow_with_the_length_of_a_run(
     assert used[late] - used[early] < 0.1e6
 
 
-# What goes wrong
+# Faults
 
 
 class Failing:

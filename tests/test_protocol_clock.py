@@ -101,7 +101,7 @@ def test_the_round_trip_is_the_shortest_of_the_last_eight_without_the_amplifiers
 
 
 def test_a_spike_does_not_move_the_estimate() -> None:
-    """Seven others bound it more tightly from both sides."""
+    """Seven other exchanges bound the clock more tightly from both sides."""
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, [*steady(20), exchange(5.0, back=3.0), *steady(5, 8.5)])
     feed(estimator, [exchange(9.75, out=0.1)])
@@ -132,7 +132,7 @@ def test_both_directions_are_monotonic_and_each_others_inverse(
     assert back_again == pytest.approx(times, abs=2e-9)
 
 
-# What must not hurt it
+# Disturbances
 
 
 GOOD = exchange(10.0)

@@ -93,7 +93,7 @@ def code_arrays(draw: st.DrawFn) -> Codes:
 
 
 def test_every_code_is_packed_as_python_integers_say() -> None:
-    """PCM12, all 65535 of them, alone and as pairs."""
+    """All 65535 codes are packed as PCM12, alone and in pairs."""
     codes = np.arange(-32767, 32768, dtype=np.int16)
     expected = slow_pcm12(codes.tolist())
     assert samples.encode(SampleFormat.PCM12, codes[:, None]) == expected

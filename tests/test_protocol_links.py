@@ -96,7 +96,7 @@ def test_any_cut_of_a_stream_gives_the_same_packets(
     st.binary(max_size=300) | st.lists(st.sampled_from([0, 1, 2, 9, 255]), max_size=300).map(bytes)
 )
 def test_any_stream_is_counted_as_the_rules_say(stream: bytes) -> None:
-    """Frame by frame with the slow COBS: nothing raises, nothing is counted twice or not at all."""
+    """The slow COBS decodes frame by frame; nothing raises, everything is counted once."""
     limit = 40
     expected = LinkCounters()
     for frame in stream.split(b"\0")[:-1]:

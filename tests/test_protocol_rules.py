@@ -82,7 +82,7 @@ def lowered(config: AmplifierConfig, rate: int, limits: tuple[int, int, int]) ->
 def test_a_silent_owner_leaves_0_volt_in_170_ms_and_an_instant(
     name: str, rate: int, limits: tuple[int, int, int]
 ) -> None:
-    """High voltage off as well. With 50 ms of heartbeats that lay queued that is 220 ms."""
+    """High voltage is off as well. With 50 ms of heartbeats that were queued it takes 220 ms."""
     rig = lowered(CONFIGS[name], rate, limits)
     hz, judge = rig.config.tick_hz, rig.judge
     assert judge is not None
@@ -121,7 +121,7 @@ def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
 
 @pytest.mark.parametrize("rate", [1000, 1049, 1599, 1600])
 def test_limits_are_taken_in_codes_at_the_rate(rate: int) -> None:
-    """One code per step too little, and neither LIMITS nor ARM takes it: RANGE, 2."""
+    """A slew of one code per step too little is refused by LIMITS and ARM: RANGE, 2."""
     config = CONFIGS["low slew"]
     least = -(-9830 // (rate // 50))
     slew = -(least * 200_000_000 * rate // -(32767 * 10**6))

@@ -103,7 +103,7 @@ def test_the_state_table_of_the_spec_is_the_schema() -> None:
 
 
 def test_states_parameters_formats_and_classes_of_the_spec_are_the_schema() -> None:
-    """Number and name of each row, in the tables that list them."""
+    """The tables list number and name of each."""
 
     def named(text: str) -> dict[str, int]:
         return {c[1]: int(c[0]) for c in rows(text) if c[0].isdigit()}
@@ -208,7 +208,7 @@ def test_the_schema_crc_is_that_of_the_lines_of_section_13() -> None:
 
 
 def test_the_worked_packets_of_the_spec_are_of_the_messages_that_they_name() -> None:
-    """Types, bitwise CRC-32, and every field taken and given back; every message is among them."""
+    """Types and CRC-32 hold, every field survives decoding and encoding, no message is missing."""
     names = {number: name for number, (name, *_) in messages_of_spec().items()}
     seen = set()
     for cells in rows(section("15")):

@@ -119,7 +119,7 @@ def test_capacitances_are_the_printed_ones() -> None:
 
 @pytest.mark.parametrize("length", [5e-3, 20e-3, 45e-3])
 def test_finer_elements_change_nothing(length: float) -> None:
-    """Twice the elements of a higher order agree to 1e-8 from 1 Hz to 20 kHz."""
+    """Twice as many elements of a higher order agree to 1e-8 from 1 Hz to 20 kHz."""
     beam = replace(BEAM, length=length)
     usual = figures(response(beam, FREQUENCIES, point=0.7 * length))
     finer = figures(response(beam, FREQUENCIES, point=0.7 * length, segments=12, order=13))

@@ -444,7 +444,7 @@ def test_another_sample_rate_asks_the_same_of_the_skin(display: tactile.Display)
 
 
 def test_the_lowest_rate_of_narrow_links_keeps_the_band(display: tactile.Display) -> None:
-    """Played on the plant, which shares nothing with the filter: as at 8 kHz, within 4 dB."""
+    """The plant, which shares nothing with the filter, gives the same as at 8 kHz within 4 dB."""
     texture, path = tactile.load_texture("wood-pine-sanded"), tactile.Trajectory.line(speed=0.08)
     usual, lowest = (
         play(display, texture, path, sample_rate=rate).signal_to_error_db for rate in (8000, 2500)

@@ -29,7 +29,7 @@ CONTACT_FORCE = 0.05
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_law_is_the_plain_power_in_the_middle_of_its_range(exponent: float) -> None:
-    """Four times away from either end 4⁻⁸/8 = 2e-6 is left of the bend, per unit of exponent."""
+    """The bend has 4⁻⁸/8 = 2e-6 left at four times either end, per unit of exponent."""
     x = np.geomspace(40, 250, 50)
     found = held_power_law(x, MIDDLE, RANGE, exponent)
     np.testing.assert_allclose(found, (x / MIDDLE) ** exponent, rtol=3e-6 * abs(exponent))
@@ -171,7 +171,7 @@ def test_speed_and_force_multiply() -> None:
 
 @pytest.mark.parametrize("exponent", [-2.0, 0.0, 0.4])
 def test_without_contact_there_is_no_shear_and_it_comes_and_goes_smoothly(exponent: float) -> None:
-    """Exactly nothing at 0 N, all at 0.05 N, and between 3t² − 2t³ without a corner.
+    """The factor is 0 at 0 N, 1 at 0.05 N, and 3t² − 2t³ between, without a corner.
 
     In the table's 64 steps of it: 6/8/64² = 2e-4 off at most; the slope's corners at both ends
     are that of one step.

@@ -49,7 +49,7 @@ def test_nothing_changes_where_the_drive_suffices(pair: Display, calf: Texture) 
 def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
     suede: Texture, pair: Display, volts: float
 ) -> None:
-    """Dropped is what a band has no more of: it lies below 0 dB SL at full strength already."""
+    """Bands that are dropped lie below 0 dB SL at full strength already."""
     weak = few(pair, 0, volts=volts)
     spent = spending.spend(weak, suede)
     before, after = STROKE.lines(suede), STROKE.lines(spent)

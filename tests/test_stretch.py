@@ -59,7 +59,7 @@ def test_friction_falls_from_static_to_kinetic_as_a_gaussian_of_speed(
 @pytest.mark.parametrize("angle", [0.5 * math.pi, -0.5 * math.pi, math.pi, 0.7, 2.4, -2.0])
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_friction_is_the_same_along_any_direction(angle: float, share: float) -> None:
-    """Sticking, slipping and sliding evenly, forth and back: turned as the motion is."""
+    """The stretch turns as the motion does, in sticking, slipping and sliding, back and forth."""
     along, turned = Bristles(law(stick_slip=share)), Bristles(law(stick_slip=share))
     cos, sin = math.cos(angle), math.sin(angle)
     speeds = [0.002, 0.005, 0.03, -0.004, -0.002, 0.06, 0.003]
@@ -139,7 +139,7 @@ def test_a_swing_draws_dahls_loop() -> None:
 
 
 def test_a_swing_through_the_renderer_is_the_ode_read_late() -> None:
-    """LuGre after a first-order mean of the motion over 5 ms, by scipy; two nodes and 4 ms late.
+    """The reference is LuGre by scipy after a mean of the motion over 5 ms, two nodes, 4 ms late.
 
     Nodes take the mean velocity of 2 ms, half a node late; the spline's own width and the mean's
     steps leave 2 % of a swing of 2 Hz.

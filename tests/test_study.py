@@ -391,7 +391,7 @@ def test_scenarios_are_log_normal_fingers_and_parts_within_tolerance() -> None:
 
 
 def test_each_scenario_is_the_design_that_it_says() -> None:
-    """One by one, by hand: a factor multiplies the axis' own value, or the base design's."""
+    """Scenarios are computed by hand: a factor multiplies the value of the axis or base design."""
     drawn = draw_scenarios(3, tolerances={"length_mm": 0.1, "shim_height_mm": 0.1})
     found = solve_study(study(axes={"length_mm": [15.0, 20.0]}, scenarios=drawn))
     for i, length in enumerate((15.0, 20.0)):

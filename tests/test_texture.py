@@ -64,7 +64,7 @@ def test_a_range_that_does_not_ascend_is_refused(tmp_path: Path, name: str) -> N
 
 @pytest.mark.parametrize("degrees", [-70.0, 25.0, 90.0])
 def test_the_grain_turns_with_its_direction(tmp_path: Path, degrees: float) -> None:
-    """Bands hold along it; 60° off, where a wave sounds at half its frequency, they do not."""
+    """Bands hold along the grain, and not 60° off, where a wave sounds at half its frequency."""
     grain = bands((0.0,) * 16, direction_deg=degrees, direction_spread_deg=8.0)
     texture = load_texture(write(tmp_path / "grain.toml", stochastic=grain))
     assert rms(misses(texture, np.array([degrees]))) <= 1.0
@@ -113,7 +113,7 @@ def test_the_spectrum_of_a_sampled_cut_is_that_of_the_descriptor(name: str, degr
 
 
 def test_partials_are_the_displacement_that_they_say() -> None:
-    """Σ a cos(k·p + φ), added up one by one."""
+    """The reference adds up Σ a cos(k·p + φ) wave by wave."""
     waves = load_texture("wood-oak").partials
     place = np.array([0.013, -0.021])
     total = 0.0
@@ -227,7 +227,7 @@ def test_as_many_waves_are_drawn_as_asked_for_gratings_included(name: str, count
 def test_too_few_waves_are_refused_with_how_many_it_needs(
     name: str, least: int, gratings: int
 ) -> None:
-    """Eight for each band, and for each harmonic with jitter five."""
+    """The texture needs eight for each band, and five for each harmonic with jitter."""
     load_texture(name, partials=least)
     for count in (least - 1, 0, -5):
         with pytest.raises(InputError) as caught:

@@ -72,7 +72,7 @@ def test_a_modulation_alone_has_the_excess_kurtosis_of_the_closed_form(
 def test_a_surface_under_its_envelope_has_the_excess_kurtosis_of_its_depth(
     tmp_path: Path,
 ) -> None:
-    """Sampled along 100 m at 7·10⁴ places 1.37 mm apart, far beyond what correlates.
+    """The 7·10⁴ samples along 100 m are 1.37 mm apart, far beyond the correlation length.
 
     Of the surface alone it is that of 384 sinusoids, −1.5 Σa⁴/(Σa²)², above −0.01, ± √(24/n).
     Under the envelope, 3 (1.09⁴ − 1) = 1.23, fourth powers have four times the spread: ± 0.15.

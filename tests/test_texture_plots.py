@@ -72,7 +72,7 @@ def images(axes: Axes) -> list[tuple[Floats, tuple[float, float], list[float]]]:
     return found
 
 
-# What a texture is
+# Contents of a texture
 
 
 def test_the_surface_is_the_sum_of_the_partials_times_their_envelope() -> None:

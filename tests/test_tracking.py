@@ -27,7 +27,7 @@ ONSET, FALL = 0.010, 0.018
 """Times in which a touch rises to its whole force and falls from it: a lift is over in 20 ms
 [s]."""
 
-# What is reached
+# Accuracy
 
 
 @pytest.mark.parametrize("delay", ["jitter", "even"])
@@ -364,7 +364,7 @@ def test_velocity_is_that_of_the_path() -> None:
 
 @pytest.mark.parametrize("other", [16, 40, 320])
 def test_blocks_cut_otherwise_give_the_same_path(other: int) -> None:
-    """Samples at multiples of 40 ms; a leap, a silence and a lift among them."""
+    """Samples come at multiples of 40 ms, with a leap, a silence and a lift among them."""
     runs = []
     for block in (64, other):
         run = Run(block=block)

@@ -105,7 +105,7 @@ samples = st.tuples(
 @pytest.mark.ci
 @given(st.lists(samples, max_size=30), st.sampled_from([1, 16, 64]))
 def test_whatever_comes_what_goes_out_is_a_finger(rows: list[tuple[Any, ...]], block: int) -> None:
-    """Never an exception; places finite, a force that a finger has, no jump that is heard."""
+    """Nothing raises; places are finite, forces plausible, and no jump is audible."""
     run = Run(block=block)
     for offset, x, y, force, velocity, blocks in rows:
         run.tracker.add(run.now + offset, (x, y), force, velocity, arrival=run.now)

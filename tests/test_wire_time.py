@@ -154,7 +154,7 @@ def test_a_packet_on_i2c_is_a_transfer() -> None:
 
 
 def test_high_speed_i2c_begins_with_a_code_in_fast_mode() -> None:
-    """Start, 8 bits and no acknowledge at 400 kHz."""
+    """The code is a start, 8 bits and no acknowledge at 400 kHz."""
     assert I2c(3.4e6).seconds(pcm_packet(99)) == pytest.approx(902 / 3.4e6 + 10 / 400e3, rel=0.03)
 
 

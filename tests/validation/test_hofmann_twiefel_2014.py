@@ -114,7 +114,7 @@ def test_resonances_in_air() -> None:
     ("load", "printed", "digit"), [(LOW, 0.56, 0.005), (HIGH, 0.245, 0.0005)], ids=["low", "high"]
 )
 def test_static_displacement(load: FingerLoad, printed: float, digit: float) -> None:
-    """Record: micrometers per volt."""
+    """Record: displacements in micrometers per volt."""
     still = tip_response(DESIGN, load, 0).displacement[0]
     assert still.real * 1e6 == pytest.approx(printed, abs=digit)
 

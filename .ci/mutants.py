@@ -88,7 +88,8 @@ class Mutant:
     end: int
     text: str
     nth: int = 1
-    """Of those that replace the same by the same in lines of the same words."""
+    """Number of the mutation among those that make the same replacement in lines of the same
+    words."""
 
     @property
     def key(self) -> str:

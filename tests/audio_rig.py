@@ -1,4 +1,4 @@
-"""What the tests of ``audio:`` share: a display, and JACK's dummy card with a recorder behind it.
+"""Rig of the tests of ``audio:``: a display, and JACK's dummy card with a recorder behind it.
 
 The recorder is a program of its own (this file, run): the JACK library does not bear two servers
 in one process, nor one that ends before its clients.
@@ -24,18 +24,18 @@ from tactile.arrays import Floats
 from tactile.display.display import Display
 
 Block = tuple[float, Floats]
-"""What came at a time [s, monotonic], (S, C) [full scale]."""
+"""Time at which a block came [s, monotonic] and the block (S, C) [full scale]."""
 
 CHANNELS = 24
 RATE = 48000
 FADE = 960
-"""Samples: 20 ms."""
+"""Number of samples of a block, 20 ms."""
 VOLTAGE, FULL_SCALE, SLEW = 100.0, 125.0, 0.7e6
 STEP = SLEW / RATE
 ANY = 2e7
-"""V/s, with which any sample may follow any other."""
+"""Slew limit with which any sample may follow any other [V/s]."""
 CODE = VOLTAGE / 32767
-"""V; what 16 bits over the limit tell apart."""
+"""Voltage of one sample code, which 16 bits can tell apart over the limit [V]."""
 WIRE = 0.51 * CODE
 BUFFER, LONG_BUFFER = 256, 1024
 """Frames of JACK's dummy card: for times, and for what must not be disturbed by other programs."""
@@ -80,9 +80,9 @@ class Server:
 
     Parameters
     ----------
-    path : of jackd
+    path : path of jackd
     buffer : frames
-    folder : for what they log
+    folder : folder for their logs
     """
 
     def __init__(self, path: str, buffer: int, folder: Path) -> None:
@@ -227,7 +227,7 @@ class Recorder:
 
 
 def main(server: str, inward: IO[bytes], outward: IO[bytes]) -> None:
-    """Do what comes in, a word a line, and pickle the answers."""
+    """Carry out commands from standard input, one word per line, and pickle the answers."""
     recorder = Recorder(server)
     for line in inward:
         word = line.decode().strip()

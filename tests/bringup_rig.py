@@ -22,11 +22,11 @@ from tactile.display.display import Display
 
 CHANNELS = 5
 PF = (12800, 0, 99, 22000, 12000)
-"""Of the channels; the third is a short."""
+"""Capacitances of the channels [pF]; 99 stands for a short."""
 LOADS = ",".join("short" if pf == 99 else str(pf) for pf in PF)
 RATE = 8000.0
 CODE = 100 / 32767
-"""V."""
+"""Voltage of one sample code [V]."""
 
 FOUR = """\
 # Four contactors in a row, and a gap in the channels

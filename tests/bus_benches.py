@@ -1,4 +1,4 @@
-"""Buses under contract, each with what tells its tests what was put out.
+"""Buses under contract, each with a bench that gives its output to the tests.
 
 A bus in memory remembers that itself. Behind a real one is the amplifier in C, which writes each
 instant to a file; `put_out` maps that as `tactile.bus.simulated.modeled_bus` does. A new bus joins
@@ -34,29 +34,32 @@ Rows = NDArray[Any]
 Test = TypeVar("Test", bound=type)
 
 RATE, SLOW_RATE = 8000.0, 2500.0
-"""Hz; the slower one for slcan, where python-can and a fake adapter in one Python process spend a
-tenth of a millisecond on each of 4500 frames a second."""
+"""Sample rates [Hz]. The slower one is for slcan, where python-can and a fake adapter in one Python
+process spend a tenth of a millisecond on each of 4500 frames per second."""
 PCM16 = 5e-3
-"""V; 16 bits over ±100 V round by 1.5 mV at most."""
+"""Largest error of PCM16 [V]; 16 bits over ±100 V round by 1.5 mV at most."""
 PCM12 = 60e-3
-"""V; 12 bits round by 25 mV, and end 46 mV below ±100 V."""
+"""Largest error of PCM12 [V]; 12 bits round by 25 mV, and end 46 mV below ±100 V."""
 LONGEST_HOLD = 50e-3
-"""s for which the last sample may be held before the ramp, while STOP is on its way."""
+"""Longest time for which the last sample may be held before the ramp, while STOP is on its way
+[s]."""
 FLUSHED = 45_000
 """Ticks of 1 µs by which the amplifier in C has written, each 20 ms, what it put out before."""
 SETTLING = 30e-3
-"""s in which an amplifier in memory, whose time goes only while somebody waits, is at 0 V."""
+"""Time after which an amplifier in memory, whose time passes only while somebody waits, is at 0 V
+[s]."""
 SWITCH, FAST_SWITCH = sys.getswitchinterval(), 5e-4
-"""s after which Python's threads take turns: 5 ms, and while bridge and host are in one process."""
+"""Intervals after which Python's threads take turns: 5 ms as usual, and the one for bridge and host
+in one process [s]."""
 LEAD = "lead_ms=60"
-"""Of buses in real time: a machine that stands still for less does no harm."""
+"""Parameter of buses in real time: a machine that stands still for less does no harm."""
 TRIES = 12
 """Runs of a test, where the machine stalls."""
 STALLS = ("underruns", "late_blocks", "dropped_samples", "disconnects")
 
 
 class Watched(Protocol):
-    """What the tests see of a bus in memory."""
+    """View of a bus in memory for the tests."""
 
     @property
     def output(self) -> Floats: ...
@@ -67,11 +70,11 @@ class Bench:
 
     Attributes
     ----------
-    url : that opens it, or the name of a real link
+    url : URL that opens the bus, or the name of a real link
     reached : URL that opened the latest one
-    rate : of samples [Hz]
+    rate : sample rate [Hz]
     wire : volts by which its samples are rounded at most
-    rates : of samples that it can carry beside 8 kHz [Hz]
+    rates : sample rates that the bus can carry beside 8 kHz [Hz]
     boards : amplifiers behind it
     """
 
@@ -157,7 +160,7 @@ class Amplifier:
         return rows
 
     def watch(self, bus: Bus) -> None:
-        """Note with each start how far it is to play."""
+        """Store with each start the position up to which it is to play."""
         start, stop, first = bus._start, bus._stop, 0
 
         def starting(position: int) -> None:
@@ -187,7 +190,7 @@ def prefer(process: int, priority: int = 1) -> None:
 
 
 def select_nothing(seconds: float) -> None:
-    """Sleep, also where the clock of the tests does not."""
+    """Sleep, also when the clock of the tests does not."""
     select.select([], [], [], seconds)
 
 
@@ -230,7 +233,7 @@ class RealBench(Bench):
     ----------
     link : "pty", "rfc2217", "udp", "virtual" or "slcan"
     program : virtual-amplifier
-    directory : for what it writes
+    directory : folder for the files that it writes
     """
 
     def __init__(self, link: str, program: Path, directory: Path) -> None:
@@ -360,10 +363,10 @@ def steadied(cases: Test) -> Test:
     return cases
 
 
-# Which there are
+# All benches
 
 IDEAL = ("mock:", "mock:?keep=all", "sim:", "sim:?plant=plant_of_the_bus_contract:make")
-"""They play as fast as they are written to."""
+"""Buses that play as fast as they are written to."""
 MODELED = (
     "mock:?link=serial",
     "mock:?link=serial&bit_rate=3000000",
@@ -372,14 +375,15 @@ MODELED = (
     "mock:?link=i2c&bit_rate=1000000",
 )
 REAL = ("pty", "rfc2217", "udp", "virtual", "slcan")
-"""Run with ``-m realtime``."""
+"""Buses of which only tests with ``-m realtime`` run."""
 SELDOM = (
     "mock:?keep=all",
     "mock:?link=serial",
     "mock:?link=can",
     "mock:?link=i2c&bit_rate=1000000",
 )
-"""Run with ``-m ci``: they differ little from the others, or take their time."""
+"""Buses that only tests with ``-m ci`` run on: they differ little from the others, or take their
+time."""
 BENCHES = [
     *(
         pytest.param(name, id=name, marks=[pytest.mark.ci] if name in SELDOM else [])

@@ -1,4 +1,4 @@
-"""What lies between a host's driver and the amplifier in C: a port server, a CAN bus, an adapter.
+"""Bridges from a host's driver to the amplifier in C: a port server, a CAN bus, an adapter.
 
 Each is a context that serves until it is left. Run as a program, ``bus_bridges.py KIND PATH``, this
 is one in a process of its own, so that host and bridge do not take turns in one Python; its first
@@ -25,7 +25,7 @@ import serial
 from serial import rfc2217
 
 STEP = 50e-3
-"""s after which a thread looks whether it is to end."""
+"""Interval at which a thread checks whether it has to end [s]."""
 FRAME = struct.Struct("<IBB2x64s")
 """Linux' struct canfd_frame."""
 FD, EXTENDED = 0x04, 0x80000000
@@ -80,7 +80,7 @@ class Connection:
         self._stream, self._lock = stream, threading.Lock()
 
     def write(self, data: bytes) -> None:
-        """Send."""
+        """Send bytes."""
         with self._lock:
             self._stream.sendall(data)
 

@@ -14,15 +14,15 @@ from tactile.bus.base import Bus, DriveBlock
 from tactile.display.display import Display
 
 FADE = 160
-"""Samples: 20 ms."""
+"""Number of samples of a block, 20 ms."""
 VOLTAGE = 100.0
 SLOW = 0.05e6
-"""V/s of the display of the ramps: 16 samples from 100 V. That of the other one is 2e6, by which
-any sample may follow any other at 8 kHz."""
+"""Slew limit of the display of the ramps [V/s]: 16 samples from 100 V. That of the other display is
+2e6, with which any sample may follow any other at 8 kHz."""
 LONG = 1200
-"""Samples, 75 ms at the highest rate: more than any bus sends ahead."""
+"""Number of samples, 75 ms at the highest rate: more than any bus sends ahead."""
 ROUNDING = 1e-9
-"""V; of differences of doubles up to 100 V, with ample room."""
+"""Largest rounding error of differences of doubles up to 100 V, with ample margin [V]."""
 
 DISPLAY = """
 [display]
@@ -154,7 +154,7 @@ def assert_broken_off(out: Floats, volts: Floats, step: float, wire: float) -> N
 
 
 def played(bench: Bench, bus: Bus, volts: Floats, cuts: list[int] | None = None) -> Floats:
-    """Start, write samples, stop; return what that put out."""
+    """Start, write samples and stop; return the output."""
     before = len(bench.put_out(bus))
     bus.start()
     play(bus, volts, cuts or [])

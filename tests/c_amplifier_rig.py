@@ -59,7 +59,7 @@ def packet(
 
 
 def parse(data: bytes) -> tuple[int, bytes]:
-    """Type and payload of a packet whose CRC-32 holds."""
+    """Return type and payload of a packet, and check its CRC-32."""
     assert struct.unpack("<I", data[-4:])[0] == zlib.crc32(data[:-4])
     assert data[1] == 0x40
     return data[0], data[4:-4]
@@ -138,7 +138,7 @@ class Instant:
 
 @dataclass
 class Run:
-    """Records that are fed, and what came of them."""
+    """Records that are fed to the amplifier, and its output."""
 
     records: list[bytes] = field(default_factory=list)
     instants: list[Instant] = field(default_factory=list)
@@ -175,14 +175,14 @@ class Run:
         return [p for p in found if not kinds or p[1] in kinds]
 
     def naks(self, *kinds: int) -> list[bytes]:
-        """Payloads of NAK of requests of some types."""
+        """Return the payloads of the NAKs to requests of some types."""
         return [p for _, _, p in self.packets(NAK) if p[0] in kinds]
 
     def values(self, channel: int = 0) -> list[int]:
         return [i.codes[channel] for i in self.instants]
 
     def status(self) -> dict[str, int]:
-        """Counters of the last STATUS."""
+        """Return the counters of the last STATUS."""
         payload = self.packets(STATUS)[-1][2]
         return dict(zip(COUNTERS, struct.unpack_from("<21I", payload, 39), strict=True))
 

@@ -1,4 +1,4 @@
-"""DRV2667, BOS1921 and TCA9548A as their registers behave, on a virtual clock.
+"""Models of DRV2667, BOS1921 and TCA9548A by their registers, on a virtual clock.
 
 Written from what is published of the chips, not from the driver. A chip has ``write(data)`` and
 ``read(size)``, each a transfer on the wire, which raise OSError(ENXIO) where the address is not
@@ -61,7 +61,7 @@ class VirtualRunner(ModelClock):
         self.wait_for(lambda: self.now() >= limit, seconds)
 
     def end(self) -> None:
-        """Call it no more."""
+        """End the calls of the step."""
         self._step = None
 
 
@@ -71,7 +71,7 @@ class Playing:
     Parameters
     ----------
     time : the virtual clock
-    rate : of its own clock [Hz]
+    rate : rate of its own clock [Hz]
 
     Attributes
     ----------
@@ -278,8 +278,8 @@ class ModelBus:
     Parameters
     ----------
     time : the virtual clock, which transfers move on
-    chips : by address, or by (port, address) behind the multiplexer at 0x70
-    clock : of the bus [Hz]; None for transfers that take no time
+    chips : models by address, or by (port, address) behind the multiplexer at 0x70
+    clock : clock of the bus [Hz]; None for transfers that take no time
 
     Attributes
     ----------

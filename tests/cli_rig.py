@@ -22,7 +22,7 @@ SHORT = ["--seconds", "0.1"]
 
 
 class Result(NamedTuple):
-    """What a command did."""
+    """Outcome of a command."""
 
     code: int
     out: str

@@ -61,7 +61,7 @@ def server_time_us() -> int:
 
 
 class Script:
-    """What the daemon answers; `answers` may be replaced by type, with None for silence."""
+    """Answers of the daemon; `answers` may be replaced by type, with None for silence."""
 
     def __init__(self, *displays: str) -> None:
         self.displays = displays or ("left",)
@@ -188,7 +188,7 @@ class Daemon:
         return [said for said in list(self.heard) if isinstance(said, kinds)]
 
     def drop(self) -> None:
-        """Cut the connection without a word."""
+        """Cut the connection without a farewell."""
         with contextlib.suppress(OSError):
             self.last.socket.shutdown(socket.SHUT_RDWR)
 
@@ -239,7 +239,7 @@ async def soon(function: Callable[..., Any], args: Any, options: Any) -> Any:
 
 
 class Twin:
-    """One of the two, made to be used as the synchronous one is."""
+    """One of the two clients, made to be used as the synchronous one is."""
 
     def __init__(self, name: str) -> None:
         self.name = name

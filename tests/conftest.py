@@ -1,4 +1,4 @@
-"""What holds for all tests, fixtures that several files share, and what a run says at its end.
+"""Settings of all tests, fixtures that several files share, and the summary of a run.
 
 All tests have folders of their own for daemons, and examples that depend on no clock. What a
 fixture needs is imported in it, so that a run of one file, or of the checks in a guest of `kernel`,
@@ -313,7 +313,7 @@ def command(
 
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a server give up nobody because the machine stood still."""
+    """Give a server long timeouts, so that it drops nobody because the machine stood still."""
     for limit in (
         "connection.HELLO_WITHIN", "connection.READ_WITHIN", "listening.PONG_WITHIN",
         "osc.SILENCE", "requests.FINISH_WITHIN", "sockets.REQUEST_WITHIN",
@@ -364,7 +364,7 @@ def remote(twin: client_rig.Twin, daemon: client_rig.Daemon) -> Iterator[Any]:
         yield remote
 
 
-# What was skipped
+# Skipped tests
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -1,4 +1,4 @@
-"""A daemon to test the server with: real sockets and protocols, a host in memory that notes all.
+"""Rig of the server's tests: real sockets and protocols, and a host in memory that logs calls.
 
 `Hands` is a host without displays' processes: it does at once what the tests need, or as slowly as
 they say, and breaks on demand. What the real one does with a command has tests of its own.
@@ -281,7 +281,7 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    """Return a port that nobody has, and that the system gives to nobody who asks for any."""
+    """Return a port that no process uses, and that the system gives to none that asks for any."""
     while True:
         port = random.randrange(20_000, 32_000)
         with socket.socket(socket.AF_INET, kind) as one, suppress(OSError):

@@ -1,4 +1,4 @@
-"""What is right of an e-stop, by plain counting of what was answered; the rules are in the test."""
+"""Model of e-stops that counts what was answered; the rules are in the test."""
 
 import asyncio
 import tempfile
@@ -18,28 +18,28 @@ from tactile.server.client import Client
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
-"""Of the display [V] and [V/s]."""
+"""Limits of the display: voltage [V] and slew [V/s]."""
 CODE = LIMIT / 32767
 QUIET = 0.05
-"""s from an e-stop to 0 V."""
+"""Longest time from an e-stop to 0 V [s]."""
 DEAD_MAN = 0.25
-"""s from the server's last heartbeat to 0 V."""
+"""Longest time from the server's last heartbeat to 0 V [s]."""
 UNOWNED = 1.0
-"""s from the last leave of those who armed to high voltage off."""
+"""Longest time until the high voltage is off after the last client that had armed has left [s]."""
 DEVICES = {"left": "mock:", "right": "mock:?format=pcm12"}
 
 
 @dataclass
 class Expected:
-    """What is known of a display from what was answered, and what follows from that.
+    """State that a display must have by what was answered.
 
     Attributes
     ----------
-    number, since : of the latest e-stop that was answered, and when [s]
+    number, since : number of the latest e-stop that was answered, and its time [s]
     cleared : highest number of a clear that was, or might have been, accepted
     opened : whether somebody asked to arm since then, and that was allowed
     owners : when each client that might own high voltage asked for it last [s]
-    unowned : since when nobody might [s]
+    unowned : time since when no client might own it [s]
     hang : beginning and end of the last hang of playback [s]
     """
 
@@ -82,7 +82,7 @@ class App:
 
 @dataclass
 class Tally:
-    """What the test came across, so that it is known to have tested something."""
+    """Counts of what the test came across, which show that it has tested something."""
 
     steps: int = 0
     seconds: float = 0.0

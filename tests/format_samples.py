@@ -1,4 +1,4 @@
-"""Sample files of other people's formats, which may not be shipped with the project."""
+"""Sample files of formats of other projects, which may not be shipped with this one."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A bench for links under faults: what is written, what comes out when, and what must hold of it.
+"""Bench for links under faults: writes a signal, records the output and checks it.
 
 Even channels carry a triangle, whose value tells the position to within its fold; odd ones carry a
 level, which tells whether the gain is full. Everything that each amplifier puts out is kept with
@@ -28,22 +28,23 @@ from tactile.devices import open_bus
 RATE = 2500.0
 VOLTAGE = 100.0
 SLEW = 0.05e6
-"""V/s: 20 V from sample to sample at 2.5 kHz, 6.25 V at 8 kHz."""
+"""Slew limit [V/s]: 20 V from sample to sample at 2.5 kHz, 6.25 V at 8 kHz."""
 PEAK, LEVEL = 80.0, 50.0
-"""V, of the triangle and of the level."""
+"""Amplitudes of the triangle and of the constant level [V]."""
 PERIOD = 4000
-"""Samples of the triangle: 0.08 V from one to the next, 26 codes of 16 bits."""
+"""Period of the triangle in samples: 0.08 V from one to the next, 26 codes of 16 bits."""
 FOLD = 60
-"""Samples beside an apex, or the end, that are not compared: a straight line may have cut it."""
+"""Number of samples beside an apex, or the end, that are not compared: a straight line may have cut
+it."""
 SETTLED = 20
 """Samples for which the level has stood before the triangle is compared: so long from 0 V at most
 at the slew limit."""
 SAMPLE = 1.0
-"""By which samples may be early or late [samples]."""
+"""Number of samples by which a signal may be early or late [samples]."""
 RECOVERY = 2.0
-"""s within which a link must play again."""
+"""Longest time until a link plays again [s]."""
 FADED = 20e-3
-"""s, of a fade."""
+"""Length of a fade [s]."""
 
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
@@ -71,7 +72,7 @@ class _Wired:
 
 @dataclass(frozen=True)
 class Panel:
-    """As much of a display as a link asks for."""
+    """Part of a display that a link needs."""
 
     channels: int = 2
     slew: float = SLEW
@@ -89,7 +90,7 @@ def content(position: Ints | Floats, channels: int = 2) -> Floats:
 
 @dataclass
 class Heard:
-    """What one amplifier put out between two resets: times [s], codes and states of instants."""
+    """Output of one amplifier between two resets: times [s], codes and states of instants."""
 
     times: list[Floats] = field(default_factory=list)
     codes: list[NDArray[np.int16]] = field(default_factory=list)
@@ -108,16 +109,16 @@ class Bench:
 
     Parameters
     ----------
-    url : of the link
-    panel : what it drives
+    url : URL of the link
+    panel : part of a display that the link drives
     rate : [Hz]
 
     Attributes
     ----------
-    bus, model, clock : of the link
+    bus, model, clock : bus, model and clock of the link
     position : written next
     zero : true time at which position 0 was put out [s]
-    full_scale : of the amplifiers [V]
+    full_scale : full scale of the amplifiers [V]
     """
 
     def __init__(self, url: str, panel: Panel | None = None, rate: float = RATE) -> None:
@@ -194,7 +195,7 @@ class Bench:
         return last - since
 
     def idle(self, seconds: float) -> None:
-        """Let time pass while nobody writes."""
+        """Let time pass while the program writes nothing."""
         end = self.clock.now() + seconds
         while self.clock.now() < end:
             self.bus._turn(end)

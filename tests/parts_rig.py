@@ -22,16 +22,16 @@ from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.chips.drv2667 import Drv2667Bus
 
 LSB = {"drv2667": 50 / 127, "bos1921": 3.6 * 31 / 2047}
-"""V a code, at 100 V peak to peak and ±95 V."""
+"""Voltage of one code, at 100 V peak to peak and at ±95 V [V]."""
 ROUNDING = 50 / 32767
-"""V: the amplifier in memory rounds to 16 bits before."""
+"""Rounding of the amplifier in memory, which takes samples of 16 bits [V]."""
 WIRING = Wiring(channels=1, sample_rate=8000.0, voltage=50.0, slew=80e3, fade=0.02)
 """Steps of 10 V a sample, 5 samples from the limit to 0 V."""
 STEP = 10.0
 KINDS = ("drv2667", "bos1921")
 DRIFTS = (-0.01, 0.0, 0.01)
 ESTOP = 20e-3
-"""s."""
+"""Longest time from an e-stop to 0 V [s]."""
 
 
 @dataclass

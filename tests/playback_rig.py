@@ -1,4 +1,4 @@
-"""Runs that are played once and looked at by many tests."""
+"""Runs that are played once and examined by many tests."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +19,10 @@ from tactile.texture.surface import Texture
 RATE = 8000.0
 FADE = 160
 SINGLE = 1e-6
-"""Relative: shear is computed in single precision."""
+"""Relative rounding error: shear is computed in single precision."""
 FIDELITY = 45.0
-"""dB; 55 are measured, of which the finger's and beam's damping take most (see the plant)."""
+"""Smallest fidelity [dB]. 55 dB are measured; the damping of finger and beam accounts for most of
+the error (see the plant)."""
 SLIDE = Path(__file__).parents[2] / "shared" / "data" / "paths" / "slide.csv"
 
 
@@ -55,7 +56,7 @@ TRAJECTORIES = {
 
 @dataclass(frozen=True)
 class Played:
-    """What became of a trajectory."""
+    """Outcome of a trajectory."""
 
     blocks: list[PlayedBlock]
     written: list[DriveBlock]

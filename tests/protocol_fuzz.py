@@ -1,4 +1,4 @@
-"""What must hold of the Python decoders and amplifier whatever bytes come: targets for fuzzers.
+"""Targets for fuzzers: properties of the Python decoders and amplifier for any bytes.
 
 Each target takes bytes, and raises only where something is wrong. `fuzz/fuzz_python.py` feeds them
 from atheris, `test_protocol_fuzz.py` from a seeded generator.
@@ -75,7 +75,7 @@ def packets(data: bytes) -> None:
 
 
 def serial(data: bytes) -> None:
-    """However a stream is cut, the same comes of it; what is kept stays below the limit."""
+    """Decode a stream, cut anywhere; check the result, and that what is kept is bounded."""
     source = Source(data)
     limit = 8 + source.number() * 2
     whole, cut = SerialDecoder(limit), SerialDecoder(limit)
@@ -90,7 +90,7 @@ def serial(data: bytes) -> None:
 
 
 def can(data: bytes) -> None:
-    """Frames of any identifier and content, at any times."""
+    """Decode frames of any identifier and content, at any times."""
     source, now = Source(data), 0
     amplifier = bool(source.number() & 1)
     decoder = CanDecoder(from_amplifier=amplifier, limit=200, node=source.number() & 1 or None)
@@ -104,7 +104,7 @@ def can(data: bytes) -> None:
 
 
 def i2c(data: bytes) -> None:
-    """Transfers and blocks of any content; what a host reads."""
+    """Decode transfers and blocks of any content, and read as a host does."""
     source, now = Source(data), 0
     raw, smbus = I2cTarget(), SmbusTarget()
     while source:
@@ -280,7 +280,7 @@ class Session:
             self.wire.send(self.host.ask(message), self.now)
 
     def act(self, source: Source) -> None:
-        """Do one thing."""
+        """Do one action."""
         what = source.number()
         if what < 100:
             self._message(source, owned=bool(what & 1))
@@ -330,7 +330,7 @@ class Session:
         self.wire.send(packet, self.now)
 
     def look(self) -> None:
-        """Every answer is one, every code within the hardware's limits."""
+        """Check that every answer is valid, and every code within the hardware's limits."""
         for packet in self.wire.answers(self.now):
             assert self.host.receive(packet) is not None
         for played in self.amplifier.take_played():

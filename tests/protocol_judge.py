@@ -1,4 +1,4 @@
-"""What an amplifier may do, computed from SPEC.md alone, to be held against what one does.
+"""Judge of an amplifier: bounds on its behavior that are computed from SPEC.md alone.
 
 The judge is told every packet and fault before the amplifier is, and every instant after it was put
 out. It foresees states, session, limits, sample clock and position, and bounds the output; what the
@@ -20,12 +20,12 @@ WATCHDOG_MS, FADE_MS, SETTLED_MS = 150, 20, 50
 POWERED = ("ARMED", "RUNNING", "RAMPDOWN")
 LATCHED = ("FAULT", "ESTOP")
 SETTLED = ("IDLE", "SAFE")
-"""In which the node may change (section 5)."""
+"""States in which the node may change (section 5)."""
 BUSY, STATE, FAULT, INPUT_OPEN = 6, 7, 9, 18
 """Codes of NAK."""
 HELLO, ESTOP, CLEAR_FAULT = 0x01, 0x08, 0x09
 OF_INPUT = 255
-"""Reason of an ESTOP."""
+"""Reason of an ESTOP that stands for the e-stop input."""
 SESSION_FREE = ("HELLO", "TIME", "SYNC", "ESTOP", "GET", "IDENTIFY", "POLL")
 LAYOUTS = {
     0x01: ("HELLO", Struct("<HBBI"), False),
@@ -49,7 +49,7 @@ LAYOUTS = {
 }
 """Name, fixed part, and whether a body follows (section 4)."""
 STATUS = Struct("<4BHIQBQ3I")
-"""Without its counters."""
+"""Layout of STATUS without its counters."""
 COUNTER = Struct("<I")
 COUNTERS = 21
 PULSE = Struct("<IBBBB")
@@ -77,7 +77,7 @@ STATES, TABLE = table_of_states()
 
 
 class Limits(NamedTuple):
-    """In force (section 11.1)."""
+    """Limits in force (section 11.1)."""
 
     voltage_uv: int
     slew_v_per_s: int
@@ -90,7 +90,7 @@ class Limits(NamedTuple):
         return min(self.slew_v_per_s * 32767 * 10**6 // (full_scale_uv * rate), 65534)
 
     def reach(self, full_scale_uv: int, rate: int) -> bool:
-        """Whether they reach 0 V in 20 ms."""
+        """Return whether the limits reach 0 V in 20 ms."""
         return self.code(full_scale_uv) <= self.step(full_scale_uv, rate) * (rate // 50)
 
     def fade(self, rate: int) -> int:
@@ -107,19 +107,19 @@ def ramp_bound(limit: int, step: int, fade: int, k: int, last: int) -> int:
 
 
 class Judge:
-    """What an amplifier of a configuration is to be after what it was told.
+    """Model of what an amplifier has to be after the messages that it received.
 
     Attributes
     ----------
-    state, session, limits, node : foreseen
-    position, due : of the instant that comes next
+    state, session, limits, node : values that the amplifier must have
+    position, due : position and tick of the next instant
     heard : tick of the last HEARTBEAT or ARM
-    alive : the same of the owner, which a new session forgets
+    alive : tick of the owner's last HEARTBEAT or ARM, which a new session forgets
     trips : ESTOPs, faults of the hardware and openings of the e-stop input so far
     contact_open, closed : the contact of the e-stop input, and the tick from which it was closed
-    reason : of the latest ESTOP
+    reason : reason of the latest ESTOP
     instants : how many were judged
-    gain : of `fade` instants, the most that may have been reached since START
+    gain : largest gain that may have been reached since START, in `fade` instants
     """
 
     def __init__(self, config: AmplifierConfig) -> None:
@@ -164,7 +164,7 @@ class Judge:
         self.contact_open = contact_open
 
     def _input_open(self, tick: int) -> bool:
-        """Whether the input counts as open (6.3)."""
+        """Return whether the input counts as open (6.3)."""
         enough = SETTLED_MS * self.config.tick_hz
         recent = self.closed is not None and (tick - self.closed) * 1000 < enough
         return self.contact_open or recent
@@ -197,7 +197,7 @@ class Judge:
         return name != "PCM" or not self._within_credit(fields)
 
     def _within_credit(self, pcm: tuple[int, ...]) -> bool:
-        """Whether all its samples lie before the credit that was given since START."""
+        """Return whether all samples of a packet lie before the credit since START."""
         position, _, _, _, _, samples = pcm
         ahead = distance(position, self.position)
         return self.credit is not None and self.position + ahead + samples <= self.credit
@@ -206,7 +206,7 @@ class Judge:
         return TABLE[event][STATES.index(self.state)]
 
     def _follow(self, event: str) -> bool:
-        """Go where the table says; return whether it forbids nothing."""
+        """Follow the table of states; return whether it forbids nothing."""
         cell = self._cell(event)
         if cell.startswith("!"):
             return False
@@ -378,7 +378,7 @@ class Judge:
         self.instants += 1
 
     def _move_gain(self, waiting: bool) -> None:
-        """Foresee the most that the gain may be (8.3): who joins late fades in."""
+        """Update the largest gain that is possible (8.3); a host that is late fades in."""
         if self.state != "RUNNING" or waiting:
             return
         n = self.position - 1
@@ -389,7 +389,7 @@ class Judge:
         self.kept.pop(n, None)
 
     def _may_join(self, n: int) -> bool:
-        """Whether WAITING may end at a position; that a queue was full is not foreseen."""
+        """Return whether WAITING may end at a position; that a queue was full is not foreseen."""
         if self.mode:
             ready = [newest > n for newest in self.newest]
         else:
@@ -424,7 +424,7 @@ class Judge:
         assert state == self.state
 
     def _judge_deadline(self, tick: int) -> None:
-        """150 ms, 20 ms and an instant after the owner was heard (section 14, 3)."""
+        """Check that all is at 0 V 150 ms, 20 ms and an instant after the last heartbeat."""
         if self.high_voltage or any(self.codes):
             since, rate = tick - self.heard - 1, self.rate
             most = (WATCHDOG_MS + FADE_MS) * rate + 1000

@@ -1,4 +1,4 @@
-"""Stories: what may happen to an amplifier, made of chances.
+"""Stories: random sequences of events at an amplifier.
 
 An owner that streams, a second host, noise, and a link that loses, repeats, delays and reorders.
 The chances come from seeds; hypothesis shrinks what happens.
@@ -22,12 +22,12 @@ WRONG = 0.02
 
 
 class Story:
-    """Something that may happen to an amplifier, made of chances.
+    """Random sequence of events at an amplifier.
 
     Parameters
     ----------
-    rig : with the amplifier
-    rng : of all chances; may be replaced at any time
+    rig : rig with the amplifier
+    rng : source of all chances; may be replaced at any time
     trouble : share of packets that the link loses, repeats or delays
     """
 
@@ -102,7 +102,7 @@ class Story:
         self.tell("DISARM", self.session)
 
     def estop(self) -> None:
-        """Of anyone."""
+        """Send an ESTOP, which needs no session."""
         self.tell("ESTOP", self.some(0, 1, 255), node=self.some(0, self.rig.amplifier.node))
         self.poll()
 
@@ -233,7 +233,7 @@ class Story:
     # Others
 
     def foreign(self, name: str = "") -> None:
-        """Let a second host try something, with its own session or that of nobody."""
+        """Let a second host try something, with its own session or with session 0."""
         session = self.some(NOBODY, 0, self.session ^ 1)
         name = name or self.rng.choice(
             ["HELLO", "START", "STOP", "ARM", "DISARM", "CLEAR_FAULT", "HEARTBEAT", "LIMITS", "SET",
@@ -275,7 +275,7 @@ class Story:
         self.rig.fault(self.some(0, 0, 1, 4, 200))
 
     def button(self) -> None:
-        """Let somebody pull the e-stop button, or release it, with a contact that may bounce."""
+        """Pull the e-stop button, or release it, with a contact that may bounce."""
         for _ in range(self.some(1, 1, 1, 3)):
             self.rig.estop_input(self.some(0, 1) == 1)
             self.poll()
@@ -304,7 +304,7 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
     (Story.clear, 2), (Story.hello, 1), (Story.tune, 1), (Story.fault, 1), (Story.silence, 1),
     (Story.button, 1),
 )  # fmt: skip
-"""What happens, and how often."""
+"""Events, and the relative frequency of each."""
 
 
 def told(

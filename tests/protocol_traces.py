@@ -1,4 +1,4 @@
-"""Traces: what was told to an amplifier and when, with what it put out and sent.
+"""Traces: input of an amplifier with its times, and everything that it put out and sent.
 
 A `Rig` plays a trace on the Python amplifier while it is made, and keeps it; `replay` plays it on
 the one in C.
@@ -51,7 +51,7 @@ CONFIGS = {
 
 
 class Record(NamedTuple):
-    """What happened: a packet came, a fault, the e-stop input moved, or time passed."""
+    """Event: a packet came, a fault, the e-stop input moved, or time passed."""
 
     tick: int
     kind: int
@@ -89,7 +89,7 @@ class Rig:
 
     Parameters
     ----------
-    config : of it
+    config : configuration of the amplifier
     judged : hold everything against a `Judge`
     singly : put out instant by instant, not in runs
     """

@@ -100,7 +100,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Response:
-    """What one volt does, one entry per frequency.
+    """Response to one volt, one entry per frequency.
 
     ``displacement`` [m/V] and ``rotation`` [1/V] are those of the tip, ``force`` [N/V] is the one
     into the skin, ``admittance`` [S] is current over voltage, and ``at_point`` [m/V] is the

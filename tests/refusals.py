@@ -1,4 +1,4 @@
-"""What a reader says of a file that it refuses, and that nothing makes it panic."""
+"""Checks of how a reader refuses a file: with one line, and never with another exception."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""How often a check is repeated: in CI a fifth as often as with ``TACTILE_LONG=1``.
+"""Numbers of repetitions of checks: in CI a fifth of those with ``TACTILE_LONG=1``.
 
 `.ci/nightly` sets it.
 """

@@ -1,4 +1,4 @@
-"""Whether an amplifier puts out each sample once, in its place, and counts what it does not.
+"""Ledger that checks that an amplifier puts out each sample once and in its place, or counts it.
 
 Between faults the samples of a stream come as they were written, but for a gain that rises after
 each START and each gap. A sample that differs after `SETTLED` right ones in a row wants a counter
@@ -19,7 +19,7 @@ FADED = 500
 
 
 class Ledger:
-    """What was written of a stream, and what the first amplifier put out in its place.
+    """Record of what was written of a stream, and of what the first amplifier put out in its place.
 
     Attributes
     ----------

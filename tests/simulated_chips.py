@@ -1,4 +1,4 @@
-"""Two DRV2667 behind a multiplexer in a simulation, and what they put out."""
+"""Two DRV2667 behind a multiplexer in a simulation, and their output."""
 
 from collections.abc import Callable
 
@@ -27,7 +27,7 @@ class Chips:
 
     Parameters
     ----------
-    clock : of all
+    clock : clock of all chips
     put_out : called with a chip's number, the volts (S, 1) [V] that it has put out, at which times
         (S,) [s], and whether it went to 0 V by itself at each (S,)
     """

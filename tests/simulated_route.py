@@ -1,4 +1,4 @@
-"""What is between a program of a simulation and its amplifiers, judged by what these put out."""
+"""Way from a program of a simulation to its amplifiers, judged by their output."""
 
 import asyncio
 import math
@@ -23,15 +23,16 @@ from tactile.errors import ClientError
 
 RATE = 2500.0
 LIMIT, SLEW = 60.0, 20e3
-"""Of the display [V] and [V/s]."""
+"""Limits of the display: voltage [V] and slew [V/s]."""
 SILENT = 0.3
-"""s from an e-stop, or from the death of anybody between a program and its amplifier, to 0 V."""
+"""Longest time to 0 V from an e-stop, or from the death of any process between a program and its
+amplifier [s]."""
 STOPPED = 0.03
 """Longest time from an e-stop to 0 V where nothing fails [s]: a look at the latch, and a fade."""
 ORPHANED = 0.6
-"""s from a program's death to 0 V where an engine plays on, by the high voltage of that program."""
+"""Longest time to 0 V from the death of a program that armed, while an engine plays on [s]."""
 UNPOWERED = 1.0
-"""s from then to high voltage off."""
+"""Longest time from that death until the high voltage is off [s]."""
 
 
 class Program(LoopProcess):
@@ -39,8 +40,8 @@ class Program(LoopProcess):
 
     Parameters
     ----------
-    world : that it is in
-    url : of the daemon
+    world : world of the program
+    url : URL of the daemon
     rearm : whether to arm again after a reconnection
     """
 
@@ -63,22 +64,22 @@ class Program(LoopProcess):
 
 @dataclass
 class Route:
-    """What is between a program and the amplifiers of one display, and what was asked of it.
+    """Way from a program to the amplifiers of one display, and the requests that went over it.
 
     Attributes
     ----------
-    name, device : of the display
-    program : that plays on it
-    wrong : what broke a promise, on any way, a line each
-    model : of the link and its amplifiers, or of chips; None before it is opened
-    number : of the latest e-stop that was answered
+    name, device : name and device of the display
+    program : program that plays on the display
+    wrong : broken promises on any way, one line each
+    model : model of the link and its amplifiers, or of chips; None before it is opened
+    number : number of the latest e-stop that was answered
     stopped : when that was, unless its clear was asked for since [s]
     deaths : who on the way is dead, and since when [s]
     woken : when playback went on that had stood still; who died meanwhile it learns then [s]
     disturbed : until when something that has failed may still be felt [s]
     moved : until when an engine moves a finger [s]
-    last : what each amplifier put out last (C,) [V]
-    ledger : of samples
+    last : latest output of each amplifier (C,) [V]
+    ledger : ledger of samples
     sounding : samples other than 0 V that were put out
     worst : longest time from an e-stop or a death to 0 V [s]
     """
@@ -104,7 +105,7 @@ class Route:
 
     @property
     def dead(self) -> float:
-        """Time since when the way is cut [s]; infinite where it is not."""
+        """Time since when the way is cut [s]; infinite if it is not."""
         return min(self.deaths.values(), default=math.inf)
 
     def judge(self, board: int, run: PlayedRun, times: Floats, code: float) -> None:

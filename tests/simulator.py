@@ -1,4 +1,4 @@
-"""A simulated daemon with its programs, processes, links and amplifiers, and all that fails.
+"""Simulation of a daemon with its programs, processes, links and amplifiers, and of all faults.
 
 All is real but time, process boundaries and wires (`virtual_daemon`): programs have the SDK, and
 talk to the server over its socket; an engine sends it OSC. All that happens follows from a seed.
@@ -57,7 +57,7 @@ AFTERMATH = 3.0
 OSC = 7412
 """Port of the daemon; an engine sends from the one below."""
 FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
-"""What a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
+"""Faults that a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
 
 
 class Simulation:
@@ -65,17 +65,17 @@ class Simulation:
 
     Parameters
     ----------
-    seed : of all that happens
+    seed : seed of all that happens
 
     Attributes
     ----------
-    wrong : what broke a promise, a line each
+    wrong : broken promises, one line each
     worst : longest time from an e-stop or a death to 0 V [s]
     counts : how often each kind of event came
     answers : how often programs had what they asked for, or why not
     sounding : samples other than 0 V that were put out
     exact : samples that were put out as they were written, in their place
-    digest : of all that was put out, and when
+    digest : digest of all that was put out, and when
     """
 
     def __init__(self, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""The codec's rules once more, slowly, written from SPEC.md: what the fast ones are compared with.
+"""Slow codec, written from SPEC.md, with which the fast ones are compared.
 
 Bitwise (CRC-32), byte by byte (COBS, fragments) or in Python's integers (sample formats).
 """
@@ -36,7 +36,7 @@ def drawn(*values: Any, examples: int = 100, **named: Any) -> Callable[[Callable
     return lambda test: relaxed(draw(test))
 
 
-# What is compared with
+# The slow codec
 
 
 def slow_crc(data: bytes) -> int:
@@ -86,7 +86,7 @@ def slow_uncobs(coded: bytes) -> bytes | None:
 
 
 def slow_fragments(packet: bytes, size: int, transfer: int) -> list[bytes]:
-    """Section 3.2: the first carries the length, and two bytes less."""
+    """Divide a packet by section 3.2: the first carries the length, and two bytes less."""
     rest = len(packet).to_bytes(2, "little") + packet
     pieces = [rest[k : k + size - 1] for k in range(0, len(rest), size - 1)]
     heads = [transfer + 0x20 * (k % 2) for k in range(len(pieces))]
@@ -96,7 +96,7 @@ def slow_fragments(packet: bytes, size: int, transfer: int) -> list[bytes]:
 
 
 def rounded(value: Fraction) -> int:
-    """To the nearest, halves up (section 9)."""
+    """Round to the nearest integer, halves up (section 9)."""
     return floor(value + Fraction(1, 2))
 
 
@@ -105,7 +105,7 @@ def clamp(value: int, limit: int) -> int:
 
 
 def slow_pcm12(codes: list[int]) -> bytes:
-    """Nibble by nibble, low one first."""
+    """Encode PCM12 nibble by nibble, low one first."""
     nibbles: list[int] = []
     for code in codes:
         v = clamp(rounded(Fraction(code, 16)), 2047) % 4096

@@ -1,4 +1,4 @@
-"""Friction alone, read from the renderer's shear with a texture of one wave so small as nothing."""
+"""Friction alone, read from the shear of a texture with one wave of a vanishing amplitude."""
 
 import math
 from dataclasses import replace
@@ -20,13 +20,14 @@ RATE = 8000.0
 DISPLAY = load_display("reference-24")
 STICKY_ONLY = friction_only(STICKY)
 VS = 10e-3
-"""m/s, Stribeck speed of the shipped textures and of those here."""
+"""Stribeck speed of the shipped textures and of those here [m/s]."""
 STROKE_SHARE = 0.3
-"""Of the shear that full drive attains at rest, for friction; the rest is the texture's."""
+"""Share of the shear that full drive attains at rest that friction may take; the rest is left to
+the texture."""
 GIVE = 1e-3
-"""m of stretch per unit of friction coefficient: a pad as stiff as 1 N/mm at 1 N."""
+"""Stretch per unit of friction coefficient, for a pad with a stiffness of 1 N/mm at 1 N [m]."""
 NODE_TIME = 2e-3
-"""s from node to node."""
+"""Time from node to node [s]."""
 
 
 def rubbed(**friction: Any) -> Texture:

@@ -1,4 +1,4 @@
-"""What the tests of runs share: a small study of several blocks, and its bits."""
+"""Small study of several blocks, and its bits, for the tests of runs."""
 
 from typing import TYPE_CHECKING
 

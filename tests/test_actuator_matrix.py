@@ -82,7 +82,7 @@ def test_transfer_matrix_equals_the_matrix_exponential(length: float, axial_forc
     [(5e-3, 0.1, 0.0), (20e-3, 0.1, -5.0), (20e-3, 930.0, 0.0), (45e-3, 5e3, 5.0)],
 )
 def test_each_entry_is_right_by_itself(length: float, frequency: float, axial_force: float) -> None:
-    """Against 40 digits, so that no small entry hides behind another (1e-11).
+    """Each is compared with 40 digits by itself, so that no small one hides (1e-11).
 
     Not row I and column U: they hold K (T − 1), which loses what T has in common with 1.
     """
@@ -137,7 +137,7 @@ def test_cut_parts_multiply_to_the_whole(fraction: float) -> None:
 
 
 def test_cross_section_constants_are_the_printed_integrals() -> None:
-    """EI, AG, m and ρI of the page's formulas, summed by the reference in another way (1e-14)."""
+    """The reference sums EI, AG, m and ρI of the page's formulas in another way (1e-14)."""
     found, exact = section(Bimorph()), reference_section(Beam())
     pairs = [
         (found.EI, exact.bending),
@@ -186,7 +186,7 @@ ROOTS = [
 
 @pytest.mark.parametrize(("z1", "z2"), ROOTS)
 def test_c_functions_have_all_their_digits(z1: complex, z2: complex) -> None:
-    """Real or imaginary λ1, series or closed form, to 450 epsilon."""
+    """λ1 is real or imaginary, in series or closed form, and 450 epsilon are allowed."""
     found = c_functions(np.array([z1 + z2], np.complex128), np.array([z1 * z2], np.complex128))
     limit = 1e-13
     for a, b in zip(found, exact_c(z1, z2), strict=True):
@@ -202,7 +202,7 @@ def test_c_functions_pass_through_zero(z2: float) -> None:
 
 @pytest.mark.parametrize("length", [1e-3, 2e-3, 5e-3])
 def test_matrix_passes_where_lambda1_turns_imaginary(length: float) -> None:
-    """About 1 MHz, from a tenth of √(AG/ρI) to three times it, with and without losses.
+    """Frequencies lie about 1 MHz, from 0.1 to 3 times √(AG/ρI), with and without losses.
 
     Very close to it a lossless beam has λ1 → 0 and may lose epsilon/λ1: 1e-9 to within 1e-9 of it.
     """

@@ -23,11 +23,13 @@ from tactile.arrays import Complex, Floats
 
 RATE = 8000.0
 SINES = np.arange(10.0, 1001.0, 30.0)
-"""Hz; multiples of 10, so that 0.1 s holds whole periods. 940 lies on the resonance in air."""
+"""Frequencies [Hz], multiples of 10, so that 0.1 s holds whole periods. 940 Hz lies on the
+resonance in air."""
 LOADS = {"air": FingerLoad.none(), "low": FingerLoad.low(), "high": FingerLoad.high()}
 REFERENCE: dict[str, Load | None] = {"air": None, "low": LOW_FINGER, "high": HIGH_FINGER}
 STATED = {"air": (0.05, 0.7), "low": (0.03, 0.5), "high": (0.03, 0.5)}
-"""dB and degrees. tanθ alone, which the plant leaves out, makes 0.57 degrees."""
+"""Stated errors of magnitude [dB] and phase [degrees]. tanθ alone, which the plant leaves out,
+makes 0.57 degrees."""
 AMPLIFIERS = {
     "ideal": Amplifier(),
     "gain": Amplifier(gain=50.0),
@@ -122,7 +124,7 @@ def test_slender_beam_has_the_textbook_modes() -> None:
 
 @each_load
 def test_slow_drive_gives_the_static_response(name: str) -> None:
-    """With the modes above left out as a static rest nothing is missing at 0 Hz.
+    """Nothing is missing at 0 Hz although the modes above are left out as a static rest.
 
     What differs is the loss: 1/Q squared, 2e-4 in air.
     """
@@ -135,7 +137,7 @@ def test_slow_drive_gives_the_static_response(name: str) -> None:
 @each_load
 @pytest.mark.parametrize("kind", AMPLIFIERS)
 def test_sinusoids_are_those_of_the_frequency_response(name: str, kind: str) -> None:
-    """Displacement per volt of drive, 10 Hz to 1 kHz, in size and phase, as stated.
+    """The displacement per volt from 10 Hz to 1 kHz agrees in magnitude and phase as stated.
 
     The phase also proves the delay: one sample more or less would be 45 degrees at 1 kHz.
     """
@@ -152,7 +154,7 @@ def test_sinusoids_are_those_of_the_frequency_response(name: str, kind: str) -> 
 @each_load
 @pytest.mark.parametrize("kind", AMPLIFIERS)
 def test_current_is_that_of_the_frequency_response(name: str, kind: str) -> None:
-    """Relative to its size, or to the capacitance's alone where the motion cancels that in air.
+    """The error is relative to the current, or to the capacitance's alone where motion cancels it.
 
     tanδ, which the plant leaves out, makes 2 %; against a bimorph that has none 1.2 % are left
     loaded (the interpolation's images, at 10 Hz) and 3.6 % at the resonance in air.
@@ -250,7 +252,7 @@ def test_burst_is_that_of_scipys_integration(name: str, kind: str) -> None:
     ],
 )
 def test_held_drive_is_that_of_scipys_integration(fraction: float) -> None:
-    """Steps at k + delay, exactly: white noise through a hold, displacement and current to 1e-6."""
+    """White noise through a hold steps at k + delay exactly; displacement, current to 1e-6."""
     amplifier = Amplifier(
         hold="zoh", output_resistance=1000.0, bandwidth=20e3, delay=fraction / RATE
     )
@@ -289,7 +291,7 @@ def test_held_sinusoids_are_those_of_the_frequency_response(name: str) -> None:
 
 @pytest.mark.parametrize("block", [1, 7, 64, 65, 160, 333])
 def test_block_size_is_not_heard(block: int) -> None:
-    """However the drive is cut, the outputs agree to 1e-12 of their peaks."""
+    """Outputs agree to 1e-12 of their peaks however the drive is cut."""
     drive = np.random.default_rng(1).standard_normal((500, 3))
     whole = Plant(Bimorph(), LOADS["low"], RATE, contactors=3).step(drive)
     plant = Plant(Bimorph(), LOADS["low"], RATE, contactors=3)
@@ -355,7 +357,7 @@ def test_plant_is_stable_and_passive(name: str, kind: str) -> None:
 
 
 def test_energy_goes_into_the_finger_and_the_losses() -> None:
-    """Of a burst's electrical energy the finger's damper takes the most, the beam's own the rest.
+    """The finger's damper takes most of the electrical energy of a burst, the beam's own the rest.
 
     Sums over samples are integrals here, since power has no content above half the rate.
     """
@@ -371,7 +373,7 @@ def test_energy_goes_into_the_finger_and_the_losses() -> None:
 
 
 def test_mean_power_of_every_sinusoid_is_positive() -> None:
-    """Voltage times current, averaged over whole periods, under each load."""
+    """The power is voltage times current, averaged over whole periods, under each load."""
     for load in LOADS.values():
         _, current = plant_at_sines(load, Amplifier())
         assert np.all(current.real > 0)
@@ -399,7 +401,7 @@ def test_skin_creeps_to_the_parallel_spring_alone() -> None:
 
 
 def test_amplifier_response_is_the_closed_form() -> None:
-    """Corner, delay, hold and divider, each where its value is known by heart."""
+    """Corner, delay, hold and divider are compared with values that are known in closed form."""
     f, open_ = np.array([500.0]), np.zeros(1, np.complex128)
     assert Amplifier(gain=3.0).response(f, open_, RATE)[0] == 3
     assert Amplifier(bandwidth=500.0).response(f, open_, RATE)[0] == pytest.approx(0.5 - 0.5j)

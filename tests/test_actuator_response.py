@@ -151,7 +151,7 @@ def test_rotational_load_is_that_of_the_finite_elements() -> None:
 @each_load
 @pytest.mark.parametrize("place", [0.5e-3, 7e-3, 19.9e-3, 20e-3])
 def test_measuring_point_is_that_of_the_finite_elements(name: str, place: float) -> None:
-    """Anywhere on the beam, and asking changes nothing at the tip.
+    """The point lies anywhere on the beam, and measuring there changes nothing at the tip.
 
     Near the clamp u is 1e-4 of the tip's, so that it keeps four digits fewer: 1e-8.
     """
@@ -216,7 +216,7 @@ def test_static_response_is_the_limit_of_slow_ones(name: str) -> None:
     ],
 )
 def test_static_response_under_axial_force(axial_force: float) -> None:
-    """At 0 Hz λ1 or λ2 is zero, and the other one √(N l²/EI)."""
+    """Either λ1 or λ2 is zero at 0 Hz, and the other one is √(N l²/EI)."""
     with np.errstate(invalid="ignore"):
         found = tip_response(Bimorph(), FingerLoad.low(), 0, axial_force=axial_force)
     exact = response(Beam(), 0, load=LOW_FINGER, axial_force=axial_force)
@@ -233,7 +233,7 @@ def test_shimless_bimorph_deflects_by_the_textbook_formula() -> None:
 
 
 def test_finger_pushes_back() -> None:
-    """With the paper's printed sign the result would be 13 dB off; it is not.
+    """The result would be 13 dB off with the sign that the paper prints; it is not.
 
     A negative stiffness of 1000 N/m against a tip of 1535 N/m gives 20 log 2535/535 = 13.5 dB.
     """
@@ -248,7 +248,7 @@ def test_finger_pushes_back() -> None:
 
 
 def test_blocked_force_and_tip_stiffness_are_those_of_the_finite_elements() -> None:
-    """What two springs of the reference tell: from u0 and u1, S = k u1/(u0 − u1), F = S u0.
+    """Two springs of the reference tell, from u0 and u1: S = k u1/(u0 − u1), F = S u0.
 
     The difference u0 − u1 of ten good digits leaves nine: 1e-8.
     """
@@ -331,7 +331,7 @@ def test_designs_in_arrays_equal_designs_in_a_loop() -> None:
 
 
 def test_axes_of_designs_broadcast() -> None:
-    """Lengths down, loads across: a grid of (3, 2) designs, frequency last."""
+    """Three lengths and two loads make a grid of (3, 2) designs, with frequency as last axis."""
     lengths = np.array([15e-3, 20e-3, 25e-3])[:, None]
     load = FingerLoad(k0=np.array([1000.0, 4300.0]), d0=0.2)
     grid = tip_response(Bimorph(length=lengths), load, FREQUENCIES)
@@ -361,7 +361,7 @@ def test_finger_load_is_soft_when_slow_and_stiff_when_fast() -> None:
 
 
 def test_branch_without_spring_or_damper_carries_nothing() -> None:
-    """Also where only some of the designs have none, and at rest."""
+    """Some of the designs have such a branch and some do not; one frequency is 0."""
     k, d = np.array([1300.0, 0.0, 1300.0]), np.array([0.33, 0.33, 0.0])
     load = FingerLoad(k0=1000.0, d0=0.11, branches=((k, d), (0.0, 1.0)))
     frequencies = np.array([0.0, 100.0])
@@ -373,7 +373,7 @@ def test_branch_without_spring_or_damper_carries_nothing() -> None:
 
 
 def test_finger_table_runs_straight_and_is_held_at_its_ends() -> None:
-    """Exact at its forces, the mean half-way, and nothing invented beyond them."""
+    """The table is exact at its forces, the mean half-way, and constant beyond them."""
     table = FingerTable(normal_force=(0.1, 0.5), loads=(FingerLoad.low(), FingerLoad.high()))
 
     def constants(load: FingerLoad) -> list[float]:
@@ -430,7 +430,7 @@ def test_bad_input_is_named(field: str) -> None:
 
 @pytest.mark.parametrize("place", [-1e-3, 0.0, 20.001e-3, np.nan, [10e-3, 0.0], [10e-3, 21e-3]])
 def test_a_measuring_point_off_the_beam_is_refused_and_so_is_the_clamp(place: Any) -> None:
-    """Where nothing moves; the tip itself is on the beam."""
+    """Nothing moves there; the tip itself is on the beam."""
     with pytest.raises(ValueError, match=r"is not between clamp and tip \(0 … 0\.02 m\)"):
         tip_response(Bimorph(), FingerLoad.low(), 10.0, measuring_point=np.asarray(place))
 

@@ -101,7 +101,7 @@ def test_a_fit_is_better_than_the_start_that_a_hand_adjusted() -> None:
 
 @pytest.mark.ci
 def test_intervals_cover_the_truth_19_times_of_20() -> None:
-    """Those of constants that are known; bounds that 95 % leaves once in a thousand runs."""
+    """Counts lie within bounds that intervals of 95 % exceed once in a thousand runs."""
     count, within = 30, dict.fromkeys(ADJUSTED, 0)
     for seed in range(count):
         for c in fit_bimorph(Bimorph(), both(WHOLE, seed)).constants:
@@ -111,7 +111,7 @@ def test_intervals_cover_the_truth_19_times_of_20() -> None:
     assert all(least <= hits <= most for hits in within.values()), within
 
 
-# What cannot be known is said
+# Constants that cannot be known
 
 
 def test_motion_alone_tells_nothing_of_capacitance_and_its_loss() -> None:

@@ -1,4 +1,4 @@
-"""The house holds: which room may know which, what is imported where, how long things may be.
+"""Tests of the structure: rooms and their imports, uses of libraries, and lengths.
 
 `MAP` says for each room (a package or module directly in `tactile`) which other rooms it may
 import. A new room gets its line here.
@@ -89,7 +89,8 @@ BY_NAME = {"__init__", "cli.app", "sim"}
 """Modules that may import by a name made at run time: lazily, a command, and a user's plant."""
 
 PROTOCOL_MAY_IMPORT = {"numpy", "cobs"}
-"""Besides the standard library: the protocol knows no physics and no bus."""
+"""Packages besides the standard library that the protocol may import: it knows no physics and no
+bus."""
 PROTOCOL_IMPORTERS = {"bus", "sim"}
 """Rooms of tactile that know how drive goes over the wire."""
 GENERATED = {"messages"}
@@ -211,7 +212,7 @@ def calls(module: str, name: str) -> list[ast.Call]:
 
 
 def test_only_clocks_read_the_time_and_let_it_pass() -> None:
-    """So that a test or the simulator can pass its own; benchmarks measure the real one."""
+    """Tests and the simulator pass a clock of their own; benchmarks measure the real one."""
     banned = {f"time.{name}" for name in ("monotonic", "monotonic_ns", "perf_counter", "sleep")}
     users = {
         module
@@ -235,7 +236,7 @@ def test_nothing_waits_by_what_swallows_a_cancellation() -> None:
 
 
 def test_every_background_task_of_the_daemon_is_watched() -> None:
-    """Else an exception ends it in silence."""
+    """An exception would end an unwatched task in silence."""
     unwatched: Counter[str] = Counter()
     for module in SOURCES:
         if room_of(module) in ("server", "local"):
@@ -430,7 +431,7 @@ def test_lengths_are_counted_from_after_the_docstring_to_the_last_line() -> None
 
 
 def test_imports_of_every_form_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Otherwise the tests above would pass for nothing."""
+    """The tests above would pass for nothing if an import were missed."""
     text = (
         "import tactile\nimport tactile.bus.registry as b\nfrom tactile import files\n"
         "from tactile.sim import Fidelity\nfrom ..texture import surface\nfrom . import limiter\n"

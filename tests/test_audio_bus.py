@@ -1,4 +1,4 @@
-"""``audio:`` plays what it is told and nothing else, and ends at 0 V whatever happens.
+"""Tests of ``audio:``, which plays what is written and ends at 0 V whatever happens.
 
 The whole way runs in real time on JACK's dummy card, where a recorder keeps what the card is given,
 and on an ALSA device that writes a file. Other programs may keep a dummy card waiting, which real
@@ -376,7 +376,7 @@ def test_a_card_that_is_lost_is_told_and_comes_back_at_rest(
 
 @pytest.mark.realtime
 def test_a_player_that_hangs_holds_nobody_up(bus: AudioBus) -> None:
-    """It is ended, and with it the card's output."""
+    """The e-stop kills the player, and thereby ends the card's output."""
     bus.start()
     play(bus, np.full((4800, CHANNELS), 50.0))
     player = bus._player

@@ -1,4 +1,4 @@
-"""What the callback of ``audio:`` puts out, and which device it opens.
+"""Tests of the callback of ``audio:`` and of the choice of a device.
 
 `CardOutput`, which fills the card's buffers, is driven here by hand, buffer by buffer, so that its
 clock is the test's.
@@ -298,7 +298,7 @@ class Portaudio:
     """Stands for sounddevice where a card's manners are what is tested."""
 
     class PortAudioError(Exception):
-        """Raised for whatever it does not like."""
+        """Error of the substitute for PortAudio."""
 
     def __init__(self, *rates: float) -> None:
         self.rates = rates

@@ -42,7 +42,7 @@ class Card:
 
     @property
     def status(self) -> PlayerStatus:
-        """How it stands: it takes whatever comes."""
+        """State of the card: it takes whatever comes."""
         return PlayerStatus(0, self.phase, 0, 10**9, 0, 0, 0, 0, 0, 0.0, 0.0, "", "")  # type: ignore[arg-type]
 
     def tell(self, kind: str, *rest: object, seconds: float = 1.0) -> int:

@@ -17,7 +17,8 @@ from benchmarks.virtual import Records, can_be_built
 RATE = 1000
 BEGUN, FAULT = 50.0, 51.0
 SILENT_WITHIN, OFF_WITHIN = 0.3, 1.0
-"""s from a fault to 0 V and to high voltage off: the goals of docs/benchmarks.md."""
+"""Longest times from a fault to 0 V and to high voltage off, the goals of docs/benchmarks.md
+[s]."""
 
 
 def output(silent_at: float, off_at: float, end: float = 53.0) -> AmplifierOutput:
@@ -86,7 +87,7 @@ def test_each_fault_meets_each_sound_as_often_in_random_order() -> None:
 
 
 class MadeAmplifier:
-    """Hands out records that were made before."""
+    """Amplifier that hands out records that were made before."""
 
     powered_up = 7.0
 

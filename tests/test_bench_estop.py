@@ -14,7 +14,7 @@ from tactile.server.osc import read_packet, to_command
 
 
 class Gate:
-    """Lets a load, or does not, as it was told for each look; time passes while it waits."""
+    """Gate that lets a load pass, or not, as each look was told; time passes while it waits."""
 
     def __init__(self, clock: "Clock", *looks: bool) -> None:
         self._clock, self._looks = clock, list(looks)

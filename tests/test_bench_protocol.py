@@ -1,4 +1,4 @@
-"""How the figures of the protocol are measured: by hand what links carry, faults that are seen."""
+"""Tests of the figures of the protocol: capacities by hand, and faults that are noticed."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_the_benchmarks_are_registered() -> None:
 
 @pytest.mark.ci
 def test_promised_figures_that_no_clock_decides_are_reached() -> None:
-    """Those of `measure_faults` are seen to in `test_figures.py`."""
+    """The figures of `measure_faults` are checked in `test_figures.py`."""
     figures = list(measure_formats())
     assert any(f.reached is not None for f in figures)
     assert [f for f in figures if f.reached is False] == []

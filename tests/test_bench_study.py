@@ -5,11 +5,11 @@ from benchmarks.study import REFERENCE, measure_study, sweep_robustly
 
 
 def test_studies_are_measured_beside_the_finite_elements_of_the_checkout() -> None:
-    """Elsewhere those figures would be left out without a word."""
+    """The figures would be left out silently outside of a checkout."""
     assert REFERENCE.is_file()
     assert BENCHMARKS["study"] is measure_study
 
 
 def test_the_smallest_robust_sweep_is_solved() -> None:
-    """One length, four widths, four heights, 32 scenarios."""
+    """The sweep has one length, four widths, four heights and 32 scenarios."""
     sweep_robustly(512)

@@ -1,4 +1,4 @@
-"""What is measured of lines: capacitance, faults, and what a load's current tells."""
+"""Tests of the measurement of lines: capacitance, faults, and the current of a load."""
 
 import itertools
 import math
@@ -27,9 +27,9 @@ from tactile.devices import open_bus
 from tactile.display.display import load_display
 
 INTERVAL = 10e-3
-"""s between readings: the shortest that SENSE_MS has (SPEC.md, 4)."""
+"""Interval between readings, the shortest that SENSE_MS allows (SPEC.md, 4) [s]."""
 FREQUENCY = 161.8
-"""Hz of the tone: 1.618 turns from reading to reading, the golden ratio."""
+"""Frequency of the tone [Hz]: 1.618 turns from reading to reading, the golden ratio."""
 
 
 @pytest.mark.realtime
@@ -84,7 +84,7 @@ def test_an_error_in_the_middle_leaves_the_device_idle(
     serve: Callable[..., Served], four: Path, error: type[BaseException],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """While it sounds, at full level."""
+    """The error comes while the tone sounds at full level."""
     served = serve("--load-pf", "12800")
     write, count = LinkBus._write, [0]
 
@@ -239,7 +239,7 @@ def test_loads_that_are_none(virtual_amplifier: Path, text: str) -> None:
     assert "no number from 0 to 1000000, nor short" in done.stderr
 
 
-# What a load is
+# Loads
 
 
 def pairs(
@@ -265,7 +265,7 @@ def test_capacitance_and_resistance_come_out_whatever_delay_and_offset() -> None
 
 
 def test_the_stated_error_is_that_of_noise() -> None:
-    """Of 400 fits the deviation is the mean stated one within 15 % (3.5 % is its own spread)."""
+    """The deviation of 400 fits is the mean stated one within 15 % (3.5 % is its own spread)."""
     random = np.random.default_rng(1)
     found = []
     for _ in range(400):
@@ -286,7 +286,7 @@ def test_readings_meet_ever_other_phases() -> None:
 
 
 def test_the_tone_is_slow_against_the_resonance(four: Path) -> None:
-    """So that motion adds no more than half a percent to the capacitance in air."""
+    """Motion adds no more than half a percent to the capacitance in air."""
     from tactile.actuator.finger import FingerLoad
     from tactile.actuator.response import tip_response
 

@@ -126,7 +126,7 @@ def test_what_is_asked_aside_disturbs_nothing(four: Path) -> None:
 
 
 def test_a_request_is_repeated_and_given_up(four: Path) -> None:
-    """Of 40 requests over a line that loses a third of all, each is tried three times."""
+    """Each of 40 requests is tried three times over a line that loses a third of all."""
     with open_bus("mock:?link=serial&loss=0.33&seed=3", load_display(four)) as bus:
         assert isinstance(bus, LinkBus)
         answers = [bus.ask(m.Get(m.Parameter.PULSE_MS), 1) for _ in range(40)]

@@ -1,4 +1,4 @@
-"""Bring-up writes what a person tells of the contactors into a display's file, and nothing else."""
+"""Bring-up writes the answers about contactors into a display's file, and nothing else."""
 
 import re
 from dataclasses import replace
@@ -14,7 +14,7 @@ from tactile.display.display import load_display
 from tactile.display.edit import Map, checked_target, write_map
 from tactile.errors import InputError
 
-# What a person tells
+# Answers of a person
 
 
 class Person:
@@ -116,7 +116,7 @@ def test_a_channel_that_moves_nothing_is_a_fault(four: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("answers", [["", "", "q"], ["", "", ""], ["", "", "", "bad"]])
 def test_who_goes_away_ends_the_questions(answers: list[str], four: Path, tmp_path: Path) -> None:
-    """By q, or by the end of input, in either question."""
+    """Either question ends by q, or by the end of input."""
     left = iter(answers)
 
     def ask(question: str) -> str:

@@ -1,4 +1,4 @@
-"""What fits a link: counts by hand, the table of the design, and plans that really fit."""
+"""Tests of the capacity of links: counts by hand, the table of the design, and plans that fit."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -98,7 +98,7 @@ DESIGN = {
 
 
 class LongI2c(I2c):
-    """With transfers as long as need be, as the design counted them."""
+    """I²C with transfers as long as need be, as the design counted them."""
 
     def largest(self) -> int:
         return 4096
@@ -139,7 +139,7 @@ def test_where_the_table_has_more_than_the_design_a_count_by_hand_has_it_too() -
 
 
 def test_what_transfers_of_2_ms_and_255_bytes_cost_on_i2c() -> None:
-    """Regression. Cut in time rather than by channels BFP8 had 7, 25 and 70 at 2.5 kHz."""
+    """Regression: divided in time and not by channels, BFP8 had 7, 25 and 70 at 2.5 kHz."""
     assert counted(I2c(400e3)) == [1, 2, 3, 5, 8, 15, 15]
     assert counted(I2c(1e6)) == [6, 9, 12, 18, 27, 48, 48]
     assert counted(I2c(3.4e6)) == [21, 31, 42, 61, 95, 163, 163]
@@ -179,7 +179,7 @@ def packets(found: Plan, channels: int, rng: np.random.Generator) -> Iterator[Pa
 @each_link
 @pytest.mark.parametrize("channels", [1, 2, 6, 15, 24, 64, 180])
 def test_a_plan_fits_when_its_packets_are_made(link: Link, channels: int) -> None:
-    """Of random data with its own stuff bits, within 1 %, and with beats and answers besides."""
+    """Random data with their own stuff bits fit within 1 %, with heartbeats and answers."""
     found = planned(link, channels)
     if isinstance(found, BudgetError):
         assert all(row.use > link.cap for row in found.rows)
@@ -213,7 +213,7 @@ def test_a_plan_fits_when_its_packets_are_made(link: Link, channels: int) -> Non
 def test_the_order_of_choice_on_a_uart_of_1_mbit(
     channels: int, sample_format: SampleFormat | None, rate: int, samples: int
 ) -> None:
-    """By hand: 85 000 B/s, less 376; a packet has 20 B beside its data, 250 or 500 a second."""
+    """Computed by hand: 85 000 B/s, less 376; a packet has 20 B beside its data, 250 or 500/s."""
     found = plan(Uart(1e6), channels)
     assert (found.sample_format, found.sample_rate, found.packet_samples) == (
         sample_format, rate, samples,
@@ -272,7 +272,7 @@ def test_each_board_gets_its_own_packets_beats_and_probes() -> None:
 
 
 def test_amplifiers_that_say_nonsense_are_refused_like_others() -> None:
-    """No channels, no rate: neither loops nor divides by zero."""
+    """CAPS without channels or rates neither loop nor divide by zero."""
     assert list(Ability(channels=(24, 0)).shares(25)) == [24, 1]
     for ability in (Ability(channels=(0,)), Ability.of([m.Caps()]), Ability(rate_max=0)):
         assert isinstance(planned(Uart(1e6), 4, ability=ability), BudgetError)
@@ -289,7 +289,7 @@ def test_a_spectrum_frame_beyond_the_packet_limit_is_cut_by_channels() -> None:
 
 @given(any_link, st.sampled_from(CODINGS), st.integers(1, 100), st.integers(1, 20))
 def test_more_channels_never_use_less(link: Link, coding: Coding, few: int, more: int) -> None:
-    """As long as a packet holds one sample of all channels; BFP8 beyond is cut better by `pcm`."""
+    """The packet holds one sample of all channels; beyond, `pcm` divides BFP8 better."""
     limit = link.largest() - 18
     few = min(few, limit // 2)
     for samples in coding.packet_samples:

@@ -1,4 +1,4 @@
-"""What a link cannot be: each mistake is one line, the right error, and leaves nothing behind."""
+"""Tests of bad links: each mistake is one line, the right error, and leaves nothing behind."""
 
 import errno
 import os
@@ -28,7 +28,7 @@ from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 
 DEADLINE = 60.0
-"""s in which anything must have happened that is waited for."""
+"""Time within which anything that is waited for must have happened [s]."""
 
 
 def open_files() -> set[tuple[str, str]]:
@@ -172,7 +172,7 @@ def test_a_can_interface_that_does_not_exist_or_a_kernel_without_can_is_told_so(
         assert said == "can: socketcan/none0: this kernel has no CAN"
 
 
-# What is there is no amplifier
+# Other devices on the link
 
 
 @contextmanager
@@ -233,7 +233,7 @@ def test_an_echo_is_no_amplifier(three: Display) -> None:
 
 
 def test_an_amplifier_of_another_major_version_is_told_which(three: Display) -> None:
-    """Its packets have another version in their flags (SPEC.md, 4); their CRC-32 holds."""
+    """The packets have another version in their flags (SPEC.md, 4); their CRC-32 is right."""
     decoder = SerialDecoder()
 
     def answer(data: bytes) -> bytes:

@@ -16,7 +16,7 @@ from tactile.display.display import load_display
 
 BLOCK, BLOCKS = 16, 500
 CLOCK = 1e-3
-"""s; 15 µs of clock error are measured on a quiet machine, a burdened one answers pings late."""
+"""Largest clock error [s]; a quiet machine has 15 µs, a busy one answers pings late."""
 
 
 @pytest.mark.realtime

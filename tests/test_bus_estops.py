@@ -22,7 +22,7 @@ WIRING = Wiring(channels=2, sample_rate=8000.0, voltage=100.0, slew=0.7e6, fade=
 BLOCK = np.full((16, 2), 5.0)
 ROUNDS = 300
 PATIENCE = 60.0
-"""s that a thread may take."""
+"""Longest time that a thread may take [s]."""
 
 
 class Hooked(Bus):
@@ -30,8 +30,8 @@ class Hooked(Bus):
 
     Attributes
     ----------
-    hooks : what to call, once each, by where: "before _start" and so on
-    plays, latched : of the amplifier
+    hooks : functions to call, once each, by their place: "before _start" and so on
+    plays, latched : state of the amplifier
     """
 
     on_host_death = "ramps"
@@ -301,7 +301,7 @@ def test_the_mock_ends_in_an_estop_as_well_and_is_not_stuck() -> None:
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("url", ["mock:", "sim:"])
 def test_whatever_runs_beside_it_an_estop_holds(url: str, display: Display) -> None:
-    """As many rounds of threads that meet as they please; no order of theirs may undo an e-stop."""
+    """Threads meet in many rounds in any order; none of these orders may undo an e-stop."""
     bus = open_bus(url, display)
     assert isinstance(bus, MockBus)
     block, failed = np.full((16, 24), 5.0), []

@@ -109,7 +109,7 @@ def test_boards_wait_for_what_follows_also_at_the_least_lead_and_at_the_end() ->
 @pytest.mark.ci
 @pytest.mark.parametrize("drift", [1000, -1000])
 def test_boards_whose_crystals_differ_play_on_together(drift: int) -> None:
-    """As far apart in 12 s as two of 20 ppm in ten minutes: 12 ms, more than the lead."""
+    """Clocks part by 12 ms in 12 s, as two of 20 ppm in ten minutes: more than the lead."""
     assert KINDS
     url = f"mock:?link=canfd&boards=2&drift_ppm={drift}"
     display = load_display("reference-24")

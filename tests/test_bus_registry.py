@@ -21,7 +21,7 @@ SCHEMES = ("mock", "sim")
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 class TestEveryScheme:
-    """What holds for any kind of device URL."""
+    """Tests of what holds for any kind of device URL."""
 
     def test_the_driver_says_of_host_death_what_its_buses_say(
         self, scheme: str, three: Display

@@ -81,7 +81,7 @@ def test_over_can_the_amplifier_plays_what_the_reference_synthesizer_does(
     frame_rate: float,
     extra: str,
 ) -> None:
-    """However long a lead is asked for: of frames an amplifier keeps four (SPEC.md, 10.3)."""
+    """The lead may be as long as one likes: an amplifier keeps four frames (SPEC.md, 10.3)."""
 
     def config(*args: object, **named: object) -> AmplifierConfig:
         return replace(config_of(*args, **named), carriers=carriers_at_most)  # type: ignore[arg-type]
@@ -189,7 +189,7 @@ def test_a_bus_that_takes_frames_takes_no_blocks_and_is_tuned_first(
 @pytest.mark.ci
 @pytest.mark.parametrize("drift", [1000, -1000])
 def test_boards_whose_crystals_differ_play_frames_together(drift: int) -> None:
-    """By themselves they would be 8 ms apart after 8 s: most of a period of the carrier.
+    """The boards would be 8 ms apart after 8 s by themselves, most of a period of the carrier.
 
     Frames begin at whole samples, and so within half of one.
     """

@@ -1,4 +1,4 @@
-"""What of the C amplifier no vector of firmware_protocol says: its own figures, and closed forms.
+"""Tests of the C amplifier beyond the vectors: its own figures, and closed forms.
 
 How it starts, fades, stops, counts and refuses is in `test_protocol_vectors_c`.
 """
@@ -105,7 +105,7 @@ def test_stop_before_its_tick_forgets_start(build: Path, tmp_path: Path) -> None
 
 
 def test_limits_reach_zero_in_20_ms(build: Path, tmp_path: Path) -> None:
-    """Refused are those that would have taken 188 ms from the last heartbeat."""
+    """Limits that would have taken 188 ms from the last heartbeat are refused."""
     rate, period = 16000, 63
     run = Run()
     run.feed(0, hello())

@@ -43,7 +43,7 @@ from c_amplifier_rig import (
 
 
 def collect(stream: int, until: int) -> list[tuple[int, bytes]]:
-    """Packets from a terminal up to one of type `until`."""
+    """Return the packets from a terminal up to one of type `until`."""
     found: list[tuple[int, bytes]] = []
     data = b""
     while until not in [kind for kind, _ in found]:

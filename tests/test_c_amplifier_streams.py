@@ -1,4 +1,4 @@
-"""What the C amplifier puts out where the vectors do not look: long streams, fades, its log."""
+"""Tests of the C amplifier beyond the vectors: long streams, fades, its log."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def test_a_buffer_of_any_depth_goes_round_many_times(build: Path, tmp_path: Path
 def test_a_fade_takes_the_nearest_number_of_instants_halves_up(
     build: Path, tmp_path: Path, fade_us: int, count: int
 ) -> None:
-    """At 10 kHz 19.95 ms are 199.5 instants; one there is at least (SPEC.md, 8.3)."""
+    """19.95 ms at 10 kHz are 199.5 instants; a fade has one at least (SPEC.md, 8.3)."""
     period = 100
     run = Run()
     run.feed(0, hello())

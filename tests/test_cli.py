@@ -278,7 +278,7 @@ def test_every_old_name_leads_to_an_option_of_its_command(name: str, old: str) -
 def test_every_example_of_a_help_text_can_be_asked_for(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Run each, the long ones with the work taken out."""
+    """Run each command, the long ones without their work."""
     monkeypatch.setattr(bench, "BENCHMARKS", dict.fromkeys(bench.BENCHMARKS, list))
     examples = set()
     for name in ([], ["play"], ["textures"], ["response"], ["bench"]):

@@ -1,4 +1,4 @@
-"""The command line on links: what fits them, what is there, what playing on them tells."""
+"""The command line on links: capacity, devices that are found, and reports of playing."""
 
 import json
 

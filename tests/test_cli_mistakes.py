@@ -209,7 +209,7 @@ MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
 def test_a_mistake_is_one_line_and_nothing_is_written(
     command: Command, folder: Path, case: str
 ) -> None:
-    """Where a file is at fault the line names it."""
+    """The line names the file that is at fault, if there is one."""
     arguments, said = MISTAKES[case]
     before = content(folder)
     assert_mistake(command(*arguments), *said)
@@ -231,7 +231,7 @@ def test_as_a_process_a_mistake_is_one_line_and_exit_code_2(
     assert content(folder) == before
 
 
-# What is nobody's mistake
+# No mistakes
 
 
 def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
@@ -287,7 +287,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
 def test_a_mistake_of_our_own_is_not_hidden(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever finds one can report where it is."""
+    """A bug of ours shows where it is, so that it can be reported."""
 
     def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError

@@ -19,7 +19,7 @@ def study(command: Command) -> Command:
 
 
 def test_by_default_it_is_the_papers_question_and_answer(study: Command) -> None:
-    """Ranges as of the paper with the documented surrogate: 17.7–27.7 and 9.4–20.1 mm."""
+    """Ranges are those of the paper with the documented surrogate: 17.7–27.7 and 9.4–20.1 mm."""
     code, out, _ = study("length_mm=8:30:0.5", "load=low,high")
     assert code == 0
     for words in ("90 designs", "17.7 … 27.7", "9.45 … 20.1", "17.7 … 20.1", "smallest_displ"):

@@ -110,7 +110,7 @@ WRONG: dict[str, list[Call]] = {
     ],
     "no display 5": [lambda d: d.connection.display(5)],
 }  # fmt: skip
-"""Calls by what the line says."""
+"""Calls by the text of the line that refuses them."""
 
 
 def test_a_wrong_argument_is_one_line_and_nothing_is_sent(twin: Twin, daemon: Daemon) -> None:

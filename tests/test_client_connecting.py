@@ -95,7 +95,7 @@ def test_something_that_accepts_and_says_nothing_is_an_error_in_time(twin: Twin)
 def test_a_daemon_that_does_not_answer_hello_is_an_error_in_time(
     twin: Twin, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is given the timeout, which is short here for the answer alone."""
+    """The wait for the answer gets the whole timeout, which is shortened here for it alone."""
     answer = websocket.WebSocketTransport._answer
     waits: list[tuple[float, str]] = []
 
@@ -179,7 +179,7 @@ def test_the_way_out_stops_and_closes(
 
 @pytest.mark.ci
 def test_the_way_out_is_bounded_where_the_daemon_does_not_read(twin: Twin, daemon: Daemon) -> None:
-    """It takes the timeout, which is short only once all is connected."""
+    """Closing takes the timeout, which is short only once all is connected."""
     display = twin.connect(daemon.url, timeout=10 * PATIENCE)
     fill(daemon, display)
     connection = getattr(display.connection, "_inner", display.connection)
@@ -263,7 +263,7 @@ asyncio.run(main())
 def test_no_thread_and_no_file_is_left(
     script: Script, daemon: Daemon, name: str, ending: str
 ) -> None:
-    """In a process of its own, where the daemon's are not among them."""
+    """The client has a process of its own, so that nothing of the daemon's is counted."""
     if ending == "refused":
         script.answers[m.ClientHello] = lambda said: m.Failure(
             id=said.id, code="busy", message="no"

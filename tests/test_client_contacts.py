@@ -20,7 +20,7 @@ from tactile.errors import ClientTimeoutError
 
 
 def test_touch_does_not_wait_for_a_daemon_that_does_not_read(remote: Any, daemon: Daemon) -> None:
-    """More is said than all buffers between the two could hold; the newest arrives in the end."""
+    """More is sent than all buffers in between can hold; the newest arrives in the end."""
     said = fill(daemon, remote)
     assert remote.connected
     daemon.reading.set()
@@ -108,7 +108,7 @@ def test_append_sends_one_message_and_cuts_what_is_beyond(remote: Any, daemon: D
 def test_play_hands_over_all_although_the_daemon_takes_only_part(
     remote: Any, script: Script, most: int
 ) -> None:
-    """Every third time it takes nothing at all."""
+    """The daemon takes nothing at all every third time."""
     taken: list[float] = []
     replaced: list[bool] = []
     turns = itertools.count()
@@ -141,7 +141,7 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
 
 
 def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemon: Daemon) -> None:
-    """By a clock that goes on by almost half of the timeout with each answer."""
+    """The clock advances by almost half of the timeout with each answer."""
     clock = remote.connection._session.clock = ModelClock()
 
     def nothing(said: m.Append) -> m.AppendedReply:

@@ -75,7 +75,7 @@ def test_a_display_that_was_estopped_meanwhile_is_not_armed_again(
 def test_a_display_whose_estop_was_cleared_meanwhile_is_not_armed_again(
     twin: Twin, script: Script, daemon: Daemon
 ) -> None:
-    """It is disarmed then, as a clear promises, though no e-stop holds any more."""
+    """The display is disarmed then, as a clear promises, though no e-stop holds any more."""
     with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
         display.arm()
         script.latest = 4
@@ -173,7 +173,7 @@ def test_a_cancellation_that_comes_with_the_result_is_not_lost() -> None:
 
 
 def test_sending_without_end_leaves_others_their_turn() -> None:
-    """Such as the reader, which answers the daemon's pings."""
+    """One of the others is the reader, which answers the daemon's pings."""
     contact = m.Contact(display="left", position_mm=(0.0, 0.0), normal_force_n=0.5)
 
     async def main() -> None:
@@ -206,7 +206,7 @@ def test_sending_without_end_leaves_others_their_turn() -> None:
 
 
 def test_a_callback_that_waits_keeps_no_ping_unanswered(daemon: Daemon) -> None:
-    """Of the thread's twin: a callback of asyncio must not block its loop, as any there."""
+    """Only the threaded twin is tested: a callback of asyncio must not block its loop anyway."""
     twin = Twin("thread")
     with twin.connect(daemon.url, timeout=PATIENCE) as display:
         entered: Future[None] = Future()

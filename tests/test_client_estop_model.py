@@ -242,7 +242,7 @@ def test_no_schedule_of_many_does() -> None:
 
 
 def test_the_schedule_reaches_a_display_that_is_armed_again() -> None:
-    """Otherwise it would hold for nothing."""
+    """The schedule would otherwise hold for nothing."""
     schedule = Schedule()
     schedule.connect()
     schedule.settle(20)

@@ -59,7 +59,7 @@ def test_positions_may_be_arrays_of_numpy(remote: Any, daemon: Daemon) -> None:
     ],
 )
 def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> None:
-    """As one is made of the other, what could be missing is its line."""
+    """One twin is made of the other, so that only the line of a call could be missing."""
 
     def calls(twin: Any) -> dict[str, list[str]]:
         found = {name: getattr(twin, name) for name in dir(twin) if not name.startswith("_")}

@@ -1,4 +1,4 @@
-"""The SDK without its daemon: what was asked is restored, nothing is armed unasked."""
+"""Tests of the SDK without its daemon: requests are restored, and nothing is armed unasked."""
 
 import contextlib
 import threading
@@ -15,7 +15,7 @@ from tactile.errors import ClientError, DisconnectedError
 
 
 def connected_again(daemon: Daemon, hellos: int = 2) -> list[Any]:
-    """Wait for another hello, and return what was said from then on."""
+    """Wait for another hello, and return the messages from then on."""
     until(lambda: len(daemon.of(m.ClientHello)) >= hellos)
     last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.ClientHello))
     return daemon.heard[last:]
@@ -57,7 +57,7 @@ def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
 
 
 def test_what_was_taken_back_is_not_restored(twin: Twin, daemon: Daemon) -> None:
-    """Resumed, and disarmed by somebody else."""
+    """The program resumed after a stop, and somebody else disarmed."""
     events: list[client.Event] = []
     with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
         display.on_event(events.append)
@@ -127,7 +127,7 @@ def test_a_daemon_that_answers_no_ping_is_given_up(
 def test_a_daemon_that_does_not_read_is_given_up_and_found_again(
     twin: Twin, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever waits long for answers waits no longer for the farewell of a silent daemon."""
+    """A long timeout for answers does not prolong the wait for the farewell of a silent daemon."""
     events: list[str] = []
     with twin.connect(daemon.url, timeout=10 * PATIENCE) as display:
         display.on_event(lambda event: events.append(event.kind))

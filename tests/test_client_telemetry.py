@@ -1,4 +1,4 @@
-"""The SDK tells telemetry and events, and those who do not listen hold up nobody."""
+"""Tests of telemetry and events in the SDK; a program that does not listen delays no other."""
 
 import asyncio
 import threading

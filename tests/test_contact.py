@@ -43,7 +43,7 @@ def test_it_passes_through_its_samples() -> None:
 
 
 def test_position_is_continuous_with_its_velocity() -> None:
-    """From either side of each sample, 1 µs away: no jump of place, none of velocity.
+    """Neither place nor velocity jumps from 1 µs before each sample to 1 µs after it.
 
     In 1 µs a finger below 1 m/s moves by less than 1 µm. A cubic between samples 50 ms apart has
     accelerations below 10 m/s²: 20 µm/s in 2 µs; a broken line would jump by 10 mm/s and more.
@@ -61,7 +61,7 @@ def test_position_is_continuous_with_its_velocity() -> None:
 @settings(max_examples=60)
 @given(data=st.data(), count=st.integers(2, 12))
 def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, count: int) -> None:
-    """Nor does it reverse between two: each coordinate and the force is monotone there."""
+    """Each coordinate and the force is monotone between two samples, without reversals."""
     steps = data.draw(st.lists(st.floats(0.01, 1), min_size=count - 1, max_size=count - 1))
     time = np.cumsum([data.draw(st.floats(-5, 5)), *steps])
     some = st.lists(st.floats(-0.03, 0.03), min_size=count, max_size=count)  # at most 8.5 m/s
@@ -78,14 +78,14 @@ def test_it_never_goes_beyond_the_samples_on_either_side(data: st.DataObject, co
 
 @pytest.mark.parametrize("force", [5e-324, 2.2e-313])
 def test_forces_below_all_normal_numbers_are_taken_without_a_warning(force: float) -> None:
-    """Their slopes have no finite inverse in double precision."""
+    """The slopes of such forces have no finite inverse in double precision."""
     way = Trajectory(TIME[:3], np.zeros((3, 2)), [0.0, 0.0, force])
     _, between = way.at(np.linspace(TIME[0], TIME[2], 50))
     assert np.all((between >= 0) & (between <= force))
 
 
 def test_a_finger_that_rests_stays_at_rest() -> None:
-    """To the last bit: any movement would sound."""
+    """The place stays the same to the last bit: any movement would sound."""
     position, _ = trajectory().at(np.linspace(0.65, 0.9, 1001))
     assert np.all(position == PLACE[2])
 
@@ -112,7 +112,7 @@ def test_any_shape_of_times_is_answered_in_kind() -> None:
 
 
 def test_beyond_either_end_the_finger_goes_on_as_it_was_and_its_force_is_held() -> None:
-    """Straight, at the velocity that the last (first) microsecond had."""
+    """The finger goes on straight, at the velocity that the last (first) microsecond had."""
     way, d = trajectory(), 1e-7
     for end, inward in ((0.5, 1), (1.1, -1)):
         at_end, inside = values(way, np.array([end, end + inward * d]))
@@ -166,7 +166,7 @@ def test_a_line_is_a_straight_stroke_from_the_origin(angle: float) -> None:
 def test_blocks_cover_the_duration_and_the_extra_samples_exactly(
     rate: float, size: int, extra: int, count: int
 ) -> None:
-    """Sample k is at time[0] + k/fs, whatever the block; the finger goes on after the end."""
+    """Sample k is at time[0] + k/fs in blocks of any size; the finger goes on after the end."""
     blocks = list(trajectory().blocks(rate, size, extra=extra))
     lengths = [len(force) for _, force in blocks]
     assert sum(lengths) == count
@@ -224,7 +224,7 @@ def test_samples_that_are_no_way_of_a_finger_are_refused_in_one_line(
 
 @pytest.mark.parametrize("far", [1e160, 1e300], ids=["its square overflows", "beyond reason"])
 def test_a_place_beyond_reason_is_refused_without_a_warning(far: float) -> None:
-    """Warnings are errors here."""
+    """A warning is an error in tests."""
     with pytest.raises(InputError, match="position: reaches"):
         Trajectory([0.0, 1.0], [[0.0, 0.0], [far, 0.0]], 0.5)
 
@@ -233,7 +233,7 @@ HEADER = "time_s,x_mm,y_mm,normal_force_n\n"
 
 
 def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
-    """Columns in any order; millimeters become meters."""
+    """Columns may stand in any order; millimeters become meters."""
     path = tmp_path / "way.csv"
     path.write_text("x_mm,note,y_mm,normal_force_n,time_s\n0,a,1,0.5,10\n40,b,-1,0.75,11\n")
     way = Trajectory.from_csv(path)

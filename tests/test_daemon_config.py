@@ -1,4 +1,4 @@
-"""The daemon's configuration: what a file may say, and one line for each thing that it may not.
+"""Tests of the daemon's configuration: what a file may contain, and one line for each mistake.
 
 Logs and the watchdog are here as well: what they write when there is nowhere to write to.
 """
@@ -239,7 +239,7 @@ def test_a_full_disk_costs_lines_that_are_counted(quiet: logging.Logger) -> None
 def test_who_does_not_read_the_log_keeps_nobody_waiting(
     quiet: logging.Logger, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pipe that nobody reads: the writer blocks, the rest is dropped, the end comes."""
+    """Nobody reads the pipe of the log: the writer blocks, the rest is dropped, the end comes."""
     monkeypatch.setattr(logs, "PATIENCE", 0.05)
     reading, writing = os.pipe()
     with os.fdopen(writing, "w") as stream:

@@ -1,4 +1,4 @@
-"""Whatever dies or hangs, the amplifier goes to 0 V and stays there until somebody arms it anew.
+"""Tests of faults: the amplifier goes to 0 V and stays there until somebody arms it again.
 
 The daemon is a process of its own, as a user starts it; a program plays through it from another
 one, a stroke or an effect of a minute; the C amplifier on a pty records what it puts out. How soon
@@ -30,10 +30,10 @@ from tactile.errors import TactileError
 pytestmark = pytest.mark.realtime
 
 QUIET = 0.5
-"""s of the amplifier's own record that must hold nothing but 0 V."""
+"""Length of the amplifier's own record that must hold nothing but 0 V [s]."""
 WAIT = 60.0
 KINDS = ("playback.process", "drawing", "estop.process", "")
-"""Of the processes that a server starts, as they stand in a command line."""
+"""Kinds of processes that a server starts, as they stand in a command line."""
 APP = """
 import itertools, sys, time, tactile.client
 with tactile.client.connect(sys.argv[1], timeout=60.0) as display:
@@ -189,7 +189,7 @@ def served(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[
 
 
 lasting = pytest.mark.parametrize("sound", ["effect"])
-"""For what ends programs: an effect of a minute needs no program to go on."""
+"""Mark of tests that end programs: an effect of a minute needs no program to go on."""
 
 
 @lasting
@@ -280,7 +280,7 @@ def cleared(display: tactile.client.RemoteDisplay) -> bool:
 
 
 def test_an_e_stop_holds_over_a_server_that_is_killed(served: Daemon) -> None:
-    """With ``arm_on_start``, and an amplifier that forgets: its power is switched off as well."""
+    """The server has ``arm_on_start``, and the amplifier forgets, being switched off too."""
     served.config.write_text(served.config.read_text() + "arm_on_start = true\n")
     served.play()
     with tactile.client.connect(served.url, timeout=WAIT) as display:

@@ -1,4 +1,4 @@
-"""What a client may ask of the host, answered by real playback of a simulated display.
+"""Tests of the host's requests, answered by real playback of a simulated display.
 
 Playback and the host bear with each other for as long as a slow machine takes; when they do not is
 tested in virtual time (`test_playback_process`, `test_estop_model`).
@@ -29,9 +29,9 @@ from tactile.server.playing import Playing
 T = TypeVar("T")
 NAME = "right"
 PATIENCE = 60.0
-"""s until a test gives up; nothing that is tested depends on it."""
+"""Time until a test gives up [s]; nothing that is tested depends on it."""
 PATIENT = "from tactile.playback import process as p; p.SILENCE = 600.0; main()"
-"""What a process runs: playback that waits for the server's heartbeats for long."""
+"""Program that a process runs: playback that waits long for the server's heartbeats."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -161,7 +161,7 @@ def test_a_name_chooses_among_what_there_is_and_nothing_else(program: Program, n
 
 
 def test_more_drawings_than_a_client_may_select_are_refused(program: Program) -> None:
-    """All at once, of seeds that nobody has selected yet: the fifth finds four that are made."""
+    """All requests come at once, of seeds that are new: the fifth finds four that are made."""
     asked = [
         m.Select(display=NAME, layers=(m.Layer(texture="wood-oak", seed=seed),))
         for seed in range(1000, 1005)

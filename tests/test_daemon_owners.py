@@ -1,4 +1,4 @@
-"""To whom high voltage belongs, and when it belongs to nobody."""
+"""Tests of the ownership of high voltage."""
 
 from tactile.server.owners import Owners
 
@@ -6,7 +6,7 @@ ME, YOU = 1, 2
 
 
 def test_what_playback_disarmed_by_itself_belongs_to_nobody() -> None:
-    """Else it would stay on for a program that was told that it is off, once another one arms."""
+    """High voltage would otherwise stay on for a program that was told that it is off."""
     owners = Owners()
     owners.clients.add(ME)
     assert not owners.look(0.0, running=True, armed=True)

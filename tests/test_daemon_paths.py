@@ -1,4 +1,4 @@
-"""Where sockets and state lie: what systemd and the user's environment say, and nobody else."""
+"""Tests of the folders of sockets and state, by systemd and by the user's environment."""
 
 import os
 import socket

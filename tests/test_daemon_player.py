@@ -1,4 +1,4 @@
-"""Playback of one display: what is rendered when, the rule of mixing, and being held up.
+"""Tests of playback of one display: rendering, the rule of mixing, and being held up.
 
 The bus is the mock amplifier, the clock turns as playback waits.
 """
@@ -29,7 +29,7 @@ from tactile.tracking.tracker import ContactTracker
 
 RATE = 8000.0
 BLOCK = 16
-"""Samples, 2 ms at 8 kHz."""
+"""Number of samples of a block, 2 ms at 8 kHz."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 SPEED = 0.08
@@ -119,7 +119,7 @@ def test_nothing_is_put_out_before_anything_touches(stage: Stage) -> None:
 
 
 def test_a_sliding_finger_feels_what_was_selected(stage: Stage, display: Display) -> None:
-    """As the renderer plays a stroke of the same place: the level is that of the texture."""
+    """The level is that of the texture, as the renderer plays a stroke at the same place."""
     played = stage.slide(1.0)[2000:]
     stroke = Trajectory.line(speed=SPEED, duration=1.0, normal_force=0.5)
     wanted = render(display, load_texture("wood-oak"), stroke).drive[2000:]
@@ -147,7 +147,7 @@ def test_a_finger_that_lifts_or_is_silent_ends_in_0_volts(stage: Stage) -> None:
 
 
 def test_only_the_fingers_client_is_felt_and_textures_add_up(stage: Stage) -> None:
-    """On the same way each time; powers add, but for what two textures have in common by chance.
+    """The path is the same each time; powers add, but for what two have in common by chance.
 
     Over 0.25 s that is within a tenth. The stretch of friction, the mean, adds as it is.
     """
@@ -212,7 +212,7 @@ def test_in_air_waves_are_34_db_down_unless_the_display_is_worn(
 
 
 def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) -> None:
-    """Neither after a disarm nor after an e-stop: whoever arms decides what sounds."""
+    """The client that arms decides what sounds, after a disarm and after an e-stop."""
     stage.player.voice(ME).state.layers = ()
     stage.player.refresh(ME)
     tone = (1e-6 * np.sin(2 * np.pi * 200 * np.arange(8000) / RATE)).astype(np.float32)
@@ -224,7 +224,7 @@ def test_what_was_to_sound_before_does_not_go_on_when_it_is_armed(stage: Stage) 
 
 
 CODE = 100.0 / 32767
-"""V of one step of what goes over the wire."""
+"""Voltage of one step of what goes over the wire [V]."""
 
 
 def costliest(amplitude: float) -> Curve:
@@ -240,7 +240,7 @@ def costliest(amplitude: float) -> Curve:
 def test_a_stroke_is_the_same_while_60_others_play_all_they_may(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Their effects and waveforms are of no amplitude; what they cost is counted as it is spent."""
+    """The others play at no amplitude; what they cost is counted as it is spent."""
     alone = stage.slide(0.5)[2000:]
     stage.slide(0.1, force=0.0)
     spent = [0]

@@ -20,8 +20,8 @@ class Daemon:
 
     Parameters
     ----------
-    world : that it is in
-    path : of its configuration
+    world : world of the daemon
+    path : path of its configuration
     """
 
     def __init__(self, world: World, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Textures that are made ready: whose turn it is, how many there may be, and what is given up."""
+"""Tests of textures that are made ready: turns of clients, their number, and what is dropped."""
 
 import asyncio
 import gc
@@ -52,7 +52,7 @@ Story = Callable[[Bench], Coroutine[Any, Any, None]]
 
 
 async def told(story: Story, unseen: list[Any]) -> None:
-    """Tell a story, and collect what failed unseen: of tasks that nobody waited for too."""
+    """Run a story, and collect hidden failures, also of tasks that nothing waited for."""
     gc.freeze()  # else all that was there before is looked at
     bench = Bench()
     try:
@@ -98,7 +98,7 @@ def test_clients_take_turns() -> None:
 
 
 def test_what_a_client_that_left_waits_for_is_not_made() -> None:
-    """Of those who hang up a hundred drawings wait; one that comes then has to wait for one."""
+    """A hundred drawings of clients that hung up wait; a new one waits for one of them."""
 
     async def story(bench: Bench) -> None:
         waiting = [asyncio.create_task(bench.texture(client, client)) for client in range(1, 101)]
@@ -159,7 +159,7 @@ def test_a_client_waits_for_so_many_at_a_time_and_for_more_when_they_are_ready()
 def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of 16 MiB each three fit in 50."""
+    """Three textures of 16 MiB each fit in 50 MiB."""
     monkeypatch.setattr(shelf, "LARGEST_TEXTURES", 50)
 
     async def story(bench: Bench) -> None:
@@ -229,7 +229,7 @@ def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another
 def test_a_process_that_dies_fails_what_it_makes_and_no_more(
     monkeypatch: pytest.MonkeyPatch, *, reaped: bool
 ) -> None:
-    """Its pipes end before the system says that it is dead; nothing of it is left."""
+    """The pipes of the process end before the system reports its death; nothing of it is left."""
     if not reaped:
         monkeypatch.setattr(Child, "alive", True)
 

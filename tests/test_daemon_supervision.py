@@ -1,4 +1,4 @@
-"""What the daemon says and does of a playback that dies or hangs, on the virtual clock."""
+"""Tests of how the daemon handles a playback that dies or hangs, on the virtual clock."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ from tactile.server.playing import hangs
 
 NAME = "left"
 BACK = 2.0
-"""s within which a playback that died plays again: 0.5 s, and what opening takes."""
+"""Longest time until a playback that died plays again [s]: 0.5 s, and what opening takes."""
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
 def test_each_texture_of_a_selection_is_felt(
     world: World, serve: Callable[..., Client], peaks: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where no more than one stays ready that nobody has selected."""
+    """The shelf keeps no more than one texture that nobody has selected."""
     monkeypatch.setattr(shelf, "MOST_TEXTURES", 1)
     client = serve(worn=True)
     layers = (m.Layer(texture="wood-oak"), m.Layer(texture="leather-calf"))
@@ -282,7 +282,7 @@ def test_a_link_is_opened_so_that_it_arms_again_where_that_is_configured(
 def test_a_device_that_stays_away_is_opened_less_and_less_often(
     world: World, serve: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half a second after the first try in vain, twice as long each time, 10 s in the end."""
+    """The wait is 0.5 s after the first try in vain, twice as long each time, 10 s in the end."""
     serve()
     tries: list[float] = []
 

@@ -1,4 +1,4 @@
-"""Waveforms and parametric effects: what is taken, what is played, and how they end."""
+"""Tests of waveforms and parametric effects: what is accepted, what is played, how they end."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ RATE = 8000.0
 N = 3
 BLOCK = 16
 ENDING = 5e-3
-"""s in which what is replaced or ends early falls to nothing."""
+"""Time in which what is replaced or ends early falls to nothing [s]."""
 
 
 def drained(queue: WaveformQueue, most: int = 2000) -> Floats:

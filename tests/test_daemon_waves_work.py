@@ -1,4 +1,4 @@
-"""What waves cost, and that they are the same as by their formulas, whatever is left out."""
+"""Tests of the cost of waves, and that shortcuts give the same as their formulas."""
 
 import itertools
 import math
@@ -16,12 +16,13 @@ RATE = 8000.0
 N = 3
 BLOCK = 16
 ENDING, HOLD = 5e-3, 50e-3
-"""s in which an effect that is replaced or ends falls to nothing, and for which a streamed one is
-held after its last point (messages.py)."""
+"""Time in which an effect that is replaced or ends falls to nothing, and time for which a streamed
+one is held after its last point (messages.py) [s]."""
 PLAIN, PERIODS = 160.0, 2.0
-"""Hz of an effect without a frequency, and periods that a transient lasts."""
+"""Frequency of an effect without one [Hz], and number of periods that a transient lasts."""
 MOST_TRANSIENTS, MOST_SEGMENTS = 16, 128
-"""That sound at once, 1280 taps a second of 160 Hz, and that wait, one each 8 ms of a second."""
+"""Largest number of transients that sound at once, which is 1280 taps of 160 Hz per second, and of
+segments that wait, one for each 8 ms of a second."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 Take = tuple[int, Curve | None]
@@ -128,7 +129,7 @@ def test_a_whole_effect_is_its_formula_and_does_not_depend_on_the_block() -> Non
 
 @given(st.integers(0, 2**32), st.sampled_from([100.0, 1000.0, 8000.0, 11025.0, 48000.0]))
 def test_a_waveform_is_its_formula_however_it_comes_and_goes(seed: int, rate: float) -> None:
-    """Windowed sincs, summed sample by sample, to the table's 4e-6 of each that takes part."""
+    """The reference sums windowed sincs sample by sample, to the table's 4e-6 of each."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, 200).astype(np.float32)
     queue = WaveformQueue(RATE, N)
@@ -228,7 +229,7 @@ def test_memory_is_bounded_by_what_waits() -> None:
 
 @given(st.integers(0, 2**32), st.integers(1, 300))
 def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
-    """After silence the waves are where they would be, but for an effect's phase."""
+    """Waves after a silence are where they would be without it, but for an effect's phase."""
     rng = np.random.default_rng(seed)
     queues = WaveformQueue(RATE, N), WaveformQueue(RATE, N)
     for k in range(int(rng.integers(1, 9))):

@@ -1,4 +1,4 @@
-"""What a message that is no command is answered with; the texts are those of the documentation."""
+"""Tests of the answers to messages that are no commands, in the words of the documentation."""
 
 import json
 
@@ -100,7 +100,7 @@ def test_text_and_bytes_are_not_taken_for_each_other() -> None:
 
 
 def test_a_text_with_half_a_character_is_malformed() -> None:
-    """UTF-16, as a browser has it, may have one; no bytes on a WebSocket do."""
+    """UTF-16, as a browser has it, may have a lone surrogate; no bytes on a WebSocket do."""
     found = read('{"type": "\ud800"}', JSON)
     assert isinstance(found, Failure)
     assert found.code == "malformed"

@@ -1,4 +1,4 @@
-"""A display's file says what stands where; what does not fit is refused.
+"""Tests of a display's file: positions of parts, and refusals of what does not fit.
 
 Geometry is checked against a brute force that samples points, the room that a bender needs
 against the closed form of its static deflection, arrays against what is written in the file.
@@ -141,7 +141,7 @@ def points_inside(
 
 
 def test_openings_that_overlap_are_found_and_no_others(tmp_path: Path) -> None:
-    """At any angle, against sampled points 0.05 mm apart or closer.
+    """Openings at any angle are compared with points 0.05 mm apart or closer.
 
     A point of one in the other proves an overlap; none in the other grown by 0.05 mm, either way
     round, proves that there is none. Pairs between are not counted.
@@ -251,7 +251,7 @@ def test_no_drive_reaches_half_the_coercive_field(
 def test_the_voltage_that_a_refusal_calls_the_most_is_accepted(
     tmp_path: Path, height: float, gain: float
 ) -> None:
-    """As printed, and above nothing."""
+    """The voltage is taken as the message prints it."""
     parts = [f"[bimorph]\npiezo_height_mm = {height}\n", f"[amplifier]\ngain = {gain}\n"]
     message = refused(tmp_path, *parts, "[limits]\nvoltage_v = 500.0\n")
     load(tmp_path, *parts, f"[limits]\nvoltage_v = {number(message, 'at most ', ' V')!r}\n")

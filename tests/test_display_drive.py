@@ -1,4 +1,4 @@
-"""A display's file says what its drive meets: finger, amplifier, limits, measured responses."""
+"""Tests of the drive in a display's file: finger, amplifier, limits, measured responses."""
 
 import math
 from pathlib import Path
@@ -230,7 +230,7 @@ def test_a_measured_response_runs_straight_in_decibels_and_unwrapped_phase(tmp_p
 def test_a_measured_response_replaces_the_model_for_a_group_and_for_one_contactor(
     tmp_path: Path,
 ) -> None:
-    """In its own kind each; the amplifier is in what was measured."""
+    """Each replaces the response of its own kind; the measurement includes the amplifier."""
     response_file(tmp_path, ROWS, "one.csv")
     response_file(tmp_path, [row.replace("um/V", "nm/V") for row in ROWS], "group.csv")
     places = [(5.0 * i, 0.0, 0.0) for i in range(5)]
@@ -275,7 +275,7 @@ def test_a_group_names_only_contactors_that_there_are(tmp_path: Path) -> None:
 
 
 def test_a_measured_response_that_is_missing_is_not_found(tmp_path: Path) -> None:
-    """It is looked for beside the display's file."""
+    """The file is looked for beside that of the display."""
     with pytest.raises(NotFoundError, match=r"none\.csv: no such file"):
         load(tmp_path, '[[group]]\nresponse = "none.csv"\n')
 

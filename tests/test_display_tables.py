@@ -67,7 +67,7 @@ def tables(path: Path) -> dict[str, Any]:
     return tomllib.loads(path.read_text("utf-8"))
 
 
-# What a file may say
+# Contents of a file
 
 
 def test_a_bender_is_of_the_materials_and_the_wiring_that_its_file_names(path: Path) -> None:

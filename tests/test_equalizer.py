@@ -30,10 +30,10 @@ from tactile.rendering.equalizer import (
 FREQUENCY: Floats = np.arange(0, 1251, 10, dtype=np.float64)
 HEARD: NDArray[np.bool_] = (FREQUENCY >= 10) & (FREQUENCY <= 1000)
 PER_VOLT = 1e-6
-"""m/V: far above what full drive needs for the smallest shear."""
+"""Response far above that which lets full drive reach the smallest shear [m/V]."""
 VOLTAGE = 100.0
 SMALLEST_SHEAR = 0.1e-6
-"""m peak, which skin feels at best (250 Hz; Verrillo and Bolanowski)."""
+"""Smallest peak shear that skin feels at best (250 Hz; Verrillo and Bolanowski) [m]."""
 TOLERANCE = 6e-3
 """Relative error for which no longer delay is tried: 0.05 dB and 0.35°."""
 
@@ -99,7 +99,7 @@ def test_what_full_drive_attains_is_response_times_voltage() -> None:
 
 
 def test_shear_is_commanded_in_full_to_1000_hz_and_not_at_all_from_1250_hz() -> None:
-    """Half a cosine between: one half in the middle, and nowhere a jump."""
+    """The taper is half a cosine: one half in the middle, and nowhere a jump."""
     frequency = np.arange(0, 2000.5, 0.5)
     weight = roll_off(frequency)
     assert np.all(weight[frequency <= 1000] == 1)
@@ -129,7 +129,7 @@ RESPONSES = {
 @pytest.mark.parametrize("rate", [8000.0, 12_500.0])
 @pytest.mark.parametrize("name", RESPONSES)
 def test_filter_times_response_is_one_within_the_stated_error(name: str, rate: float) -> None:
-    """At the response's own frequencies; 20 % more between, for a peak 12 Hz wide at least.
+    """The error holds at the response's frequencies; 20 % more between, for peaks from 12 Hz wide.
 
     All of these are ones that a filter can invert: the stated error is below the tolerance.
     """
@@ -145,7 +145,7 @@ def test_filter_times_response_is_one_within_the_stated_error(name: str, rate: f
 
 
 def test_a_filter_is_within_its_error_of_the_bounded_inverse() -> None:
-    """Where 1 V cannot give 0.1 µm the bound is what counts; and drive stays near it."""
+    """The bound counts where 1 V cannot give 0.1 µm; and drive stays near it."""
     response = 1e-6 * low_pass(FREQUENCY, 30) ** 2
     found = design(response[None, None], 1.0, 8000.0)
     bounded = inverse(response, 1.0)[HEARD]
@@ -157,7 +157,7 @@ def test_a_filter_is_within_its_error_of_the_bounded_inverse() -> None:
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_a_filter_is_held_down_beyond_the_band(name: str) -> None:
-    """From 2 kHz on its gain is at most 6 dB above the largest in the band.
+    """The gain from 2 kHz on is at most 6 dB above the largest in the band.
 
     Unheld, the taps of a least-squares fit to a third of the spectrum grow without bound.
     """
@@ -168,7 +168,7 @@ def test_a_filter_is_held_down_beyond_the_band(name: str) -> None:
 
 
 def test_the_first_delay_that_is_good_enough_is_taken() -> None:
-    """One ms for what responds at once, and no less than the response's own delay.
+    """The delay is 1 ms for a prompt response, and no less than the response's own delay.
 
     Eight samples are just good enough for 1.05 ms, with 5.5e-3, and not for 1.057 ms, with 6.5e-3.
     """
@@ -265,7 +265,7 @@ def test_each_kind_alone_gives_the_same_columns_as_the_mixture() -> None:
 
 @pytest.mark.parametrize("rate", [2500.0, 2800.0])
 def test_at_the_lowest_rates_the_stated_error_is_of_the_whole_band(rate: float) -> None:
-    """To 1000 Hz, although half of the sample rate is hardly above."""
+    """The band goes to 1000 Hz, although half of the sample rate is hardly above it."""
     response = PER_VOLT * resonator(FREQUENCY, 930)
     found = design(response[None, None], VOLTAGE, rate)
     shear = played(taps_of(found), FREQUENCY[HEARD], rate, found.delay)[0, 0] * response[HEARD]
@@ -318,7 +318,7 @@ def rounding(found: InverseFilter, shear: Singles) -> float:
 def test_a_stream_is_the_convolution_with_the_taps_however_it_is_cut(
     many: bool, sizes: list[int]
 ) -> None:
-    """With finger forces from below the table to above it, changing all the time."""
+    """Finger forces go from below the table to above it, and change all the time."""
     found = MANY if many else ONE
     cuts = np.cumsum([0, *sizes])
     shear = shear_of(int(cuts[-1]), len(sizes))
@@ -342,7 +342,7 @@ def test_an_empty_block_is_an_empty_block_and_changes_nothing() -> None:
 
 
 def test_a_finger_that_rests_before_the_stream_begins_gives_no_transient() -> None:
-    """From the first sample on volts are those of the constant shear, the taps' sum times it."""
+    """The voltage is at once that of the constant shear, the sum of the taps times it."""
     shear = np.full((30, 4), 2e-6, np.float32)
     volts = equalizer(ONE)(shear, np.ones(30))
     assert volts == pytest.approx(2e-6 * taps_of(ONE).sum(), rel=1e-5)
@@ -376,7 +376,7 @@ def test_polarity_turns_the_sign_and_nothing_else() -> None:
     ("force", "share"), [(0.0, 0.0), (0.2, 0.0), (0.35, 0.25), (0.5, 0.5), (0.8, 1.0), (9.0, 1.0)]
 )
 def test_filters_run_straight_between_the_forces_of_the_table(force: float, share: float) -> None:
-    """And are held beyond its ends."""
+    """Filters are held beyond the ends of the table."""
     shear = shear_of(64)
     ends = []
     for k in (0, 1):

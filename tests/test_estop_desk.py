@@ -1,4 +1,4 @@
-"""The server's end of the e-stop process: it is started again, whatever kept it from that."""
+"""Tests of the server's end of the e-stop process, which is started again after any fault."""
 
 import asyncio
 from pathlib import Path

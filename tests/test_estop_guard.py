@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs locks of 
 MOCK = "mock:"
 HELD = r"mock:: e-stop 1 holds, by tactile estop.*tactile clear --device mock: ends it"
 PATIENCE = 60.0
-"""s until a test gives up; nothing that is tested depends on it."""
+"""Time until a test gives up [s]; nothing that is tested depends on it."""
 
 
 @pytest.fixture
@@ -241,7 +241,7 @@ def test_a_program_that_cannot_listen_says_so_and_plays(
 def test_an_e_stop_that_fails_is_told_and_the_next_is_taken(
     bus: Bus, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It is latched nonetheless."""
+    """The e-stop is latched nonetheless."""
     stop = MockBus._estop
 
     def fail(self: MockBus) -> None:
@@ -320,7 +320,7 @@ def test_what_cannot_be_cleared_is_one_line(
 
 @pytest.mark.realtime
 def test_the_c_amplifier_is_stopped_and_cleared(serve: Callable[..., Served], four: Path) -> None:
-    """It has a latch of its own, which the next program meets and a clear ends."""
+    """The amplifier has a latch of its own, which the next program meets and a clear ends."""
     served, shown = serve(), load_display(four)
 
     with open_bus(served.url, shown) as link:

@@ -39,7 +39,7 @@ NAMES = st.sampled_from(list(DEVICES))
 MOMENTS = st.sampled_from(
     [0, 0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 25, 30, 40, 55, 60, 110, 160, 260, 700]
 ).map(lambda ms: 1e-3 * ms + 1e-4)
-"""s; few are long, since what plays takes a tenth of its time."""
+"""Moments of events [s]. Few are long, since playing takes a tenth of their time."""
 ROLES = st.frozensets(st.sampled_from(sorted(m.ALL_ROLES))) | st.just(m.ALL_ROLES)
 KINDS = st.sampled_from(
     ["arm"] * 3
@@ -51,7 +51,7 @@ KINDS = st.sampled_from(
 
 
 class Model(Judged):
-    """What happens to a daemon."""
+    """Events that may happen to a daemon."""
 
     # The beginning
 
@@ -194,7 +194,7 @@ class Model(Judged):
 
     @rule(name=NAMES)
     def estop_by_amplifier(self, name: str) -> None:
-        """Let somebody press the amplifier's own e-stop: playback latches it."""
+        """Press the amplifier's own e-stop button: playback latches it."""
         assert self.world.host is not None
         playing, before = self.world.host.playing[name], self.expected[name].number
         for playback in self.world.playbacks(DEVICES[name]):
@@ -229,7 +229,7 @@ class Model(Judged):
         tripped=st.none() | st.floats(0, 0.7),
     )
     def stall(self, seconds: float, name: str | None, tripped: float | None) -> None:
-        """Let the server stand still, and perhaps somebody call `tactile estop` meanwhile."""
+        """Let the server stand still, and perhaps call `tactile estop` meanwhile."""
         if tripped is not None:
             self.world.clock.after(tripped, lambda: self.trip(name))
         self.stand_still(seconds)

@@ -1,4 +1,4 @@
-"""The e-stop's own way in: what it answers, to whom, and what nobody can do to it."""
+"""Tests of the e-stop process: its answers, who gets them, and attempts to block it."""
 
 import errno
 import json
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(
     not hasattr(socket, "AF_UNIX"), reason="datagrams of a Unix socket are read here"
 )
 PATIENCE = 60.0
-"""s until a request gives up; nothing that is tested depends on it."""
+"""Time until a request gives up [s]; nothing that is tested depends on it."""
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ class WaitsForDeaf(ModelClock):
 def test_one_daemon_that_hangs_holds_up_no_other(
     served: Path, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And both are told of: the one that was stopped, and the one that did not answer."""
+    """The answer tells of both: the one that was stopped, and the one that did not answer."""
     path, clock = served.with_name("estop-1.sock"), WaitsForDeaf()
     begun = clock.now()
     monkeypatch.setattr(estop_request, "MONOTONIC", clock)
@@ -171,7 +171,7 @@ def test_others_may_write_to_the_socket(served: Path) -> None:
 
 
 def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
-    """Where the daemon makes it, whatever it takes away from files that it creates."""
+    """The daemon makes the folder, whatever its umask takes away from files that it creates."""
     assert not runtime_folder().exists()
     usual = os.umask(0)
     try:
@@ -183,7 +183,7 @@ def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
 
 
 class Awaited(threading.Event):
-    """What the thread that saves waits for: two e-stops, and the end."""
+    """Events that the saving thread waits for: two e-stops, and the end."""
 
     def __init__(self, story: list[str]) -> None:
         super().__init__()
@@ -203,7 +203,7 @@ class Awaited(threading.Event):
 def test_every_e_stop_is_saved_once_in_each_latch(
     desk: Desk, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And one that cannot be saved keeps no other from that."""
+    """An e-stop that cannot be saved keeps no other from being saved."""
     story: list[str] = []
 
     def save(name: str) -> None:
@@ -226,7 +226,7 @@ PROGRAM = "from tactile.estop.process import main; main()"
 def test_the_process_ends_with_the_server_whatever_became_of_that(
     latches: dict[str, Latch],
 ) -> None:
-    """Its standard input ends; nobody is there who could kill it."""
+    """The standard input of the process ends; nobody is left who could kill it."""
     files = {name: latch.descriptor for name, latch in latches.items()}
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -263,7 +263,7 @@ def test_a_process_that_has_no_socket_says_why_and_ends() -> None:
 
 
 def test_who_reads_no_answers_holds_up_nobody(served: Path, latches: dict[str, Latch]) -> None:
-    """Its queue of answers runs full, and the rest of them are thrown away."""
+    """The queue of answers runs full, and further answers are discarded."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
         deaf.bind("")
         for _ in range(1000):

@@ -123,7 +123,7 @@ def test_a_key_of_too_many_parts_is_refused_before_it_is_parsed(tmp_path: Path, 
 
 
 def test_dots_that_part_no_key_are_none(tmp_path: Path) -> None:
-    """In comments, in strings of each kind, in numbers; and 32 parts are not too many."""
+    """Dots stand in comments, in strings of each kind and in numbers; 32 parts are allowed."""
     words = ".".join("a" * 100)
     strings = "".join(f"{q}{words}{q}, " for q in ('"', "'", '"""', "'''"))
     numbers = "0.5, " * 100
@@ -134,7 +134,7 @@ def test_dots_that_part_no_key_are_none(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    """Of a device that never ends no more is read either."""
+    """A device that never ends is not read any further either."""
     large = "#" * (1024 * 1024 + 1)
     assert "more than 1024 KiB" in refused(tmp_path / "a.toml", large)
     (tmp_path / "a.toml").write_text(large[:-1])
@@ -259,7 +259,8 @@ FAULTS: dict[str, list[tuple[str, ...]]] = {
         ("displays", '"none"\n[[', '"motoin"\n[[', "display.shear_projection", "'motion'"),
     ],
 }  # fmt: skip
-"""By what is said: file, what is changed to what, and words of the line that refuses it."""
+"""Faults by what the refusal says: kind of file, text, its replacement, and words of the line that
+refuses it."""
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def test_one_speed_and_one_force_leave_the_laws_at_what_is_known_and_say_so() ->
 
 
 def test_exponents_are_the_posterior_of_a_normal_prior() -> None:
-    """Against the limits of no and of much evidence, and a closed form for two points."""
+    """References are the limits of no and much evidence, and a closed form for two points."""
     one = np.ones(2)
     value, error = fitting.exponents(one, one, np.array([0.0, 3.0]))
     assert value == pytest.approx([-1, 0.4])

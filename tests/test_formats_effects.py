@@ -68,7 +68,7 @@ HAPTIC = {
             }}}}}},
     },
 }  # fmt: skip
-"""From the format's text."""
+"""Schema of HAPTIC, written from the text of the format."""
 AHAP = {
     "type": "object", "required": ["Version", "Pattern"],
     "properties": {"Pattern": {"items": {
@@ -88,7 +88,7 @@ AHAP = {
                     "ParameterCurveControlPoints": {"minItems": 1, "maxItems": 16}}},
         }}}},
 }  # fmt: skip
-"""From Apple's text: 16 points to a curve, 30 s to an event."""
+"""Schema of AHAP, written from Apple's text: 16 points in a curve, 30 s in an event."""
 HJIF = {
     "type": "object",
     "required": ["version", "profile", "level", "date", "description", "timescale", "avatars",
@@ -120,7 +120,7 @@ HJIF = {
             }}}}}},
     }}},
 }  # fmt: skip
-"""From the format's text."""
+"""Schema of HJIF, written from the text of the format."""
 
 
 def through(effect: Effect, path: Path) -> Effect:
@@ -260,7 +260,7 @@ def curve(file: Any, kind: str, *, absolute: bool = False) -> NDArray[np.float64
 
 
 def test_lofelts_curves_count_from_the_beginning_of_the_pattern() -> None:
-    """As they would from the curve's own, the last would end after 19 s of an event of 9.8 s."""
+    """The last would end at 19 s in an event of 9.8 s if curves counted from their own start."""
     effect = load_effect(sample("ahap/studio_export.ahap"))
     bands = {band.kind: band for band in effect.perceptions[0].channels[0].bands}
     ends = [s.start_s + s.keyframes[-1].time_s for s in bands["control"].segments]
@@ -308,7 +308,7 @@ def test_a_clip_sounds_the_same_as_pattern_and_as_hjif(tmp_path: Path) -> None:
 
 
 def test_a_pattern_sounds_the_same_as_a_clip(tmp_path: Path) -> None:
-    """Where its sharpness stays in 0 … 1; a transient's is limited there."""
+    """The sharpness stays in 0 … 1; that of a transient is limited there."""
     tap = {"Event": {"Time": 0.05, "EventType": "HapticTransient", "EventParameters": [
         {"ParameterID": "HapticIntensity", "ParameterValue": 0.9},
         {"ParameterID": "HapticSharpness", "ParameterValue": 0.3}]}}  # fmt: skip
@@ -404,7 +404,7 @@ def test_a_texture_sounds_as_the_reference_software_renders_it() -> None:
 
 
 def test_the_curve_below_72_hz_is_what_the_reference_encoder_took_from_the_wave() -> None:
-    """Power within 0.5 dB: Cubic between extremes is not quite the sine that was there."""
+    """The power is within 0.5 dB, since a cubic between extremes is not quite a sine."""
     effect = load_effect(sample("hjif/synth2ch_8k_wav.hjif"))
     with wave.open(str(sample("hjif/synth2ch_8k.wav"))) as file:
         raw = np.frombuffer(file.readframes(file.getnframes()), "<i2").reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Files that nobody should have to trust: each is read, or refused with one line."""
+"""Tests of files that nobody should trust: each is read, or refused with one line."""
 
 import io
 import json
@@ -22,7 +22,8 @@ from tactile.texture.formats.hatt import load_model
 CLIP = '{"version":{"major":1},"signals":{"continuous":{"envelopes":{"amplitude":[%s]}}}}'
 POINT = '{"time":0,"amplitude":0.5}'
 LARGEST_FILE = 8 * 1024 * 1024
-"""Bytes, as the refusal says: minutes of effects, as Python objects some 200 MB at worst."""
+"""Largest size that a refusal states [bytes]: minutes of effects, as Python objects some 200 MB at
+worst."""
 
 
 def refusal(path: Path) -> str:
@@ -226,7 +227,7 @@ def test_an_effect_of_ours_that_does_not_fit_is_refused_in_a_line(tmp_path: Path
         assert reason in refusal(path)
 
 
-# What anybody may make of a sample
+# Altered samples
 
 
 FUZZED = [

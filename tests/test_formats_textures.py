@@ -96,7 +96,7 @@ def test_at_a_model_the_spectrum_is_the_models_and_noise_has_it(model: ModelSet)
 
 
 def test_between_models_they_are_weighed_by_the_triangle(model: ModelSet) -> None:
-    """At a third from each corner of (200, 0), (200, 4), (100, 2): variance and gain are means."""
+    """Variance and gain are means at a third from each corner of (200, 0), (200, 4), (100, 2)."""
     b, a, variance = model.filter_at(0.5 / 3, 2.0)
     assert variance == pytest.approx((0 + 0.08 + 0.02) / 3)
     assert b == pytest.approx((2.0 + 2.5 + 3.5) / 3 * B, abs=1e-8)
@@ -146,7 +146,7 @@ def test_a_models_texture_has_its_displacement_spectrum_in_space(model: ModelSet
 
 
 def test_a_models_force_law_is_that_of_its_variance(tmp_path: Path) -> None:
-    """From half to twice 2 N at 100 mm/s the noise's power alone would tell; gains change too."""
+    """The law is fitted from half to twice 2 N at 100 mm/s, and gains change as well."""
     model = load_model(model_set(tmp_path / "x.xml"))
     f = np.geomspace(20, 1000, 4000)
     power = [
@@ -214,7 +214,7 @@ def ribbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[str, .
 def test_a_texture_as_wav_has_the_power_of_its_waves_at_their_frequencies(
     ribbed: tuple[Path, tuple[str, ...]], tmp_path: Path
 ) -> None:
-    """WAV read by scipy, against the surface's wave vectors and law: within 2 %."""
+    """The file, read by scipy, agrees with the surface's wave vectors and law within 2 %."""
     speed, target = 0.08, tmp_path / "out.wav"
     convert_file(str(ribbed[0]), target)
     (told,) = [line for line in ribbed[1] if "µm of displacement" in line]

@@ -1,4 +1,4 @@
-"""The e-stop latch: what holds, what ends it, and what survives whom."""
+"""Tests of the e-stop latch: what sets it, what ends it, and which deaths it survives."""
 
 import errno
 import os
@@ -27,7 +27,7 @@ SIZE = 8 * 8 + 3 * 256
 """Bytes of a file: eight words, and a time and a note for each of three writers. One of another
 size is damaged, and so an e-stop: a file of an earlier version would be one."""
 LOCK_WITHIN = 3.0
-"""s that what is left of a killed daemon has to let go of its file."""
+"""Time in which what is left of a killed daemon has to release its file [s]."""
 
 
 def opened(folder: Path, device: str = DEVICE) -> AbstractContextManager[Latch]:
@@ -73,7 +73,7 @@ def test_it_holds_over_a_restart_of_the_server(tmp_path: Path) -> None:
 
 @given(st.lists(st.sampled_from([*WRITERS, "clear latest", "clear older"]), max_size=30))
 def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
-    """Against plain counting: three writers, each with a mapping of its own."""
+    """Three writers, each with a mapping of its own, are compared with plain counting."""
     server = Latch.open("sim:", Path())
     views = {writer: Latch(f"fd:{os.dup(_fd(server))}", writer) for writer in WRITERS}
     number = cleared = 0
@@ -93,7 +93,7 @@ def test_whoever_trips_it_all_see_the_same(steps: list[object]) -> None:
 
 
 def test_each_that_trips_it_counts_in_a_word_of_its_own(tmp_path: Path) -> None:
-    """So that none ever waits for another, nor loses an e-stop to it; and the note of each stays.
+    """None ever waits for another, nor loses an e-stop to it; and the note of each stays.
 
     Three words after the first, then the one that holds what was cleared.
     """
@@ -140,7 +140,7 @@ def test_a_file_that_says_more_was_cleared_than_tripped_is_damaged(tmp_path: Pat
 
 
 def test_all_blocks_are_there_from_the_beginning(latch: Latch, tmp_path: Path) -> None:
-    """So that a disk that is full keeps no e-stop from being written."""
+    """A disk that is full must not keep an e-stop from being written."""
     path = tmp_path / file_name(DEVICE)
     assert path.stat().st_size == SIZE
     assert path.stat().st_blocks > 0
@@ -273,7 +273,7 @@ def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) ->
 def test_displays_on_one_bus_keep_their_own_e_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemons: int
 ) -> None:
-    """Those of one daemon, which does not wait for itself, and those of two."""
+    """The displays are those of one daemon, which does not wait for itself, and those of two."""
 
     class Impatient(ModelClock):
         def sleep(self, seconds: float) -> None:
@@ -290,7 +290,7 @@ def test_displays_on_one_bus_keep_their_own_e_stops(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
 def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) -> None:
-    """What is left of one that was killed has the lock for almost as long as is waited."""
+    """The rest of a daemon that was killed has the lock for almost as long as is waited."""
     dying = Latch.open(DEVICE, tmp_path)
     dying.trip("by a person")
 
@@ -306,7 +306,7 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) 
 
 
 def test_a_file_that_cannot_be_read_is_an_e_stop(tmp_path: Path) -> None:
-    """And those that no daemon made are none."""
+    """A file that no daemon made is no e-stop."""
     for name in ("mock%3A%2F%2F[", "serial%3A%2F%2F%2F%00"):
         (tmp_path / f"{name}.estop").touch()
     with opened(tmp_path, EDITED) as latch:

@@ -67,7 +67,7 @@ def recordings(*parts: str) -> Path:
     return path
 
 
-# What there is
+# Contents of the library
 
 
 def test_there_are_at_least_forty_and_three_of_each_category() -> None:
@@ -88,7 +88,7 @@ def test_files_are_named_for_their_texture_and_folders_for_their_category() -> N
 
 @pytest.mark.parametrize("name", sorted(LIBRARY))
 def test_each_number_has_its_origin_beside_it(name: str) -> None:
-    """Bands have theirs above; the license and the reference stroke are common to all."""
+    """Sources of bands are tested above; license and reference stroke are common to all."""
     text = PATHS[name].read_text(encoding="utf-8").partition("[stochastic]")[2]
     for line in text.splitlines():
         if re.match(r"\w+ = (-?\d|\[-?\d|\")", line):
@@ -160,7 +160,7 @@ def test_a_surface_has_the_bands(name: str) -> None:
 @pytest.mark.parametrize("name", EACH)
 @pytest.mark.parametrize("seed", [7])
 def test_a_surface_is_as_strong_as_said_whatever_the_seed(name: str, seed: int) -> None:
-    """At 2000 places all over, so that the rms errs by 4/√(2·2000), 6 %.
+    """The rms over 2000 places all over has an error of 4/√(2·2000), 6 %.
 
     An isotropic surface has more, by up to 40 %: what of its waves sounds below the lowest band.
     """
@@ -178,7 +178,7 @@ def test_a_surface_is_as_strong_as_said_whatever_the_seed(name: str, seed: int) 
 
 @pytest.mark.parametrize("shape", ["pulse", "edge"])
 def test_events_are_as_strong_as_campbell_says(shape: Literal["pulse", "edge"]) -> None:
-    """Mean square of a drawn tile at 10⁵ places, against the events that are drawn in it.
+    """The mean square of a tile at 10⁵ places is compared with the events that are drawn in it.
 
     About 130 of them overlap little, which leaves 6 %; their number and size are `scatter`'s.
     """
@@ -201,7 +201,8 @@ def test_events_are_as_strong_as_campbell_says(shape: Literal["pulse", "edge"]) 
 # Differences
 
 GAIN = 4.0
-"""At which replayed skin vibration feels equal: 3 for fine to 5 for coarse (README)."""
+"""Gain at which replayed skin vibration feels equal: 3 for fine to 5 for coarse textures
+(README)."""
 JND_DB = 2.5
 """Amplitude, 2.2-2.5 dB (Israr & Tan 2006, as the README has it)."""
 JND_FRICTION = 1.25
@@ -242,7 +243,7 @@ def felt_levels(d: Descriptor) -> Floats:
 
 
 def test_any_two_textures_can_be_told_apart() -> None:
-    """By a third octave (26 % wide; the JND of frequency is 18-25 %) more than a JND louder.
+    """Any two differ by more than a JND of level in a third octave (26 %; the JND is 18-25 %).
 
     Where a band that cannot be felt differs, it counts as the threshold. Few pairs may rest on
     friction alone, and then nearly a JND of vibration must be there as well: friction is stored,
@@ -261,7 +262,7 @@ def test_any_two_textures_can_be_told_apart() -> None:
     assert len(by_friction) <= 0.03 * len(pairs)
 
 
-# What is fitted
+# Fitted textures
 
 BIOTAC = {
     "cotton": "textile-cotton", "bath_towel": "textile-towel", "felt": "textile-felt",
@@ -289,7 +290,7 @@ def smoothed(shape: Floats) -> Floats:
 
 
 def test_bands_fitted_to_the_biotac_are_those_of_its_recordings() -> None:
-    """From 0.5 cycles/mm up and but for their level; the rest is rounding to 0.1 dB.
+    """Bands agree from 0.5 cycles/mm up and but for their level; the rest is rounding to 0.1 dB.
 
     Where an isotropic surface had to be made to fall from band to band, only that it does.
     """
@@ -319,7 +320,7 @@ def test_bands_fitted_to_the_biotac_are_those_of_its_recordings() -> None:
 
 @pytest.mark.parametrize("material", ["denim", "corduroy"])
 def test_bands_fitted_to_fabrics_are_those_of_their_recordings(material: str) -> None:
-    """From 1 cycle/mm up and but for their level: acceleration to displacement in place.
+    """Bands agree from 1 cycle/mm up but for their level: acceleration to displacement.
 
     The band-passed recording counts from 2 cycles/mm (80 Hz) up. A tenth of a decibel is rounding.
     """

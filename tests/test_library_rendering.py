@@ -1,4 +1,4 @@
-"""What is rendered of the library is what its descriptors say, and it is played faithfully.
+"""Tests that rendered textures agree with their descriptors and are played faithfully.
 
 Rendered cuts are judged by `tactile.texture.measures`, which `test_measures` proves against closed
 forms; what the benchmark adds of its own is proven here in the same way. A few textures run by
@@ -31,7 +31,7 @@ SOME = [*FEW, *(pytest.param(name, marks=pytest.mark.ci) for name in ODD[::6])]
 
 @pytest.mark.parametrize("name", EACH)
 def test_kurtosis_depth_and_level_are_those_of_the_descriptor(name: str) -> None:
-    """Within 0.5, 0.06 and 1 dB; eight surfaces, 16 m, know them to 0.1, 0.01 and 0.3 dB."""
+    """Errors are below 0.5, 0.06 and 1 dB; eight surfaces, 16 m, know 0.1, 0.01 and 0.3 dB."""
     texture = load_texture(name)
     stated = texture.descriptor.stochastic
     if stated is None:
@@ -60,7 +60,7 @@ def altered(texture: Texture, **more: float) -> Texture:
 def test_other_numbers_give_other_statistics(
     name: str, kurtosis: float, depth: float, corner: float
 ) -> None:
-    """As far as the library goes, isotropic and grained."""
+    """Numbers are altered as far as the library goes, for isotropic and grained surfaces."""
     texture = altered(
         load_texture(name), excess_kurtosis=kurtosis, am_depth=depth, am_corner_per_mm=corner
     )
@@ -72,7 +72,7 @@ def test_other_numbers_give_other_statistics(
 
 
 def test_a_cut_is_bands_under_their_envelope_and_a_grating_as_it_is() -> None:
-    """Waves added up in double precision at p + x_i, contactors turned with the motion."""
+    """The reference adds waves in double precision at p + x_i; contactors turn with the motion."""
     pine = load_texture("wood-pine-sanded")
     texture = replace(pine, descriptor=changed(pine.descriptor, laws=Laws()))
     offsets, angle = np.array([[0.0, 0.0], [2.0, 0.5]]), 0.7
@@ -99,7 +99,7 @@ def test_a_cut_is_bands_under_their_envelope_and_a_grating_as_it_is() -> None:
 
 @pytest.mark.parametrize("name", SOME)
 def test_coherence_between_contactors_is_the_surfaces_own(name: str) -> None:
-    """Within 0.1 in each band, along and across the motion."""
+    """Coherence agrees within 0.1 in each band, along and across the motion."""
     texture = load_texture(name)
     if texture.descriptor.stochastic is None:
         pytest.skip("has no bands")
@@ -127,7 +127,7 @@ def test_own_coherence_of_mirrored_waves_is_the_closed_form(gap: float) -> None:
 
 
 def test_own_coherence_of_even_waves_falls_as_a_sinc_along_the_motion() -> None:
-    """Over a band of width B it is (sin πBΔ/πBΔ)², here the tenth, 0.46 cycles/mm about 2."""
+    """Coherence over a width B is (sin πBΔ/πBΔ)², here the tenth, 0.46 cycles/mm about 2."""
     along = np.arange(1.5, 2.8, 2e-3)
     vectors = 2 * np.pi * 1e3 * np.stack([along, 0 * along], axis=1)
     waves = Partials(vectors, np.ones(len(along)), np.zeros(len(along)))
@@ -138,7 +138,7 @@ def test_own_coherence_of_even_waves_falls_as_a_sinc_along_the_motion() -> None:
 
 
 def test_rendered_coherence_of_noise_with_a_common_part_is_the_closed_form() -> None:
-    """With x = c + a and y = c + b, all white and alike: 1/4."""
+    """Coherence is 1/4 for x = c + a and y = c + b, all white and alike."""
     c, a, b = np.random.default_rng(0).standard_normal((3, 40, 12_000))
     one, other = library.spectra(c + a), library.spectra(c + b)
     np.testing.assert_allclose(library.rendered_coherence(one, other), 0.25, atol=0.08)

@@ -142,7 +142,7 @@ def test_limits_hold_over_blocks_longer_than_it_takes_at_a_time(over: float) -> 
 
 @pytest.mark.ci
 def test_limits_hold_over_a_minute_and_a_half_at_once() -> None:
-    """Over 700000 samples the release falls below what double precision can hold."""
+    """The release over 700000 samples falls below what double precision can hold."""
     volts = np.random.default_rng(2).normal(0, 20, (700_000, 1))
     volts[::100_000] *= 50
     assert_within(limiter()(volts), 100.0, 40.0)
@@ -215,7 +215,7 @@ def test_a_voltage_is_turned_down_only_beyond_its_limit(share: float) -> None:
 
 @pytest.mark.parametrize("share", [1 - 1e-6, 1 + 1e-3])
 def test_a_step_is_turned_down_only_beyond_its_limit(share: float) -> None:
-    """Up by one step and, much later, down."""
+    """The drive goes up by one step and, much later, down."""
     volts = np.zeros((400, 1))
     volts[100:] = 40.0 * share
     device = limiter()
@@ -242,7 +242,7 @@ def test_a_step_is_turned_down_only_beyond_its_limit(share: float) -> None:
 def test_a_sinusoid_over_a_limit_stays_a_sinusoid_at_the_limit(
     frequency: float, over: float, voltage: float, step: float
 ) -> None:
-    """Between crests, 1/(2f) apart, the gain recovers by at most (over − 1)(1 − e^(−1/(2fτ))).
+    """The gain recovers between crests, 1/(2f) apart, by at most (over − 1)(1 − e^(−1/(2fτ))).
 
     That sawtooth at 2f puts 1/(2π) of itself into the third harmonic and less into others: −40 dB
     at 125 Hz and twice the limit. Clipping at twice the limit would make −15 dB.
@@ -261,7 +261,7 @@ def test_a_sinusoid_over_a_limit_stays_a_sinusoid_at_the_limit(
 
 
 def test_the_guard_never_acts_on_a_drive_without_jumps() -> None:
-    """As the module says. 150 V at 250 Hz move by up to 29 V a sample, smoothly."""
+    """The module says so. A drive of 150 V at 250 Hz moves by up to 29 V a sample, smoothly."""
     device = limiter(step=1e3)
     device(sine(250, 150, 1.0))
     assert device.limited_samples > 0
@@ -335,7 +335,7 @@ def test_drive_leaves_bit_for_bit_after_a_pause_of_twenty_time_constants() -> No
 
 
 def test_a_jump_is_reached_within_the_look_ahead_and_not_smeared() -> None:
-    """From 0 to 90 V with steps of 40 V: nothing before the jump, then at once all of a step."""
+    """Steps of 40 V from 0 to 90 V: nothing before the jump, then all of a step at once."""
     volts = np.zeros((100, 1))
     volts[50:] = 90.0
     out = limiter()(volts)[:, 0]
@@ -353,7 +353,7 @@ def test_a_jump_is_reached_within_the_look_ahead_and_not_smeared() -> None:
 @example(seed=0, sizes=[1])
 @example(seed=1, sizes=[0, 8, 9])
 def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: list[int]) -> None:
-    """Within a millionth of the voltage (−120 dB), where a block may take a gain for settled."""
+    """Outputs agree within a millionth (−120 dB), where a block may take a gain for settled."""
     rng = np.random.default_rng(seed)
     volts = _walk(rng, (3000, 2), 60.0) + 40 * (rng.uniform(size=(3000, 2)) < 0.002)
     volts[rng.integers(3000, size=3), 0] = math.nan
@@ -373,7 +373,7 @@ def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: 
     assert first.guarded_samples == pytest.approx(second.guarded_samples, abs=3)
 
 
-# What it counts
+# Counters
 
 
 @pytest.mark.parametrize("size", [1, 7, 5000])
@@ -390,7 +390,7 @@ def test_invalid_values_are_counted_one_by_one_and_played_as_silence(size: int) 
 
 
 def test_limited_samples_are_those_whose_gain_is_below_one() -> None:
-    """Of a constant the gain can be read off every sample."""
+    """The gain of a constant can be read off every sample."""
     volts = np.full((9000, 2), 30.0)
     volts[3000:3100, 1] = 250.0
     device = limiter(channels=2, step=1e3)
@@ -402,7 +402,7 @@ def test_limited_samples_are_those_whose_gain_is_below_one() -> None:
 
 
 def test_guarded_samples_are_those_that_went_only_a_step() -> None:
-    """From 80 V to −80 V by 30 V a sample: six samples, of which the last is what remains."""
+    """The way from 80 V to −80 V by 30 V a sample takes six samples; the last has what remains."""
     volts = np.concatenate([np.full((200, 1), 80.0), np.full((200, 1), -80.0)])
     device = limiter(step=30.0)
     device(volts[:200])

@@ -1,4 +1,4 @@
-"""What the host's side of a link does in moments that seldom come: halts, last words, back-off."""
+"""Tests of rare moments of the host's side of a link: halts, last messages, back-off."""
 
 import math
 import secrets
@@ -22,7 +22,7 @@ from tactile.devices import open_bus
 from tactile.errors import BusError
 
 WATCHDOG = 0.15
-"""s without a heartbeat after which an amplifier ramps to 0 V (SPEC.md, 14)."""
+"""Time without a heartbeat after which an amplifier ramps to 0 V (SPEC.md, 14) [s]."""
 
 
 def no_plan(caps: Sequence[m.Caps]) -> Plan:
@@ -59,7 +59,7 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
 
 
 def test_an_amplifier_that_takes_55_ms_to_answer_a_hello_to_all_is_found_as_well() -> None:
-    """Beside one that takes 10 ms; 5 ms later it begins with those that it has found."""
+    """Another takes 10 ms; 5 ms after the slow one the session begins with both."""
     session = LinkSession(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters())
     wire, slow, quick = Faulty(Unlimited()), 1, 2
     answers = {10: quick, 55: slow}
@@ -150,7 +150,7 @@ def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
 def test_an_amplifier_that_never_starts_is_told_after_2_s(
     linked: Linked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It finds each START too late, which is tried again: neither played nor refused for good."""
+    """The amplifier finds each START too late; it is tried again, and never refused for good."""
     rig = linked("serial")
     amplifier, begun = rig.model.amplifiers[0], rig.clock.now()
     usual = amplifier.receive
@@ -177,7 +177,7 @@ def test_an_amplifier_that_never_starts_is_told_after_2_s(
 def test_an_estop_forgets_what_waits_and_counts_nothing_as_lost(
     linked: Linked,
 ) -> None:
-    """Fewer samples than a packet has: they wait for others to fill it."""
+    """The samples are fewer than a packet has, and wait for others to fill it."""
     rig = linked("serial")
     rig.start()
     rig.write(3)
@@ -215,7 +215,7 @@ def test_samples_that_come_too_late_are_counted_in_blocks(linked: Linked) -> Non
 def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, quick: bool
 ) -> None:
-    """What they played was ended while the link was down; they have not noticed yet."""
+    """The stroke was ended while the link was down; the amplifiers have not noticed yet."""
     heard = overheard(monkeypatch)
     rig = linked("serial", extra="&lead_ms=100&fifo_ms=200")
     rig.begin(0.2)
@@ -240,7 +240,7 @@ def test_amplifiers_that_still_play_when_the_link_is_back_are_stopped_first(
 def test_however_long_the_link_was_away_all_play_again_in_place(
     linked: Linked, away: float
 ) -> None:
-    """At 0.15 to 0.17 s the amplifier is in the middle of its watchdog's ramp."""
+    """The amplifier is in the middle of its watchdog's ramp at 0.15 to 0.17 s."""
     rig = linked("serial")
     rig.begin(0.2)
     rig.model.unplug(away)
@@ -257,7 +257,7 @@ def test_however_long_the_link_was_away_all_play_again_in_place(
 def test_every_sample_reaches_the_amplifier_once_in_its_place_or_is_counted_as_dropped(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    """Also those written before the position at which it fades in again."""
+    """Samples before the position at which the link fades in again count as well."""
     heard = overheard(monkeypatch)
     rig = linked("serial")
     rig.start()
@@ -299,7 +299,7 @@ def test_a_wire_that_stays_away_is_tried_less_and_less_often(linked: Linked) -> 
 
 
 def test_a_renderer_that_is_late_with_its_frames_is_alive_all_the_same() -> None:
-    """It has no time to wait, where signs of life are given otherwise."""
+    """The renderer has no time to wait, which is when signs of life are otherwise given."""
     bus = open_bus("mock:?link=can&format=spectrum", Panel(), sample_rate=RATE)
     with bus:
         assert isinstance(bus, LinkBus)
@@ -325,7 +325,7 @@ def test_a_fault_in_the_links_own_thread_is_told_and_lets_go_of_the_wire() -> No
 
 
 def test_boards_that_follow_are_handed_their_samples_earlier(linked: Linked) -> None:
-    """By eight samples, half of those that a value between two samples is made of."""
+    """The difference is eight samples, half of those that interpolation uses."""
     one = Bench("mock:?link=can&format=pcm16", Panel(channels=4))
     two = Bench("mock:?link=can&boards=2&format=pcm16", Panel(channels=4))
     per_packet = [rig.bus.plan.use * rig.bus.plan.packet_samples / RATE for rig in (one, two)]

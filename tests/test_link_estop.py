@@ -1,4 +1,4 @@
-"""E-stops over links: in time, remembered, told, and ended by a person alone."""
+"""Tests of e-stops over links: in time, remembered, reported, and ended by a person alone."""
 
 from dataclasses import replace
 
@@ -72,7 +72,7 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
     ],
 )
 def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> None:
-    """What a host says next, a heartbeat or an e-stop, comes soon (SPEC.md, 14, of a host, 3)."""
+    """The next message of a host, a heartbeat or an e-stop, comes soon (SPEC.md, 14, duty 3)."""
     rig, waiting = saturated(link), [0]
     listener = rig.model.listener
 
@@ -92,7 +92,7 @@ def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> No
 def test_an_estop_overtakes_what_waits_for_a_link_that_takes_nothing(
     link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """But not the 4 ms that had left before the link stood still (SPEC.md, 14, of a host, 3)."""
+    """The 4 ms that had left before the link stood still come first (SPEC.md, 14, duty 3)."""
     heard = overheard(monkeypatch)
     rig = saturated(link)
     rig.begin(0.1)
@@ -219,7 +219,7 @@ def test_a_fault_of_the_hardware_is_named_and_not_cleared_while_it_lasts(
 def test_an_open_estop_input_asks_for_its_release_and_then_for_a_clear(
     linked: Linked, link: str, playing: bool
 ) -> None:
-    """Its release alone ends nothing, nor does a clear that was refused act once it is released."""
+    """The release alone ends nothing, and a clear that was refused does not act afterwards."""
     rig = linked(link)
     if playing:
         rig.start()
@@ -264,7 +264,7 @@ def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
 def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As one of version 1.0 is, on which this host plays all the same."""
+    """Amplifiers of version 1.0 have no input; this host plays on them all the same."""
     with caplog.at_level("WARNING", "tactile.bus"):
         linked("serial")
         assert caplog.messages == []

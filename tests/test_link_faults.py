@@ -43,7 +43,7 @@ FEW_OR_MANY = pytest.mark.parametrize(
     "times", [8, pytest.param(often(1000), marks=pytest.mark.ci)], ids=["few", "many"]
 )
 DEATH = 220e-3
-"""s within which all is at 0 V when a host has died (SPEC.md, 14)."""
+"""Time within which all is at 0 V when a host has died (SPEC.md, 14) [s]."""
 
 
 # A thousand times
@@ -220,7 +220,7 @@ def test_after_a_power_cycle_limits_are_sent_before_it_is_armed(
 def test_a_heartbeat_comes_every_50_ms(
     linked: Linked, link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Later by as long as the loop that writes sleeps at most, 20 ms (SPEC.md, 6.2)."""
+    """The limit includes 20 ms, for which the loop that writes sleeps at most (SPEC.md, 6.2)."""
     heard = overheard(monkeypatch)
     rig = linked(link)
     rig.begin(0.1)
@@ -336,7 +336,7 @@ def test_a_pause_of_the_link_raises_the_lead_until_it_is_long_enough(
 def test_a_lead_of_50_ms_stays_and_outlives_pauses_of_40(
     linked: Linked, link: str, lead: str, is_whole: bool
 ) -> None:
-    """For who knows what comes: nothing is lost where the lead that adapts loses samples."""
+    """A host that knows what comes loses nothing where the lead that adapts loses samples."""
     rig = linked(link, f"&rearm=true{lead}")
     rig.begin(0.6)
     for _ in range(4):

@@ -17,11 +17,11 @@ from tactile.errors import BusStateError
 EVERY = pytest.mark.parametrize("link", MOST)
 PLAIN, REARM = "", "&rearm=true"
 STEP = 5e-3
-"""s, between looks at the state."""
+"""Interval between looks at the state [s]."""
 TOLD = 0.1
-"""s within which the state is true."""
+"""Time within which the state that is told is true [s]."""
 HELD_UP = 0.4
-"""s for which a host does nothing."""
+"""Time for which a host does nothing [s]."""
 
 
 def playing(rig: Bench) -> Bench:

@@ -109,7 +109,7 @@ def test_random_loads_are_predicted_within_0_3_db(branches: int) -> None:
 @pytest.mark.ci
 @pytest.mark.parametrize("load", [LOW_FINGER, HIGH_FINGER])
 def test_intervals_cover_the_truth_19_times_of_20(load: Load) -> None:
-    """Per constant, bounds that a coverage of 95 % leaves once in a thousand runs."""
+    """Counts per constant lie in bounds that 95 % intervals leave once in a thousand runs."""
     count, truth = 100, moved(load)
     within = np.zeros(4)
     for seed in range(count):
@@ -153,7 +153,7 @@ def test_branches_come_by_ascending_corner() -> None:
     assert corners == sorted(corners)
 
 
-# What cannot be known is said
+# Loads that cannot be known
 
 
 def unknown(fit: LoadFit) -> set[str]:
@@ -171,7 +171,7 @@ def test_a_small_damping_is_found_where_the_first_guess_says_that_there_is_none(
 
 @pytest.mark.parametrize("kind", ["displacement", "velocity", "force"])
 def test_a_point_s_stiffness_is_weighed_by_what_it_changes_of_the_response(kind: Kind) -> None:
-    """By a difference of the response of two loads a millionth apart, over the response."""
+    """Weights are relative differences of the response of two loads a millionth apart."""
     blank = Measurement("m.csv", kind, FREQUENCY, KNOWN)
     tip = load_fit._checked(Bimorph(), replace(blank, kind="displacement"), 1)
     tip = replace(tip, measurement=blank)
@@ -274,7 +274,7 @@ def test_the_figures_for_the_benchmark_reach_their_goals() -> None:
 def test_a_bimorph_that_is_off_shifts_the_stiffness_as_the_note_says(
     load: Load, shift: float, error: float
 ) -> None:
-    """By two finite-element beams: one that is measured, one that the fit takes it for."""
+    """One finite-element beam is measured, another is the one that the fit takes it for."""
     measured = response(Beam(d31=Beam().d31 * error), FREQUENCY, load=load).displacement
     k0 = fitted(measured, branches=1).constants[0].value
     assert abs(k0 / load[0] - 1) == pytest.approx(shift, abs=0.015)

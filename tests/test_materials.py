@@ -38,16 +38,16 @@ its own samples, are 2 to 3 % off for apc-855, pic-255 and pzt-4, and 11 % for 5
 sheet, where d31 and permittivity do not give the printed g31 of -11.3e-3 V m/N either."""
 
 PRINTED_MODULUS = {"3203hd": 62, "5a4e": 66, "pzt-4": 81, "pzt-5a": 61, "pzt-8": 87}
-"""GPa, Y11E; that of apc-855 is what its s11E was made of."""
+"""Modulus Y11E [GPa]; the s11E of apc-855 was computed from its own."""
 
 PRINTED_N1 = {
     "apc-855": 1390, "pic-255": 1420, "pzt-4": 1650, "pzt-5a": 1400, "pzt-5h": 1420, "pzt-8": 1700,
 }  # fmt: skip
-"""Hz m: half the speed of sound along a bar, short-circuited."""
+"""Printed frequency constants, half the speed of sound along a short-circuited bar [Hz m]."""
 
 PRINTED_SPEED = {"brass": (3480, 2110), "steel": (5000, 3100), "titanium": (5090, 3125)}
-"""m/s along a thin rod, and of shear: CRC Handbook of Chemistry and Physics (70/30 brass,
-stainless steel 347, titanium)."""
+"""Speed of sound along a thin rod, and of shear [m/s]: CRC Handbook of Chemistry and Physics (70/30
+brass, stainless steel 347, titanium)."""
 
 
 def test_each_material_is_held_against_a_printed_coupling() -> None:
@@ -67,7 +67,7 @@ def test_modulus_is_as_printed_to_half_its_last_digit(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRINTED_N1)
 def test_frequency_constant_is_as_printed(name: str) -> None:
-    """To 1 %: the print has three digits, of which the last is rounded to 0 or 5."""
+    """Agreement is to 1 %: the print has three digits, of which the last is rounded to 0 or 5."""
     piezo = PIEZOS[name]
     speed = 1 / np.sqrt(piezo.density * piezo.s11E)
     assert speed / 2 == pytest.approx(PRINTED_N1[name], rel=0.01)
@@ -75,7 +75,7 @@ def test_frequency_constant_is_as_printed(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRINTED_SPEED)
 def test_sound_in_a_metal_shim_is_as_fast_as_printed(name: str) -> None:
-    """To 4 %: what alloys of one name differ by; E and G each count by their root."""
+    """Agreement is to 4 %, by which alloys of one name differ; E and G each count by their root."""
     shim = SHIMS[name]
     along, across = PRINTED_SPEED[name]
     assert 1 / np.sqrt(shim.density * shim.s11) == pytest.approx(along, rel=0.04)

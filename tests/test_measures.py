@@ -1,4 +1,4 @@
-"""What measures bands, kurtosis and AM depth, against signals whose numbers are known in advance.
+"""Tests of the measurement of bands, kurtosis and AM depth with signals of known numbers.
 
 Sines, white noise and log-normally modulated normal noise have closed forms; noise here is drawn
 in the frequency domain and shares nothing with waves or surfaces. Where a sample is random its
@@ -16,7 +16,7 @@ from tactile.texture import measures
 
 STEP = 50e-6
 LONG = 32_000
-"""Samples: 1.6 m."""
+"""Number of samples of a stroke, 1.6 m."""
 EXACT = 10 ** (np.arange(-6, 10) / 10)
 """Centers [cycles/mm]; a third octave is 10^±0.05 wide on either side (IEC 61260-1)."""
 WIDTH = EXACT * (10**0.05 - 10**-0.05)
@@ -44,7 +44,7 @@ def modulator(rows: int, seed: int, variance: float, corner: float) -> Floats:
 
 @pytest.mark.parametrize("band", range(16))
 def test_the_power_of_a_sine_is_in_its_band_alone(band: int) -> None:
-    """a²/2 over the band's width; beside it 20 dB less in the lowest bands, nothing in others."""
+    """The power is a²/2 over the width; 20 dB less in the lowest neighbors, else nothing."""
     place = np.arange(LONG) * STEP * 1e3
     level = measures.band_spectrum(3e-6 * np.sin(2 * np.pi * EXACT[band] * place + 1), STEP)
     assert level.shape == (16,)
@@ -93,7 +93,7 @@ def test_a_short_a_coarse_and_a_broken_stroke_are_refused() -> None:
 
 
 def test_a_stroke_of_just_ten_periods_of_the_lowest_band_is_long_enough() -> None:
-    """Of 0.25 cycles/mm it is 40 mm; rounding does not count."""
+    """Ten periods of 0.25 cycles/mm are 40 mm; rounding does not count."""
     center = 250 * 10 ** (np.arange(16) / 10)
     stroke = rough(1, 19, count=800)[0]
     assert np.all(np.isfinite(measures.band_spectrum(stroke, STEP, center=center)))
@@ -143,7 +143,7 @@ def test_a_level_that_differs_from_stroke_to_stroke_is_neither_kurtosis_nor_dept
     ("slope", "corner"), [(-1.5, 0.05), (-1.5, 0.3), (-0.5, 0.1), (0.0, 0.05), (0.0, 0.3)]
 )
 def test_noise_alone_has_no_depth(slope: float, corner: float) -> None:
-    """Without what its own envelope does taken off it would have 0.1 … 0.3."""
+    """The depth would be 0.1 … 0.3 if what the noise's own envelope makes were not subtracted."""
     assert measures.am_depth(rough(20, 8, slope), STEP, corner * 1e3) < 0.04
 
 
@@ -194,6 +194,6 @@ def test_depth_is_the_same_however_much_of_chance_lies_below_the_corner() -> Non
 
 
 def test_noise_alone_has_no_corner_to_speak_of() -> None:
-    """Where there is none it is NaN or a guess; the depth at it stays that of chance."""
+    """The corner is NaN or a guess; the depth at it stays that of chance."""
     corner = measures.am_corner(rough(20, 13), STEP)
     assert math.isnan(corner) or measures.am_depth(rough(20, 13), STEP, corner) < 0.08

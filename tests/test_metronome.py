@@ -14,13 +14,13 @@ from tactile.bench.metronome import beat, beating
 
 BLOCKS, HELD_UP_AT, HELD_UP = 200, 80, 37e-3
 PERIOD = 2e-3
-"""s of docs/benchmarks.md's bare loop: a block of 16 samples at 8 kHz."""
+"""Period of the bare loop of docs/benchmarks.md: a block of 16 samples at 8 kHz [s]."""
 STEP = 1e-4
-"""s of lateness that count as one in what a beat tells."""
+"""Lateness that counts as one in what a beat tells [s]."""
 
 
 class Clock:
-    """One that passes by sleeping: a sleep takes too long, and the last one ends standard input."""
+    """Clock that passes by sleeping, for too long; the last sleep ends standard input."""
 
     def __init__(self, end: int) -> None:
         self.now, self.sleeps, self._end = 1000.0, 0, end

@@ -1,4 +1,4 @@
-"""What only an ideal bus promises: what was written it has played at once, and it remembers.
+"""Tests of promises of ideal buses alone: they have played what was written, and remember it.
 
 ``mock:`` and ``sim:`` play as fast as they are written to; what they share with all other buses
 is in `contract`.
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("plant")
 
 @pytest.mark.parametrize("bench", IDEAL, indirect=True)
 class TestEveryIdealBus:
-    """What holds for all of them."""
+    """Tests of what holds for all ideal buses."""
 
     def test_what_was_written_has_been_played(self, bench: Bench, three: Display) -> None:
         bus, volts = bench.open(three), noise(500)

@@ -185,7 +185,7 @@ def test_a_limit_is_kept_and_binds() -> None:
 
 @pytest.mark.ci
 def test_two_layers_at_rest_follow_the_closed_form_all_along_the_front() -> None:
-    """Length against shear: u = 3 d31 L²/(4 h²) per volt, without shim, load and losses."""
+    """Shear depends on length as u = 3 d31 L²/(4 h²) per volt, without shim, load and losses."""
     height = 0.3
     task = Task(
         bounds={"length_mm": LENGTHS},
@@ -204,7 +204,7 @@ def test_two_layers_at_rest_follow_the_closed_form_all_along_the_front() -> None
 
 @pytest.mark.ci
 def test_shear_against_footprint_follows_a_spring_and_a_cantilever() -> None:
-    """Per volt u0 k/(k + k0), 1/k = l³/3EI + l/AG, with EI and AG as the width."""
+    """Shear per volt is u0 k/(k + k0), 1/k = l³/3EI + l/AG, with EI and AG as the width."""
     length, height = 20e-3, 0.3e-3
     task = Task(
         bounds={"width_mm": WIDTHS},
@@ -230,7 +230,7 @@ def test_shear_against_footprint_follows_a_spring_and_a_cantilever() -> None:
 
 @pytest.mark.ci
 def test_a_robust_figure_is_that_of_random_fingers_and_parts() -> None:
-    """Against independent draws; the error is that of a quantile of as many scenarios as ours."""
+    """Independent draws are the reference, up to the error of a quantile of as many scenarios."""
     count, draws, share = 256, 4000, 0.9
     scenarios = draw_scenarios(count)
     task = Task(
@@ -266,7 +266,7 @@ def test_a_robust_figure_is_that_of_random_fingers_and_parts() -> None:
 
 
 def test_what_a_share_attains_is_the_low_end_of_more_and_the_high_end_of_less() -> None:
-    """Of n draws the k-th lowest has k/(n + 1) below it on average (Weibull): 1.2, 10.8 of 11."""
+    """The k-th lowest of n draws has k/(n + 1) below it on average (Weibull): 1.2, 10.8 of 11."""
     values = np.arange(11.0)[None]
     assert attained(values, 0.9, 1) == pytest.approx([0.2])
     assert attained(values, 0.9, -1) == pytest.approx([9.8])
@@ -321,7 +321,7 @@ def attained_by_90(values: Floats) -> float:
 
 
 def test_the_knee_of_a_hyperbola_is_where_it_lies_farthest_from_its_chord() -> None:
-    """Of y = 1/x from 1/4 to 4 the chord has slope −1, and so has the curve at x = 1."""
+    """The chord of y = 1/x from 1/4 to 4 has slope −1, and so has the curve at x = 1."""
     x = np.geomspace(0.25, 4, 401)
     front = xarray.Dataset(
         {
@@ -378,7 +378,7 @@ def test_what_cannot_be_asked_is_one_clear_line(line: str) -> None:
 
 @pytest.mark.parametrize("objectives", [("footprint",), pytest.param(WISHES, marks=pytest.mark.ci)])
 def test_a_limit_that_nothing_meets_comes_with_the_nearest(objectives: tuple[str, ...]) -> None:
-    """Standing length is the free one and 5 mm of clamp, 13 mm at the least."""
+    """The standing length is the free length and 5 mm of clamp, at least 13 mm."""
     task = Task(
         bounds=BOUNDS,
         objectives=objectives,

@@ -1,4 +1,4 @@
-"""OSC: what engines send, read as python-osc writes it, and what nobody should send.
+"""Tests of OSC: packets of engines, read as python-osc writes them, and bad packets.
 
 The judge of what is OSC is python-osc, where it comes to an end; it hangs on one packet here.
 """
@@ -53,7 +53,7 @@ async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.s
             yield there, hands, link
 
 
-# What is read
+# Decoding
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_bundles_nested_as_deep_as_a_packet_holds_are_read() -> None:
         read_packet(bytes(4097))
 
 
-# What it means
+# Meaning
 
 
 @pytest.mark.parametrize(

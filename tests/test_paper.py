@@ -47,7 +47,7 @@ def test_either_finger_predicts_the_other(found: dict[str, Claim]) -> None:
 def test_the_wrong_sign_is_that_of_two_springs_at_rest(
     found: dict[str, Claim],
 ) -> None:
-    """At rest the tip's spring k and the finger's S give (k + S)/(k − S); motion adds 0.1 dB."""
+    """The tip's spring k and the finger's S give (k + S)/(k − S) at rest; motion adds 0.1 dB."""
     k, S = blocked_force(Bimorph(), 0)[1][0].real, 1000.0
     value = found["most that the printed sign of the load is wrong by"].found
     assert 0 <= value - 20 * np.log10((k + S) / (k - S)) < 0.1

@@ -18,7 +18,7 @@ from tactile.bus.chips.drv2667 import Drv2667
 from tactile.clock import ModelClock
 from tactile.errors import BusStateError
 
-# What goes wrong
+# Faults
 
 
 class Faults:

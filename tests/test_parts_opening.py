@@ -37,7 +37,7 @@ def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[int | tuple[int, int
 
 
 class chips_of:  # noqa: N801
-    """Where the fixture leaves its clock."""
+    """Holder of the clock that the fixture uses."""
 
     clock: ModelClock
 

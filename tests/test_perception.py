@@ -20,9 +20,9 @@ from tactile.texture.perception import (
 
 TABLE = Path(__file__).parents[2] / "shared" / "data" / "perception_thresholds.csv"
 ROUNDED = 5e-3
-"""Relative: the table has three digits."""
+"""Relative error: the table has three digits."""
 CENTERS = 10 ** (np.arange(32) / 10)
-"""Hz: the third octaves from 1 Hz to 1 kHz, and one above (IEC 61260-1)."""
+"""Center frequencies of the third octaves from 1 Hz to 1 kHz, and one above (IEC 61260-1) [Hz]."""
 
 
 def line(frequency: float, db_above: float) -> tuple[Floats, Floats]:
@@ -106,7 +106,7 @@ def test_the_most_sensitive_channel_sets_the_threshold() -> None:
 
 @pytest.mark.parametrize("name", TOUCH_CHANNELS)
 def test_below_1_hz_a_channel_s_threshold_is_held_as_the_whole_s_is(name: str) -> None:
-    """And not before: all of them have a point of their own at 1 Hz, and none twice."""
+    """All channels have a point of their own at 1 Hz, and none has it twice."""
     channel = TOUCH_CHANNELS[name]
     held = channel.threshold(np.array([0.0, 0.4, 0.9, 1.0]))
     np.testing.assert_allclose(held, held[-1], rtol=1e-12)
@@ -155,7 +155,7 @@ def test_assumed_parts_of_the_curves_are_those_that_their_sources_state() -> Non
 
 
 def test_a_channel_is_alone_up_to_the_threshold_of_the_next() -> None:
-    """At 250 Hz from 0.1 to 3.16 µm, where Ruffini's is."""
+    """The range at 250 Hz is 0.1 to 3.16 µm, where the threshold of Ruffini's channel is."""
     at = np.array([250.0])
     assert TOUCH_CHANNELS["P"].selective_range_db(at) == pytest.approx(29.99, abs=0.01)
     assert TOUCH_CHANNELS["NP II"].selective_range_db(at) == pytest.approx(-29.99, abs=0.01)

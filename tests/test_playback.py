@@ -47,7 +47,7 @@ def test_place_and_force_belong_to_their_time(case: tuple[Trajectory, Played]) -
 
 
 def test_the_speed_is_the_fingers_at_the_blocks_end(case: tuple[Trajectory, Played]) -> None:
-    """To what a path's kinks, up to 10 m/s² apart, leave of a difference over two samples."""
+    """Errors are what kinks of a path, up to 10 m/s² apart, leave of a difference of samples."""
     trajectory, p = case
     for block in p.blocks:
         before, after = (trajectory.at(block.time[-1] + side)[0] for side in (-1e-5, 1e-5))
@@ -118,7 +118,7 @@ def test_target_and_drive_begin_and_end_at_0(case: tuple[Trajectory, Played]) ->
 
 
 def test_no_jump_is_put_out_at_either_end(display: Display, oak: Texture) -> None:
-    """On a steady stroke the fades' largest step is no larger than that between them."""
+    """The largest step of the fades of a steady stroke is no larger than that between them."""
     p = played(display, oak, stroke(0.5))
     step = np.abs(np.diff(p.bus.output, axis=0)).max(axis=1)
     usual = step[FADE + 32 : -2 * FADE - 32].max()
@@ -129,7 +129,7 @@ def test_no_jump_is_put_out_at_either_end(display: Display, oak: Texture) -> Non
 def test_a_stroke_shorter_than_two_fades_never_reaches_full_shear(
     display: Display, oak: Texture
 ) -> None:
-    """In 30 ms the fade comes to half of its way, where half a cosine is one half."""
+    """The fade comes to half of its way in 30 ms, where half a cosine is one half."""
     trajectory = stroke(0.03)
     shear = played(display, oak, trajectory).all("shear")
     full = render(display, oak, trajectory, sample_rate=RATE).shear

@@ -1,4 +1,4 @@
-"""What playback does by itself: it watches the latch and the server's signs of life.
+"""Tests of the playback process, which watches the latch and the server's signs of life.
 
 The loop is turned by hand and time is passed in; the bus is the mock amplifier.
 """
@@ -31,9 +31,10 @@ ARM, DISARM = m.ArmDisplay(display=NAME), m.DisarmDisplay(display=NAME)
 BLOCK = 16
 ME = 1
 WATCH = 5e-3
-"""s between looks at the latch and the server."""
+"""Interval between looks at the latch and the server [s]."""
 SILENCE = 0.15
-"""s without a heartbeat after which all fades and is disarmed, as docs/guide/server.md says."""
+"""Time without a heartbeat after which all fades and is disarmed, as docs/guide/server.md says
+[s]."""
 
 
 @dataclass
@@ -199,7 +200,7 @@ def test_an_e_stop_of_the_amplifier_is_latched_with_a_number(playing: Stage) -> 
 def test_an_e_stop_of_an_amplifier_that_is_e_stopped_has_a_number_of_its_own(
     playing: Stage,
 ) -> None:
-    """Else a clear of the first would end the second, which came a moment before."""
+    """A clear of the first would otherwise end the second, which came a moment before."""
     playing.latch.trip("by a program")
     playing.play(0.05)
     playing.bus.estop()

@@ -1,4 +1,4 @@
-"""Whole runs: what the skin did, what is recorded and told, and what goes wrong.
+"""Tests of whole runs: movement of the skin, recordings, reports, and faults.
 
 The whole chain is judged by its end: what the simulated skin did against what it was to do.
 """
@@ -31,7 +31,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture
 
-# What the skin did
+# Movement of the skin
 
 
 def heard(shear: Floats) -> Floats:
@@ -65,7 +65,7 @@ def test_the_skin_follows_an_oak_over_the_whole_recording(
 def test_one_sample_of_misalignment_would_be_noticed(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:
-    """What the 45 dB are worth: shifted by one sample of 125 µs the same recording fails."""
+    """The same recording, shifted by one sample of 125 µs, fails the 45 dB."""
     run(display, oak, stroke(1.0), device="sim:", record=tmp_path / "oak.npz")
     r = recorded(tmp_path / "oak.npz")
     for shift in (-1, 1):
@@ -236,7 +236,7 @@ def test_an_oak_that_is_too_strong_is_limited_and_the_summary_says_so(
 def test_memory_does_not_grow_with_the_length_of_a_run(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:
-    """Past the second that the bus keeps, 0.3 s more would be 1.4 MB of drive and two shears."""
+    """Another 0.3 s beyond the second that the bus keeps would be 1.4 MB of drive, two shears."""
     used: list[int] = []
 
     def watch(block: PlayedBlock, renderer: Renderer) -> None:
@@ -251,7 +251,7 @@ def test_memory_does_not_grow_with_the_length_of_a_run(
     assert used[late] - used[early] < 0.1e6
 
 
-# What goes wrong
+# Faults
 
 
 class Failing:

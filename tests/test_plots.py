@@ -1,4 +1,4 @@
-"""The figures: what their lines say, that files are written, and that matplotlib may be missing."""
+"""Tests of the figures: their lines, the files that are written, and a missing matplotlib."""
 
 import itertools
 import subprocess

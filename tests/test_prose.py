@@ -1,19 +1,21 @@
-"""The words of the house: how docstrings begin, and that the public interface is documented.
+"""Tests of the language: how docstrings begin, and that the public interface is documented.
 
 A docstring is understandable with the line above it hidden. It begins with a verb (functions) or a
-noun (values), never with a preposition, a pronoun or a bare unit. Every public function has
-sections for what it takes, returns and yields, which numpydoc's own validator checks.
+noun (values), never with a preposition, a pronoun, a conjunction or a bare unit. Every public
+function has sections for what it takes, returns and yields, which numpydoc's own validator checks.
 """
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 PROJECT = Path(__file__).parents[1]
 ROOTS = ("tactile", "firmware_protocol", "benchmarks")
+AROUND = ("tests", ".ci", "docs", "examples")
+"""Folders beside the product whose docstrings are to begin like those of the product."""
 DANGLING = {
     "about", "above", "across", "after", "against", "along", "among", "around", "as", "at",
     "before", "behind", "below", "beneath", "beside", "besides", "between", "beyond", "by",
@@ -22,11 +24,12 @@ DANGLING = {
     "to", "toward", "towards", "under", "until", "up", "upon", "with", "within", "without",
     "he", "her", "hers", "his", "it", "its", "she", "that", "their", "them", "they", "this",
     "these", "those", "which", "who", "whom", "whose",
+    "also", "and", "because", "but", "else", "nor", "or", "otherwise", "so",
 }  # fmt: skip
-"""Words that no docstring begins with: prepositions and pronouns."""
+"""Words that no docstring begins with: prepositions, pronouns and conjunctions."""
 UNITS = {
     "s", "ms", "µs", "us", "ns", "Hz", "kHz", "MHz", "V", "mV", "mA", "m", "mm", "µm", "um",
-    "nm", "N", "mN", "rad", "deg", "dB", "F", "nF", "Pa", "kg", "ppm",
+    "nm", "N", "mN", "rad", "deg", "dB", "F", "nF", "Pa", "GPa", "kg", "ppm", "m/s", "V/s", "m/V",
 }  # fmt: skip
 """Units that no docstring begins with; the unit stands in brackets behind the noun."""
 COVERAGE = 0.95
@@ -36,9 +39,9 @@ CHECKED = {"GL08", "PR01", "PR02", "PR03", "PR07", "RT01", "RT03", "YD01"}
 in their order and with a description, and what is returned or yielded."""
 
 
-def sources() -> dict[str, Path]:
-    """Return the path of each module by its name in files."""
-    paths = [path for root in ROOTS for path in sorted((PROJECT / root).rglob("*.py"))]
+def sources(roots: Iterable[str] = ROOTS) -> dict[str, Path]:
+    """Return the path of each module in some folders by its name in files."""
+    paths = [path for root in roots for path in sorted((PROJECT / root).rglob("*.py"))]
     return {path.relative_to(PROJECT).as_posix(): path for path in paths}
 
 
@@ -59,7 +62,7 @@ def docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def is_dangling(docstring: str) -> bool:
-    """Return whether a docstring begins with a preposition, a pronoun or a bare unit."""
+    """Return whether a docstring begins with a word that needs the line above it."""
     words = re.findall(r"[^\s,;:.()]+", docstring)
     return bool(words) and (words[0] in UNITS or words[0].lower() in DANGLING)
 
@@ -70,6 +73,8 @@ def is_dangling(docstring: str) -> bool:
         ("Of a client, that wait.", True),
         ("s between looks at the queue.", True),
         ("Hz of the bus.", True),
+        ("V/s of the display.", True),
+        ("Also at rest.", True),
         ("In a row.", True),
         ("Its name.", True),
         ("Maximum number of requests that one client may have queued.", False),
@@ -85,7 +90,7 @@ def test_a_docstring_that_hangs_in_the_air_is_seen(docstring: str, *, dangling: 
 def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
     begun = [
         f"{name}:{line}: {text.splitlines()[0]}"
-        for name, path in sources().items()
+        for name, path in sources((*ROOTS, *AROUND)).items()
         for line, text in docstrings(ast.parse(path.read_text("utf-8")))
         if is_dangling(text)
     ]

@@ -210,7 +210,7 @@ def test_harmed_transfers_give_the_same_packets_and_counts(pipe: Pipe) -> None:
 
 
 def test_sample_formats_are_read_and_written_alike(pipe: Pipe) -> None:
-    """Loud, quiet and clamped codes; and bytes that no encoder makes."""
+    """Codes are loud, quiet and clamped; some bytes are such as no encoder makes."""
     rng = np.random.default_rng(5)
     records: list[Record] = []
     expected: list[bytes] = []

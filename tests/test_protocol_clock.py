@@ -54,7 +54,7 @@ def steady(n: int, begin: float = 0.0, **link: float) -> list[Exchange]:
 
 @pytest.mark.parametrize("n", [1, 2, 8, 100])
 def test_a_constant_delay_gives_the_clock_exactly(n: int) -> None:
-    """To 2 ns: timestamps are rounded to 1 ns."""
+    """Times agree to 2 ns: timestamps are rounded to 1 ns."""
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, steady(n))
     for t in (0.0, n * 0.25, n * 0.25 + 1):
@@ -101,7 +101,7 @@ def test_the_round_trip_is_the_shortest_of_the_last_eight_without_the_amplifiers
 
 
 def test_a_spike_does_not_move_the_estimate() -> None:
-    """Seven others bound it more tightly from both sides."""
+    """Seven other exchanges bound the clock more tightly from both sides."""
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, [*steady(20), exchange(5.0, back=3.0), *steady(5, 8.5)])
     feed(estimator, [exchange(9.75, out=0.1)])
@@ -132,7 +132,7 @@ def test_both_directions_are_monotonic_and_each_others_inverse(
     assert back_again == pytest.approx(times, abs=2e-9)
 
 
-# What must not hurt it
+# Disturbances
 
 
 GOOD = exchange(10.0)
@@ -185,7 +185,7 @@ def test_stamps_that_are_more_than_one_off_are_refused() -> None:
 def test_between_exchanges_stamps_may_be_one_tick_off(
     pause: float, after: int, goes_on: bool
 ) -> None:
-    """Of ticks of 1 ms: stamps that are alike are less than one tick apart.
+    """Stamps in ticks of 1 ms that are equal are less than one tick apart.
 
     One that is a tick later may have come right after; of two ticks one at least has passed.
     """
@@ -206,7 +206,7 @@ NUMBER = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1
 @example([(0.0, 0, 0, 988.0)])  # what follows is possible by it, and was 3 s off
 @settings(max_examples=300)
 def test_no_exchange_whatever_raises_or_stays(junk: list[tuple[float, int, int, float]]) -> None:
-    """After any junk, as many exchanges as fill its memory give the clock again."""
+    """Exchanges that fill the memory give the clock again after any junk."""
     estimator = ClockEstimator(TICK_HZ)
     for t1, t2, t3, t4 in junk:
         estimator.add(t1, t2, t3, t4)
@@ -223,7 +223,7 @@ def test_no_exchange_whatever_raises_or_stays(junk: list[tuple[float, int, int, 
     ids=["backward", "forward"],
 )
 def test_an_amplifier_that_restarts_is_begun_anew(start: int, leap: int) -> None:
-    """Its ticks run backward, or jump beyond any oscillator's drift, as three exchanges say."""
+    """The ticks run backward, or jump beyond any oscillator's drift, as three exchanges say."""
     estimator = ClockEstimator(TICK_HZ)
     feed(estimator, steady(100, 20.0, drift_ppm=30.0))
     assert estimator.locked
@@ -245,7 +245,7 @@ def held_up(begin: float, asked: float, end: float, back: float) -> Exchange:
 @pytest.mark.parametrize("times", [1, 3, 50])
 @pytest.mark.parametrize("stale", [3e-3, 0.02, 0.1])
 def test_an_amplifier_that_is_held_up_moves_nothing_however_often(stale: float, times: int) -> None:
-    """It says that it received before it was asked; the host reads soon, or as late as it does."""
+    """The amplifier says that it received before it was asked; the host reads soon or late."""
     for back in (BACK, stale + 2e-3):
         estimator = ClockEstimator(TICK_HZ)
         feed(estimator, steady(20, 5.0))
@@ -258,7 +258,7 @@ def test_an_amplifier_that_is_held_up_moves_nothing_however_often(stale: float, 
 
 
 def test_one_that_is_held_up_each_time_is_known_as_far_as_it_can_be() -> None:
-    """To the half of what lies between question and answer."""
+    """The error is at most half of the time between question and answer."""
     estimator = ClockEstimator(TICK_HZ)
     late = [held_up(at - 9e-3, at, at + 2e-3, BACK) for at in (10 + 0.25 * k for k in range(40))]
     feed(estimator, late)

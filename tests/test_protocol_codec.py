@@ -82,7 +82,7 @@ CODE = st.integers(-32767, 32767) | st.sampled_from([-32767, -32760, -24, -8, 8,
 
 @st.composite
 def code_arrays(draw: st.DrawFn) -> Codes:
-    """Codes (S, C), loud and quiet ones."""
+    """Draw sample codes (S, C), loud and quiet ones."""
     shape = draw(st.integers(1, 70)), draw(st.integers(1, 5))
     loudness = draw(st.sampled_from([1, 100, 127, 128, 255, 4000, 32640, 32767]))
     seed = draw(st.integers(0, 2**32 - 1))
@@ -93,7 +93,7 @@ def code_arrays(draw: st.DrawFn) -> Codes:
 
 
 def test_every_code_is_packed_as_python_integers_say() -> None:
-    """PCM12, all 65535 of them, alone and as pairs."""
+    """All 65535 codes are packed as PCM12, alone and in pairs."""
     codes = np.arange(-32767, 32768, dtype=np.int16)
     expected = slow_pcm12(codes.tolist())
     assert samples.encode(SampleFormat.PCM12, codes[:, None]) == expected
@@ -224,7 +224,7 @@ def any_message(described: dict[str, Any], rng: random.Random) -> Message:
 
 @each_message
 def test_an_unknown_tail_is_ignored(described: dict[str, Any]) -> None:
-    """But for a body, which ends where the payload does."""
+    """A body is the exception: it ends where the payload does."""
     rng = random.Random(1)
     for size in range(20):
         message = any_message(described, rng)
@@ -236,7 +236,7 @@ def test_an_unknown_tail_is_ignored(described: dict[str, Any]) -> None:
 
 @each_message
 def test_a_missing_tail_reads_as_0_and_a_missing_head_is_none(described: dict[str, Any]) -> None:
-    """Wherever it is cut: of a field that is cut, the missing bytes are 0."""
+    """The missing bytes of a field that is cut are 0, wherever it is cut."""
     message = any_message(described, random.Random(2))
     kind, payload = type(message), message.pack()
     for kept in range(kind.HEAD.size):

@@ -15,7 +15,7 @@ RUNS = {
     "formats": 2500,
     "amplifier": 400,
 }
-"""About 1.5 s each."""
+"""Number of runs of each kind, which take about 1.5 s each."""
 
 
 def rubbish(rng: random.Random) -> bytes:

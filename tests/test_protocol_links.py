@@ -64,7 +64,7 @@ def test_a_frame_as_long_as_the_limit_is_a_packet_and_a_longer_one_is_not(cut: i
 
 
 def test_both_forms_of_a_packet_that_ends_with_254_bytes_other_than_0_are_taken() -> None:
-    """Also where it is as long as the limit."""
+    """One of the packets is as long as the limit."""
     candidates = (Packet(0x10, bytes([k]) * 246, 0x40, 1, 1) for k in range(1, 256))
     packet = next(p for p in candidates if 0 not in encode_packet(p))
     shorter = encode_frame(encode_packet(packet))
@@ -77,7 +77,7 @@ def test_both_forms_of_a_packet_that_ends_with_254_bytes_other_than_0_are_taken(
 def test_any_cut_of_a_stream_gives_the_same_packets(
     sent: list[Packet], data: st.DataObject
 ) -> None:
-    """Whatever stray zeros and rubbish lie between them, packets and counts are the same."""
+    """Packets and counts are the same whatever stray zeros and rubbish lie between them."""
     noise = st.binary(max_size=20).map(lambda b: b + b"\0") | st.just(b"\0\0")
     stream = b"".join(data.draw(noise) + encode_frame(encode_packet(p)) for p in sent)
     whole = SerialDecoder()
@@ -96,7 +96,7 @@ def test_any_cut_of_a_stream_gives_the_same_packets(
     st.binary(max_size=300) | st.lists(st.sampled_from([0, 1, 2, 9, 255]), max_size=300).map(bytes)
 )
 def test_any_stream_is_counted_as_the_rules_say(stream: bytes) -> None:
-    """Frame by frame with the slow COBS: nothing raises, nothing is counted twice or not at all."""
+    """The slow COBS decodes frame by frame; nothing raises, everything is counted once."""
     limit = 40
     expected = LinkCounters()
     for frame in stream.split(b"\0")[:-1]:
@@ -160,7 +160,7 @@ def test_can_frames_are_those_of_the_slow_rule(fd: bool, packets: list[Packet]) 
 def test_interleaved_transfers_of_nodes_arrive(
     fd: bool, extended: bool, packets: list[Packet], data: st.DataObject
 ) -> None:
-    """Up to four at once, in any order that keeps each one's own: all come, whole."""
+    """All of up to four at once arrive whole, in any order that keeps each one's own."""
     encoder, decoder = can_pair(fd=fd, extended=extended)
     waiting = [frames for p in packets if (frames := encoder.frames(p))]
     mixed: list[Frame] = []

@@ -82,7 +82,7 @@ def lowered(config: AmplifierConfig, rate: int, limits: tuple[int, int, int]) ->
 def test_a_silent_owner_leaves_0_volt_in_170_ms_and_an_instant(
     name: str, rate: int, limits: tuple[int, int, int]
 ) -> None:
-    """High voltage off as well. With 50 ms of heartbeats that lay queued that is 220 ms."""
+    """High voltage is off as well. With 50 ms of heartbeats that were queued it takes 220 ms."""
     rig = lowered(CONFIGS[name], rate, limits)
     hz, judge = rig.config.tick_hz, rig.judge
     assert judge is not None
@@ -110,7 +110,7 @@ def test_what_bounds_the_fall_is_reached(fade_us: int, step: int, fade: int, ins
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
-    """And are the least: "low slew" could not be armed at all rates with 1 V/s less."""
+    """The limits are the least: "low slew" could not be armed at all rates with 1 V/s less."""
     c = CONFIGS[name]
     rates = range(c.rate_min_hz, c.rate_max_hz + 1)
     voltage, slew = c.voltage_limit_uv, c.slew_limit_v_per_s
@@ -121,7 +121,7 @@ def test_the_hardware_s_own_limits_are_armed_at_every_rate(name: str) -> None:
 
 @pytest.mark.parametrize("rate", [1000, 1049, 1599, 1600])
 def test_limits_are_taken_in_codes_at_the_rate(rate: int) -> None:
-    """One code per step too little, and neither LIMITS nor ARM takes it: RANGE, 2."""
+    """A slew of one code per step too little is refused by LIMITS and ARM: RANGE, 2."""
     config = CONFIGS["low slew"]
     least = -(-9830 // (rate // 50))
     slew = -(least * 200_000_000 * rate // -(32767 * 10**6))
@@ -190,7 +190,7 @@ def test_the_address_changes_in_idle_and_safe_only(state: str) -> None:
 
 
 def test_a_second_host_changes_no_code_that_is_put_out() -> None:
-    """It sends everything it can but ESTOP, to the address and to all, between any two packets."""
+    """The second host sends all it can but ESTOP, to the address and to all, between packets."""
     config, rng = CONFIGS["fast ticks"], Random(5)
     rig = loud(Rig(config), 2_000)
     rig.packet(packet("STOP", OWNER, 0))
@@ -217,7 +217,7 @@ def test_a_second_host_changes_no_code_that_is_put_out() -> None:
 
 
 def test_a_host_that_never_reads_costs_no_memory() -> None:
-    """What is sent and not taken is dropped and counted."""
+    """Packets that are sent and not taken are dropped and counted."""
     rig = Rig(CONFIGS["as shipped"], judged=False)
     rig.packet(packet("HELLO", OWNER, 1, 0, 0))
     before = rig.memory()

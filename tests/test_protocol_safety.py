@@ -40,7 +40,7 @@ def assert_same(rig: Rig, program: Path, at: Path) -> None:
 
 
 def assert_bounded(rig: Rig) -> None:
-    """Nothing that came is kept for longer than its use."""
+    """Check that nothing received is kept for longer than its use."""
     c = rig.config
     frames = 5 * c.channels * (16 * c.carriers + 300)
     assert rig.memory() < 10_000 + 20 * c.fifo * c.channels + frames
@@ -148,7 +148,7 @@ def test_no_long_story_breaks_a_rule_of_safety(name: str) -> None:
 
 
 def test_the_table_of_states_is_read_whole() -> None:
-    """What the judge knows of states comes from the document: 12 events in 7 states."""
+    """The judge has its table of states from the document: 12 events in 7 states."""
     assert STATES == ("IDLE", "ARMED", "RUNNING", "RAMPDOWN", "SAFE", "FAULT", "ESTOP")
     assert len(TABLE) == 12
     assert all(len(cells) == len(STATES) for cells in TABLE.values())

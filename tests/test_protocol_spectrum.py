@@ -134,7 +134,7 @@ def drawn(seed: int, channels: int, carriers: int, loudest: int) -> dict[str, ND
 @pytest.mark.parametrize("loudest", [180, 255])
 @pytest.mark.parametrize("position", [0, 123_456_789, TURN - 9])
 def test_output_is_that_of_whole_numbers_to_the_last_bit(position: int, loudest: int) -> None:
-    """Also across the wrap of the position, and where the sum is clamped."""
+    """Positions cross their wrap, and some sums are clamped."""
     r, samples = drawn(position % 97 + loudest, 3, 5, loudest), 23
     increments = r["increments"].astype(np.uint32)
     step_i, step_q = (wire.ramp_step(r[f"{x}0"], r[f"{x}1"], samples) for x in "iq")

@@ -69,7 +69,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], s
 
 @pytest.fixture(scope="session")
 def decoded_in_c(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """Of each vector of messages.json the lines that C says about it."""
+    """Return the lines that C prints for each vector of messages.json."""
     folder = tmp_path_factory.mktemp("messages")
     (folder / "messages.c").write_text(messages_program(), "utf-8")
     run(

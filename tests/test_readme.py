@@ -1,4 +1,4 @@
-"""README.md and the pages of docs/ say what runs: Python lines, commands and files that exist."""
+"""Tests of README.md and docs/: Python lines and commands run, and linked files exist."""
 
 import re
 import subprocess
@@ -27,7 +27,7 @@ DOCUMENTS = {
 LINKS = [(name, target) for name, text in DOCUMENTS.items() for target in
          re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)]  # fmt: skip
 MADE = ("generated/", "/generated/", "../generated/")
-"""Where links of the site lead to pages that `docs/generate.py` writes; Sphinx checks these."""
+"""Beginnings of links to pages that `docs/generate.py` writes; Sphinx checks these."""
 PYTHON = r"^```python\n(.*?)^```"
 RUN = [name for name, text in DOCUMENTS.items() if "docs/tutorials" not in name and
        re.search(PYTHON, text, re.DOTALL | re.MULTILINE)]  # fmt: skip

@@ -119,7 +119,7 @@ def test_capacitances_are_the_printed_ones() -> None:
 
 @pytest.mark.parametrize("length", [5e-3, 20e-3, 45e-3])
 def test_finer_elements_change_nothing(length: float) -> None:
-    """Twice the elements of a higher order agree to 1e-8 from 1 Hz to 20 kHz."""
+    """Twice as many elements of a higher order agree to 1e-8 from 1 Hz to 20 kHz."""
     beam = replace(BEAM, length=length)
     usual = figures(response(beam, FREQUENCIES, point=0.7 * length))
     finer = figures(response(beam, FREQUENCIES, point=0.7 * length, segments=12, order=13))
@@ -188,7 +188,7 @@ def test_natural_frequencies_are_zeros_of_the_exponential() -> None:
 
 
 def test_slender_beam_has_the_textbook_frequencies() -> None:
-    """Without shear and rotary inertia a cantilever's (beta l)^2 is 3.5160, 22.034, 61.697."""
+    """The (beta l)^2 of a cantilever without shear and rotary inertia is 3.5160, 22.034, 61.697."""
     slender = replace(BEAM, length=1.0, s55E=44e-15, shim_s55=1 / 4.5e12)
     part = section(lossless(slender))
     unit = np.sqrt(part.bending.real / part.mass) / (2 * np.pi)
@@ -204,7 +204,7 @@ def test_shimless_bimorph_deflects_by_the_textbook_formula() -> None:
 
 
 def test_losses_turn_the_phases_as_printed() -> None:
-    """With one material alone, d lags by tan theta and the stiffness leads by 1/Q."""
+    """One material alone makes d lag by tan theta and the stiffness lead by 1/Q."""
     bare = replace(BEAM, shim_height=0.0)
     moved, still = (response(beam, 0).displacement[0] for beam in (bare, lossless(bare)))
     assert moved / still == pytest.approx(1 - 0.01j, rel=1e-9)
@@ -236,7 +236,7 @@ def test_equalizing_takes_the_printed_shaping(
 
 
 def test_point_lies_on_the_static_parabola() -> None:
-    """Without load the static moment is constant, so u(x) = u(l) (x/l)^2 at any x."""
+    """The static moment without load is constant, so u(x) = u(l) (x/l)^2 at any x."""
     tip = response(BEAM, 0).displacement[0]
     for share in (0.0, 0.1, 1 / 3, 0.5, 0.95, 1.0):
         at = response(BEAM, 0, point=share * BEAM.length).at_point[0]
@@ -247,7 +247,7 @@ def test_point_lies_on_the_static_parabola() -> None:
 
 @pytest.mark.parametrize("axial_force", [5.0, -5.0])
 def test_axial_force_acts_as_in_the_static_closed_form(axial_force: float) -> None:
-    """With F = 0 the page's EI psi'' = N psi gives sinh (tension) or sin (compression)."""
+    """The page's EI psi'' = N psi, with F = 0, gives sinh (tension) or sin (compression)."""
     part = section(BEAM)
     wave = np.sqrt(complex(axial_force) / part.bending)
     reach = wave * BEAM.length
@@ -282,7 +282,7 @@ def test_passive_extension_goes_on_straight() -> None:
 
 @pytest.mark.parametrize("load", [None, LOW_FINGER, WALL])
 def test_bimorph_never_gives_power_away(load: Load | None) -> None:
-    """With the page's signs of the losses the conductance is positive at every frequency."""
+    """The conductance with the page's signs of the losses is positive at every frequency."""
     frequencies = np.geomspace(1, 20e3, 60)
     assert np.all(response(BEAM, frequencies, load=load).admittance.real > 0)
 

@@ -46,10 +46,10 @@ from tactile.texture.relief_texture import texture_of
 from tactile.texture.surface import load_texture
 
 PRESSURE, MODULUS = 5e3, 50e3
-"""Pa of a fingertip on what it touches, and its E*."""
+"""Pressure of a fingertip on what it touches, and effective modulus E* of the fingertip [Pa]."""
 GAIN = math.hypot(0.4, 2 * PRESSURE / MODULUS) / 3
-"""µm of skin per µm of relief: friction of 0.4 and the normal traction, in a patch that moves three
-times as much as the skin beside it: 0.15."""
+"""Movement of the skin per relief [µm/µm]: friction of 0.4 and the normal traction, in a patch that
+moves three times as much as the skin beside it, give 0.15."""
 
 # Gratings
 
@@ -146,7 +146,7 @@ def test_an_isotropic_field_makes_an_isotropic_texture_that_a_surface_can_have(
     [(-40, 15), *(pytest.param(*p, marks=pytest.mark.ci) for p in ((0, 8), (90, 25), (70, 40)))],
 )
 def test_a_directional_field_has_its_direction_and_spread(degrees: float, spread: float) -> None:
-    """Spread within 20 %, direction within 3°, as the mean of three fields."""
+    """The spread is within 20 %, the direction within 3°, as the mean of three fields."""
     found = [
         orientation_of(spectrum_of(field(seed, along(degrees, spread))[::-1], PIXEL))
         for seed in range(3)
@@ -260,7 +260,7 @@ def test_an_envelope_is_found_with_its_depth_and_the_kurtosis_it_makes() -> None
 
 
 def test_the_share_in_contact_is_that_of_a_diffusion_that_ends_at_zero() -> None:
-    """Pressure spread in small steps on a grid, what reaches zero is lost."""
+    """The reference spreads pressure in small steps on a grid; what reaches zero is lost."""
     slope = 0.25
     spread = MODULUS * slope / 2
     step = PRESSURE / 30

@@ -400,7 +400,7 @@ class Counted(RealizedLayer):
 def test_after_going_over_to_another_texture_that_one_alone_plays(
     display: tactile.Display,
 ) -> None:
-    """At its gain; what fell silent is not rendered any more, until it plays again."""
+    """The second plays at its gain; the silent one is no longer rendered until it plays again."""
     first, second = (Counted(display, plain(name)) for name in ("wood-oak", "leather-calf"))
     changing, alone = tactile.Renderer(display, None), tactile.Renderer(display, None)
     place = np.column_stack([np.arange(6400) * 1e-5, np.zeros(6400)])
@@ -444,7 +444,7 @@ def test_another_sample_rate_asks_the_same_of_the_skin(display: tactile.Display)
 
 
 def test_the_lowest_rate_of_narrow_links_keeps_the_band(display: tactile.Display) -> None:
-    """Played on the plant, which shares nothing with the filter: as at 8 kHz, within 4 dB."""
+    """The plant, which shares nothing with the filter, gives the same as at 8 kHz within 4 dB."""
     texture, path = tactile.load_texture("wood-pine-sanded"), tactile.Trajectory.line(speed=0.08)
     usual, lowest = (
         play(display, texture, path, sample_rate=rate).signal_to_error_db for rate in (8000, 2500)

@@ -30,7 +30,7 @@ FREQUENCY = np.arange(0.0, 1001.0, 100.0)
 
 
 class Walk(HTMLParser):
-    """Checks that elements nest, and keeps what refers to something and what is said."""
+    """Parser that checks that elements nest, and keeps references and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -35,7 +35,8 @@ pytestmark = pytest.mark.usefixtures("patient")
 
 
 MOST_REQUESTS = 32
-"""That wait for one client; who sends more does not wait for answers."""
+"""Largest number of requests that may wait for one client; a client that sends more does not wait
+for answers."""
 
 # Both encodings, every kind of message
 

@@ -1,4 +1,4 @@
-"""What is wrong is told to who sent it, with a code and a field, and the stream goes on."""
+"""Tests of bad input: its sender is told, with a code and a field, and the stream goes on."""
 
 import json
 from typing import Any
@@ -15,7 +15,7 @@ from tactile.server.decoding import ENCODINGS, hint, read_estop
 from tactile.server.rates import TokenBucket
 
 LARGEST_MESSAGE = 64 * 1024
-"""Bytes; of up to twice as many it is said what is wrong."""
+"""Largest message [bytes]; for up to twice as many the answer says what is wrong."""
 
 pytestmark = pytest.mark.usefixtures("patient")
 

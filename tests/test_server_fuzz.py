@@ -1,4 +1,4 @@
-"""Whatever is sent, nothing breaks, and no volt."""
+"""Tests with random messages: nothing breaks, and nothing is driven."""
 
 import asyncio
 import json
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("patient")
 
 
 CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"] + [CONTACT]
-"""Nothing that arms: that nothing else does is what the fuzz shows."""
+"""Messages that do not arm; the fuzz shows that nothing else arms either."""
 ODD: list[Any] = [
     None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 5000, {"a": {}},
     "arm", "estop", -0.0, 1e-320, "x" * 70, 2**64 - 1,
@@ -107,7 +107,7 @@ async def disturb(talker: Talker, link: socket.socket, rng: random.Random) -> No
 
 
 async def arm_and_touch(talker: Talker) -> None:
-    """Do what an app does, and see that it is done."""
+    """Do what an app does, and check that it is done."""
     estop = (await talker.asked(type="get_stats", display="default")).get("estop", 0)
     clear = {"type": "clear", "estop": max(estop, 1)}
     for request, state in ((clear, "disarmed"), ({"type": "arm"}, "armed")):
@@ -131,7 +131,7 @@ async def arm_and_touch(talker: Talker) -> None:
 async def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Also by OSC; then it still does what it should, down to its drive."""
+    """Messages also come by OSC; then the host still does what it should, down to its drive."""
     rng = random.Random(5)
     monkeypatch.setattr(osc, "SILENCE", 0.2)
     monkeypatch.setattr(osc.log, "disabled", True)

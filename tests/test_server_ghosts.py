@@ -1,4 +1,4 @@
-"""Whoever is gone leaves nothing: no place taken, no client of the host, no request without end."""
+"""Tests that a client that is gone leaves no place taken, no host client, no endless request."""
 
 import asyncio
 import random
@@ -82,7 +82,7 @@ async def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
 async def test_a_request_that_never_ends_keeps_no_place(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Nor one that does not let itself be cancelled, nor an e-stop that hangs."""
+    """The same holds for one that cannot be cancelled, and for an e-stop that hangs."""
     monkeypatch.setattr(requests, "FINISH_WITHIN", 0.05)
     async with daemon(most_clients=2) as (there, hands):
         end = asyncio.Event()

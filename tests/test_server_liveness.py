@@ -1,4 +1,4 @@
-"""Signs of life: how silence is counted, without a clock, and what a real connection gives."""
+"""Tests of signs of life: counting of silence without a clock, and real connections."""
 
 import pytest
 from daemon_rig import daemon, talking, until
@@ -9,7 +9,7 @@ from tactile.server.liveness import Due, SignsOfLife
 pytestmark = pytest.mark.usefixtures("patient")
 
 TICK = 0.025
-"""s between looks; docs/guide/server.md's ping each 50 ms is every second one."""
+"""Interval between looks [s]; the ping of docs/guide/server.md, each 50 ms, is every second one."""
 
 
 def steps(signs: SignsOfLife, count: int, *, passed: float = TICK) -> list[Due]:

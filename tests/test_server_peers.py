@@ -1,4 +1,4 @@
-"""Who connects, by which way, and what that allows: users, Unix sockets, tokens with roles."""
+"""Tests of who connects, by which way, and what that allows: users, sockets, tokens, roles."""
 
 import logging
 import os
@@ -31,7 +31,7 @@ pytestmark = [
 ]
 PROTOCOL = Subprotocol(JSON_PROTOCOL)
 ALL_ROLES: frozenset[Role] = frozenset({"watch", "play", "arm", "stop"})
-"""Those that docs/guide/server.md names."""
+"""All roles that docs/guide/server.md names."""
 
 # Users
 
@@ -50,7 +50,7 @@ TABLE = HEAD + b" inode\n" + b"".join(
         (8, b"0100007F:C356 0100007F:1CF3 05", 0, 16),
     ]
 )  # fmt: skip
-"""As proc(5) describes it; on a little-endian machine."""
+"""Table of TCP connections in the form that proc(5) describes, on a little-endian machine."""
 
 
 @pytest.mark.skipif(sys.byteorder != "little", reason="the table is of a little-endian machine")

@@ -144,7 +144,7 @@ async def test_at_the_end_clients_are_told_and_displays_are_closed_before_connec
 def test_a_connection_that_comes_as_the_server_ends_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Whichever turn of the event loop it comes in, no task and no socket is left of it."""
+    """No task and no socket is left of it, whichever turn of the event loop it comes in."""
     links: list[socket.socket] = []
     shutdown = Listener.shutdown
 

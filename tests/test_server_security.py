@@ -1,4 +1,4 @@
-"""Who may connect, and what those can do who should not: nothing that others notice.
+"""Tests of who may connect, and that misuse by one client has no effect on the others.
 
 Figures are counts and orders, not times: what one client does must not show in what others get.
 """
@@ -246,7 +246,7 @@ def test_each_token_has_its_roles_and_none_can_be_read_back() -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
 def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
-    """Also where a name that seemed to be this machine turns out to be more."""
+    """A name that seemed to be this machine may turn out to be more."""
     config = ServerConfig(host=host, port=0, token_file="x")
     with pytest.raises(
         InputError, match=r"which others can reach: server\.token_file must be given"
@@ -421,7 +421,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notic
 async def test_frames_that_carry_nothing_do_not_pile_up(
     flood: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pings whose pongs nobody reads, and a message of fragments without end."""
+    """One sends pings whose pongs it does not read, another a message of fragments without end."""
     monkeypatch.setattr(sockets, "MOST_UNREAD", 4096)
     async with daemon() as (there, hands):
         link = await unread(there)

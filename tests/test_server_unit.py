@@ -1,4 +1,4 @@
-"""The unit that systemd runs the daemon by: what it may do, and that it comes back."""
+"""Tests of the systemd unit of the daemon: its permissions, and that it is restarted."""
 
 import os
 import re
@@ -10,7 +10,7 @@ import pytest
 
 UNIT = Path(__file__).parents[1] / "packaging" / "systemd" / "tactile.service"
 MOST_EXPOSED = 2.5
-"""Of 10, as systemd-analyze counts; 9.6 without any restriction."""
+"""Largest exposure of 10, as systemd-analyze counts; it is 9.6 without any restriction."""
 
 
 def values(name: str) -> list[str]:

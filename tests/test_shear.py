@@ -21,7 +21,7 @@ EXPONENTS = [-4.0, -1.0, -0.5, 0.4, 1.0, 3.0]
 RANGE = (10.0, 1000.0)
 MIDDLE = 100.0
 CONTACT_FORCE = 0.05
-"""N, below which the finger is leaving."""
+"""Force below which the finger is leaving [N]."""
 
 
 # The law
@@ -29,7 +29,7 @@ CONTACT_FORCE = 0.05
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_law_is_the_plain_power_in_the_middle_of_its_range(exponent: float) -> None:
-    """Four times away from either end 4⁻⁸/8 = 2e-6 is left of the bend, per unit of exponent."""
+    """The bend has 4⁻⁸/8 = 2e-6 left at four times either end, per unit of exponent."""
     x = np.geomspace(40, 250, 50)
     found = held_power_law(x, MIDDLE, RANGE, exponent)
     np.testing.assert_allclose(found, (x / MIDDLE) ** exponent, rtol=3e-6 * abs(exponent))
@@ -44,7 +44,7 @@ def test_a_law_is_one_at_its_reference_wherever_that_is(exponent: float, referen
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_law_is_held_at_what_it_has_at_the_ends_of_its_range(exponent: float) -> None:
-    """From rest, (10/100)^e, to anything, (1000/100)^e; four times outside 4⁻⁸/8 is left."""
+    """Ends are (10/100)^e from rest and (1000/100)^e up; 4⁻⁸/8 is left 4 times outside."""
     slow = held_power_law(np.array([0.0, 1e-9, 1.0, 2.5]), MIDDLE, RANGE, exponent)
     np.testing.assert_allclose(slow, 0.1**exponent, rtol=3e-6 * abs(exponent))
     fast = held_power_law(np.array([4e3, 1e5, 1e12]), MIDDLE, RANGE, exponent)
@@ -80,7 +80,7 @@ def test_a_law_is_even_and_flat_through_a_stop(exponent: float) -> None:
 def test_a_law_is_smooth_and_never_steeper_than_its_power(
     low: float, ratio: float, reference: float, exponent: float
 ) -> None:
-    """In its logarithm: a slope between 0 and the exponent, that turns by ≤ 2 e per e-fold.
+    """The slope of its logarithm is between 0 and the exponent, and turns by ≤ 2 e per e-fold.
 
     The bend x⁸/(x⁸ + low⁸) is a logistic of 8 ln x, whose slope is at most 8/4.
     """
@@ -134,7 +134,7 @@ def table_error(exponent: float, step: float) -> float:
 
 @pytest.mark.parametrize(("speed", "force"), [(40.0, 0.5), (25.0, 1.0), (55.0, 0.3)])
 def test_the_factor_is_one_at_the_descriptor_s_reference(speed: float, force: float) -> None:
-    """Within what the tables leave."""
+    """The factor is one within what the tables leave."""
     law = Law(descriptor(BOTH, speed=speed, force=force))
     at_reference = factor(law, np.array([speed * 1e-3]), np.array([force]))
     assert at_reference == pytest.approx(1, abs=1e-4)
@@ -142,7 +142,7 @@ def test_the_factor_is_one_at_the_descriptor_s_reference(speed: float, force: fl
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_the_factor_follows_the_speed_law_of_the_descriptor(exponent: float) -> None:
-    """From rest to 3 m/s here, millimeters per second in the file; its table is over speed²."""
+    """Speeds go from rest to 3 m/s here, and are in mm/s in the file; the table is over speed²."""
     laws = Laws(speed_exponent=exponent, speed_range_mm_s=(20.0, 60.0))
     speed = np.concatenate([[0.0, 1e-6], np.geomspace(1e-4, 3, 999)])
     found = factor(Law(descriptor(laws)), speed, np.full(len(speed), 0.5))
@@ -152,7 +152,7 @@ def test_the_factor_follows_the_speed_law_of_the_descriptor(exponent: float) -> 
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_the_factor_follows_the_force_law_of_the_descriptor(exponent: float) -> None:
-    """From where contact is full up to 50 N."""
+    """Forces go from where contact is full up to 50 N."""
     laws = Laws(force_exponent=exponent, force_range_n=(0.2, 2.0))
     force = np.geomspace(CONTACT_FORCE, 50, 999)
     found = factor(Law(descriptor(laws)), np.full(len(force), 0.04), force)
@@ -171,7 +171,7 @@ def test_speed_and_force_multiply() -> None:
 
 @pytest.mark.parametrize("exponent", [-2.0, 0.0, 0.4])
 def test_without_contact_there_is_no_shear_and_it_comes_and_goes_smoothly(exponent: float) -> None:
-    """Exactly nothing at 0 N, all at 0.05 N, and between 3t² − 2t³ without a corner.
+    """The factor is 0 at 0 N, 1 at 0.05 N, and 3t² − 2t³ between, without a corner.
 
     In the table's 64 steps of it: 6/8/64² = 2e-4 off at most; the slope's corners at both ends
     are that of one step.
@@ -201,7 +201,7 @@ def test_no_speed_and_no_law_give_no_change() -> None:
 
 TILE = 25.6e-3
 PITCH = TILE / 2048
-"""12.5 µm"""
+"""Pitch of the raster, 12.5 µm [m]."""
 
 
 def surface(place: Floats, peak: Floats, kind: NDArray[np.intp]) -> Surface:
@@ -275,7 +275,7 @@ def test_the_raster_is_the_sum_of_its_events_at_random_places() -> None:
 @pytest.mark.parametrize("shape", ["pulse", "edge"])
 @pytest.mark.parametrize("width", [0.1, 0.25, 1.0])
 def test_one_event_is_read_within_the_error_of_a_bilinear_reading(width: float, shape: str) -> None:
-    """Wherever on the raster it lies, and wherever between pixels it is read."""
+    """The event may lie anywhere on the raster, and be read anywhere between pixels."""
     worst = worst_reading(width, shape)
     assert worst < bend(width, shape) + 2e-5
     assert worst > 0.3 * bend(width, shape)
@@ -325,7 +325,7 @@ def test_an_event_on_the_edge_of_the_tile_goes_on_at_the_other(corner: tuple[flo
 
 
 def test_every_contactor_reads_at_its_own_place() -> None:
-    """That of the finger plus its own, to the nearest pixel: here on whole ones, as shipped."""
+    """The place is the finger's plus its own, to the nearest pixel: whole ones, as shipped."""
     rng = np.random.default_rng(8)
     place, kind = rng.uniform(0, TILE, (40, 2)), rng.integers(0, 2, 40)
     whole = surface(place, rng.uniform(1e-6, 2e-6, 40), kind)

@@ -103,7 +103,7 @@ def test_one_carrier_alone_makes_up_for_what_straight_ramps_lose(offset: float) 
 def test_a_partial_keeps_its_power_wherever_it_is(
     frequency: float, case: tuple[int, float]
 ) -> None:
-    """In time: straight lines between frames, as seen from the partial, repeat each frame."""
+    """Straight lines between frames, as seen from the partial, repeat in each frame."""
     carriers = carrier_frequencies(*case)
     share = shares(np.array([frequency]), carriers, case[1])[0]
     turn = np.exp(2j * np.pi * np.outer([0, 1], frequency - carriers) / case[1])
@@ -162,7 +162,7 @@ def written_out(
 
 @pytest.mark.parametrize("velocity", [(0.08, 0.0), (-0.05, 0.03), (0.2, 0.1)])
 def test_a_frame_is_the_sum_over_waves_on_their_carriers(velocity: tuple[float, float]) -> None:
-    """Within what a table of 1 Hz makes of shares and inverse response."""
+    """Frames agree within what a table of 1 Hz makes of shares and inverse response."""
     display, texture = load_display("reference-24"), without_envelope("plastic-abs-vdi27")
     r = SpectrumRenderer(display, texture, carriers=16, frame_rate=50.0)
     place, v = np.array([0.0123, -0.004]), np.array(velocity)
@@ -228,7 +228,7 @@ def test_frames_play_nearly_the_samples(speed: float, least: float) -> None:
 
 
 def test_sidebands_of_the_envelope_are_played_at_their_own_place() -> None:
-    """Of one wave at 250 Hz, that oak's envelope at 120 mm/s modulates with up to 40 Hz.
+    """One wave at 250 Hz is played, which oak's envelope at 120 mm/s modulates with up to 40 Hz.
 
     21 dB; without sidebands of their own 14 dB, on the wrong sides 9.
     """
@@ -320,7 +320,7 @@ def test_what_no_link_carries_is_refused(options: dict[str, Any], message: str) 
 
 
 def test_carriers_to_leave_out_first_are_those_that_nobody_feels() -> None:
-    """Of oak at 80 mm/s: loudest to the skin around 250 Hz, nothing at 1 kHz."""
+    """Oak at 80 mm/s is loudest to the skin around 250 Hz, and has nothing at 1 kHz."""
     r = SpectrumRenderer(load_display("reference-24"), load_texture("wood-oak"), frame_rate=50.0)
     level = r.sensation_level((0.08, 0.0), 0.5)
     assert 150 < r.carriers[np.argmax(level)] < 450

@@ -35,9 +35,10 @@ from tactile.texture.surface import Texture, load_texture, without_friction
 pytestmark = pytest.mark.usefixtures("brief")
 
 HEADROOM = 10 ** (-3.5 / 20)
-"""By which a trial stays below the limit: that of half a minute is up to 3.1 dB above it."""
+"""Factor by which a trial stays below the limit: the peak of half a minute is up to 3.1 dB above
+it."""
 STROKE_SHARE = 0.3
-"""Of full drive, that friction takes at most."""
+"""Largest share of full drive that friction takes."""
 
 
 # Closed form
@@ -63,7 +64,7 @@ def test_the_roll_off_above_1_khz_is_in_the_lines(tmp_path: Path) -> None:
 
 
 def test_laws_of_speed_and_force_are_in_the_lines(tmp_path: Path) -> None:
-    """Well within its range, where a law is straight: v² (N/N0)."""
+    """The laws are straight well within their ranges: v² (N/N0)."""
     texture = authored(
         tmp_path,
         "[[periodic]]\nwavelength_mm = 1.0\nharmonics_um = [1.0]\n"
@@ -79,7 +80,7 @@ def test_laws_of_speed_and_force_are_in_the_lines(tmp_path: Path) -> None:
 def test_events_have_the_spectrum_of_their_shape(
     tmp_path: Path, shape: str, direction: float
 ) -> None:
-    """Campbell's theorem with the Fourier transform of one event, integrated numerically."""
+    """The reference is Campbell's theorem with one event's transform, integrated numerically."""
     texture = authored(
         tmp_path,
         "[[events]]\ndensity_per_mm2 = 0.5\namplitude_um = 3.0\namplitude_sd = 0.3\n"
@@ -111,7 +112,7 @@ def test_events_have_the_spectrum_of_their_shape(
 @pytest.mark.parametrize("name", ["leather-suede", "wood-oak", "plastic-abs-vdi27"])
 @pytest.mark.ci
 def test_bands_are_those_of_a_rendered_stroke(name: str) -> None:
-    """Welch's method over 30 s; bands below 35 Hz hold too few waves, and they beat.
+    """The reference is Welch's method over 30 s; bands below 35 Hz hold few waves, which beat.
 
     Askew, since along the x axis a wave of the isotropic one sounds right on a band's edge.
     """
@@ -128,7 +129,7 @@ def test_bands_are_those_of_a_rendered_stroke(name: str) -> None:
 
 @pytest.mark.ci
 def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_path: Path) -> None:
-    """Few waves far apart, with an envelope of half depth: 20 s hold them within 0.5 dB."""
+    """Waves are few and far apart, with an envelope of half depth: 20 s give 0.5 dB."""
     level = ", ".join(["-10.0"] * 16)
     bands = ", ".join(f"{0.5 * 10 ** (n / 10):.5g}" for n in range(16))
     texture = authored(

@@ -1,4 +1,4 @@
-"""Spending drive where it is felt: optimal by linear programming, and never beyond what is felt."""
+"""Tests of how drive is spent on what is felt: optimal by linear programming, and no more."""
 
 from pathlib import Path
 
@@ -16,12 +16,12 @@ from tactile.texture.surface import Texture
 pytestmark = pytest.mark.usefixtures("brief")
 
 DISTANCE_DB = 2.5
-"""By which a part may be lowered: a just noticeable difference of amplitude."""
+"""Level by which a part may be lowered, a just noticeable difference of amplitude [dB]."""
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_weights_solve_the_linear_program(seed: int) -> None:
-    """Against scipy's solver, over weights and the common gain."""
+    """The result, over weights and the common gain, is compared with scipy's solver."""
     rng = np.random.default_rng(seed)
     count = 8
     value, cost = rng.lognormal(0, 2, count), rng.lognormal(0, 1, count)
@@ -49,7 +49,7 @@ def test_nothing_changes_where_the_drive_suffices(pair: Display, calf: Texture) 
 def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
     suede: Texture, pair: Display, volts: float
 ) -> None:
-    """Dropped is what a band has no more of: it lies below 0 dB SL at full strength already."""
+    """Bands that are dropped lie below 0 dB SL at full strength already."""
     weak = few(pair, 0, volts=volts)
     spent = spending.spend(weak, suede)
     before, after = STROKE.lines(suede), STROKE.lines(spent)
@@ -70,7 +70,7 @@ def test_what_is_dropped_is_below_threshold_and_more_is_felt_for_the_same_drive(
 def test_a_part_that_is_felt_is_lowered_by_no_more_than_the_distance(
     pair: Display, calf: Texture
 ) -> None:
-    """At a gain at which everything between 20 and 640 Hz is felt."""
+    """The gain is one at which everything between 20 and 640 Hz is felt."""
     spent = spending.spend(pair, calf, gain=60.0)
     ratio = 20 * np.log10(spent.amplitude[calf.amplitude > 0] / calf.amplitude[calf.amplitude > 0])
     assert ratio.min() == pytest.approx(-DISTANCE_DB)

@@ -59,7 +59,7 @@ def test_friction_falls_from_static_to_kinetic_as_a_gaussian_of_speed(
 @pytest.mark.parametrize("angle", [0.5 * math.pi, -0.5 * math.pi, math.pi, 0.7, 2.4, -2.0])
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_friction_is_the_same_along_any_direction(angle: float, share: float) -> None:
-    """Sticking, slipping and sliding evenly, forth and back: turned as the motion is."""
+    """The stretch turns as the motion does, in sticking, slipping and sliding, back and forth."""
     along, turned = Bristles(law(stick_slip=share)), Bristles(law(stick_slip=share))
     cos, sin = math.cos(angle), math.sin(angle)
     speeds = [0.002, 0.005, 0.03, -0.004, -0.002, 0.06, 0.003]
@@ -79,7 +79,7 @@ def test_far_above_the_stribeck_speed_friction_is_kinetic() -> None:
 
 @pytest.mark.parametrize("exponent", [-0.3, 0.0, 0.4])
 def test_force_grows_as_its_power_one_above_the_coefficients(exponent: float) -> None:
-    """N (N/N0)^e in the middle of the range 0.2 … 2 N, where the bent ends take below 1 %."""
+    """The force is N (N/N0)^e in the middle of 0.2 … 2 N, where the bent ends take below 1 %."""
     found = [law(force_exponent=exponent).force(n) for n in (0.4, 0.5, 1.0)]
     expected = [n * (n / 0.5) ** exponent for n in (0.4, 0.5, 1.0)]
     assert found == pytest.approx(expected, rel=0.01)
@@ -139,7 +139,7 @@ def test_a_swing_draws_dahls_loop() -> None:
 
 
 def test_a_swing_through_the_renderer_is_the_ode_read_late() -> None:
-    """LuGre after a first-order mean of the motion over 5 ms, by scipy; two nodes and 4 ms late.
+    """The reference is LuGre by scipy after a mean of the motion over 5 ms, two nodes, 4 ms late.
 
     Nodes take the mean velocity of 2 ms, half a node late; the spline's own width and the mean's
     steps leave 2 % of a swing of 2 Hz.
@@ -173,7 +173,7 @@ def test_a_swing_through_the_renderer_is_the_ode_read_late() -> None:
 def test_stretch_points_against_the_motion_and_is_projected_on_the_axis(
     finger: str, angle_deg: float
 ) -> None:
-    """At 40 mm/s, where 1e-7 of the weakening is left; the grating leaves 1e-9 m."""
+    """The speed is 40 mm/s, where 1e-7 of the weakening is left; the grating leaves 1e-9 m."""
     load = getattr(FingerLoad, finger)()
     display = load_display("reference-24", load=load)
     angle = math.radians(angle_deg)
@@ -307,7 +307,7 @@ def test_a_slip_is_smooth_and_within_a_kilohertz() -> None:
 
 
 def test_nodes_are_2_ms_apart() -> None:
-    """Of a cubic the fourth difference is nothing: what is left of it is at nodes alone."""
+    """The fourth difference of a cubic is nothing: what is left of it is at nodes alone."""
     found = shear_of(rubbed(stick_slip=1.0), stroke(3e-3, 1.0))[2000:, 0].astype(np.float64)
     bend = np.abs(np.diff(found, 4))
     at = np.flatnonzero(bend > 0.3 * bend.max())
@@ -320,7 +320,7 @@ def test_nodes_are_2_ms_apart() -> None:
 
 @pytest.mark.parametrize("finger", ["low", "high"])
 def test_the_skin_follows_slow_stretch_within_a_percent(finger: str) -> None:
-    """Through the time-domain plant, reversals at 1 Hz and slips, down to 0 Hz; 40 dB above."""
+    """Errors of reversals at 1 Hz and slips are 40 dB down in the time-domain plant."""
     load = getattr(FingerLoad, finger)()
     display = few(load_display("reference-24", load=load), 0)
     n = np.arange(16000)

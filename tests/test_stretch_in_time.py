@@ -39,7 +39,7 @@ from tactile.rendering.stroke import Motion
 
 
 def test_between_nodes_runs_a_uniform_cubic_b_spline() -> None:
-    """Scipy's; a node's own values begin at it, so that no later one is needed."""
+    """The reference is scipy's spline; values begin at their node and need no later one."""
     node = round(NODE_TIME * RATE)
     rows = spline_weights(node, 64)
     values = np.random.default_rng(4).normal(0, 1, 40)
@@ -53,7 +53,7 @@ def test_between_nodes_runs_a_uniform_cubic_b_spline() -> None:
 
 @pytest.mark.parametrize("sizes", [(1,), (7,), (16,), (160,), (3, 64, 1, 30, 17)])
 def test_nothing_depends_on_how_the_stream_is_cut(sizes: tuple[int, ...]) -> None:
-    """Slips, reversals and a lift included; float32 sums in another order."""
+    """Slips, reversals and a lift are included; float32 sums in another order."""
     n = np.arange(2000)
     x = 2e-3 * np.sin(2 * np.pi * 2.6 * n / RATE) + 1e-5 * np.sin(n)
     place = np.column_stack([x, 0.4 * x])
@@ -82,7 +82,7 @@ def test_another_sample_rate_asks_the_same_of_the_skin(rate: float) -> None:
 
 
 def test_a_stop_holds_the_stretch_and_a_reversal_pulls_it_over() -> None:
-    """Held to float32; after 4 GIVE μ of the way back 1 − 2 e⁻⁴ of it is on the other side."""
+    """Stretch is held to float32; after 4 GIVE μ back 1 − 2 e⁻⁴ of it is on the other side."""
     out = np.minimum(np.arange(8000) * 4e-6, 12e-3)
     held = shear_of(rubbed(), np.column_stack([out, 0 * out]))[:, 0]
     assert np.ptp(held[-2000:]) < 1e-6 * abs(held[-1])
@@ -185,7 +185,7 @@ def test_no_way_of_a_finger_stretches_beyond_the_share(
 
 
 def test_layers_add_up_with_their_gains_and_fade_over_smoothly() -> None:
-    """Going over to another takes the fade."""
+    """The change to another texture takes as long as the fade."""
     few, many = (
         RealizedLayer(DISPLAY, rubbed(static_coefficient=mu, kinetic_coefficient=mu))
         for mu in (0.2, 0.6)

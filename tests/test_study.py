@@ -158,7 +158,7 @@ def test_criteria_are_those_of_finite_elements() -> None:
 
 
 def test_unless_told_otherwise_a_drive_is_for_10_um_of_an_amplifier_of_100_v() -> None:
-    """And of any current, so that full voltage is what limits."""
+    """The current is unlimited, so that full voltage is what limits."""
     asked = ("drive", "attainable", "smallest_displacement")
     found = solve_study(study(axes={"load": ["none", "low"]}, criteria=asked))
     least = found.smallest_displacement_um_per_v.values
@@ -167,7 +167,7 @@ def test_unless_told_otherwise_a_drive_is_for_10_um_of_an_amplifier_of_100_v() -
 
 
 def test_less_is_better_of_what_costs_and_more_of_what_is_gained() -> None:
-    """By exactly one: a sign turns values for a search, and must not weigh them."""
+    """Signs are exactly one: they turn values for a search, and must not weigh them."""
     costs = {"drive", "field", "current", "shaping", "footprint", "standing"}
     for name, criterion in CRITERIA.items():
         expected = -1 if name in costs else 0 if name == "first_resonance" else 1
@@ -187,7 +187,7 @@ def test_a_thin_layer_bears_less_drive_and_twice_as_much_in_series() -> None:
 
 @pytest.mark.parametrize("length", [2e-3, 9e-3, 20e-3, 45e-3])
 def test_first_resonance_is_that_of_finite_elements(length: float) -> None:
-    """Also where the beam is short enough for shear to matter."""
+    """Beams are also short enough for shear to matter."""
     fem = reference.natural_frequencies(reference.Beam(length=length), 1)[0]
     assert first_resonance(Bimorph(length=length)) == pytest.approx(fem, rel=1e-9)
 
@@ -391,7 +391,7 @@ def test_scenarios_are_log_normal_fingers_and_parts_within_tolerance() -> None:
 
 
 def test_each_scenario_is_the_design_that_it_says() -> None:
-    """One by one, by hand: a factor multiplies the axis' own value, or the base design's."""
+    """Scenarios are computed by hand: a factor multiplies the value of the axis or base design."""
     drawn = draw_scenarios(3, tolerances={"length_mm": 0.1, "shim_height_mm": 0.1})
     found = solve_study(study(axes={"length_mm": [15.0, 20.0]}, scenarios=drawn))
     for i, length in enumerate((15.0, 20.0)):

@@ -29,7 +29,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bear with a slow machine, where a test says nothing else."""
+    """Use long timeouts for a slow machine, unless a test sets its own."""
     for limit in ("CONNECT_S", "WORKERS_S", "LOST_S"):
         monkeypatch.setattr(crews, limit, 60.0)
 

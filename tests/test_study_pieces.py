@@ -1,4 +1,4 @@
-"""What it takes to solve a study: pieces, the extra, a band; and what of it is labeled."""
+"""Tests of the parts of a study's solution: pieces, the extra, a band, and labels."""
 
 import subprocess
 import sys
@@ -41,7 +41,7 @@ def test_only_a_criterion_of_a_band_is_labeled_with_it() -> None:
 
 
 def test_a_study_is_asked_without_the_extra_and_solved_with_it() -> None:
-    """Without xarray it is one line that says what to install."""
+    """The error without xarray is one line that says what to install."""
     program = """
 import sys
 sys.modules["xarray"] = None

@@ -68,7 +68,7 @@ def words(figure: Figure) -> str:
 
 
 def test_a_criterion_shades_what_is_good_enough_and_marks_what_all_share() -> None:
-    """Of the tents, 85 % is within 3 mm of the top: 7 to 13 and 9 to 15 mm; shared are 9 to 13."""
+    """Values of 85 % lie within 3 mm of the tops: 7 to 13 and 9 to 15 mm, shared 9 to 13."""
     figure = plots.criterion_figure(study(**{SMALLEST: criterion(tents())}), SMALLEST)
     (axes,) = figure.axes
     for line, tent in zip(axes.lines, tents(), strict=True):
@@ -118,7 +118,7 @@ def test_a_response_is_drawn_with_its_phase() -> None:
 
 
 def test_a_map_shows_levels_and_the_smallest_in_the_band_alone() -> None:
-    """Beyond the band, at 500 Hz, it falls to a hundredth, which the smallest must not see."""
+    """The figure falls to a hundredth at 500 Hz, beyond the band, which must not count."""
     fall = np.where(FREQUENCY <= 500, 1.0, 0.01)
     values = tents()[:, :, None] * fall
     figure = plots.length_map_figure(

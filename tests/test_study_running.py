@@ -43,7 +43,7 @@ from tactile.study.sweep import Block, Study, solve_block, solve_study
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Five lengths a block, so that small studies have several."""
+    """Make blocks of five lengths, so that small studies have several."""
     monkeypatch.setattr(block_store, "BLOCK_POINTS", SMALL)
 
 
@@ -78,7 +78,7 @@ def test_a_store_holds_the_same_bits(whole: xr.Dataset, suffix: str, tmp_path: P
 
 
 class StoppedError(Exception):
-    """Ends a run from within."""
+    """Error that ends a run from within."""
 
 
 def stop_at(block: int) -> runs.Progress:
@@ -148,7 +148,7 @@ def test_a_store_of_another_study_that_appears_meanwhile_is_refused(
 
 
 def test_a_block_whose_mark_is_missing_is_solved_again(whole: xr.Dataset, tmp_path: Path) -> None:
-    """As where a run is killed between the values and the mark."""
+    """A run that is killed between the values and the mark leaves such a block."""
     path = tmp_path / "s.zarr"
     run_study(study(), store=path)
     (path / "progress" / "stored" / "c" / "1" / "0").unlink()
@@ -251,7 +251,7 @@ def test_a_study_of_too_many_blocks_is_refused_before_anything_is_listed_or_made
 
 
 class LazyCrew:
-    """Solves a part only when asked for, the last first, and counts what is under way."""
+    """Crew that solves a part only when asked for, the last first, and counts what is under way."""
 
     size = 3
 
@@ -295,7 +295,7 @@ def test_only_a_few_blocks_are_under_way_at_once(monkeypatch: pytest.MonkeyPatch
 
 
 class FrailCrew(PoolCrew):
-    """Loses a pool with every second part."""
+    """Crew that loses a pool with every second part."""
 
     asked = 0
 

@@ -68,7 +68,7 @@ def test_scenarios_keep_their_values_and_factors(suffix: str, tmp_path: Path) ->
 def test_netcdf_has_complex_numbers_in_two_parts_with_units(
     data: xr.Dataset, tmp_path: Path
 ) -> None:
-    """Read with another library, as another program would."""
+    """The file is read with another library, as another program would read it."""
     save(data, tmp_path / "s.nc")
     with h5netcdf.File(tmp_path / "s.nc", "r") as file:
         part = file["displacement_um_per_v_imag"]

@@ -1,4 +1,4 @@
-"""The live picture: what is shown where, and that it fits."""
+"""Tests of the live picture: its contents, and that it fits."""
 
 import io
 import re

@@ -64,7 +64,7 @@ def test_a_range_that_does_not_ascend_is_refused(tmp_path: Path, name: str) -> N
 
 @pytest.mark.parametrize("degrees", [-70.0, 25.0, 90.0])
 def test_the_grain_turns_with_its_direction(tmp_path: Path, degrees: float) -> None:
-    """Bands hold along it; 60° off, where a wave sounds at half its frequency, they do not."""
+    """Bands hold along the grain, and not 60° off, where a wave sounds at half its frequency."""
     grain = bands((0.0,) * 16, direction_deg=degrees, direction_spread_deg=8.0)
     texture = load_texture(write(tmp_path / "grain.toml", stochastic=grain))
     assert rms(misses(texture, np.array([degrees]))) <= 1.0
@@ -73,7 +73,7 @@ def test_the_grain_turns_with_its_direction(tmp_path: Path, degrees: float) -> N
 
 @pytest.mark.parametrize("spread", [5.0, 15.0, 40.0])
 def test_wave_vectors_scatter_with_the_stated_spread(tmp_path: Path, spread: float) -> None:
-    """Of 384 low-discrepancy draws the standard deviation errs by far less than 2 %."""
+    """The standard deviation of 384 low-discrepancy draws has an error far below 2 %."""
     grain = bands(direction_deg=30.0, direction_spread_deg=spread)
     texture = load_texture(write(tmp_path / "grain.toml", stochastic=grain))
     turn = np.degrees(np.arctan2(texture.wave_vector[:, 1], texture.wave_vector[:, 0])) - 30
@@ -113,7 +113,7 @@ def test_the_spectrum_of_a_sampled_cut_is_that_of_the_descriptor(name: str, degr
 
 
 def test_partials_are_the_displacement_that_they_say() -> None:
-    """Σ a cos(k·p + φ), added up one by one."""
+    """The reference adds up Σ a cos(k·p + φ) wave by wave."""
     waves = load_texture("wood-oak").partials
     place = np.array([0.013, -0.021])
     total = 0.0
@@ -227,7 +227,7 @@ def test_as_many_waves_are_drawn_as_asked_for_gratings_included(name: str, count
 def test_too_few_waves_are_refused_with_how_many_it_needs(
     name: str, least: int, gratings: int
 ) -> None:
-    """Eight for each band, and for each harmonic with jitter five."""
+    """The texture needs eight for each band, and five for each harmonic with jitter."""
     load_texture(name, partials=least)
     for count in (least - 1, 0, -5):
         with pytest.raises(InputError) as caught:
@@ -301,7 +301,7 @@ def test_jitter_keeps_power_place_and_direction_of_each_harmonic(
 def test_jitter_spreads_each_harmonic_by_the_stated_standard_deviation(
     tmp_path: Path, jitter: float
 ) -> None:
-    """Of wavelength, weighted by power; 5 % for a distribution of a few lines (JND: 18 %)."""
+    """The deviation is of wavelength, weighted by power, to 5 % for few lines (JND: 18 %)."""
     for n, waves in enumerate(harmonic_groups(tmp_path, jitter)):
         wavelength = 2 * np.pi / np.linalg.norm(waves.wave_vector, axis=1) * (n + 1)
         power = waves.amplitude**2

@@ -41,7 +41,7 @@ def along_a_path(folder: Path, seed: int, *, length: float = 300.0, **more: floa
 
 @pytest.mark.parametrize("depth", [0.1, 0.3, 0.6])
 def test_the_envelope_has_the_stated_depth(tmp_path: Path, depth: float) -> None:
-    """And its mean square is one, so that bands keep their levels.
+    """The mean square of the envelope is one, so that bands keep their levels.
 
     Twelve sinusoids are nearly a normal process: ∏ I₀(2a)/∏ I₀(a)² − 1 is 1.3 % low in its root at
     0.6, less below. A path of 300 m holds 3·10⁴ periods of the fastest, so that sampling adds 1 %.
@@ -58,7 +58,7 @@ def test_the_envelope_has_the_stated_depth(tmp_path: Path, depth: float) -> None
 def test_a_modulation_alone_has_the_excess_kurtosis_of_the_closed_form(
     tmp_path: Path, depth: float
 ) -> None:
-    """Of a normal process that it multiplies, 3⟨e⁴⟩/⟨e²⟩² − 3 = 3 ((1 + d²)⁴ − 1).
+    """The excess kurtosis of a modulated normal process is 3⟨e⁴⟩/⟨e²⟩² − 3 = 3 ((1 + d²)⁴ − 1).
 
     12 sinusoids lack some of a normal process's tail, 10 % of the kurtosis at 0.6 (from
     ∏ I₀(4a)/∏ I₀(2a)²); a fourth moment over 300 m errs by 3 %.
@@ -72,7 +72,7 @@ def test_a_modulation_alone_has_the_excess_kurtosis_of_the_closed_form(
 def test_a_surface_under_its_envelope_has_the_excess_kurtosis_of_its_depth(
     tmp_path: Path,
 ) -> None:
-    """Sampled along 100 m at 7·10⁴ places 1.37 mm apart, far beyond what correlates.
+    """The 7·10⁴ samples along 100 m are 1.37 mm apart, far beyond the correlation length.
 
     Of the surface alone it is that of 384 sinusoids, −1.5 Σa⁴/(Σa²)², above −0.01, ± √(24/n).
     Under the envelope, 3 (1.09⁴ − 1) = 1.23, fourth powers have four times the spread: ± 0.15.
@@ -96,7 +96,7 @@ def test_a_surface_under_its_envelope_has_the_excess_kurtosis_of_its_depth(
 def test_modulation_is_no_faster_than_its_corner_and_bursts_are_three_times_it_and_more(
     tmp_path: Path,
 ) -> None:
-    """Below the corner, counted along 720 strokes, both together have the depth's variance."""
+    """The variance below the corner, along 720 strokes, is the depth's for both together."""
     stochastic = bands(am_depth=0.2, excess_kurtosis=1.0, am_corner_per_mm=0.3)
     texture = load_texture(write(tmp_path / "varied.toml", stochastic=stochastic))
     waves = texture.realize().envelope
@@ -112,7 +112,7 @@ def test_modulation_is_no_faster_than_its_corner_and_bursts_are_three_times_it_a
 
 
 def test_the_envelope_of_a_grained_surface_lies_along_its_grain(tmp_path: Path) -> None:
-    """Its depth and corner hold along the stroke that the bands hold for."""
+    """Depth and corner of the envelope hold along the stroke for which the bands hold."""
     stochastic = bands(am_depth=0.2, excess_kurtosis=1.0, direction_deg=40.0)
     path = write(tmp_path / "grain.toml", stochastic=stochastic | {"direction_spread_deg": 10.0})
     waves = load_texture(path).realize().envelope
@@ -171,7 +171,7 @@ def test_without_depth_and_kurtosis_there_is_no_envelope(tmp_path: Path) -> None
 PORES = {"density_per_mm2": 0.7, "amplitude_um": 2.5, "amplitude_sd": 0.6, "width_mm": 0.4}
 GRIT = {"density_per_mm2": 0.1, "amplitude_um": 9.0, "width_mm": 1.0, "shape": "edge"}
 TILE = 25.6
-"""mm"""
+"""Length of a side of the tile [mm]."""
 
 
 def scattered(folder: Path, seeds: int) -> list[Surface]:

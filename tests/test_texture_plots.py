@@ -23,10 +23,11 @@ from tactile.texture.surface import Texture, load_texture
 
 DISPLAY = load_display("reference-24")
 REFERENCE = {"speed": 0.04, "normal_force": 0.5}
-"""m/s and N at which the shipped textures' numbers hold: the laws' factor is one."""
+"""Speed [m/s] and force [N] at which the shipped textures' numbers hold: the laws' factor is
+one."""
 CENTER = 10 ** (np.arange(34) / 10)
 EDGES = 10 ** ((np.arange(35) - 0.5) / 10)
-"""Hz of the third octaves from 1 Hz to 2 kHz (IEC 61260-1)."""
+"""Edges of the third octaves from 1 Hz to 2 kHz (IEC 61260-1) [Hz]."""
 
 TEXT = """
 [texture]
@@ -71,7 +72,7 @@ def images(axes: Axes) -> list[tuple[Floats, tuple[float, float], list[float]]]:
     return found
 
 
-# What a texture is
+# Contents of a texture
 
 
 def test_the_surface_is_the_sum_of_the_partials_times_their_envelope() -> None:
@@ -115,7 +116,7 @@ def test_the_rms_is_that_of_a_large_piece_of_surface(name: str) -> None:
 
 
 def test_third_octaves_are_those_of_a_long_stroke() -> None:
-    """By the periodogram of a line of 4 m, which knows of no wave vector."""
+    """The reference is the periodogram of a line of 4 m, which knows of no wave vector."""
     texture = shipped("plastic-acrylic-ribbed")
     count = len(texture.amplitude)
     step, samples = 0.05e-3, 80_000
@@ -143,7 +144,7 @@ def test_third_octaves_are_those_of_a_long_stroke() -> None:
     ],
 )
 def test_events_have_the_spectrum_of_many_of_them(shape: str, tmp_path: Path) -> None:
-    """By the Fourier transform of the tile that they repeat on, along every line of it."""
+    """The reference is the Fourier transform of the tile that they repeat on, line by line."""
     texture = made(
         tmp_path,
         f"[[events]]\ndensity_per_mm2 = 0.5\namplitude_um = 3.0\nwidth_mm = 0.3\n{shape}\n",
@@ -207,7 +208,7 @@ def test_just_felt_is_the_published_table_for_motion_along_the_skin_up_to_1_khz(
 
 @pytest.mark.parametrize("speed", [0.04, 0.12])
 def test_show_and_strength_tell_the_same_level(speed: float, tmp_path: Path) -> None:
-    """Of a grating in the band that it is in, 46.8 or 140.4 Hz, before what the display plays."""
+    """The level is that of a grating in its band, 46.8 or 140.4 Hz, before the display plays it."""
     grating = "[[periodic]]\nwavelength_mm = 0.8547\nharmonics_um = [3.0]\n"
     texture = made(tmp_path, grating + "[laws]\nspeed_exponent = 0.0\n")
     shown = views.texture_spectrum(texture, speed=speed)

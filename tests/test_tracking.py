@@ -1,4 +1,4 @@
-"""Tracking the finger: where it will be, without jumps, from samples that are noisy and late."""
+"""Tests of tracking: prediction without jumps, from samples that are noisy and late."""
 
 import math
 
@@ -13,19 +13,22 @@ from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker, Path
 
 GOAL = 0.3
-"""mm by which a tracked place may be off, rms: the goal of docs/benchmarks.md."""
+"""Largest rms error of a tracked place, the goal of docs/benchmarks.md [mm]."""
 HORIZON, BRAKING = 0.060, 0.020
-"""s for which a course is trusted beyond its newest sample, two periods of 90 Hz, a delay and the
-latency of 12 ms; and s in which a finger that says nothing more is brought to rest after that."""
+"""Time for which a course is trusted beyond its newest sample (two periods of 90 Hz, a delay and
+the latency of 12 ms), and time in which a finger that says nothing more is then brought to rest
+[s]."""
 SETTLING, FORCE_SETTLING = 0.003, 0.005
-"""1/ω of the place at speed and of the force [s]: as short as noise allows, by measurement."""
+"""Time constants 1/ω of the place at speed and of the force [s]: as short as noise allows, by
+measurement."""
 CLEARING = 8 / 2500
-"""s from a jump of the place to the force's rise: the 8 samples that the renderer reads its
-velocity from, at the slowest rate of an amplifier (2.5 kHz)."""
+"""Time from a jump of the place to the rise of the force [s]: the 8 samples from which the renderer
+reads its velocity, at the slowest rate of an amplifier (2.5 kHz)."""
 ONSET, FALL = 0.010, 0.018
-"""s in which a touch rises to its whole force, and in which it falls: a lift is over in 20 ms."""
+"""Times in which a touch rises to its whole force and falls from it: a lift is over in 20 ms
+[s]."""
 
-# What is reached
+# Accuracy
 
 
 @pytest.mark.parametrize("delay", ["jitter", "even"])
@@ -45,7 +48,7 @@ def test_the_recorded_slide_is_met_within_300_um() -> None:
 
 @needs_slide
 def test_at_five_times_its_speed_nobody_meets_the_slide_within_300_um() -> None:
-    """What is reached is held, as a regression; 0.34 mm are blind, see the benchmark."""
+    """The error that is reached is held; a blind tracker has 0.34 mm (see the benchmark)."""
     slide = bench.recorded(5.0)
     assert rms(bench.blind(slide, SamplingClient(), 20)) > GOAL
     assert rms(misses(slide, SamplingClient(), 10)) <= 1.0
@@ -133,7 +136,7 @@ def test_from_10_mm_s_on_it_never_goes_backward_for_noise() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_finger_that_sets_off_does_so_without_a_jump(seed: int) -> None:
-    """It leaves by 0.3 mm or less, which is caught up with at no more than e/τ."""
+    """The finger leaves by 0.3 mm or less, which is caught up with at no more than e/τ."""
     rng, run = np.random.default_rng(seed), Run()
     for t in (np.arange(0, 450) / 90).tolist():
         x, y = rng.normal(0, 5e-5, 2)
@@ -155,7 +158,7 @@ def test_noise_is_learnt_from_what_no_parabola_explains() -> None:
 
 
 def test_three_equal_filters_are_one_kalman_filter() -> None:
-    """Against the textbook's matrices: mixing what is equal changes nothing."""
+    """The matrices of the textbook are the reference: mixing equal filters changes nothing."""
     motion = MotionFilter((2.0, 2.0, 2.0))
     motion.noise.add = lambda *_: None  # type: ignore[method-assign]
     rng, tau, r, elapsed = np.random.default_rng(3), 0.3, 5e-5**2, 0.011
@@ -204,7 +207,7 @@ def test_a_correction_keeps_place_and_velocity_and_bends_no_more_than_it_says() 
 
 
 def test_velocity_steps_no_more_than_corrections_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a sample by (ω² e + 2ω e' + the course's own acceleration) / rate, over all blocks."""
+    """Steps are at most (ω² e + 2ω e' + the course's own acceleration) / rate, over all blocks."""
     largest, bend = [0.0, 0.0, 0.0], Path.bend
 
     def watched(self: Path, time: float, origin: float, state: list[float]) -> None:
@@ -342,7 +345,7 @@ def test_a_new_force_is_followed_smoothly_and_met() -> None:
 
 
 def test_a_force_that_changes_its_mind_has_no_kink() -> None:
-    """It bends by ω² e + 2ω e' at most, e' being no more than ω e/e (Euler's)."""
+    """The force bends by ω² e + 2ω e' at most, e' being no more than ω e/e (Euler's)."""
     rows = [*stroke(0.0, 0, 0.5), (0.5, 0.0, 0.0, 2.0), (0.51, 0.0, 0.0, 0.5)]
     run = Run().samples(rows).until(0.58)
     late, omega = run.times > 0.1, 1 / FORCE_SETTLING
@@ -362,7 +365,7 @@ def test_velocity_is_that_of_the_path() -> None:
 
 @pytest.mark.parametrize("other", [16, 40, 320])
 def test_blocks_cut_otherwise_give_the_same_path(other: int) -> None:
-    """Samples at multiples of 40 ms; a leap, a silence and a lift among them."""
+    """Samples come at multiples of 40 ms, with a leap, a silence and a lift among them."""
     runs = []
     for block in (64, other):
         run = Run(block=block)

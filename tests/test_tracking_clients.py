@@ -1,4 +1,4 @@
-"""Tracking takes whatever clients send, whenever they say it was."""
+"""Tests of tracking with clients of all kinds, whatever times they give."""
 
 import math
 from dataclasses import replace
@@ -105,7 +105,7 @@ samples = st.tuples(
 @pytest.mark.ci
 @given(st.lists(samples, max_size=30), st.sampled_from([1, 16, 64]))
 def test_whatever_comes_what_goes_out_is_a_finger(rows: list[tuple[Any, ...]], block: int) -> None:
-    """Never an exception; places finite, a force that a finger has, no jump that is heard."""
+    """Nothing raises; places are finite, forces plausible, and no jump is audible."""
     run = Run(block=block)
     for offset, x, y, force, velocity, blocks in rows:
         run.tracker.add(FingerSample(run.now + offset, run.now, x, y, force, velocity))
@@ -268,7 +268,7 @@ def heard_again(speed: float, gap: float, x: float) -> ContactTracker:
 def test_a_finger_is_expected_on_its_stroke_for_a_quarter_of_a_second(
     gap: float, jumps: tuple[int, int]
 ) -> None:
-    """Then where it was last: 20 mm are within its reach, and 0.1 m/s go 24 mm and 26 mm."""
+    """The finger is then where it was last: 20 mm are within its reach; 0.1 m/s go 24 and 26 mm."""
     found = [heard_again(0.1, gap, x) for x in (0.05 + 0.1 * gap, 0.05)]
     assert (found[0].jumps, found[1].jumps) == jumps
 

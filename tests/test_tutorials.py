@@ -21,7 +21,7 @@ BLOCK = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 PATIENCE = 300
-"""s for a page."""
+"""Longest time that a page may take [s]."""
 
 
 def script_of(page: str) -> Iterator[str]:

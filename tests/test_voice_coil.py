@@ -66,7 +66,7 @@ def test_the_equalizer_is_given_the_measured_response(tmp_path: Path) -> None:
 
 
 def test_the_simulation_has_the_measured_response(tmp_path: Path) -> None:
-    """Against the equation of motion of the mass, integrated by scipy."""
+    """The reference is the equation of motion of the mass, integrated by scipy."""
     display = coil_display(tmp_path)
     plant = default_plant(display, RATE)
     time = np.arange(8000) / RATE
@@ -107,7 +107,7 @@ def test_more_than_the_coil_withstands_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_current_limit_of_the_amplifier_holds_for_a_coil_too(tmp_path: Path) -> None:
-    """It cannot be held by a limit of slew, as that into a capacitance is."""
+    """A slew limit holds the current into a capacitance, but not that into a coil."""
     coil_display(tmp_path, limits=LIMITS + "current_ma = 375.0\n")
     with pytest.raises(InputError) as caught:
         coil_display(tmp_path, limits=LIMITS + "current_ma = 100.0\n")

@@ -81,7 +81,7 @@ def test_a_can_frame_has_44_bits_8_a_byte_and_3_between(size: int, bits: int, mo
 
 @pytest.mark.parametrize("identifier", [0x2AA, 0x0AAAAAAA])
 def test_a_can_frame_of_its_own_bits_has_them_all(identifier: int) -> None:
-    """Where bits alternate, and the CRC happens to have no five of a kind, none is stuffed."""
+    """No bit is stuffed where bits alternate, and the CRC happens to have no five of a kind."""
     frames = [b"\x55" * 7 + bytes([last]) for last in range(256)]
     least = min(can_bits(identifier, data) for data in frames)
     assert least == can_estimate(8, "none", extended=identifier > 0x7FF)
@@ -154,7 +154,7 @@ def test_a_packet_on_i2c_is_a_transfer() -> None:
 
 
 def test_high_speed_i2c_begins_with_a_code_in_fast_mode() -> None:
-    """Start, 8 bits and no acknowledge at 400 kHz."""
+    """The code is a start, 8 bits and no acknowledge at 400 kHz."""
     assert I2c(3.4e6).seconds(pcm_packet(99)) == pytest.approx(902 / 3.4e6 + 10 / 400e3, rel=0.03)
 
 
@@ -191,7 +191,7 @@ def test_an_fd_frame_has_no_more_bits_than_the_most(
 
 @pytest.mark.parametrize("identifier", [0x302, 0x304, 0x32A, 0x1D0B0302])
 def test_the_mean_is_that_of_random_data(identifier: int) -> None:
-    """Within 1.5 %: how many stuff bits a head has depends on the node, 0 to 2."""
+    """Means agree within 1.5 %: the stuff bits of a head depend on the node, 0 to 2."""
     rng, extended = np.random.default_rng(0), identifier > 0x7FF
     classic = np.mean([can_bits(identifier, rng.bytes(8)) for _ in range(400)])
     assert can_estimate(8, "mean", extended=extended) == pytest.approx(classic, rel=0.015)
@@ -220,7 +220,7 @@ def test_pacing_is_never_faster_than_the_wire(
 
 @pytest.mark.parametrize("link", LINKS, ids=str)
 def test_a_plan_at_the_cap_can_be_paced(link: Link) -> None:
-    """Also by the most stuff bits the packets take less than the whole wire."""
+    """The packets take less than the whole wire even with the most stuff bits."""
     packet = pcm_packet(link.largest())
     assert link.cap * link.seconds(packet) / link.mean_seconds(packet) < 0.87
 

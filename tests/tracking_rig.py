@@ -1,4 +1,4 @@
-"""A finger's samples, as clients send them, and what tracking makes of them."""
+"""Samples of a finger, as clients send them, and the result of tracking them."""
 
 import math
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ RATE = 8000.0
 LATENCY = 0.012
 BLOCK = 16
 ROUNDING = 1e-12
-"""m; places of 0.5 m in double precision, a few operations."""
+"""Rounding error of a few operations on places of 0.5 m in double precision [m]."""
 
 needs_slide = pytest.mark.skipif(not bench.SLIDE.exists(), reason="needs the recorded slide")
 

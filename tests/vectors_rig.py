@@ -1,4 +1,4 @@
-"""The vectors of firmware_protocol, and how what was decoded is said in their words."""
+"""Vectors of firmware_protocol, and decoded messages in their words."""
 
 import json
 from collections.abc import Iterable
@@ -84,7 +84,7 @@ def same_prompt(packet: Packet, vector: Vector) -> None:
 
 
 Instants = dict[int, tuple[int | None, int | None, list[int]]]
-"""By tick: position, state, codes; None where they are not known."""
+"""Instants by tick: position, state and codes; None where they are not known."""
 
 
 def check_answers(step: Vector, sent: list[Packet]) -> None:

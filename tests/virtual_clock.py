@@ -1,4 +1,4 @@
-"""A clock that passes as far as the next thing that any process does, and the processes on it.
+"""Virtual clock that goes on to the next event of any process, and the processes on it.
 
 Each thread of a process is a greenlet that runs until it sleeps or waits; then the next one does
 whose time has come. So everything happens in one order, which depends on nothing but what happens.
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PIPE = 0.3e-3
-"""s from a process to another."""
+"""Delay of a pipe from one process to another [s]."""
 LONGEST = 60.0
-"""s that anybody waits at a time who has nothing to do."""
+"""Longest time for which a process without work waits at once [s]."""
 LOOK = 2e-3
-"""s after which a program that waits for a link looks whether it was woken."""
+"""Interval after which a program that waits for a link checks whether it was woken [s]."""
 
 
 class Killed(BaseException):
@@ -49,7 +49,7 @@ class Thread:
     Attributes
     ----------
     turn : number of its latest sleep
-    awaited : what would wake it before its time, where that is true
+    awaited : condition that would wake it before its time
     held : whether its process hangs
     due : whether it would run, did its process not hang
     """
@@ -200,7 +200,7 @@ class VirtualLock:
 
     Parameters
     ----------
-    clock : of the threads
+    clock : clock of the threads
     reentrant : whether who has it may take it again
     """
 
@@ -257,7 +257,7 @@ class VirtualLock:
         return done()
 
     def notify_all(self) -> None:
-        """Do nothing: who waits looks again whenever anything happens."""
+        """Do nothing: waiting threads check again whenever anything happens."""
 
     def __enter__(self) -> "VirtualLock":
         if not self.acquire():
@@ -269,11 +269,11 @@ class VirtualLock:
 
 
 class ChipThread:
-    """In place of `tactile.bus.chips.pump.ThreadRunner`: the thread that writes to chips.
+    """Substitute for `tactile.bus.chips.pump.ThreadRunner`, the thread that writes to chips.
 
     Parameters
     ----------
-    clock : of all
+    clock : clock of all threads
     """
 
     thread: Thread
@@ -306,7 +306,7 @@ class ChipThread:
 
 
 class LinkTime:
-    """The clock of a program with a bus that has no thread: who waits lets both of its ends go on.
+    """Clock of a program with a bus that has no thread: waiting lets both of its ends go on.
 
     Parameters
     ----------
@@ -330,12 +330,12 @@ class LinkTime:
 
 
 class Process:
-    """In place of `tactile.server.children.Child`: the server's end of a process, and the process.
+    """Substitute for `tactile.server.children.Child`: the server's end and the process.
 
     Parameters
     ----------
-    world : that it is in
-    module, heard, inherited : as of `Child`
+    world : world of the process
+    module, heard, inherited : parameters of `Child`
     """
 
     def __init__(
@@ -353,7 +353,7 @@ class Process:
 
     @property
     def of_server(self) -> bool:
-        """Whether the server that started it is the one that runs."""
+        """Whether the server that started the process is the one that runs."""
         return self._loop is self.world.loop
 
     def tell(self, order: object) -> None:
@@ -362,7 +362,7 @@ class Process:
         self.clock.after(PIPE, lambda: self._deliver(data))
 
     async def end(self, patience: float) -> None:
-        """Close its input and wait for its end; kill it after a while."""
+        """Close the input of the process and wait for its end; kill it after a while."""
         self.hang_up()
         deadline = self._loop.time() + patience
         while self.alive and self._loop.time() < deadline:
@@ -419,4 +419,4 @@ class Process:
         self.kill()
 
     def let_go(self) -> None:
-        """Unmap what it shares."""
+        """Unmap the memory that the process shares."""

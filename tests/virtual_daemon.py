@@ -65,11 +65,11 @@ from tactile.server.server import running
 
 T = TypeVar("T")
 OPENING, DRAWING = 20e-3, 30e-3
-"""s to open a device, and to make a texture ready."""
+"""Times that it takes to open a device, and to make a texture ready [s]."""
 RENDERING = 0.2e-3
-"""s for a block."""
+"""Time that it takes to render a block [s]."""
 ALONE = 5e-3
-"""s after which amplifiers on a link go on by themselves, at the latest."""
+"""Longest time after which amplifiers on a link go on by themselves [s]."""
 
 
 class EstopProcess(Process):
@@ -247,7 +247,8 @@ class World:
         self.on_link: Callable[[Address[MockOptions], Model, int, PlayedRun], None] = lambda *_: (
             None
         )
-        """Called with all that an amplifier on a link puts out, also where nobody talks to it."""
+        """Function that gets all that an amplifier on a link puts out, also when no host talks to
+        it."""
         self.server: LoopProcess | None = None
         self.host: Host | None = None
         self.killed: list[LoopProcess] = []
@@ -356,7 +357,7 @@ class World:
                 model.listener(board, run)
 
     def _go_on(self, model: Model) -> None:
-        """Let amplifiers go on, also where nobody talks to them."""
+        """Let amplifiers go on, also when no host talks to them."""
         model.exchange()
         model.listen()
         self.clock.after(ALONE, lambda: self._go_on(model))
@@ -365,7 +366,7 @@ class World:
 
     @property
     def threading(self) -> SimpleNamespace:
-        """What stands for the module `threading`: locks that threads wait for on the clock."""
+        """Substitute for the module `threading`: locks that threads wait for on the clock."""
         again = functools.partial(VirtualLock, self.clock)
         once = functools.partial(again, reentrant=False)
         return SimpleNamespace(Lock=once, RLock=again, Condition=again, Event=threading.Event)
@@ -378,7 +379,7 @@ class World:
 
     @property
     def desk(self) -> Desk | None:
-        """What `tactile estop` reaches."""
+        """Desk that `tactile estop` reaches."""
         desks = [p.desk for p in self.processes if isinstance(p, EstopProcess) and p.desk]
         return desks[-1] if desks else None
 

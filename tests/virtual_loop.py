@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class VirtualSelector(selectors.DefaultSelector):
-    """Waits on the virtual clock, until a file is ready."""
+    """Selector that waits on the virtual clock, until a file is ready."""
 
     def __init__(self, clock: VirtualClock) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     @property
     def files(self) -> set[int]:
-        """Numbers of its sockets that are open."""
+        """Numbers of the open sockets of the selector."""
         connected = {file for file, one in self._transports.items() if not one.is_closing()}
         return {*self._files.get_map(), *connected} - self._own
 
@@ -66,7 +66,7 @@ class Datagrams(socket.socket):
 
     Parameters
     ----------
-    folder : of all sockets that reach each other
+    folder : folder of all sockets that reach each other
     """
 
     def __init__(self, folder: Path, family: int = -1, kind: int = socket.SOCK_DGRAM) -> None:
@@ -102,7 +102,7 @@ def lose(files: Iterable[int]) -> None:
 
 
 class Errors(logging.Handler):
-    """Collects each exception that anything of a daemon logs, or leaves."""
+    """Collector of each exception that anything of a daemon logs, or leaves."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -121,12 +121,12 @@ class LoopProcess:
 
     Parameters
     ----------
-    clock : of all
+    clock : clock of all processes
     errors : takes what fails in the loop
 
     Attributes
     ----------
-    opened : what it closes when it ends in good order
+    opened : resources that it closes when it ends in good order
     """
 
     def __init__(self, clock: VirtualClock, errors: Errors) -> None:
@@ -137,7 +137,7 @@ class LoopProcess:
 
     @property
     def hung(self) -> bool:
-        """Whether it stands still."""
+        """Whether the process stands still."""
         return self._thread.held
 
     def begin(self, work: Coroutine[Any, Any, T]) -> "Future[T]":
@@ -169,7 +169,7 @@ class LoopProcess:
         lose(self.loop.files)
 
     def bury(self) -> None:
-        """Let a killed process end its tasks, once that reaches nobody any more."""
+        """Let a killed process end its tasks, once that has no effect on others."""
         self.loop.set_exception_handler(lambda loop, context: None)
         tasks = asyncio.all_tasks(self.loop)
         for task in tasks:

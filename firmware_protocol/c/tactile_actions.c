@@ -1,5 +1,5 @@
-/* What the messages do that change states, sessions and the stream; check 9 of section 5 stands
- * before each. */
+/* Effects of the messages that change states, sessions and the stream, each after check 9 of section
+ * 5. */
 #include "tactile_internal.h"
 
 static const uint8_t on_hello_other[] = TP_TABLE_HELLO_OTHER;
@@ -19,7 +19,8 @@ static void take_session(ta_amplifier *amp, uint16_t session)
     amp->pulse_now = true;
 }
 
-/* Section 6.1: who lives is not taken over, nor an output that moves. */
+/* Returns whether HELLO is BUSY (6.1): a host that is alive is not displaced, nor while an output is
+ * not at 0 V. */
 static bool busy(const ta_amplifier *amp, uint64_t now)
 {
     bool lives = amp->heard &&

@@ -1,4 +1,4 @@
-/* What the amplifier does by itself: states, sample clock, watchdog, what it sends unasked. */
+/* Actions of the amplifier without a request: states, sample clock, watchdog, messages sent unasked. */
 #include "tactile_internal.h"
 
 #define POWER_UP_RATE 8000u
@@ -82,7 +82,7 @@ bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_
     return limit_codes(c, voltage_uv) <= reach;
 }
 
-/* What limits and rate make of the player's numbers. */
+/* Derives the player's numbers from limits and rate. */
 static void derive(ta_amplifier *amp)
 {
     ta_player *p = &amp->player;
@@ -100,7 +100,7 @@ void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uin
     derive(amp);
 }
 
-/* What is sent */
+/* Messages to the host */
 
 void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_size)
 {
@@ -369,7 +369,7 @@ static void advance_clock(ta_amplifier *amp)
     }
 }
 
-/* What is due at an instant */
+/* Actions at an instant */
 
 static void pulse_if_due(ta_amplifier *amp, uint64_t tick)
 {

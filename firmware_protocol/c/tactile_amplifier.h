@@ -11,13 +11,13 @@
 #include "tactile_packet.h"
 #include "tactile_player.h"
 
-/* What the board is; most of it is told to the host in CAPS. */
+/* Properties of the board; CAPS tells most of them to the host. */
 typedef struct {
     uint8_t node;     /* 1 ... 127 */
     uint8_t channels; /* at most TA_CHANNELS */
     uint8_t carriers; /* at most TA_CARRIERS; 0: no spectrum frames */
-    bool holds;       /* each sample, instead of interpolating */
-    uint16_t formats; /* bit f for sample format f */
+    bool holds;       /* holds each sample instead of interpolating */
+    uint16_t formats; /* bit f is set for sample format f */
     uint16_t packet_limit;
     uint16_t fifo_samples; /* at most TA_FIFO */
     uint32_t tick_hz;
@@ -39,17 +39,17 @@ typedef struct {
 
     /* State, section 6. */
     uint8_t state;
-    uint8_t then; /* what follows RAMPDOWN */
+    uint8_t then; /* state that follows RAMPDOWN */
     bool high_voltage;
-    bool announce; /* the state changed: PULSE */
+    bool announce; /* the state has changed and PULSE is to be sent */
     uint8_t estop_reason;
-    uint8_t fault;          /* that led to FAULT */
-    uint8_t hardware_fault; /* that persists */
+    uint8_t fault;          /* latest fault of the hardware, as STATUS tells it */
+    uint8_t hardware_fault; /* fault that persists now, 0 for none */
     uint16_t session;
 
     /* E-stop input, section 6.3. */
-    bool contact_open; /* as it was read last */
-    bool contact_was_open; /* since power-up */
+    bool contact_open; /* latest reading of the contact */
+    bool contact_was_open; /* the contact has been open since power-up */
     uint64_t contact_closed; /* tick of the last closing */
 
     /* Limits in force, section 11.1. */
@@ -59,8 +59,8 @@ typedef struct {
 
     /* Watchdog, section 6.2. */
     bool watched;
-    uint64_t heartbeat; /* tick of the last, or of ARM */
-    bool heard;         /* there was one in this session (6.1) */
+    uint64_t heartbeat; /* tick of the last HEARTBEAT or ARM */
+    bool heard;         /* this session has sent HEARTBEAT or ARM (6.1) */
 
     /* Sample clock, section 7.1: the next instant and the remainder of k x tick_hz / rate. */
     uint64_t next;
@@ -68,18 +68,18 @@ typedef struct {
     bool start_pending;
     uint64_t start_tick;
     uint32_t start_position;
-    uint32_t last_position; /* that was put out */
+    uint32_t last_position; /* position that was put out last */
 
-    /* What is sent by itself. */
+    /* Messages that the amplifier sends unasked. */
     bool pulse_now;
     uint64_t pulse_tick;
     bool sense_now;
     uint64_t sense_tick;
     uint8_t seq;
 
-    /* Parameters, and what SYNC left. */
+    /* Parameters, and index and tick of the last SYNC. */
     uint8_t node;
-    uint8_t next_node; /* after the answer */
+    uint8_t next_node; /* address from the packet after the answer on */
     uint32_t pulse_ms;
     uint32_t sense_ms;
     uint32_t log_level;
@@ -87,28 +87,29 @@ typedef struct {
     uint64_t sync_tick;
 } ta_amplifier;
 
-/* Powers up at tick 0. False: the configuration is not one that SPEC.md allows, as one of more than 60 V
- * without an e-stop input. */
+/* Powers up at tick 0. Returns false for a configuration that the arrays have no room for, whose limits
+ * section 11.1 forbids, or of more than 60 V without an e-stop input. Other ranges of CAPS (section 4)
+ * are not checked. */
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
 
-/* Does all sample instants up to and at `now`. */
+/* Carries out all sample instants up to and including `now`. */
 void ta_run(ta_amplifier *amp, uint64_t now);
 
-/* Takes a packet whose last byte came at `now`. */
+/* Handles a packet whose last byte arrived at `now`. */
 void ta_receive(ta_amplifier *amp, const uint8_t *packet, size_t size, uint64_t now);
 
-/* Takes a message that came without header and CRC-32: CAN's prompt frames (section 3.2). */
+/* Handles a message without header and CRC-32, from a prompt frame of CAN (section 3.2). */
 void ta_receive_prompt(ta_amplifier *amp, uint8_t type, const uint8_t *payload, size_t size,
                        uint64_t now);
 
-/* The hardware reports a fault, or with code 0 that it is over. */
+/* Reports a fault of the hardware, or with code 0 that it is over. */
 void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now);
 
-/* Reads the e-stop input now: for the interrupt of its pin, where a sample period is long. Without it
- * ta_run reads it at each instant. */
+/* Reads the e-stop input now; meant for an interrupt of its pin where a sample period is long. Without
+ * this call ta_run reads the input at each instant. */
 void ta_estop_input(ta_amplifier *amp, uint64_t now);
 
-/* The tick of the next sample instant, for whoever sets a timer. */
+/* Returns the tick of the next sample instant, to set a timer by. */
 uint64_t ta_next_instant(const ta_amplifier *amp);
 
 #endif

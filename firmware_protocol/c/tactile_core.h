@@ -1,7 +1,7 @@
-/* What every file of the amplifier shares: its sizes, its counters and three lines of arithmetic.
+/* Common parts of all files of the amplifier: sizes, counters and arithmetic.
  *
- * A board changes a size with -DTA_CHANNELS=24 or the like. Nothing here is allocated at run time:
- * the sizes are those of arrays in structs that the firmware places where it wants them.
+ * A board changes a size with -DTA_CHANNELS=24 and the like. Nothing is allocated at run time: the
+ * sizes are those of arrays in structs, which the firmware may place anywhere.
  */
 #ifndef TACTILE_CORE_H
 #define TACTILE_CORE_H
@@ -13,22 +13,22 @@
 #include "tactile_messages.h"
 
 #ifndef TA_CHANNELS
-#define TA_CHANNELS 64 /* drive lines at most */
+#define TA_CHANNELS 64 /* largest number of drive lines */
 #endif
 #ifndef TA_FIFO
-#define TA_FIFO 1024 /* samples kept per channel; 64 ms at the highest rate or more */
+#define TA_FIFO 1024 /* samples kept per channel, at least 64 ms at the highest rate */
 #endif
 #ifndef TA_CARRIERS
-#define TA_CARRIERS 16 /* carriers of spectrum frames at most */
+#define TA_CARRIERS 16 /* largest number of carriers of spectrum frames */
 #endif
 #ifndef TA_PACKET_MAX
-#define TA_PACKET_MAX 4096 /* bytes of the longest packet that is taken */
+#define TA_PACKET_MAX 4096 /* bytes of the longest packet that is accepted */
 #endif
 #ifndef TA_QUEUE
-#define TA_QUEUE 4 /* spectrum frames that wait, per channel; section 10.3 says 4 */
+#define TA_QUEUE 4 /* spectrum frames in the queue of a channel; 4 by section 10.3 */
 #endif
 #ifndef TA_TRANSFERS
-#define TA_TRANSFERS 4 /* fragmented packets under way; section 3.2 says 4 */
+#define TA_TRANSFERS 4 /* transfers that are reassembled at a time; 4 by section 3.2 */
 #endif
 #ifndef TA_REPLIES
 #define TA_REPLIES 1024 /* bytes of packets that wait for an I2C host to read them */
@@ -38,7 +38,7 @@
 #define TA_HEADER 4u
 #define TA_OVERHEAD 8u
 #define TA_LOG_MAX 200u
-#define TA_PACKET_LEAST 136 /* that packet_limit may be: STATUS is 132 bytes */
+#define TA_PACKET_LEAST 136 /* least packet_limit: STATUS has 132 bytes */
 #define TA_REPLY_BODY (4u * TA_CHANNELS > TA_LOG_MAX ? 4u * TA_CHANNELS : TA_LOG_MAX)
 #define TA_REPLY_MAX (TA_OVERHEAD + TP_SENSE_SIZE + TA_REPLY_BODY)
 
@@ -53,7 +53,7 @@ TA_ASSERT(queue, TA_QUEUE >= 1 && TA_QUEUE <= 255);
 TA_ASSERT(transfers, TA_TRANSFERS >= 1);
 TA_ASSERT(replies, TA_REPLIES >= 4 * (2 + TP_STATUS_SIZE + TA_OVERHEAD) && TA_REPLIES <= 65535);
 
-/* Section 12, in the order of STATUS. */
+/* Counters of section 12, in the order of STATUS. */
 typedef struct {
     uint32_t packets;
     uint32_t crc_errors;
@@ -78,7 +78,7 @@ typedef struct {
     uint32_t trips;
 } ta_counters;
 
-/* The distance a - b of two positions, which wrap (section 1). */
+/* Returns the distance a - b of two positions, which wrap (section 1). */
 static inline int32_t ta_distance(uint32_t a, uint32_t b)
 {
     uint32_t d = a - b;
@@ -90,13 +90,13 @@ static inline int32_t ta_clamp(int32_t value, int32_t limit)
     return value > limit ? limit : value < -limit ? -limit : value;
 }
 
-/* An arithmetic shift, which C leaves to the compiler where the value is negative. */
+/* Shifts arithmetically; C leaves it to the compiler how >> shifts a negative value. */
 static inline int64_t ta_shift_right(int64_t value, unsigned bits)
 {
     return value >= 0 ? value >> bits : ~(~value >> bits);
 }
 
-/* Whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. */
+/* Returns whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. */
 static inline bool ta_elapsed(uint64_t now, uint64_t since, uint32_t ms, uint32_t tick_hz)
 {
     return (now - since) * 1000u >= (uint64_t)ms * tick_hz;

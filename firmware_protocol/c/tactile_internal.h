@@ -1,20 +1,20 @@
-/* Between the files of the amplifier: tactile_amplifier.c does what is done unasked, tactile_requests.c
- * checks and answers, tactile_actions.c and tactile_settings.c do what was asked. */
+/* Functions that the files of the amplifier share: tactile_amplifier.c acts unasked, tactile_requests.c
+ * checks requests and answers them, tactile_actions.c and tactile_settings.c carry them out. */
 #ifndef TACTILE_INTERNAL_H
 #define TACTILE_INTERNAL_H
 
 #include "tactile_amplifier.h"
 
-/* An entry of the table of section 6: the state that follows, or what follows RAMPDOWN. */
+/* Applies an entry of the table of section 6: the state that follows, or that which follows RAMPDOWN. */
 void ta_apply(ta_amplifier *amp, uint8_t entry);
 
-/* Puts limits in force, and what follows from them for the player. */
+/* Puts limits in force, for the player as well. */
 void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t fade_us);
 
-/* Whether limits reach 0 V in 20 ms at a rate (11.1). */
+/* Returns whether limits reach 0 V in 20 ms at a rate (11.1). */
 bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t rate);
 
-/* ARM's part of the sample clock: another rate begins at `now`. */
+/* Sets the sample rate for ARM; another rate begins at `now`. */
 void ta_set_rate(ta_amplifier *amp, uint32_t rate, uint64_t now);
 
 /* Sends a packet whose payload is at packet + TA_HEADER. */
@@ -23,21 +23,21 @@ void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_si
 /* Sends PULSE if the state has changed since the last call. */
 void ta_announce(ta_amplifier *amp);
 
-/* Whether the e-stop input counts as open (6.3). */
+/* Returns whether the e-stop input counts as open (6.3). */
 bool ta_input_open(const ta_amplifier *amp, uint64_t now);
 
-/* The phase that is told: STILL but in RUNNING. */
+/* Returns the phase that the host is told, which is STILL except in RUNNING. */
 uint8_t ta_phase(const ta_amplifier *amp);
 
-/* A message that came. */
+/* A message that was received. */
 typedef struct {
     ta_packet packet;
     uint64_t now;
-    bool to_all; /* came to node 0 */
+    bool to_all; /* addressed to node 0 */
     bool ack;    /* the host wants an answer */
 } ta_request;
 
-/* What becomes of it: 0 for done, or the code of NAK, its detail and what is counted. */
+/* The result of a request: code 0 if it was done, else the code and detail of NAK and the counter. */
 typedef struct {
     uint8_t code;
     uint32_t detail;
@@ -49,14 +49,14 @@ ta_verdict ta_refuse_as(uint32_t *counter, uint8_t code, uint32_t detail);
 ta_verdict ta_refuse(ta_amplifier *amp, uint8_t code, uint32_t detail);
 ta_verdict ta_malformed(ta_amplifier *amp, const ta_request *r);
 
-/* Check 8: whether the table lets the event happen in this state. */
+/* Makes check 8: whether the table allows the event in this state. */
 ta_verdict ta_by_table(ta_amplifier *amp, const uint8_t *table);
 
-/* The table of section 6, an entry per state. */
+/* Rows of the table of section 6, with an entry per state. */
 extern const uint8_t ta_on_arm[], ta_on_start[], ta_on_stop[], ta_on_disarm[], ta_on_estop[],
     ta_on_clear_fault[], ta_on_limits[], ta_on_carriers[];
 
-/* Check 9 of each message, and what it does. */
+/* Each makes check 9 of a message and carries it out. */
 ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_time(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_sync(ta_amplifier *amp, const ta_request *r);

@@ -1,7 +1,7 @@
-/* The links of section 3: between bytes or frames of the wire and packets of the amplifier.
+/* The links of section 3, between bytes or frames of the wire and packets of the amplifier.
  *
- * Firmware has the struct of its own link only. Receiving: feed what came. Sending: the HAL's `send`
- * calls ta_serial_send or ta_can_send, or ta_replies_push where the host fetches.
+ * Firmware has the struct of its own link only. It feeds what it receives to the link. To send, the
+ * HAL's `send` calls ta_serial_send or ta_can_send, or ta_replies_push on a bus where the host reads.
  */
 #ifndef TACTILE_LINK_H
 #define TACTILE_LINK_H
@@ -38,32 +38,32 @@ typedef struct {
     bool extended; /* identifiers have 29 bits */
     bool (*write)(void *context, const ta_can_frame *frame);
     void *context;
-    uint8_t ids[2]; /* of the next transfer, by class: RESPONSE, BULK */
+    uint8_t ids[2]; /* ids of the next transfers of RESPONSE and BULK */
     ta_reassembly reassembly;
 } ta_can;
 
-/* Frames whose identifiers are of the other length than `extended` says are ignored. */
+/* Handles a frame; one whose identifier has another length than `extended` says is ignored. */
 void ta_can_init(ta_can *link, ta_amplifier *amp, bool fd, bool extended,
                  bool (*write)(void *context, const ta_can_frame *frame), void *context);
 void ta_can_feed(ta_can *link, const ta_can_frame *frame, uint64_t now);
 bool ta_can_send(ta_can *link, const uint8_t *packet, size_t size);
 
-/* Packets that wait to be fetched, first in first out, each after its length. */
+/* Packets that wait until the host reads them, first in first out, each after its length. */
 typedef struct {
     uint8_t bytes[TA_REPLIES];
     size_t head;
     size_t used;
 } ta_replies;
 
-/* False where there is no room; for the HAL's `send`. */
+/* Appends a packet, for the HAL's `send`; returns false if there is no room. */
 bool ta_replies_push(ta_replies *replies, const uint8_t *packet, size_t size);
-bool ta_replies_waiting(const ta_replies *replies); /* for the line that is low */
+bool ta_replies_waiting(const ta_replies *replies); /* for the line that is low meanwhile */
 
-/* I2C, raw transfers (3.3). A read gives at most `size` bytes; the number that it gave. */
+/* Raw transfers on I2C (3.3). A read gives at most `size` bytes and returns their number. */
 void ta_i2c_write(ta_amplifier *amp, const uint8_t *bytes, size_t size, uint64_t now);
 size_t ta_i2c_read(ta_replies *replies, uint8_t *out, size_t size);
 
-/* I2C, SMBus block transfers: the bytes after command and count. */
+/* SMBus block transfers on I2C: the bytes after command and count. */
 #define TA_SMBUS_WRITE 0x54u
 #define TA_SMBUS_READ 0x55u
 #define TA_SMBUS_BLOCK 32u
@@ -71,8 +71,8 @@ size_t ta_i2c_read(ta_replies *replies, uint8_t *out, size_t size);
 typedef struct {
     ta_amplifier *amp;
     ta_replies *replies;
-    uint8_t id;                   /* of the next transfer to the host */
-    ta_cutter cutter;             /* the reply that is being fetched */
+    uint8_t id;                   /* id of the next transfer to the host */
+    ta_cutter cutter;             /* reply that is being read */
     uint8_t packet[TA_REPLY_MAX]; /* its bytes */
     ta_reassembly reassembly;
 } ta_smbus;

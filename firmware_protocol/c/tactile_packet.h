@@ -9,40 +9,40 @@ typedef struct {
     uint8_t flags;
     uint8_t node;
     uint8_t seq;
-    const uint8_t *payload; /* in the bytes that were decoded */
-    size_t size;            /* of the payload */
+    const uint8_t *payload; /* points into the bytes that were decoded */
+    size_t size;            /* bytes of the payload */
 } ta_packet;
 
-/* As zlib's crc32(); "123456789" gives 0xCBF43926. */
+/* Computes the CRC-32 of zlib's crc32(); "123456789" gives 0xCBF43926. */
 uint32_t ta_crc32(const uint8_t *bytes, size_t size);
 
-/* Takes a packet apart. False: shorter than 8 bytes, or its CRC-32 is wrong. */
+/* Decodes a packet. Returns false if it is shorter than 8 bytes or its CRC-32 is wrong. */
 bool ta_packet_decode(ta_packet *packet, const uint8_t *bytes, size_t size);
 
-/* Puts header and CRC-32 around the `size` bytes of payload that are at bytes + TA_HEADER already.
+/* Puts header and CRC-32 around a payload of packet->size bytes, which is at bytes + TA_HEADER already.
  * Returns the size of the packet, size + TA_OVERHEAD. */
 size_t ta_packet_seal(uint8_t *bytes, const ta_packet *packet);
 
-/* Most bytes that COBS makes of `size`, without the delimiter. */
+/* Largest number of bytes that COBS makes of `size`, without the delimiter. */
 #define TA_COBS_MAX(size) ((size) + (size) / 254u + 1u)
 
-/* Codes `size` bytes into `out`, which has room for TA_COBS_MAX(size). Returns the coded size. */
+/* Encodes `size` bytes into `out`, which has room for TA_COBS_MAX(size). Returns the encoded size. */
 size_t ta_cobs_encode(const uint8_t *in, size_t size, uint8_t *out);
 
 typedef enum {
     TA_COBS_MORE,      /* nothing yet */
     TA_COBS_FRAME,     /* `frame` bytes are in `bytes`, until the next byte is fed */
     TA_COBS_MALFORMED, /* the delimiter came within a block */
-    TA_COBS_OVERSIZED  /* told once; what follows is dropped to the delimiter */
+    TA_COBS_OVERSIZED  /* returned once; what follows is dropped up to the delimiter */
 } ta_cobs_event;
 
 typedef struct {
     uint8_t bytes[TA_PACKET_MAX];
     size_t limit; /* longest packet, at most TA_PACKET_MAX */
-    size_t frame; /* size of the frame that came */
-    size_t size;  /* decoded so far */
-    size_t coded; /* taken so far */
-    uint8_t left; /* bytes that the block has yet to bring */
+    size_t frame; /* size of the latest complete frame */
+    size_t size;  /* bytes decoded so far */
+    size_t coded; /* encoded bytes received so far */
+    uint8_t left; /* bytes of the block that are still to come */
     bool zero;    /* the block stands for a zero at its end, if another follows */
     bool skip;    /* too long: wait for the delimiter */
 } ta_cobs;

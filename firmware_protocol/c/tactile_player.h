@@ -1,8 +1,8 @@
-/* What turns a stream into codes, instant by instant: the buffer (8.1), phases and bridges (8.2), the
+/* Conversion of a stream into codes, instant by instant: the buffer (8.1), phases and bridges (8.2), the
  * gain (8.3), spectrum envelopes (10.3) and the last stage (11.2), which bounds every sample.
  *
- * The player knows neither sessions nor packets nor time: the amplifier tells it the state, and calls
- * it once an instant.
+ * The player knows neither sessions nor packets nor time: the amplifier passes it the state, and calls
+ * it once at each instant.
  */
 #ifndef TACTILE_PLAYER_H
 #define TACTILE_PLAYER_H
@@ -10,16 +10,16 @@
 #include "tactile_samples.h"
 #include "tactile_spectrum.h"
 
-/* Of a place in the buffer where nothing is: no sample code has this value. */
+/* Content of an empty place in the buffer; no sample code has this value. */
 #define TA_NOTHING INT16_MIN
 
 /* A channel of a PCM stream. */
 typedef struct {
     bool active;
-    int16_t value; /* the last, before the gain */
-    int16_t from;  /* of the bridge under way: the value before it and that after it */
+    int16_t value; /* last value, before the gain */
+    int16_t from;  /* values before and after the present bridge */
     int16_t to;
-    uint16_t length; /* of the bridge in steps, 0 without one */
+    uint16_t length; /* steps of the bridge, 0 without one */
     uint16_t done;
 } ta_line;
 
@@ -27,21 +27,21 @@ typedef struct {
     ta_counters *counters;
     uint8_t channels;
     uint8_t mode;
-    uint8_t phase; /* of RUNNING; kept in the RAMPDOWN that follows, which plays on by it */
+    uint8_t phase; /* phase of RUNNING; the RAMPDOWN that follows plays on by it */
     uint8_t carriers;
     bool quick; /* RAMPDOWN at the slew limit */
-    bool moved; /* the position is another than at the last instant */
+    bool moved; /* the position has changed since the last instant */
     uint16_t fifo;
-    uint16_t head; /* row of the buffer where `position` is */
-    uint16_t fill; /* positions from `position` to the newest sample or frame; nothing is beyond */
+    uint16_t head; /* row of the buffer that holds `position` */
+    uint16_t fill; /* number of positions from `position` to the newest sample or frame */
     uint32_t rate;
-    uint32_t position;  /* that is put out next */
-    uint32_t gain;      /* g */
-    uint32_t gain_full; /* N */
+    uint32_t position;  /* position that is put out next */
+    uint32_t gain;      /* g of section 8.3 */
+    uint32_t gain_full; /* N of section 8.3 */
     int32_t limit;
     int32_t step;
     uint32_t increments[TA_CARRIERS];
-    int16_t codes[TA_CHANNELS]; /* that were put out last */
+    int16_t codes[TA_CHANNELS]; /* codes that were put out last */
     ta_line lines[TA_CHANNELS];
     ta_envelope envelopes[TA_CHANNELS];
     int16_t buffer[TA_FIFO][TA_CHANNELS];
@@ -49,21 +49,22 @@ typedef struct {
 
 void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint16_t fifo);
 
-/* START: an empty buffer, no active channel, gain 0, WAITING. */
+/* Begins a START: empties the buffer, no channel is active, the gain is 0, the phase WAITING. */
 void ta_player_start(ta_player *p, uint32_t position);
 
-/* Takes samples or a frame that passed all checks. */
+/* Store samples, or a frame, that have passed all checks. */
 void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samples *samples);
 void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t first,
                      uint8_t channels, const uint8_t *envelopes);
 
-/* One instant: settles phase and gain and puts the new codes into `codes`. `come`: the tick of START
- * has come, so that WAITING may end. */
+/* Carries out an instant: settles phase and gain and puts the new codes into `codes`. `come` says that
+ * the tick of START has come, so that WAITING may end. */
 void ta_player_instant(ta_player *p, uint8_t state, bool come);
 
-/* After it: on to the next position, or not while a START holds it. */
+/* Goes on to the next position after an instant; `hold` keeps the position while START is pending. */
 void ta_player_move(ta_player *p, bool hold);
 
-bool ta_player_silent(const ta_player *p); /* all codes are 0 */
+/* Returns whether all codes are 0. */
+bool ta_player_silent(const ta_player *p);
 
 #endif

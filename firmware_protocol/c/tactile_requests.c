@@ -1,4 +1,4 @@
-/* What the amplifier is asked: the checks of section 5 in their order, and the answers.
+/* Requests: the checks of section 5 in their order, and the answers.
  *
  * A message has a rule, which says what is checked before it, and a function, which checks its values
  * and acts. The function gives a verdict: done, or why not; the answer follows from that.
@@ -7,10 +7,10 @@
 
 typedef struct {
     ta_verdict (*act)(ta_amplifier *amp, const ta_request *r);
-    uint8_t head;            /* of a message with a body */
-    int8_t session;          /* where the payload has it, -1: it is not checked */
-    bool answers;            /* by another message than ACK */
-    const uint8_t *by_state; /* what the table of section 6 says, NULL: nothing */
+    uint8_t head;            /* bytes of the head of a message with a body */
+    int8_t session;          /* offset in the payload; -1: not checked */
+    bool answers;            /* with another message than ACK */
+    const uint8_t *by_state; /* row of the table of section 6, or NULL */
 } rule;
 
 const uint8_t ta_on_arm[] = TP_TABLE_ARM;
@@ -83,7 +83,7 @@ static bool owns(const ta_amplifier *amp, const ta_request *r, size_t at)
     return session != 0 && session == amp->session;
 }
 
-/* Checks 3 to 8, then the message's own. */
+/* Makes checks 3 to 8, then check 9 of the message. */
 static ta_verdict judge(ta_amplifier *amp, const ta_request *r)
 {
     const ta_packet *p = &r->packet;
@@ -132,7 +132,7 @@ static void answer(ta_amplifier *amp, const ta_request *r, const ta_verdict *v)
     }
 }
 
-/* All from check 3 on; what waits for the answer to be sent comes last. */
+/* Does everything from check 3 on; what has to wait for the answer comes last. */
 static void handle(ta_amplifier *amp, const ta_request *r)
 {
     amp->counters.packets++;

@@ -4,7 +4,7 @@
 
 #include "tactile_core.h"
 
-/* The body of a PCM message and what it holds. */
+/* The body of a PCM message and its layout. */
 typedef struct {
     uint8_t format;
     uint8_t channels;
@@ -12,14 +12,14 @@ typedef struct {
     const uint8_t *data;
 } ta_samples;
 
-/* Bytes of the body; 0 for an unknown format. */
+/* Returns the number of bytes of the body, 0 for an unknown format. */
 size_t ta_samples_size(uint8_t format, uint8_t channels, uint8_t samples);
 
-/* The sample code of one channel at one position of the body, -32767 ... 32767. */
+/* Returns the sample code of one channel at one position of the body, -32767 ... 32767. */
 int16_t ta_samples_get(const ta_samples *samples, uint8_t channel, uint8_t at);
 
-/* Codes channels x samples codes, position by position, into `out`, which has room for
- * ta_samples_size. An amplifier does not need it; tests and firmware hosts do. */
+/* Encodes channels x samples codes, position by position, into `out`, which has room for
+ * ta_samples_size. Amplifiers do not need it; tests and hosts in firmware do. */
 void ta_samples_encode(const int16_t *codes, uint8_t format, uint8_t channels, uint8_t samples,
                        uint8_t *out);
 

@@ -5,23 +5,23 @@
 
 #include "tactile_core.h"
 
-/* 32767 sin and cos of an angle, 2^32 to the turn (10.1). */
+/* Return 32767 sin and 32767 cos of an angle; a turn has 2^32 (10.1). */
 int32_t ta_sine(uint32_t angle);
 int32_t ta_cosine(uint32_t angle);
 
-/* 0.25 dB steps, in 1/256 of a sample code; 0 for code 0 (10.2). */
+/* Returns the amplitude of a code, in 1/256 of a sample code: steps of 0.25 dB, 0 for code 0 (10.2). */
 int32_t ta_amplitude(uint8_t code);
 
-/* An envelope or, of a carrier, its cosine (i) and sine (q). */
+/* I and Q of an envelope, or cosine (i) and sine (q) of a carrier. */
 typedef struct {
     int32_t i;
     int32_t q;
 } ta_phasor;
 
-/* I and Q of an amplitude code and a phase code (10.2). */
+/* Returns I and Q of an amplitude code and a phase code (10.2). */
 ta_phasor ta_phasor_decode(uint8_t amplitude, uint8_t phase);
 
-/* A frame as it waits: for each carrier amplitude code and phase code. */
+/* A frame in the queue, with the amplitude code and the phase code of each carrier. */
 typedef struct {
     uint32_t position;
     uint16_t valid;
@@ -31,11 +31,11 @@ typedef struct {
 /* The envelope of one channel (10.3). */
 typedef struct {
     ta_phasor present[TA_CARRIERS];
-    ta_phasor step[TA_CARRIERS]; /* per position, while ramping */
-    ta_frame target;             /* where the ramp ends */
+    ta_phasor step[TA_CARRIERS]; /* change per position in a ramp */
+    ta_frame target;             /* frame at which the ramp ends */
     bool ramping;
     uint8_t queued;
-    uint32_t in_force; /* positions, the present one included */
+    uint32_t in_force; /* positions for which `present` is in force, this one included */
     ta_frame queue[TA_QUEUE];
 } ta_envelope;
 
@@ -43,20 +43,21 @@ typedef enum { TA_FRAME_KEPT, TA_FRAME_LATE, TA_FRAME_FUTURE } ta_frame_fate;
 
 void ta_envelope_clear(ta_envelope *e);
 
-/* Takes a frame; `n` is the position that is put out next. FUTURE: one is dropped, this or another. */
+/* Queues a frame; `n` is the position that is put out next. With TA_FRAME_FUTURE this frame or the
+ * last of the queue was dropped. */
 ta_frame_fate ta_envelope_offer(ta_envelope *e, const ta_frame *frame, uint32_t n, uint32_t fifo);
 
-/* Whether the channel is ready at n, which `moved` from the position before or is the same. */
+/* Returns whether the channel is ready at n; `moved` says that n has changed since the last instant. */
 bool ta_envelope_ready(const ta_envelope *e, uint32_t n, bool moved);
 
-/* Goes on to n: steps 1 to 3. */
+/* Goes on to position n by rules 1 to 3 of section 10.3. */
 void ta_envelope_advance(ta_envelope *e, uint32_t n, bool moved, uint8_t carriers);
 
-/* WAITING and STARVED: the ramp stops, and frames whose position comes are dropped. */
+/* Stops the ramp, and drops frames whose position comes, in WAITING and STARVED. */
 void ta_envelope_stop(ta_envelope *e, uint32_t n);
 void ta_envelope_silence(ta_envelope *e);
 
-/* The sample code of an envelope (10.4); `turns` are the carriers at this position. */
+/* Returns the sample code of an envelope (10.4); `turns` are the carriers at this position. */
 int16_t ta_envelope_value(const ta_envelope *e, const ta_phasor *turns, uint8_t carriers);
 
 #endif

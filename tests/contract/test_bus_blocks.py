@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: what arrives, also where it is wrong."""
+"""Tests of the contract of `tactile.bus.base`: the samples that arrive, also when wrong."""
 
 import math
 
@@ -25,7 +25,7 @@ from tactile.errors import InputError
 
 @on(BENCHES)
 class TestBlocks:
-    """What arrives, also where it is wrong."""
+    """Tests of the samples that arrive, also when they are wrong."""
 
     def test_a_short_gap_is_counted_and_bridged_by_a_straight_line(
         self, bench: Bench, three: Display

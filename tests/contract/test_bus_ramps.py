@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: how it comes to 0 V."""
+"""Tests of the contract of `tactile.bus.base`: the ways of a bus to 0 V."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ from tactile.errors import InputError
 
 @on(BENCHES)
 class TestRamps:
-    """How it comes to 0 V, and how fast it moves at all."""
+    """Tests of the ways to 0 V, and of the speed of any movement."""
 
     def test_stop_is_a_straight_ramp_of_the_fades_length_to_exactly_0_volts(
         self, bench: Bench, three: Display

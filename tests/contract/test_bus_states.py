@@ -1,4 +1,4 @@
-"""Every bus keeps the contract of `tactile.bus.base`: its states, and links in real time."""
+"""Tests of the contract of `tactile.bus.base`: states of a bus, and links in real time."""
 
 from typing import get_args
 
@@ -25,7 +25,7 @@ from tactile.errors import BusError, BusStateError
 
 @on(BENCHES)
 class TestStates:
-    """Which calls are allowed, and what ends."""
+    """Tests of the calls that each state allows, and of what ends a state."""
 
     def test_opens_idle_for_its_display_and_declares_what_host_death_does(
         self, bench: Bench, three: Display
@@ -190,7 +190,7 @@ class TestStates:
 @pytest.mark.realtime
 @on(REAL)
 class TestRealLinks:
-    """What is seen of each link in real time, also of slcan, which has the least to spare."""
+    """Tests of each link in real time, also of slcan, which has the least to spare."""
 
     def test_a_stream_is_put_out_stopped_and_broken_off(self, bench: Bench, slow: Display) -> None:
         bus, step = bench.open(slow), SLOW / bench.rate

@@ -1,4 +1,4 @@
-"""What the checks of the project's own buses inside a guest have in common.
+"""Common tools of the checks of the project's own buses inside a guest.
 
 `tactile.devices` is left alone, since it loads scipy, which takes a guest a minute.
 """
@@ -21,9 +21,9 @@ from tactile.bus.registry import open_bus
 from tactile.errors import BusError
 
 PEAK = 80.0
-"""V of `waves`."""
+"""Amplitude of `waves` [V]."""
 CODE = 100.0 / FULL_SCALE_CODE
-"""V."""
+"""Voltage of one sample code [V]."""
 ROUNDING = {SampleFormat.PCM16: 0.5, SampleFormat.PCM12: 8.0, SampleFormat.BFP8: 128.0}
 """Codes by which a format is off at most, at `PEAK` (SPEC.md, 9)."""
 BLOCK = 16
@@ -33,7 +33,7 @@ TRIES = 5
 
 @dataclass(frozen=True)
 class Limits:
-    """Of a display, in SI units."""
+    """Limits of a display, in SI units."""
 
     voltage: float = 100.0
     fade: float = 20e-3
@@ -41,7 +41,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of an audio card."""
+    """Calibration of an audio card."""
 
     audio_full_scale: float | None = 100.0
     ac_coupling: float = 0.0
@@ -49,7 +49,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Rig:
-    """All that a bus asks of a display."""
+    """Part of a display that a bus needs."""
 
     channels: int
     slew: float = 0.7e6
@@ -115,7 +115,7 @@ def playing(bus: Bus, block: int = BLOCK) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Record:
-    """What an amplifier put out, an instant a row.
+    """Output of an amplifier, one row per instant.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Record:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Which rows are at 0 V."""
+        """Return which rows are at 0 V."""
         return np.asarray(~self.volts.any(axis=1))
 
     def began(self, bus: LinkBus, node: int = 0) -> int:
@@ -195,6 +195,6 @@ def play(bus: Bus, seconds: float = 0.5, block: int = BLOCK) -> Floats:
 
 
 def wait_for_link(bus: Bus, link: str) -> None:
-    """Wait until the link is told to be up or down."""
+    """Wait until the status of the link is up or down."""
     wait_for(f"the link is {link}", lambda: bus.status.link == link)
     assert "\n" not in bus.status.detail

@@ -27,7 +27,7 @@ class GsUsb(UsbDevice):
 
     Parameters
     ----------
-    port : of vhci-hcd
+    port : port of vhci-hcd
     on_frame : called with identifier (flags as in SocketCAN) and data of a frame on the bus
     """
 

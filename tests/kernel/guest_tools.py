@@ -1,4 +1,4 @@
-"""What the checks inside a guest have in common."""
+"""Common tools of the checks inside a guest."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What answers on an emulated I²C bus."""
+"""Targets of an emulated I²C bus."""
 
 import os
 import time
@@ -12,7 +12,7 @@ from firmware_protocol.ports import I2cPort
 
 
 class Target(Protocol):
-    """What answers at an address; an OSError is what the caller of the driver gets."""
+    """Target at an address; an OSError is what the caller of the driver gets."""
 
     def write(self, data: bytes) -> None:
         """Take what is written from a start to the next start or stop."""

@@ -60,7 +60,7 @@ class Board:
         self.adapter = adapter
 
     def unplug(self) -> None:
-        """Pull its cable."""
+        """Pull the cable of the adapter."""
         adapter, self.adapter = self.adapter, None
         if adapter is not None:
             adapter.unplug()
@@ -79,17 +79,17 @@ class Board:
 
     @property
     def record(self) -> Record:
-        """What the amplifier put out so far."""
+        """Output of the amplifier so far."""
         return Record.read(self._out, 1)
 
     @property
     def sounds(self) -> bool:
-        """Whether it is not at 0 V."""
+        """Whether the amplifier is not at 0 V."""
         return bool(len(self.record.ticks)) and not self.record.at_rest[-20:].all()
 
     @property
     def safe(self) -> bool:
-        """Whether its watchdog has taken it to 0 V."""
+        """Whether the watchdog of the amplifier has taken it to 0 V."""
         return bool(self.record.states[-1] == State.SAFE and self.record.at_rest[-1])
 
 

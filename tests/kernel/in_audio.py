@@ -1,4 +1,4 @@
-"""Checks in QEMU: our audio bus on a sound card, whose other end is heard."""
+"""Checks in QEMU: our audio bus on a sound card, whose other end is recorded."""
 
 import importlib
 from collections.abc import Iterator
@@ -16,21 +16,22 @@ from tactile.bus.registry import open_bus
 CARD, EAR = "Loopback: PCM (hw:0,0)", "Loopback: PCM (hw:0,1)"
 CHANNELS = 24
 RATE = 16000
-"""Hz. At 48 kHz the buffer is of 8 ms, too short for a card that ticks every 4 ms, in a guest."""
+"""Sample rate [Hz]. At 48 kHz the buffer has 8 ms, too short in a guest for a card that ticks every
+4 ms."""
 BLOCK = RATE // 100
 QUIET = RATE // 10
 FULL_SCALE = 100.0
-"""V of `Rig`."""
+"""Full scale of `Rig` [V]."""
 
 
 class Ear:
-    """What comes out of the card's other end, as long as the context lasts."""
+    """Recorder of the card's other end, as long as the context lasts."""
 
     def __init__(self) -> None:
         sd = importlib.import_module("sounddevice")
         number = next(d["index"] for d in sd.query_devices() if d["name"] == EAR)
         self.gaps: list[str] = []
-        """What PortAudio says was lost."""
+        """Losses that PortAudio reports."""
         self._blocks: list[NDArray[np.float32]] = []
         self.stream = sd.InputStream(
             device=number, callback=self._take, dtype="float32", samplerate=RATE,
@@ -43,12 +44,12 @@ class Ear:
 
     @property
     def heard(self) -> Floats:
-        """What was heard so far (S, C) [V]."""
+        """Everything that was recorded so far (S, C) [V]."""
         return np.concatenate([np.zeros((1, CHANNELS)), *self._blocks]) * FULL_SCALE
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing is heard any more."""
+        """Whether the recording has fallen silent."""
         return len(self.heard) > QUIET and not self.heard[-QUIET:].any()
 
 

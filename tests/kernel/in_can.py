@@ -33,10 +33,10 @@ REARMED = f"{CLASSIC}&rearm=true"
 FD = f"can:socketcan/{INTERFACE}?fd=true"
 FD_MTU = 72
 RATE = 2500
-"""Hz, where two amplifiers are as much as a guest's processor bears."""
+"""Sample rate [Hz]. The processor of a guest copes with two amplifiers at this rate, no more."""
 TICK_HZ = 1_000_000
 TOGETHER = 1e-3
-"""s."""
+"""Largest difference in time between two amplifiers that play together [s]."""
 ESTOP_MS, DEATH_MS = 20, 220
 
 

@@ -183,12 +183,12 @@ BLOCK = RATE // 10
 
 
 class Loop:
-    """What is played into the loopback card, and what comes out of it."""
+    """Loopback card: player of one end and recorder of the other."""
 
     def __init__(self, played: NDArray[np.int16]) -> None:
         self.heard: list[NDArray[np.int16]] = []
         self.gaps: list[str] = []
-        """What PortAudio says was lost."""
+        """Losses that PortAudio reports."""
         silence = [np.zeros((BLOCK, CHANNELS), np.int16)] * 10
         self._waiting = iter([*silence, *np.split(played, len(played) // BLOCK), *silence])
         self._done = threading.Event()

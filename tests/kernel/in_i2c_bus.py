@@ -45,9 +45,9 @@ BURST = 5
 """Refused transfers in a row: less than the 0.1 s after which a link is taken as broken."""
 MANY = 10**6
 LSB = {"drv2667": 50 / 127, "bos1921": 3.6 * 31 / 2047}
-"""V a code."""
+"""Voltage of one code of each chip [V]."""
 SLEW = 80e3
-"""V/s."""
+"""Slew limit of the display [V/s]."""
 ADDRESSES = {"drv2667": drv2667.ADDRESS, "bos1921": bos1921.ADDRESS}
 
 
@@ -75,19 +75,19 @@ class Recorded(AmplifierTarget):
 
     @property
     def state(self) -> State:
-        """Its state now, also where nobody talks to it."""
+        """Present state of the amplifier, also when nobody communicates with it."""
         self.amplifier.run(self._now())
         return self.amplifier.state
 
     @property
     def volts(self) -> Floats:
-        """What was put out so far (S, C) [V]."""
+        """Output so far (S, C) [V]."""
         codes = [run.codes for run in self.runs]
         return np.concatenate([np.zeros((1, 2)), *codes]) * CODE
 
     @property
     def sounds(self) -> bool:
-        """Whether it is not at 0 V."""
+        """Whether the amplifier is not at 0 V."""
         return bool(self.volts[-20:].any())
 
 

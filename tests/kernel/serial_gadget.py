@@ -35,12 +35,12 @@ class SerialGadget:
         self.plug()
 
     def plug(self) -> None:
-        """Plug it in; HOST is there afterwards."""
+        """Plug the gadget in; HOST is there afterwards."""
         (GADGET / "UDC").write_text(CONTROLLER)
         wait_for(f"{HOST} appears", HOST.exists)
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Pull the cable of the gadget."""
         (GADGET / "UDC").write_text("\n")
 
     def remove(self) -> None:

@@ -1,4 +1,4 @@
-"""The kernel's own drivers: runs the checks of `in_*.py` inside kernels that have them.
+"""Runs of the checks of `in_*.py` inside kernels that have the drivers.
 
 Every check is a line of its own here, so that one that was not run counts as failed. They run where
 what they test has changed since they last passed (`tested.py`), and with KERNEL=1.
@@ -24,7 +24,8 @@ from tested import RECORD, digest
 HERE = Path(__file__).parent
 PROJECT = HERE.parents[1]
 HANGING = 20
-"""s of a guest's time after which a check tells where it is; the longest takes 5."""
+"""Time in a guest after which a check is taken to hang and reports its place [s]; the longest takes
+5 s."""
 FETCHING = ("apt-get", "dpkg-deb", "depmod")
 RESULT = re.compile(r"^([A-Z]+) \S*?(\w+\.py)::(\w+)", re.MULTILINE)
 TITLE = re.compile(r"^(?:_{3,}|={3,}) (.+) (?:_{3,}|={3,})$", re.MULTILINE)
@@ -77,7 +78,7 @@ BUSES = Machine(
 
 
 def missing(what: str) -> NoReturn:
-    """Skip; where CI promises it its absence is a failure."""
+    """Skip a test because something is missing; in CI, which promises it, fail."""
     if os.environ.get("CI") == "true":
         pytest.fail(what)
     pytest.skip(what)
@@ -91,7 +92,7 @@ def need(tools: tuple[str, ...]) -> None:
 
 
 def unless_they_passed_before() -> None:
-    """Skip where nothing has changed since all checks passed."""
+    """Skip the test if nothing has changed since all checks passed."""
     if os.environ.get("KERNEL") != "1" and RECORD.read_text("ascii").strip() == digest():
         pytest.skip("what the guests test is as it was when they passed; KERNEL=1 runs them")
 
@@ -121,7 +122,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 Results = tuple[dict[str, set[str]], str]
-"""What came of each check, and all that was written."""
+"""Outcomes of each check, and everything that was written."""
 
 
 def run(machine: Machine, environment: dict[str, str]) -> Results:

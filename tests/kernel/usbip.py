@@ -32,14 +32,14 @@ class UsbDevice:
 
     Parameters
     ----------
-    port : of vhci-hcd, 0 to 7
+    port : port of vhci-hcd, 0 to 7
     """
 
     vendor = 0
     product = 0
     name = ""
     endpoints: tuple[int, ...] = ()
-    """Their addresses; 0x80 and above lead to the kernel."""
+    """Addresses of the endpoints; 0x80 and above lead to the kernel."""
 
     def __init__(self, port: int) -> None:
         self._socket, kernels = socket.socketpair()
@@ -53,7 +53,7 @@ class UsbDevice:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Pull the cable of the device."""
         with self._lock:
             self._plugged = False
             self._socket.shutdown(socket.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""Benders that one can buy: what is printed of them or was measured, beside the model.
+"""Benders on the market: printed and measured values, compared with the model.
 
 | bender | figure | printed or measured | model |
 |---|---|---|---|
@@ -45,7 +45,8 @@ PRINTED = {
     "mtp49x2.3x0.8": (200.0, 12.0, 1.5, 0.15),
     "mtp60x20x0.7": (150.0, 120.0, 2.6, 0.50),
 }
-"""V, nF of one layer (±20 %), mm (±20 %), N."""
+"""Printed values: voltage [V], capacitance of one layer (±20 %) [nF], free deflection (±20 %) [mm],
+blocked force [N]."""
 
 each_mtp = pytest.mark.parametrize("name", PRINTED)
 
@@ -71,7 +72,7 @@ def resonances(bender: Bimorph, mass: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("stiffened", [False, True])
 def test_a_bender_with_a_mass_resonates_where_it_was_measured(stiffened: bool) -> None:
-    """Both to 2 %: 0.01 mm of the height of 0.66 mm, the last digit printed, is 1.5 % of frequency.
+    """Both agree to 2 %: the last printed digit of the height, 0.01 of 0.66 mm, makes 1.5 %.
 
     How far apart they are tells the coupling, squared: 6.1 % measured, 4.4 % found. The model
     counts the capacitance of the clamped fifth; without it 5.4 % would be found, and d31 is given

@@ -1,4 +1,4 @@
-"""Hofmann & Twiefel 2014: what the paper prints, and what the default design makes of it.
+"""Hofmann & Twiefel 2014: values of the paper, compared with the default design.
 
 "Optimization of a Piezoelectric Bending Actuator for a Tactile Virtual Reality Display", Energy
 Harvesting and Systems, doi 10.1515/ehs-2014-0055.
@@ -31,7 +31,8 @@ from tactile.arrays import Floats
 DESIGN = Bimorph()
 AIR, LOW, HIGH = FingerLoad.none(), FingerLoad.low(), FingerLoad.high()
 BAND = np.arange(0.0, 1001.0, 10.0)
-"""Hz; the paper's band. Loaded, no resonance is narrower than the grid."""
+"""Frequencies of the paper's band [Hz]. No resonance of a loaded bender is narrower than the
+grid."""
 
 
 def moved(design: Bimorph, load: FingerLoad, axial_force: float = 0.0) -> Floats:
@@ -113,7 +114,7 @@ def test_resonances_in_air() -> None:
     ("load", "printed", "digit"), [(LOW, 0.56, 0.005), (HIGH, 0.245, 0.0005)], ids=["low", "high"]
 )
 def test_static_displacement(load: FingerLoad, printed: float, digit: float) -> None:
-    """Record: micrometers per volt."""
+    """Record: displacements in micrometers per volt."""
     still = tip_response(DESIGN, load, 0).displacement[0]
     assert still.real * 1e6 == pytest.approx(printed, abs=digit)
 

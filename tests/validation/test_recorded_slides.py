@@ -1,4 +1,4 @@
-"""Fits of recorded slides: what the benchmark promises of them holds.
+"""Tests of the promises of the benchmark about fits of recorded slides.
 
 BioTac on 12 materials (Gao, Taunyazov, Lin & Wu, IROS 2020), a bare finger on denim and corduroy
 (Fradin, Haliyo & Gueorguiev, World Haptics 2023). The recordings state no licence and are not

@@ -30,7 +30,7 @@ from firmware_protocol.host import AmplifierHost, codes_of, pcm
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
-from tactile.bus.simulated.modeled_bus import ModeledBus, OutputRecord
+from tactile.bus.simulated.modeled_bus import AmplifierRecord, ModeledBus
 from tactile.show.plots import plot_played
 from tactile.study.paper import FINGERS, over_length
 from tactile.study.plots import plot_length_map
@@ -121,10 +121,10 @@ def links(path: Path) -> None:
     """Draw what becomes of a stroke whose cable is pulled."""
     runs: list[PlayedRun] = []
 
-    def listening(self: OutputRecord, run: PlayedRun, begun: int, end: int | None) -> None:
+    def listening(self: AmplifierRecord, run: PlayedRun, begun: int, end: int | None) -> None:
         runs.append(run)
 
-    OutputRecord.add = listening  # type: ignore[method-assign]
+    AmplifierRecord.add_run = listening  # type: ignore[method-assign]
     wanted, begun, dropped = with_pulled_cable()
     volts = np.concatenate([run.codes[:, 0] for run in runs]) * (100 / FULL_SCALE_CODE)
     time = (np.concatenate([run.ticks for run in runs]) - begun) * 1e-6

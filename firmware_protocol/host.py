@@ -16,6 +16,10 @@ from firmware_protocol.packet import SMALLEST, TURN, Packet
 
 MOST_SAMPLES = 255
 """Largest number of samples per channel in a packet."""
+SKIPPED = 1 << 20
+"""Distance between all positions sent before a START and those after it (section 8.1)."""
+BY_HOST = 1
+"""Reason of an ESTOP by a host, as STATUS reports it."""
 ANSWERS = 64
 """Largest number of answers that are stored until they are requested."""
 

@@ -31,7 +31,7 @@ from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, FoundDevice, register_bus
-from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire import STALL, Waker, Wire, WireError
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC, Clock
 
@@ -282,9 +282,7 @@ class PythonCan(CanChannel):
 
     def __init__(self, bus: Any, urgent: Any, link: Can) -> None:
         self._bus, self._urgent, self._link = bus, urgent, link
-        self._woken, self._waker = os.pipe()
-        os.set_blocking(self._woken, False)
-        os.set_blocking(self._waker, False)
+        self._waker = Waker()
         self._awake = False
         self._fd = _descriptor(bus)
         # Bit 0 of the identifier is the direction: only frames from amplifiers are received.
@@ -394,14 +392,12 @@ class PythonCan(CanChannel):
         """Return the first message; None if none came in time, or `wake` was called."""
         while (remaining := until - MONOTONIC.now()) > 0 and not self._awake:
             if self._fd is not None:
-                ready, _, _ = select.select([self._fd, self._woken], [], [], remaining)
-                if ready:
+                if select.select([self._fd, self._waker.fileno()], [], [], remaining)[0]:
                     break
             elif (message := self._bus.recv(min(remaining, self.STEP))) is not None:
                 return message
         self._awake = False
-        with suppress(BlockingIOError):
-            os.read(self._woken, 4096)
+        self._waker.clear()
         return self._bus.recv(0)
 
     def _readable(self) -> bool:
@@ -421,20 +417,17 @@ class PythonCan(CanChannel):
     def wake(self) -> None:
         """Make `receive` return; it may be called from any thread."""
         self._awake = True
-        with suppress(OSError):
-            os.write(self._waker, b"\0")
+        self._waker.wake()
 
     def close(self) -> None:
-        """Shut both buses down, and close the pipe of `wake`."""
+        """Shut both buses down."""
         if self._bus is None:
             return
         for bus in {id(b): b for b in (self._bus, self._urgent)}.values():
             with suppress(Exception):
                 bus.shutdown()
         self._bus = None
-        woken, waker, self._woken, self._waker = self._woken, self._waker, -1, -1
-        os.close(woken)
-        os.close(waker)
+        self._waker.close()
 
 
 class SocketCan(PythonCan):

@@ -26,7 +26,7 @@ from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, FoundDevice, register_bus
-from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire import STALL, Waker, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
 from tactile.clock import MONOTONIC, Clock
 
@@ -265,11 +265,9 @@ class PosixLine(SerialLine):
     def __init__(self, port: Any) -> None:
         self._port, self._fd = port, port.fileno()
         os.set_blocking(self._fd, False)
-        self._woken, self._waker = os.pipe()
-        os.set_blocking(self._woken, False)
-        os.set_blocking(self._waker, False)
+        self._waker = Waker()
         self._poll = select.poll()
-        self._poll.register(self._woken, select.POLLIN)
+        self._poll.register(self._waker, select.POLLIN)
         self._poll.register(self._fd, select.POLLIN)
 
     def write(self, data: bytes) -> int:
@@ -321,16 +319,14 @@ class PosixLine(SerialLine):
         self._poll.modify(self._fd, select.POLLIN | (select.POLLOUT if writable else 0))
         seconds = until - MONOTONIC.now()
         events = dict(self._poll.poll(max(0.0, seconds) * 1000))
-        if self._woken in events:
-            with suppress(BlockingIOError):
-                os.read(self._woken, 4096)
+        if self._waker.fileno() in events:
+            self._waker.clear()
         if events.get(self._fd, 0) & (select.POLLERR | select.POLLHUP | select.POLLNVAL):
             raise WireError("the port is gone")
 
     def wake(self) -> None:
         """Make `wait` return; it may be called from any thread."""
-        with suppress(OSError):
-            os.write(self._waker, b"\0")
+        self._waker.wake()
 
     def waiting(self) -> int:
         """Return the number of bytes in the kernel's output buffer.
@@ -347,15 +343,13 @@ class PosixLine(SerialLine):
         self._port.reset_output_buffer()
 
     def close(self) -> None:
-        """Close the port and the pipe of `wake`."""
+        """Close the port."""
         if self._fd < 0:
             return
         self._fd = -1
         with suppress(OSError):
             self._port.close()
-        woken, waker, self._woken, self._waker = self._woken, self._waker, -1, -1
-        os.close(woken)
-        os.close(waker)
+        self._waker.close()
 
 
 class PortLine(SerialLine):

@@ -28,11 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
+from firmware_protocol.host import BY_HOST
 from firmware_protocol.messages import HEARTBEAT_MS, SampleFormat, State
 from tactile.arrays import Floats
 from tactile.bus.audio.devices import choose, default_output, imported, outputs, rate_of
 from tactile.bus.base import Wiring
-from tactile.bus.board import REASON, SESSION, Board, config_of
+from tactile.bus.board import SESSION, Board, config_of
+from tactile.bus.output import OutputRecord
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, TactileError
 from tactile.processes import pipes_of_parent, received, send
@@ -241,8 +243,7 @@ class CardOutput:
         self._end = self._waited = self._late_block = 0
         self._go = self._stopping = False
         self._last = self._held = np.zeros(wiring.channels)
-        self._recent: deque[Floats] = deque()
-        self._recent_samples = 0
+        self._record = OutputRecord(wiring.channels, self._rate)
 
     @property
     def lead(self) -> int:
@@ -257,7 +258,7 @@ class CardOutput:
     @property
     def output(self) -> Floats:
         """Drive voltages of the last second outside of rest, array (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self._wiring.channels)), *list(self._recent)])
+        return self._record.volts
 
     def __call__(self, out: NDArray[np.float32], frames: int, clock: object, flags: Any) -> None:
         """Fill a buffer ``out`` of shape (frames, channels of the card)."""
@@ -324,7 +325,7 @@ class CardOutput:
         self._leave()
 
     def _on_estop(self) -> None:
-        self._board.request(m.Estop(REASON))
+        self._board.request(m.Estop(BY_HOST))
         self._leave()
 
     def _leave(self) -> None:
@@ -379,7 +380,7 @@ class CardOutput:
         self._feed_amplifier()
         volts = self._board.play(count)
         self.position += count
-        self._remember(volts)
+        self._record.add(volts)
         return volts
 
     def _feed_amplifier(self) -> None:
@@ -417,17 +418,10 @@ class CardOutput:
         volts = self._board.play(count)
         moving = np.flatnonzero(volts.any(axis=1))
         ended = int(moving[-1]) + 2 if len(moving) else 1
-        self._remember(volts[:ended])
+        self._record.add(volts[:ended])
         if self._board.amplifier.state != State.RAMPDOWN and not volts[-1].any():
             self.phase = "rest"
         return volts
-
-    def _remember(self, volts: Floats) -> None:
-        """Remember samples for `output`."""
-        self._recent.append(volts)
-        self._recent_samples += len(volts)
-        while self._recent_samples - len(self._recent[0]) >= self._rate:
-            self._recent_samples -= len(self._recent.popleft())
 
 
 def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:

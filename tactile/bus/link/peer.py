@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from firmware_protocol import messages as m
 from firmware_protocol.clock import ClockEstimator
-from firmware_protocol.host import AmplifierHost
+from firmware_protocol.host import SKIPPED, AmplifierHost
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
@@ -23,8 +23,6 @@ TIME_LENGTH = m.TimeReply.HEAD.size
 [bytes]."""
 POLL_INTERVAL = 0.25
 """Interval of requests for STATUS while an amplifier plays, or its e-stop input is open [s]."""
-SKIPPED = 1 << 20
-"""Distance between all positions sent before a START and those after it (SPEC.md, 8.1)."""
 
 
 class Peer:

@@ -15,7 +15,7 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
-from firmware_protocol.host import refusal
+from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
@@ -43,8 +43,6 @@ QUEUED = 50e-3
 for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
 HELD = 2e-3
 """Time that packets given to the wire may still take when the next one is given to it [s]."""
-REASON = 1
-"""Reason of an ESTOP by a host, as STATUS reports it."""
 LATCHED = (State.ESTOP, State.FAULT)
 """States that only CLEAR_FAULT ends."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
@@ -248,7 +246,7 @@ class LinkSession:
             self.stream.clear(wanted=True)
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
             self._enter(SessionPhase.ESTOP, now)
-        return self._to_all(m.Estop(REASON))
+        return self._to_all(m.Estop(BY_HOST))
 
     def clear(self, now: float) -> None:
         """Work toward the end of an e-stop or a fault.
@@ -443,7 +441,7 @@ class LinkSession:
             SessionPhase.HALT: lambda: [m.Stop(self.token, 1)],
             SessionPhase.ARM: self._arming,
             SessionPhase.END: lambda: [m.Stop(self.token, int(self._quick)), m.Poll()],
-            SessionPhase.ESTOP: lambda: [m.Estop(REASON), m.Poll()],
+            SessionPhase.ESTOP: lambda: [m.Estop(BY_HOST), m.Poll()],
             SessionPhase.TRIPS: lambda: [m.Poll()],
             SessionPhase.DISARM: lambda: [m.Disarm(self.token)],
         }
@@ -462,7 +460,7 @@ class LinkSession:
     def _greeting(self) -> list[Message]:
         """Return the requests that take an amplifier; first of all ESTOP, if that is wanted."""
         hello = m.Hello(self.token, m.MAJOR, m.MINOR, m.SCHEMA_CRC)
-        return [*([m.Estop(REASON)] if self.want is Want.ESTOP else []), hello, m.Poll()]
+        return [*([m.Estop(BY_HOST)] if self.want is Want.ESTOP else []), hello, m.Poll()]
 
     def _arming(self) -> list[Message]:
         """Return the requests that switch high voltage on, and set the carriers of frames."""

@@ -7,7 +7,6 @@ the ramp.
 """
 
 import math
-from collections import deque
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -23,7 +22,9 @@ from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, planner
+from tactile.bus.link.session import MOVING
 from tactile.bus.options import Keep
+from tactile.bus.output import OutputRecord
 from tactile.bus.serial_bus import SerialWire
 from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
 from tactile.bus.wire import Wire
@@ -89,11 +90,9 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
 
 RATES = (2500, 16000)
 """Lowest and highest sample rate that the amplifiers play [Hz]."""
-MOVING = (State.RUNNING, State.RAMPDOWN)
-"""States in which an amplifier is not at rest."""
 
 
-class OutputRecord:
+class AmplifierRecord(OutputRecord):
     """Output of one amplifier between starts and ends.
 
     Parameters
@@ -104,20 +103,14 @@ class OutputRecord:
         Number of channels, C.
     kept : float
         Number of samples that are kept; infinite for all.
-
-    Attributes
-    ----------
-    total : int
-        Number of samples so far, whether kept or not.
     """
 
     def __init__(self, scale: float, channels: int, kept: float) -> None:
-        self._scale, self._channels, self._limit = scale, channels, kept
-        self._samples: deque[Floats] = deque()
-        self._count = self.total = 0
+        super().__init__(channels, kept)
+        self._scale, self._channels = scale, channels
         self._last, self._sounding = State.IDLE, False
 
-    def add(self, run: PlayedRun, begun: int, end: int | None) -> None:
+    def add_run(self, run: PlayedRun, begun: int, end: int | None) -> None:
         """Add a run of instants.
 
         Parameters
@@ -145,15 +138,7 @@ class OutputRecord:
             count = sounding[-1] + 2 if len(sounding) else int(self._sounding)
             keep = np.arange(len(run.codes)) < count  # up to and including the first 0 V
         self._sounding = bool(run.codes[-1:].any())
-        self._append(run.codes[keep].astype(np.float64) * self._scale)
-
-    def _append(self, volts: Floats) -> None:
-        """Keep samples, and discard the oldest ones beyond the limit."""
-        self._samples.append(volts)
-        self.total += len(volts)
-        self._count += len(volts)
-        while self._count - len(self._samples[0]) >= self._limit:
-            self._count -= len(self._samples.popleft())
+        self.add(run.codes[keep].astype(np.float64) * self._scale)
 
     def rest(self, total: int) -> None:
         """Extend the output by 0 V, because another amplifier came to rest slightly later.
@@ -163,12 +148,7 @@ class OutputRecord:
         total : int
             Number of samples after the extension.
         """
-        self._append(np.zeros((total - self.total, self._channels)))
-
-    @property
-    def volts(self) -> Floats:
-        """Kept samples, array (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self._channels)), *self._samples])
+        self.add(np.zeros((total - self.total, self._channels)))
 
 
 class ModeledBus(LinkBus):
@@ -196,18 +176,18 @@ class ModeledBus(LinkBus):
         self.model = model
         self._ends: list[int | None] = [None] * len(model.configs)
         limit = math.inf if named.pop("keep") == "all" else wiring.sample_rate
-        self._heard = [
-            OutputRecord(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
+        self._records = [
+            AmplifierRecord(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
             for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)
-        model.listener = self._hear
+        model.listener = self._record_run
 
     @property
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
         self._align()
-        volts = [recording.volts for recording in self._heard]
+        volts = [record.volts for record in self._records]
         shortest = min(len(samples) for samples in volts)
         return np.hstack([samples[len(samples) - shortest :] for samples in volts])[
             :, : self.wiring.channels
@@ -217,15 +197,15 @@ class ModeledBus(LinkBus):
         """Extend the outputs of all amplifiers to the same length, if all are at rest."""
         self.model.listen()
         if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
-            longest = max(recording.total for recording in self._heard)
-            for recording in self._heard:
-                recording.rest(longest)
+            longest = max(record.total for record in self._records)
+            for record in self._records:
+                record.rest(longest)
 
-    def _hear(self, board: int, run: PlayedRun) -> None:
+    def _record_run(self, board: int, run: PlayedRun) -> None:
         """Keep what an amplifier has put out."""
         node = self.model.configs[board].node
         begun = [peer.begun for peer in self._session.peers if peer.host.node == node]
-        self._heard[board].add(run, begun[0] if begun else 0, self._ends[board])
+        self._records[board].add_run(run, begun[0] if begun else 0, self._ends[board])
 
     def _turn(self, until: float) -> None:
         super()._turn(until)

@@ -199,7 +199,7 @@ class Scene:
             m.Arm(SESSION, m.Mode.PCM, RATE),
             m.Start(SESSION, 0, time=1),
         ):
-            self.amplifier.receive(self.host.ask(message), 0)
+            self.amplifier.receive(self.host.request(message), 0)
 
     def stream(
         self, until_ms: float, *, send: bool = True, beat: bool = True, lost: int = -1
@@ -210,7 +210,7 @@ class Scene:
             if send and position // PACKET != lost:
                 self.send(position + (LEAD if position else 0), PACKET + (0 if position else LEAD))
             if beat:
-                self.amplifier.receive(self.host.tell(m.Heartbeat(SESSION)), self.now)
+                self.amplifier.receive(self.host.packet(m.Heartbeat(SESSION)), self.now)
             self.now += PACKET * 1_000_000 // RATE
             self.amplifier.run(self.now)
 
@@ -219,7 +219,7 @@ class Scene:
         volts = 60 * np.sin(2 * np.pi * 60 * (start + np.arange(count)) / RATE)[:, None]
         codes = codes_of(volts, 100.0)
         for message in pcm(start, codes, session=SESSION, sample_format=0, packet_limit=4096):
-            self.amplifier.receive(self.host.tell(message), self.now)
+            self.amplifier.receive(self.host.packet(message), self.now)
 
     def traces(self) -> tuple[Floats, Floats, float | None]:
         """Return time [ms], volts, and when high voltage went off."""
@@ -240,7 +240,7 @@ def scenes() -> dict[str, tuple[Scene, float, float]]:
     dead.stream(60)
     dead.stream(300, send=False, beat=False)
     stop.stream(60)
-    stop.amplifier.receive(stop.host.tell(m.Estop(1)), stop.now)
+    stop.amplifier.receive(stop.host.packet(m.Estop(1)), stop.now)
     stop.amplifier.run(stop.now + 5000)
     return {
         "A packet of 4 ms is lost:\na straight line bridges it": (lost, 56, 100),

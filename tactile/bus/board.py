@@ -78,7 +78,7 @@ class Board:
         BusError
             If the amplifier refuses it.
         """
-        packet = self.host.ask(message)
+        packet = self.host.request(message)
         self._send(packet)
         answer = self.host.answer(packet)
         if isinstance(answer, m.Nak):
@@ -122,7 +122,7 @@ class Board:
             at, codes, session=SESSION,
             sample_format=self._format, packet_limit=config.packet_limit,
         ):  # fmt: skip
-            self._send(self.host.tell(message))
+            self._send(self.host.packet(message))
 
     def play(self, count: int) -> Floats:
         """Put out samples, and feed the watchdog of the amplifier.
@@ -138,7 +138,7 @@ class Board:
             Output of the amplifier [V].
         """
         if self._now - self._heartbeat >= HEARTBEAT_MS * self.amplifier.config.tick_hz // 2000:
-            self._send(self.host.tell(m.Heartbeat(SESSION)))
+            self._send(self.host.packet(m.Heartbeat(SESSION)))
             self._heartbeat = self._now
         return self._volts(self._run(count))
 
@@ -172,7 +172,7 @@ class Board:
         (S, C) array of float
             Output of the amplifier [V]; its last sample is 0 V.
         """
-        self._send(self.host.tell(m.Estop(BY_HOST)))
+        self._send(self.host.packet(m.Estop(BY_HOST)))
         runs = self._run(1)
         while runs[-1].codes[-1].any():
             runs += self._run(1)
@@ -186,7 +186,7 @@ class Board:
         BusError
             If the amplifier refuses.
         """
-        self._send(self.host.ask(m.Poll()))
+        self._send(self.host.request(m.Poll()))
         assert self.host.status is not None
         self.request(m.ClearFault(SESSION, self.host.status.trips))
 

@@ -225,9 +225,9 @@ class Peer:
             message = self._requests.popleft()
             # On CAN an ESTOP is never answered; STATUS shows whether it was carried out.
             if isinstance(message, m.Estop):
-                out.append(self.host.tell(message))
+                out.append(self.host.packet(message))
                 continue
-            self._request = self.host.ask(message)
+            self._request = self.host.request(message)
             self._tries, self._next_try = 0, now
         if self._request is not None and now >= self._next_try:
             if self._tries == TRIES:
@@ -242,7 +242,7 @@ class Peer:
             out.append(self._probe(now))
         if now >= self._status_due:
             self._status_due = now + POLL_INTERVAL
-            out.append(self.host.tell(m.Poll()))
+            out.append(self.host.packet(m.Poll()))
         return out
 
     @property
@@ -274,7 +274,7 @@ class Peer:
         self._probes[stamp] = now
         while len(self._probes) > TRIES:
             del self._probes[next(iter(self._probes))]
-        packet = self.host.tell(m.Time(stamp))
+        packet = self.host.packet(m.Time(stamp))
         return replace(packet, payload=packet.payload.ljust(TIME_LENGTH, b"\0"))
 
     def _add_exchange(self, reply: m.TimeReply, now: float) -> None:

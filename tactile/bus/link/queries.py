@@ -53,7 +53,7 @@ class Queries:
         message : Message
             Request, which `poll` sends.
         """
-        self._request, self.answer = self._host.ask(message), None
+        self._request, self.answer = self._host.request(message), None
         self._tries_left, self._next_try = TRIES, -math.inf
 
     def poll(self, now: float) -> list[Packet]:

@@ -395,7 +395,7 @@ class LinkStream:
     @staticmethod
     def _packets_of(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
         """Return messages to an amplifier as packets that want no answer."""
-        return [peer.host.tell(message) for message in messages]
+        return [peer.host.packet(message) for message in messages]
 
     def clear(self, *, wanted: bool = False) -> None:
         """Drop what waits to be sent.

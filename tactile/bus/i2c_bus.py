@@ -27,7 +27,7 @@ from firmware_protocol.i2c_link import (
     WRITE_COMMAND,
     decode_read,
 )
-from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX, Flag, Poll, Pulse, Time
+from firmware_protocol.messages import PACKET_MAX, Flag, Poll, Pulse, Time
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import DisplayLike
 from tactile.bus.budget import PULSE_INTERVAL
@@ -212,8 +212,7 @@ class I2cWire(Wire):
         self._targets = [I2cEnd(adapter, a, smbus=link.smbus) for a in addresses]
         self._nodes: dict[int, I2cEnd] = {}
         """Targets by their nodes, as received packets show them."""
-        timeout = FRAGMENT_TIMEOUT_MS * TICK_HZ // 1000
-        self._reassemblers = [Reassembler(PACKET_MAX, self.counters, timeout) for _ in addresses]
+        self._reassemblers = [Reassembler(PACKET_MAX, self.counters, TICK_HZ) for _ in addresses]
         self._last_success = clock.now()
         """Host time of the last transfer that was acknowledged [s]."""
         self._next_read = -1.0

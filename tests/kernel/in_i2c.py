@@ -117,7 +117,7 @@ def test_the_amplifier_answers_smbus_blocks(master: SMBus) -> None:
     request = encode_packet(host.request(Hello(session=SESSION, major=1)))
     for block in Cutter(SMBUS_BLOCK).fragments(WRITE_COMMAND, request):
         master.write_block_data(AMPLIFIER, WRITE_COMMAND, block)
-    answers = Reassembler(DEFAULT_LIMIT, LinkCounters(), timeout=1)
+    answers = Reassembler(DEFAULT_LIMIT, LinkCounters())
     while host.caps is None:
         block = bytes(master.read_block_data(AMPLIFIER, READ_COMMAND))
         assert block != NOTHING

@@ -432,30 +432,7 @@ def adapter_path(url: Address[Any]) -> str:
     )
 
 
-def transfer_bits(written: int, read: int = 0) -> int:
-    """Return the length of a transfer on the wire, with addresses, acknowledges, start and stop.
-
-    A byte takes nine bits (I2C specification UM10204, 3.1.5), start and stop one each. A read after
-    a write has its own address and a repeated start.
-
-    Parameters
-    ----------
-    written : int
-        Number of bytes that are written.
-    read : int
-        Number of bytes that are read.
-
-    Returns
-    -------
-    int
-        Length [bits].
-    """
-    return (9 * (1 + written) + 1 if written or not read else 0) + (
-        9 * (1 + read) + 1 if read else 0
-    ) + 1  # fmt: skip
-
-
-def found_on_adapters(
+def find_on_adapters(
     probe: Callable[[str, I2cAdapter], Iterator[FoundDevice]],
 ) -> Iterator[FoundDevice]:
     """Yield what a probe finds on each adapter; adapters that cannot be used are skipped.

@@ -44,7 +44,6 @@ from tactile.bus.simulated.mock_bus import MockBus, open_mock
 from tactile.bus.simulated.modeled_bus import (
     MockOptions,
     ModeledBus,
-    link_of,
     model_of,
     open_modeled,
 )
@@ -456,7 +455,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
-        register_bus("mock", world.open_bus, MockOptions, link=link_of)
+        register_bus("mock", world.open_bus, MockOptions)
         stand_ins = {
             **_stand_ins(world),
             "tactile.playback.loop.SamplePlayback.write": write,

@@ -500,26 +500,15 @@ class CanOptions(LinkOptions, frozen=True, kw_only=True):
     extended: bool = False
     nodes: tuple[Annotated[int, Meta(ge=1, le=127)], ...] = ()
 
-
-def link_of(options: CanOptions) -> Can:
-    """Return the medium of a CAN bus.
-
-    Parameters
-    ----------
-    options : CanOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Can
-        Bus of these bit rates; it knows how long packets take.
-    """
-    fd = options.fd or options.data_bitrate is not None
-    data = (options.data_bitrate or DATA) if fd else None
-    return Can(options.bitrate, data, options.extended)
+    @property
+    def medium(self) -> Can:
+        """Bus of these bit rates."""
+        fd = self.fd or self.data_bitrate is not None
+        data = (self.data_bitrate or DATA) if fd else None
+        return Can(self.bitrate, data, self.extended)
 
 
-def connect(path: str, link: Can, clock: Clock) -> CanWire:
+def connect(path: str, link: Can) -> CanWire:
     """Open a CAN bus.
 
     Parameters
@@ -528,8 +517,6 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
         Interface of python-can and its channel, such as ``socketcan/can0``.
     link : Can
         Medium, whose bit rates are set on interfaces other than socketcan.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -567,7 +554,7 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
             bus.shutdown()
         raise WireError(f"can: {path}: {_reason(interface, channel, error)}") from error
     channel_of = SocketCan if interface == "socketcan" else PythonCan
-    return CanWire(channel_of(buses[-1], buses[0], link), link, clock)
+    return CanWire(channel_of(buses[-1], buses[0], link), link, MONOTONIC)
 
 
 def _require_interface(channel: str) -> None:
@@ -618,11 +605,11 @@ def find() -> Iterator[FoundDevice]:
 
 
 def _open(address: Address[CanOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
+    path, options = address.path, address.options
     return open_link(
-        options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC),
+        options, display, sample_rate, lambda: connect(path, options.medium),
         nodes=options.nodes,
     )  # fmt: skip
 
 
-register_bus("can", _open, CanOptions, takes_path=True, find=find, link=link_of)
+register_bus("can", _open, CanOptions, takes_path=True, find=find)

@@ -455,21 +455,10 @@ class I2cOptions(LinkOptions, frozen=True, kw_only=True):
     clock: Annotated[float, Meta(ge=10e3, le=5e6)] = CLOCK
     smbus: bool = False
 
-
-def link_of(options: I2cOptions) -> I2c:
-    """Return the medium of an I²C bus.
-
-    Parameters
-    ----------
-    options : I2cOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    I2c
-        Bus of that clock; it knows how long packets take.
-    """
-    return I2c(options.clock, smbus=options.smbus)
+    @property
+    def medium(self) -> I2c:
+        """Bus of that clock."""
+        return I2c(self.clock, smbus=self.smbus)
 
 
 def device(path: str) -> str:
@@ -493,7 +482,7 @@ def device(path: str) -> str:
     return f"/dev/i2c-{path}" if path.isdigit() else path
 
 
-def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2cWire:
+def connect(path: str, addresses: Sequence[int], link: I2c) -> I2cWire:
     """Open an I²C bus.
 
     Parameters
@@ -504,8 +493,6 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
         Addresses of the amplifiers, each of which is read once.
     link : I2c
         Medium, which says whether packets go in SMBus blocks.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -532,7 +519,7 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
         raise WireError(
             f"i2c: {path}: nothing acknowledges at address {address:#04x}; check power and address"
         ) from error
-    return I2cWire(adapter, addresses, link, clock)
+    return I2cWire(adapter, addresses, link, MONOTONIC)
 
 
 def _reason(error: OSError) -> str:
@@ -562,11 +549,11 @@ def find() -> Iterator[FoundDevice]:
 def _open(address: Address[I2cOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
-    path, options, link = address.path, address.options, link_of(address.options)
+    path, options = address.path, address.options
     return open_link(
-        options, display, sample_rate, link,
-        lambda: connect(path, options.address or (ADDRESS,), link, MONOTONIC),
+        options, display, sample_rate,
+        lambda: connect(path, options.address or (ADDRESS,), options.medium),
     )  # fmt: skip
 
 
-register_bus("i2c", _open, I2cOptions, takes_path=True, find=find, link=link_of)
+register_bus("i2c", _open, I2cOptions, takes_path=True, find=find)

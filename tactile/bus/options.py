@@ -11,6 +11,7 @@ import msgspec
 from msgspec import inspect
 
 from firmware_protocol.messages import SampleFormat
+from tactile.bus.wire_time import Link
 from tactile.errors import InputError
 from tactile.files import nearest
 
@@ -40,6 +41,11 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     A field is a bool, a str, an int or float with limits, a Literal, or a tuple of int, which the
     URL separates by commas. Each has a default.
     """
+
+    @property
+    def medium(self) -> Link | None:
+        """Medium by which packets go; None for a bus that does not carry the protocol."""
+        return None
 
 
 O = TypeVar("O", bound=Options)  # noqa: E741

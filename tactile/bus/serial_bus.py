@@ -456,24 +456,13 @@ class SerialOptions(LinkOptions, frozen=True, kw_only=True):
 
     baud: Annotated[float, Meta(ge=1200, le=100e6)] | None = None
 
-
-def link_of(options: SerialOptions) -> Link:
-    """Return the medium of a serial line.
-
-    Parameters
-    ----------
-    options : SerialOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Link
-        UART of that bit rate, or USB; it knows how long packets take.
-    """
-    return Usb() if options.baud is None else Uart(options.baud)
+    @property
+    def medium(self) -> Link:
+        """UART of that bit rate, or USB."""
+        return Usb() if self.baud is None else Uart(self.baud)
 
 
-def connect(path: str, link: Link, clock: Clock) -> SerialWire:
+def connect(path: str, link: Link) -> SerialWire:
     """Open a serial line.
 
     Parameters
@@ -482,8 +471,6 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
         Device of the port, or a URL of pyserial.
     link : Link
         Medium of the line; a `Uart` has the bit rate that is set.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -510,7 +497,7 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
         PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
     )
     try:
-        return SerialWire(line, link, clock)
+        return SerialWire(line, link, MONOTONIC)
     except OSError as error:
         line.close()
         raise WireError(f"serial: {path}: {_reason(path, error)}") from error
@@ -562,8 +549,8 @@ def find() -> Iterator[FoundDevice]:
 def _open(
     address: Address[SerialOptions], display: DisplayLike, sample_rate: float | None
 ) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
-    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
+    path, options = address.path, address.options
+    return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("serial", _open, SerialOptions, takes_path=True, find=find, link=link_of)
+register_bus("serial", _open, SerialOptions, takes_path=True, find=find)

@@ -256,24 +256,13 @@ class UdpOptions(LinkOptions, frozen=True, kw_only=True):
 
     bit_rate: Annotated[float, Meta(ge=1e5, le=1e10)] = 10e6
 
-
-def link_of(options: UdpOptions) -> Udp:
-    """Return the medium of a network.
-
-    Parameters
-    ----------
-    options : UdpOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Udp
-        Network of that bit rate; it knows how long packets take.
-    """
-    return Udp(options.bit_rate)
+    @property
+    def medium(self) -> Udp:
+        """Network of that bit rate."""
+        return Udp(self.bit_rate)
 
 
-def connect(path: str, link: Link, clock: Clock) -> UdpWire:
+def connect(path: str, link: Link) -> UdpWire:
     """Open a socket to an amplifier.
 
     A host name is resolved first, which may take a while.
@@ -284,8 +273,6 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
         Host and port, such as ``192.168.4.1:7412``.
     link : Link
         Medium, which knows how long packets take.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -315,7 +302,7 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
         raise WireError(f"udp: {path}: {_reason(error)}") from error
     try:
         connection.connect(address)
-        return UdpWire(connection, link, clock, path)
+        return UdpWire(connection, link, MONOTONIC, path)
     except OSError as error:
         connection.close()
         raise WireError(f"udp: {path}: {_reason(error)}") from error
@@ -329,8 +316,8 @@ def _reason(error: OSError | UnicodeError) -> str:
 
 
 def _open(address: Address[UdpOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
-    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
+    path, options = address.path, address.options
+    return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("udp", _open, UdpOptions, takes_path=True, link=link_of)
+register_bus("udp", _open, UdpOptions, takes_path=True)

@@ -20,7 +20,7 @@ from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
 from tactile.bus.output import OutputRecord
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.simulated.modeled_bus import MockOptions, link_of, open_modeled
+from tactile.bus.simulated.modeled_bus import MockOptions, open_modeled
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
@@ -199,4 +199,4 @@ def open_mock(
     return MockBus(wiring, keep=options.keep, sample_format=kind, clock=clock)
 
 
-register_bus("mock", open_mock, MockOptions, link=link_of)
+register_bus("mock", open_mock, MockOptions)

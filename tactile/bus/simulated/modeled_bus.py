@@ -87,6 +87,19 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
     boards: Annotated[int, Meta(ge=1, le=16)] = 1
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
 
+    @property
+    def medium(self) -> Link:
+        """Modeled link; one on which packets take no time, if none or no bit rate is given."""
+        rate = self.bit_rate
+        match self.link:
+            case None | "serial":
+                return Unlimited() if rate is None else Uart(rate)
+            case "i2c":
+                return I2c(rate or CLOCK)
+            case _:
+                data = (self.data_bit_rate or DATA) if self.link == "canfd" else None
+                return Can(rate or NOMINAL, data)
+
 
 RATES = (2500, 16000)
 """Lowest and highest sample rate that the amplifiers play [Hz]."""
@@ -251,7 +264,7 @@ def open_modeled(
     wiring = Wiring.of(display, sample_rate or RATE)
     if model is None:
         model = model_of(options, wiring, ModelClock())
-    clock, link = model.clock, link_of(options)
+    clock, link = model.clock, options.medium
 
     def connect() -> Wire:
         model.open()
@@ -265,33 +278,9 @@ def open_modeled(
         return SerialWire(model, link, clock)
 
     return ModeledBus(
-        wiring, model, connect, planner(options, display, sample_rate, link),
+        wiring, model, connect, planner(options, display, sample_rate),
         keep=options.keep, rearm=options.rearm, lead=options.lead,
     )  # fmt: skip
-
-
-def link_of(options: MockOptions) -> Link:
-    """Return how long packets take on a modeled link.
-
-    Parameters
-    ----------
-    options : MockOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Link
-        The link; one on which packets take no time, if none is modeled or it has no bit rate.
-    """
-    rate = options.bit_rate
-    match options.link:
-        case None | "serial":
-            return Unlimited() if rate is None else Uart(rate)
-        case "i2c":
-            return I2c(rate or CLOCK)
-        case _:
-            data = (options.data_bit_rate or DATA) if options.link == "canfd" else None
-            return Can(rate or NOMINAL, data)
 
 
 def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
@@ -316,7 +305,7 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
     InputError
         If a serial line is to have more than one amplifier.
     """
-    link, boards = link_of(options), options.boards
+    link, boards = options.medium, options.boards
     drift = options.drift_ppm * 1e-6
     width = -(wiring.channels // -boards)
     configs = [

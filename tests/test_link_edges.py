@@ -143,7 +143,7 @@ def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
     """Tries go out at 0, 50 and 100 ms; the link takes 80 ms."""
     rig = linked("serial")
     rig.model.back.hold(0.18, rig.clock.now())
-    answer = rig.bus.ask(m.Get(m.Parameter.PULSE_MS), 1)
+    answer = rig.bus.request(m.Get(m.Parameter.PULSE_MS), 1)
     assert answer == m.Value(m.Parameter.PULSE_MS, 10)  # as at power-up (SPEC.md, 4)
 
 

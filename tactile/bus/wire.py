@@ -76,7 +76,7 @@ class FragmentWatch:
         self.warning = ""
         self._counts: deque[tuple[float, int]] = deque([(-math.inf, 0)])
 
-    def look(self, dropped: int, now: float) -> None:
+    def update(self, dropped: int, now: float) -> None:
         """Update the warning.
 
         Parameters

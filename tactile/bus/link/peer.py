@@ -90,7 +90,7 @@ class Peer:
 
     # Requests
 
-    def ask(self, *messages: Message) -> None:
+    def request(self, *messages: Message) -> None:
         """Make requests, one after the other, in place of those not answered yet.
 
         Parameters
@@ -196,7 +196,7 @@ class Peer:
             self._late_seen = late
 
     @property
-    def forgot(self) -> str:
+    def reset_evidence(self) -> str:
         """Evidence that the amplifier was reset or lost this session, one line; empty if none."""
         refused, status = self.refused, self.host.status
         if self._restarted:

@@ -9,10 +9,11 @@ from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS, Board, config_of
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipTarget, I2cAdapter, Place
+from tactile.bus.chips.adapter import ChipTarget, Place
 from tactile.bus.chips.chip import BURST, Chip, ChipCounters
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import QUEUE, Pump, Runner
+from tactile.bus.linux_i2c import I2cAdapter
 from tactile.bus.registry import Address
 from tactile.bus.wire_time import i2c_bits
 from tactile.clock import Clock

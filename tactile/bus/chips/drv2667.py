@@ -38,11 +38,12 @@ from msgspec import Meta
 
 from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipOptions, ChipTarget, I2cAdapter, Place
+from tactile.bus.chips.adapter import ChipOptions, ChipTarget, Place
 from tactile.bus.chips.chip import BURST, Chip, ChipCounters, LostError, was_not_acknowledged
 from tactile.bus.chips.chip_bus import ChipBus, check_voltage, open_chips
 from tactile.bus.chips.occupancy import RATE, RATES, Occupancy, measured_rates
 from tactile.bus.chips.pump import Runner, ThreadRunner
+from tactile.bus.linux_i2c import I2cAdapter
 from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.bus.wire_time import i2c_bits

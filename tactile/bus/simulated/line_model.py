@@ -22,7 +22,7 @@ from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.ports import CanPort, I2cPort, SerialPort
 from tactile.bus.can_bus import CanChannel
-from tactile.bus.i2c_bus import Adapter
+from tactile.bus.linux_i2c import SmbusAdapter
 from tactile.bus.serial_bus import SerialLine
 from tactile.bus.wire import WireError
 from tactile.bus.wire_time import (
@@ -672,7 +672,7 @@ class CanModel(Model, CanChannel):
         self.out.forget(self.clock.now())
 
 
-class I2cModel(Model, Adapter):
+class I2cModel(Model, SmbusAdapter):
     """Amplifiers on an I²C bus, at consecutive addresses; time passes during each transfer.
 
     Parameters
@@ -727,13 +727,15 @@ class I2cModel(Model, Adapter):
         port = self._transfer(address, len(data))
         port.write(self._maybe_damaged(data), self.tick(address - self._first))
 
-    def read(self, address: int, size: int) -> bytes:
+    def write_read(self, address: int, data: bytes, size: int) -> bytes:
         """Read from an amplifier.
 
         Parameters
         ----------
         address : int
             Address of the amplifier.
+        data : bytes
+            Bytes to write before, of which amplifiers expect none.
         size : int
             Number of bytes to read.
 
@@ -743,8 +745,8 @@ class I2cModel(Model, Adapter):
             Bytes that were read.
         """
         port = self._transfer(address, size)
-        data = port.read(size, self.tick(address - self._first))
-        return self._maybe_damaged(data).ljust(size, b"\0")[:size]
+        answer = port.read(size, self.tick(address - self._first))
+        return self._maybe_damaged(answer).ljust(size, b"\0")[:size]
 
     def write_block(self, address: int, command: int, block: bytes) -> None:
         """Write an SMBus block.

@@ -309,7 +309,7 @@ def test_a_renderer_that_is_late_with_its_frames_is_alive_all_the_same() -> None
         bus.start()
         model = bus.model  # type: ignore[attr-defined]
         for k in range(1, round(4 * WATCHDOG * bus.frames.rate)):
-            model.run_away(bus.due((k - 1) * spacing) - bus.ahead + 1e-4)
+            model.run_alone(bus.due((k - 1) * spacing) - bus.ahead + 1e-4)
             bus.write_frame(DriveFrame(k * spacing, np.full((2, 1), LEVEL, np.complex128)))
         (amplifier,) = model.amplifiers
         assert amplifier.state == State.RUNNING

@@ -352,12 +352,12 @@ class World:
         for board, amplifier in enumerate(model.amplifiers):
             for run in amplifier.take_played():
                 self.on_link(address, model, board, run)
-                model.listener(board, run)
+                model.on_output(board, run)
 
     def _go_on(self, model: Model) -> None:
         """Let amplifiers go on, also where nobody talks to them."""
         model.exchange()
-        model.listen()
+        model.report_output()
         self.clock.after(ALONE, lambda: self._go_on(model))
 
     # The processes

@@ -342,10 +342,9 @@ class PythonCan(CanChannel):
         try:
             bus.send(self._message(frame), timeout=0)
         except can.CanError as error:
-            code = error.error_code or getattr(error.__cause__, "errno", None)
-            if code in FULL or "buffer full" in str(error).lower():
+            if _code(error) in FULL or "buffer full" in str(error).lower():
                 return False
-            raise WireError(_failure(code, error)) from error
+            raise WireError(_failure(error)) from error
         return True
 
     def receive(self, until: float) -> list[Frame]:
@@ -382,8 +381,7 @@ class PythonCan(CanChannel):
                     frames.append((message.arbitration_id, bytes(message.data)))
                 message = self._bus.recv(0)
         except can.CanError as error:
-            code = error.error_code or getattr(error.__cause__, "errno", None)
-            raise WireError(_failure(code, error)) from error
+            raise WireError(_failure(error)) from error
         except ValueError:  # slcan: a line that is no frame
             self._awake = False
         return frames
@@ -451,7 +449,7 @@ class SocketCan(PythonCan):
         except OSError as error:
             if error.errno in FULL:
                 return False
-            raise WireError(_failure(error.errno, error)) from error
+            raise WireError(_failure(error)) from error
         return True
 
 
@@ -464,14 +462,20 @@ def _descriptor(bus: Any) -> int | None:
     return number if isinstance(number, int) and number >= 0 else None
 
 
-def _failure(code: int | None, error: Exception) -> str:
+def _code(error: Exception) -> int | None:
+    """Return the error number of an error of python-can or the system; None if it has none."""
+    number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    return number or getattr(error.__cause__, "errno", None)
+
+
+def _failure(error: Exception) -> str:
     """Return a description of the failure of an interface."""
     known = {
         errno.ENETDOWN: "the interface is down: bus-off, or not set up (ip link set … up)",
         errno.ENODEV: "the interface is gone",
         errno.ENXIO: "the interface is gone",
     }
-    return known.get(code or 0, str(error))
+    return known.get(_code(error) or 0, str(error))
 
 
 # Opening
@@ -573,7 +577,7 @@ def _reason(interface: str, channel: str, error: Exception) -> str:
     """Return why a bus does not open, and what to do about it."""
     import can
 
-    code = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    code = _code(error)
     if code == errno.ENODEV:
         interfaces = ", ".join(device.url for device in find()) or "none is there"
         return f"no such interface; there are: {interfaces}"

@@ -51,14 +51,14 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 O = TypeVar("O", bound=Options)  # noqa: E741
 
 
-def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
+def decode(scheme: str, texts: Mapping[str, str], shape: type[O]) -> O:
     """Decode the options of a device URL.
 
     Parameters
     ----------
     scheme : str
         Scheme of the URL, which errors name.
-    given : mapping of str to str
+    texts : mapping of str to str
         Text of each option by its name.
     shape : type of Options
         Struct that declares the options which the driver has.
@@ -66,7 +66,7 @@ def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
     Returns
     -------
     Options
-        An instance of ``shape``; options that were not given have their defaults.
+        An instance of ``shape``; options that have no text have their defaults.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
     """
     kinds = option_types(shape)
     values: dict[str, Any] = {}
-    for name, text in given.items():
+    for name, text in texts.items():
         if name not in kinds:
             raise InputError(f"{scheme}: unknown option {name!r}; {nearest(name, list(kinds))}")
         try:

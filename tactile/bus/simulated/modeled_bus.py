@@ -26,7 +26,7 @@ from tactile.bus.link.session import MOVING
 from tactile.bus.options import Keep
 from tactile.bus.output import OutputRecord
 from tactile.bus.serial_bus import SerialWire
-from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
+from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, SerialModel, Setup
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
 from tactile.clock import Clock, ModelClock
@@ -194,7 +194,7 @@ class ModeledBus(LinkBus):
             for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)
-        model.listener = self._record_run
+        model.on_output = self._record_run
 
     @property
     def output(self) -> Floats:
@@ -208,7 +208,7 @@ class ModeledBus(LinkBus):
 
     def _align(self) -> None:
         """Extend the outputs of all amplifiers to the same length, if all are at rest."""
-        self.model.listen()
+        self.model.report_output()
         if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
             longest = max(record.total for record in self._records)
             for record in self._records:
@@ -222,7 +222,7 @@ class ModeledBus(LinkBus):
 
     def _turn(self, until: float) -> None:
         super()._turn(until)
-        self.model.listen()
+        self.model.report_output()
 
     def _start(self, position: int) -> None:
         self._align()
@@ -230,7 +230,7 @@ class ModeledBus(LinkBus):
         super()._start(position)
 
     def _stop(self) -> None:
-        self.model.listen()
+        self.model.report_output()
         stream = self._session.stream
         if stream is not None:
             self._ends = [peer.wire_end(stream.end) for peer in self._session.peers]
@@ -312,18 +312,18 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
         config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms)
         for node in range(1, boards + 1)
     ]
-    party = Party(
+    setup = Setup(
         configs, _faults(options), clock,
         drift=[drift * k for k in range(1, boards + 1)],
         seed=options.seed,
     )  # fmt: skip
     if isinstance(link, Can):
-        return CanModel(link, party)
+        return CanModel(link, setup)
     if isinstance(link, I2c):
-        return I2cModel(link, ADDRESS, party)
+        return I2cModel(link, ADDRESS, setup)
     if boards > 1:
         raise InputError(f"mock: boards = {boards}: one on a serial line")
-    return SerialModel(link, party)
+    return SerialModel(link, setup)
 
 
 def _faults(options: MockOptions) -> Faults:

@@ -180,18 +180,15 @@ class SerialWire(Wire):
         with self._lock:
             self._queue = b""
             self._line.discard()
-            self._enqueue(DELIMITER + encode_frame(encode_packet(packet)))
+            self._write(DELIMITER + encode_frame(encode_packet(packet)))
 
     def _write(self, data: bytes) -> None:
+        """Queue bytes and write what the kernel takes."""
         with self._lock:
-            self._enqueue(data)
-
-    def _enqueue(self, data: bytes) -> None:
-        """Queue bytes and write what the kernel takes; the lock is held."""
-        if not self._queue:
-            self._since = self._clock.now()
-        self._queue += data
-        self._flush()
+            if not self._queue:
+                self._since = self._clock.now()
+            self._queue += data
+            self._flush()
 
     def _flush(self) -> None:
         """Write what is queued, as far as the kernel takes it; the lock is held."""

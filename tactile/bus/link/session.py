@@ -147,13 +147,13 @@ class LinkSession:
             SessionPhase.HALT: self._after_halt,
             SessionPhase.LIMIT: self._after_limit,
             SessionPhase.READY: self._after_ready,
-            SessionPhase.ARM: self._after_arm,
+            SessionPhase.ARM: lambda now: self._enter(SessionPhase.START, now),
             SessionPhase.START: self._after_start,
             SessionPhase.RUN: self._after_run,
             SessionPhase.END: self._after_end,
             SessionPhase.ESTOP: self._after_estop,
-            SessionPhase.TRIPS: self._after_trips,
-            SessionPhase.CLEAR: self._after_clear,
+            SessionPhase.TRIPS: lambda now: self._enter(SessionPhase.CLEAR, now),
+            SessionPhase.CLEAR: lambda now: self._enter(SessionPhase.GREET, now),
             SessionPhase.DISARM: self._after_disarm,
         }
 
@@ -604,9 +604,6 @@ class LinkSession:
         elif self.goal is Goal.RUN:
             self._enter(SessionPhase.ARM, now)
 
-    def _after_arm(self, now: float) -> None:
-        self._enter(SessionPhase.START, now)
-
     def _after_start(self, now: float) -> None:
         for peer in self.peers:
             peer.assume(State.RUNNING)
@@ -647,12 +644,6 @@ class LinkSession:
             self._enter(SessionPhase.ESTOP, now)
         else:
             self.trouble = open_input(self.peers, now)
-
-    def _after_trips(self, now: float) -> None:
-        self._enter(SessionPhase.CLEAR, now)
-
-    def _after_clear(self, now: float) -> None:
-        self._enter(SessionPhase.GREET, now)
 
     def _after_disarm(self, now: float) -> None:
         if not self._moving:

@@ -595,7 +595,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Interface of socketcan, whether it is up or down.
     """
     with suppress(OSError):

@@ -335,7 +335,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Bus, with the default address.
     """
     for path in device_files():

@@ -119,7 +119,7 @@ def find_devices() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Device that is present.
     """
     for driver in _drivers.values():

@@ -529,7 +529,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Port, described by its USB ids and serial number if it has them.
     """
     from serial.tools import list_ports

@@ -325,7 +325,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of an output device.
     """
     player = AudioProcess(None)

@@ -326,7 +326,7 @@ def find_on_adapters(
 
     Yields
     ------
-    Found
+    FoundDevice
         Device on one of the adapters.
     """
     for path in device_files():

@@ -464,7 +464,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of a chip.
     """
     for address in ADDRESSES:

@@ -524,7 +524,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of the chip.
     """
     reply = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)

@@ -172,7 +172,7 @@ def _estop(bus: ModeledBus, after: int) -> float:
     pressed = bus.model.clock.now()
     bus.estop()
     while amplifier.high_voltage:
-        bus.model.run_away(bus.model.clock.now() + 0.25e-3)
+        bus.model.run_alone(bus.model.clock.now() + 0.25e-3)
     taken = bus.model.clock.now() - pressed
     bus.clear()
     return taken

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.rendering import without_events
 from firmware_protocol import spectrum as wire
+from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.arrays import Floats
 from tactile.bench.figures import RATE, Figure, at_most, seconds
 from tactile.display.display import Display, load_display
@@ -83,7 +84,7 @@ def framed(
         steps = wire.ramp_step(i, next_i, spacing), wire.ramp_step(q, next_q, spacing)
         pieces.append(wire.synthesize(i, q, *steps, increment, start, spacing))
         i, q = next_i, next_q
-    return np.asarray(np.concatenate(pieces) * (full_scale / wire.FULL_SCALE))
+    return np.asarray(np.concatenate(pieces) * (full_scale / FULL_SCALE_CODE))
 
 
 def sampled(display: Display, texture: Texture, speed: float) -> Floats:

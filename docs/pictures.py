@@ -30,7 +30,7 @@ from firmware_protocol.host import AmplifierHost, codes_of, pcm
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
-from tactile.bus.simulated.modeled_bus import ModeledBus, OutputRecord
+from tactile.bus.simulated.modeled_bus import AmplifierRecord, ModeledBus
 from tactile.show.plots import plot_played
 from tactile.study.paper import FINGERS, over_length
 from tactile.study.plots import plot_length_map
@@ -122,10 +122,10 @@ def links(path: Path) -> None:
     """Draw what becomes of a stroke whose cable is pulled."""
     runs: list[PlayedRun] = []
 
-    def listening(self: OutputRecord, run: PlayedRun, begun: int, end: int | None) -> None:
+    def listening(self: AmplifierRecord, run: PlayedRun, begun: int, end: int | None) -> None:
         runs.append(run)
 
-    OutputRecord.add = listening  # type: ignore[method-assign]
+    AmplifierRecord.add_run = listening  # type: ignore[method-assign]
     wanted, begun, dropped = with_pulled_cable()
     volts = np.concatenate([run.codes[:, 0] for run in runs]) * (100 / FULL_SCALE_CODE)
     time = (np.concatenate([run.ticks for run in runs]) - begun) * 1e-6
@@ -200,7 +200,7 @@ class Scene:
             m.Arm(SESSION, m.Mode.PCM, RATE),
             m.Start(SESSION, 0, time=1),
         ):
-            self.amplifier.receive(self.host.ask(message), 0)
+            self.amplifier.receive(self.host.request(message), 0)
 
     def stream(
         self, until_ms: float, *, send: bool = True, beat: bool = True, lost: int = -1
@@ -211,7 +211,7 @@ class Scene:
             if send and position // PACKET != lost:
                 self.send(position + (LEAD if position else 0), PACKET + (0 if position else LEAD))
             if beat:
-                self.amplifier.receive(self.host.tell(m.Heartbeat(SESSION)), self.now)
+                self.amplifier.receive(self.host.packet(m.Heartbeat(SESSION)), self.now)
             self.now += PACKET * 1_000_000 // RATE
             self.amplifier.run(self.now)
 
@@ -220,7 +220,7 @@ class Scene:
         volts = 60 * np.sin(2 * np.pi * 60 * (start + np.arange(count)) / RATE)[:, None]
         codes = codes_of(volts, 100.0)
         for message in pcm(start, codes, session=SESSION, sample_format=0, packet_limit=4096):
-            self.amplifier.receive(self.host.tell(message), self.now)
+            self.amplifier.receive(self.host.packet(message), self.now)
 
     def traces(self) -> tuple[Floats, Floats, float | None]:
         """Return time [ms], volts, and when high voltage went off."""
@@ -241,7 +241,7 @@ def scenes() -> dict[str, tuple[Scene, float, float]]:
     dead.stream(60)
     dead.stream(300, send=False, beat=False)
     stop.stream(60)
-    stop.amplifier.receive(stop.host.tell(m.Estop(1)), stop.now)
+    stop.amplifier.receive(stop.host.packet(m.Estop(1)), stop.now)
     stop.amplifier.run(stop.now + 5000)
     return {
         "A packet of 4 ms is lost:\na straight line bridges it": (lost, 56, 100),

@@ -5,6 +5,7 @@ passes in what it received and sends what it is given. The package depends neith
 nor on a bus.
 
 - `messages` : messages, codes and states (written by `generate` from schema.toml)
+- `layout` : layout of their payloads
 - `packet` : header and CRC-32
 - `serial_link`, `can_link`, `i2c_link` : delimiting of packets on each link
 - `samples`, `spectrum` : coding of the drive

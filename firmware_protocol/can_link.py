@@ -3,7 +3,6 @@
 from firmware_protocol.fragments import Cutter, Reassembler
 from firmware_protocol.messages import (
     CAN_PREFIX,
-    FRAGMENT_TIMEOUT_MS,
     MESSAGES,
     PACKET_MAX,
     CanClass,
@@ -136,8 +135,7 @@ class CanDecoder:
         self._direction = int(from_amplifier)
         self._fragments = AMPLIFIER_FRAGMENTS if from_amplifier else HOST_FRAGMENTS
         self._prefix = CAN_PREFIX if extended else 0
-        timeout = -(FRAGMENT_TIMEOUT_MS * tick_hz // -1000)
-        self._reassembler = Reassembler(limit, self.counters, timeout)
+        self._reassembler = Reassembler(limit, self.counters, tick_hz)
 
     def feed(self, identifier: int, data: bytes, now: int) -> list[Packet]:
         """Decode a received frame.

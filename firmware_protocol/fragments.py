@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from struct import Struct
 
-from firmware_protocol.messages import PACKET_MAX
+from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX
 from firmware_protocol.packet import SMALLEST, LinkCounters, Packet, decode_packet
 
 START, END, TOGGLE, TRANSFER = 0x80, 0x40, 0x20, 0x1F
@@ -79,13 +79,13 @@ class Reassembler:
         Largest packet [bytes].
     counters : LinkCounters
         Counters to count in.
-    timeout : int
-        Longest duration of a transfer, in the unit of ``now``.
+    tick_hz : int
+        Frequency of the clock that gives the time of reception [Hz].
     """
 
-    def __init__(self, limit: int, counters: LinkCounters, timeout: int) -> None:
+    def __init__(self, limit: int, counters: LinkCounters, tick_hz: int = 1_000_000) -> None:
         self._limit, self._counters = min(limit, PACKET_MAX), counters
-        self._timeout = timeout
+        self._timeout = -(FRAGMENT_TIMEOUT_MS * tick_hz // -1000)
         self._transfers: dict[tuple[int, int], _Transfer] = {}
 
     def feed(
@@ -100,7 +100,7 @@ class Reassembler:
         fragment : bytes
             Content of the frame.
         now : int
-            Time of reception.
+            Time of reception [ticks].
         padded : bool
             Whether the last fragment may have padding after the packet.
 

@@ -128,84 +128,21 @@ def _upper(name: str) -> str:
 
 # Python
 
-LIMIT_TEXTS = {
-    "WATCHDOG_MS": "Time without a heartbeat after which the watchdog expires [ms].",
-    "HEARTBEAT_MS": "Interval between heartbeats [ms].",
-    "FADE_MS": "Length of the longest ordinary ramp [ms].",
-    "VALID_MS": "Longest validity of a spectrum frame [ms].",
-    "FRAGMENT_TIMEOUT_MS": "Longest time for the reassembly of a packet [ms].",
-    "INPUT_CLOSED_MS": "Time after which a closed e-stop input counts as closed [ms].",
-    "UNGUARDED_MOST_UV": "Largest full scale of an amplifier without an e-stop input [µV].",
-    "START_AHEAD_MS": "Longest time by which START may be ahead [ms].",
-    "PACKET_MAX": "Largest packet, header and CRC included [bytes].",
-    "FULL_SCALE_CODE": "Sample code at full scale.",
-    "CARRIERS_MAX": "Largest number of carriers of a stream.",
-    "CAN_PREFIX": "Number that is added to an 11-bit identifier to make the 29-bit one.",
-}
-"""Docstrings of the limits."""
-ENUM_TEXTS = {
-    "flag": "Flags of a packet",
-    "state": "States of an amplifier",
-    "phase": "Phases of the state RUNNING",
-    "nak": "Reasons for which a request is refused",
-    "mode": "Modes of ARM",
-    "sample_format": "Sample formats",
-    "fault": "Faults of the hardware",
-    "parameter": "Parameters of GET and SET",
-    "log_level": "Levels of LOG",
-    "feature": "Bits of the features in CAPS",
-    "estop_reason": "Reasons of an e-stop that the protocol defines",
-    "input": "Bits of the inputs in STATUS",
-    "can_class": "Classes of messages on CAN",
-}
-"""Docstrings of the enumerations."""
-MESSAGE_TEXTS = {
-    "Hello": "takes the amplifier; answered by CAPS",
-    "Time": "exchanges timestamps; answered by TIME_REPLY",
-    "Sync": "notes the tick of reception",
-    "Start": "starts to play a position at a given time",
-    "Stop": "ramps to 0 V",
-    "Arm": "switches the high voltage on",
-    "Disarm": "ramps to 0 V and switches the high voltage off",
-    "Estop": "goes to 0 V at the slew limit, latched",
-    "ClearFault": "ends ESTOP or FAULT",
-    "Heartbeat": "shows that the streaming loop is alive",
-    "Limits": "lowers the limits",
-    "Get": "reads a parameter; answered by VALUE",
-    "Set": "writes a parameter",
-    "Identify": "lets a person find the board",
-    "Poll": "requests STATUS",
-    "Pcm": "samples of some channels",
-    "Carriers": "frequencies of the spectrum frames",
-    "Spectrum": "a spectrum frame",
-    "Ack": "a request was done",
-    "Nak": "a request was refused",
-    "Caps": "capabilities and limits of the hardware",
-    "TimeReply": "timestamps of reception and answer",
-    "Value": "value of a parameter",
-    "Pulse": "credit and state of the stream",
-    "Status": "state, limits in force and counters",
-    "Sense": "measured voltages and currents",
-    "Log": "text for a person",
-}
-"""Docstrings of the messages: what each does or contains."""
-
 
 def _python_head(schema: Schema) -> list[str]:
     """Return the lines of messages.py before its enumerations."""
+    texts = schema["texts"]["limits"]
     return [
         '"""Messages, codes and states of the protocol; written by generate.py from schema.toml.',
         "",
-        "SPEC.md defines their meaning. ``pack`` returns the payload of a message and ``unpack``",
-        "decodes one: a missing tail reads as 0 and an unknown tail is ignored. A payload that is",
-        "shorter than the head of a message with a body is decoded as None.",
+        "SPEC.md defines their meaning.",
         '"""',
         "",
-        "from collections.abc import Callable",
         "from dataclasses import dataclass",
         "from enum import IntEnum",
         "from struct import Struct",
-        "from typing import ClassVar, Self, cast",
+        "",
+        "from firmware_protocol.layout import Message as Message",
         "",
         f"MAJOR, MINOR = {schema['protocol']['major']}, {schema['protocol']['minor']}",
         f"SCHEMA_CRC = 0x{schema_crc(schema):08X}",
@@ -213,7 +150,7 @@ def _python_head(schema: Schema) -> list[str]:
         *(
             line
             for name, value in schema["limits"].items()
-            for line in (f"{name} = {_number(value)}", f'"""{LIMIT_TEXTS[name]}"""')
+            for line in (f"{name} = {_number(value)}", f'"""{texts[name]}"""')
         ),
     ]
 
@@ -233,7 +170,9 @@ def python_text(schema: Schema) -> str:
     """
     lines = _python_head(schema)
     for name, members in schema["enum"].items():
-        lines += _python_enum(name, members)
+        lines += ["", "", f"class {_title(name)}(IntEnum):"]
+        lines += [f'    """{schema["texts"]["enum"][name]}"""', ""]
+        lines += [f"    {member} = {_number(value)}" for member, value in members.items()]
     lines += ["", "", "TABLE: dict[str, tuple[int, ...]] = {"]
     lines += [
         f'    "{event}": ({", ".join(f"0x{cell:02X}" for cell in cells)}),'
@@ -247,7 +186,6 @@ def python_text(schema: Schema) -> str:
         "that follows RAMPDOWN.",
         '"""',
     ]
-    lines += ["", "", *PYTHON_BASE.splitlines()]
     for message in schema["message"]:
         lines += ["", "", *_python_message(message)]
     lines += ["", "", "MESSAGES: dict[int, type[Message]] = {"]
@@ -256,83 +194,9 @@ def python_text(schema: Schema) -> str:
     return "\n".join(lines)
 
 
-def _python_enum(name: str, members: dict[str, int]) -> list[str]:
-    """Return the lines of an enumeration's class."""
-    lines = ["", "", f"class {_title(name)}(IntEnum):"]
-    lines += [f'    """{ENUM_TEXTS[name]} (section {_section(name)})."""', ""]
-    return lines + [f"    {member} = {_number(value)}" for member, value in members.items()]
-
-
 def _number(value: int) -> str:
     """Return a number as source text, in hexadecimal above 4096 with two exceptions."""
     return f"0x{value:02X}" if value > 4096 and value != 10000 and value != 32767 else str(value)
-
-
-def _section(name: str) -> str:
-    """Return the section of SPEC.md that defines an enumeration."""
-    return {
-        "flag": "2", "state": "6", "phase": "8.2", "nak": "5", "mode": "4", "sample_format": "9",
-        "fault": "6", "parameter": "4", "log_level": "4", "feature": "4", "can_class": "3.2",
-        "estop_reason": "6.3", "input": "6.3",
-    }[name]  # fmt: skip
-
-
-PYTHON_BASE = '''\
-class Message:
-    """Base class of the messages; the fields are those of the layout, then the body.
-
-    Attributes
-    ----------
-    TYPE : int
-        Type of the message, its id on the wire.
-    CAN : CanClass
-        Class of the message on CAN.
-    HEAD : Struct
-        Layout of the fixed part.
-    BODY : bool
-        Whether a body of variable length follows.
-    """
-
-    __slots__ = ()
-    __match_args__: ClassVar[tuple[str, ...]]
-    TYPE: ClassVar[int]
-    CAN: ClassVar[CanClass]
-    HEAD: ClassVar[Struct]
-    BODY: ClassVar[bool] = False
-
-    def pack(self) -> bytes:
-        """Encode the message.
-
-        Returns
-        -------
-        bytes
-            Payload of a packet.
-        """
-        values = [getattr(self, name) for name in self.__match_args__]
-        body: bytes = values.pop() if self.BODY else b""
-        return self.HEAD.pack(*values) + body
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        """Decode a message.
-
-        Parameters
-        ----------
-        payload : bytes
-            Payload of a packet.
-
-        Returns
-        -------
-        Message or None
-            The message; None if the payload is shorter than the head of a message with a body.
-        """
-        size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
-        if not cls.BODY:
-            return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\\0")))
-        if len(payload) < size:
-            return None
-        return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))'''
-"""Base class of the messages in messages.py."""
 
 
 def _python_message(message: Message) -> list[str]:
@@ -341,9 +205,7 @@ def _python_message(message: Message) -> list[str]:
     code = "<" + "".join(STRUCT[kind] for _, kind in fields)
     types = {"char16": "bytes"}
     lines = ["@dataclass(frozen=True, slots=True)", f"class {message['name']}(Message):"]
-    title = (
-        f"{_upper(message['name'])} from the {message['from']}: {MESSAGE_TEXTS[message['name']]}"
-    )
+    title = f"{_upper(message['name'])} from the {message['from']}: {message['text']}"
     lines += [f'    """{title} (section 4)."""', ""]
     lines += [
         f"    TYPE = 0x{message['id']:02X}",

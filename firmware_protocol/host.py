@@ -1,7 +1,7 @@
 """Host side of a session: packets out, answers in (sections 4 to 8 of SPEC.md).
 
-It has neither I/O nor a clock: the owner of the link sends the packets that `ask` and `tell`
-return, and passes received packets to `receive`.
+It has neither I/O nor a clock: the owner of the link sends the packets that `packet` and
+`request` return, and passes received packets to `receive`.
 """
 
 from collections.abc import Iterator
@@ -16,6 +16,10 @@ from firmware_protocol.packet import SMALLEST, TURN, Packet
 
 MOST_SAMPLES = 255
 """Largest number of samples per channel in a packet."""
+SKIPPED = 1 << 20
+"""Distance between all positions sent before a START and those after it (section 8.1)."""
+BY_HOST = 1
+"""Reason of an ESTOP by a host, as STATUS reports it."""
 ANSWERS = 64
 """Largest number of answers that are stored until they are requested."""
 
@@ -40,9 +44,6 @@ class AmplifierHost:
         Latest STATUS; None before the first.
     pulse : Pulse or None
         Latest PULSE; None before the first.
-    unexpected : int
-        Number of received packets that an amplifier does not send, or that are from another node or
-        of another version.
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -50,11 +51,10 @@ class AmplifierHost:
         self.caps: m.Caps | None = None
         self.status: m.Status | None = None
         self.pulse: m.Pulse | None = None
-        self.unexpected = 0
         self._seq = 0
         self._answers: dict[tuple[int, int], Message] = {}
 
-    def tell(self, message: Message) -> Packet:
+    def packet(self, message: Message) -> Packet:
         """Encode a message that requests no answer.
 
         Parameters
@@ -69,7 +69,7 @@ class AmplifierHost:
         """
         return self._packet(message, ask=False)
 
-    def ask(self, message: Message) -> Packet:
+    def request(self, message: Message) -> Packet:
         """Encode a request; `answer` returns its answer.
 
         Parameters
@@ -107,7 +107,6 @@ class AmplifierHost:
         kind = m.MESSAGES.get(packet.type)
         foreign = packet.node != self.node or packet.flags >> 6 != m.MAJOR
         if foreign or kind is None or packet.type < m.Ack.TYPE:
-            self.unexpected += 1
             return None
         message = kind.unpack(packet.payload)
         if isinstance(message, m.Caps):
@@ -128,7 +127,7 @@ class AmplifierHost:
         Parameters
         ----------
         request : Packet
-            Packet that `ask` returned.
+            Packet that `request` returned.
 
         Returns
         -------

@@ -6,7 +6,6 @@ The amplifier is the target. Its packets wait in a queue until the host reads th
 from collections import deque
 
 from firmware_protocol.fragments import LENGTH, Cutter, Reassembler
-from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet
 
 DEFAULT_LIMIT = 255
@@ -21,37 +20,23 @@ WAITING = 16
 """Largest number of packets that wait for a reader; further ones are refused."""
 
 
-class I2cTarget:
-    """Amplifier's end of raw transfers.
+class Target:
+    """Amplifier's end of the bus, with the packets that wait until the host reads them.
 
     Parameters
     ----------
-    limit : int
-        Largest packet [bytes].
-    counters : LinkCounters, optional
-        Counters to count in; own ones by default.
+    counters : LinkCounters or None
+        Counters to count in; own ones if None.
+
+    Attributes
+    ----------
+    counters : LinkCounters
+        Counters of received packets and of errors.
     """
 
-    def __init__(self, limit: int = DEFAULT_LIMIT, counters: LinkCounters | None = None) -> None:
+    def __init__(self, counters: LinkCounters | None) -> None:
         self.counters = LinkCounters() if counters is None else counters
-        self._limit = limit
         self._waiting: deque[bytes] = deque()
-
-    def write(self, data: bytes) -> list[Packet]:
-        """Decode a write transfer.
-
-        Parameters
-        ----------
-        data : bytes
-            Data of the transfer.
-
-        Returns
-        -------
-        list of Packet
-            The packet of the transfer, if it is valid.
-        """
-        packet = decode_packet(data, self.counters, self._limit)
-        return [] if packet is None else [packet]
 
     def put(self, packet: bytes) -> bool:
         """Queue a packet for the host.
@@ -70,6 +55,38 @@ class I2cTarget:
             return False
         self._waiting.append(packet)
         return True
+
+
+class I2cTarget(Target):
+    """Amplifier's end of raw transfers.
+
+    Parameters
+    ----------
+    limit : int
+        Largest packet [bytes].
+    counters : LinkCounters, optional
+        Counters to count in; own ones by default.
+    """
+
+    def __init__(self, limit: int = DEFAULT_LIMIT, counters: LinkCounters | None = None) -> None:
+        super().__init__(counters)
+        self._limit = limit
+
+    def write(self, data: bytes) -> list[Packet]:
+        """Decode a write transfer.
+
+        Parameters
+        ----------
+        data : bytes
+            Data of the transfer.
+
+        Returns
+        -------
+        list of Packet
+            The packet of the transfer, if it is valid.
+        """
+        packet = decode_packet(data, self.counters, self._limit)
+        return [] if packet is None else [packet]
 
     def read(self, size: int) -> bytes:
         """Answer a read transfer; a packet that is not read to its end stays in the queue.
@@ -113,7 +130,7 @@ def decode_read(data: bytes, counters: LinkCounters | None = None) -> Packet | N
     return decode_packet(data[LENGTH.size : LENGTH.size + length], counters)
 
 
-class SmbusTarget:
+class SmbusTarget(Target):
     """Amplifier's end of SMBus block writes and block reads.
 
     Parameters
@@ -132,11 +149,11 @@ class SmbusTarget:
         counters: LinkCounters | None = None,
         tick_hz: int = 1_000_000,
     ) -> None:
-        self.counters = LinkCounters() if counters is None else counters
-        timeout = -(FRAGMENT_TIMEOUT_MS * tick_hz // -1000)
-        self._reassembler = Reassembler(min(limit, PACKET_MAX), self.counters, timeout)
+        super().__init__(counters)
+        self._reassembler = Reassembler(limit, self.counters, tick_hz)
         self._cutter = Cutter(SMBUS_BLOCK)
-        self._waiting: deque[list[bytes]] = deque()
+        self._blocks: deque[bytes] = deque()
+        """Fragments of the first packet that wait."""
 
     def write(self, block: bytes, now: int) -> list[Packet]:
         """Decode a block write.
@@ -156,24 +173,6 @@ class SmbusTarget:
         packet = self._reassembler.feed(WRITE_COMMAND, block, now)
         return [] if packet is None else [packet]
 
-    def put(self, packet: bytes) -> bool:
-        """Queue a packet for the host.
-
-        Parameters
-        ----------
-        packet : bytes
-            Encoded packet.
-
-        Returns
-        -------
-        bool
-            False if the queue is full.
-        """
-        if len(self._waiting) == WAITING:
-            return False
-        self._waiting.append(list(self._cutter.fragments(READ_COMMAND, packet)))
-        return True
-
     def read(self) -> bytes:
         """Answer a block read.
 
@@ -184,7 +183,8 @@ class SmbusTarget:
         """
         if not self._waiting:
             return NOTHING
-        block = self._waiting[0].pop(0)
-        if not self._waiting[0]:
+        if not self._blocks:
+            self._blocks += self._cutter.fragments(READ_COMMAND, self._waiting[0])
+        if len(self._blocks) == 1:
             self._waiting.popleft()
-        return block
+        return self._blocks.popleft()

@@ -1,15 +1,13 @@
 """Messages, codes and states of the protocol; written by generate.py from schema.toml.
 
-SPEC.md defines their meaning. ``pack`` returns the payload of a message and ``unpack``
-decodes one: a missing tail reads as 0 and an unknown tail is ignored. A payload that is
-shorter than the head of a message with a body is decoded as None.
+SPEC.md defines their meaning.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
-from typing import ClassVar, Self, cast
+
+from firmware_protocol.layout import Message as Message
 
 MAJOR, MINOR = 1, 1
 SCHEMA_CRC = 0x1DCE5A8D
@@ -191,62 +189,6 @@ TABLE: dict[str, tuple[int, ...]] = {
 An entry is `STAYS`, `REFUSED` | NAK code, or state | next << 3, where next is the state
 that follows RAMPDOWN.
 """
-
-
-class Message:
-    """Base class of the messages; the fields are those of the layout, then the body.
-
-    Attributes
-    ----------
-    TYPE : int
-        Type of the message, its id on the wire.
-    CAN : CanClass
-        Class of the message on CAN.
-    HEAD : Struct
-        Layout of the fixed part.
-    BODY : bool
-        Whether a body of variable length follows.
-    """
-
-    __slots__ = ()
-    __match_args__: ClassVar[tuple[str, ...]]
-    TYPE: ClassVar[int]
-    CAN: ClassVar[CanClass]
-    HEAD: ClassVar[Struct]
-    BODY: ClassVar[bool] = False
-
-    def pack(self) -> bytes:
-        """Encode the message.
-
-        Returns
-        -------
-        bytes
-            Payload of a packet.
-        """
-        values = [getattr(self, name) for name in self.__match_args__]
-        body: bytes = values.pop() if self.BODY else b""
-        return self.HEAD.pack(*values) + body
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self | None:
-        """Decode a message.
-
-        Parameters
-        ----------
-        payload : bytes
-            Payload of a packet.
-
-        Returns
-        -------
-        Message or None
-            The message; None if the payload is shorter than the head of a message with a body.
-        """
-        size, make = cls.HEAD.size, cast("Callable[..., Self]", cls)
-        if not cls.BODY:
-            return make(*cls.HEAD.unpack(payload[:size].ljust(size, b"\0")))
-        if len(payload) < size:
-            return None
-        return make(*cls.HEAD.unpack_from(payload), bytes(payload[size:]))
 
 
 @dataclass(frozen=True, slots=True)

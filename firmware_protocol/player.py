@@ -9,7 +9,8 @@ import numpy as np
 
 from firmware_protocol.messages import Phase
 from firmware_protocol.packet import TURN
-from firmware_protocol.sources import Ints, Source, truncated
+from firmware_protocol.sources import Ints, Source
+from firmware_protocol.spectrum import truncated
 
 NOT_OVER = np.zeros((1, 1), np.bool_)
 """Mask of samples beyond the limit when there are none."""

@@ -6,7 +6,7 @@ They do what `c/host/virtual_amplifier.c` does with real devices, for tests and 
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder, Frame
 from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
-from firmware_protocol.packet import decode_packet, encode_packet
+from firmware_protocol.packet import encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 
 
@@ -46,45 +46,6 @@ class SerialPort:
             Bytes to the line.
         """
         return b"".join(encode_frame(encode_packet(p)) for p in self.amplifier.take_sent())
-
-
-class PacketPort:
-    """An amplifier that receives packets one by one.
-
-    Parameters
-    ----------
-    amplifier : ReferenceAmplifier
-        Amplifier that receives and answers.
-    """
-
-    def __init__(self, amplifier: ReferenceAmplifier) -> None:
-        self.amplifier = amplifier
-
-    def feed(self, data: bytes, now: int) -> None:
-        """Receive a packet.
-
-        Parameters
-        ----------
-        data : bytes
-            Encoded packet.
-        now : int
-            Time of reception [ticks].
-        """
-        self.amplifier.run(now)
-        amplifier = self.amplifier
-        packet = decode_packet(data, amplifier.counters, amplifier.config.packet_limit)
-        if packet is not None:
-            amplifier.receive(packet, now)
-
-    def take(self) -> list[bytes]:
-        """Return the packets that were sent since the last call.
-
-        Returns
-        -------
-        list of bytes
-            Encoded packets.
-        """
-        return [encode_packet(p) for p in self.amplifier.take_sent()]
 
 
 class CanPort:

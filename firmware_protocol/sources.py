@@ -15,29 +15,12 @@ from numpy.typing import NDArray
 from firmware_protocol import spectrum
 from firmware_protocol.messages import FADE_MS, VALID_MS
 from firmware_protocol.packet import TURN
+from firmware_protocol.spectrum import truncated
 
 Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
 Mask = NDArray[np.bool_]
 """Array of bools."""
-
-
-def truncated(numerator: Ints, denominator: Ints | int) -> Ints:
-    """Divide integers, truncating toward zero.
-
-    Parameters
-    ----------
-    numerator : array of int
-        Numerator.
-    denominator : int or array of int
-        Denominator, above zero.
-
-    Returns
-    -------
-    array of int
-        Quotient.
-    """
-    return np.asarray(np.sign(numerator) * (np.abs(numerator) // denominator))
 
 
 class Source(ABC):
@@ -411,7 +394,7 @@ class SpectrumSource(Source):
         """Begin a ramp of a channel from its envelope at position n to a frame."""
         self._start[c], self._end[c], self._valid[c] = n, frame.position, frame.valid
         self._target[c], self._ramping[c] = frame.envelope, True
-        self._step[c] = truncated(frame.envelope - self._envelope[c], frame.position - n)
+        self._step[c] = spectrum.ramp_step(self._envelope[c], frame.envelope, frame.position - n)
 
     def patch(self, n: int) -> None:
         pass

@@ -20,6 +20,9 @@ sample. All sums stay below 2⁴⁸ for 64 carriers.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from firmware_protocol.messages import FULL_SCALE_CODE
+from firmware_protocol.packet import TURN
+
 Codes = NDArray[np.uint8]
 """Array of coded envelopes."""
 Complex = NDArray[np.complex128]
@@ -28,22 +31,20 @@ Increments = NDArray[np.uint32]
 Integers = NDArray[np.int64]
 """Array of 64-bit integers."""
 
-FULL_SCALE = 32767
-"""Sample code at full scale."""
-TURN = 1 << 32
-"""Angle of a full turn, and the value at which positions wrap."""
 QUARTER = TURN // 4
 """Angle of a quarter turn."""
 QUEUE = 4
 """Largest number of frames that are queued per channel (section 10.3)."""
-SINE: Integers = np.rint(FULL_SCALE * np.sin(2 * np.pi * np.arange(1025) / 1024)).astype(np.int64)
+SINE: Integers = np.rint(FULL_SCALE_CODE * np.sin(2 * np.pi * np.arange(1025) / 1024)).astype(
+    np.int64
+)
 """Table (1025,) of a full turn of the sine and its end, in sample codes."""
 STEPS_PER_DECADE = 80
 """Number of amplitude steps per decade, 0.25 dB each."""
 LOUDEST = 255
 """Amplitude code of full scale."""
 AMPLITUDE: Integers = np.rint(
-    FULL_SCALE * 256 * 10.0 ** ((np.arange(256) - LOUDEST) / STEPS_PER_DECADE)
+    FULL_SCALE_CODE * 256 * 10.0 ** ((np.arange(256) - LOUDEST) / STEPS_PER_DECADE)
 ).astype(np.int64)
 """Table (256,) of the amplitude by code [1/256 sample code]."""
 AMPLITUDE[0] = 0
@@ -144,6 +145,24 @@ def decode(codes: Codes) -> tuple[Integers, Integers]:
     return (amplitude * cosine(angle) + half) >> 15, (amplitude * sine(angle) + half) >> 15
 
 
+def truncated(numerator: Integers, denominator: Integers | int) -> Integers:
+    """Divide integers, truncating toward zero.
+
+    Parameters
+    ----------
+    numerator : array of int
+        Numerator.
+    denominator : int or array of int
+        Denominator, above zero.
+
+    Returns
+    -------
+    array of int
+        Quotient.
+    """
+    return np.asarray(np.sign(numerator) * (np.abs(numerator) // denominator))
+
+
 def ramp_step(start: Integers, end: Integers, samples: int) -> Integers:
     """Compute the change of an envelope per sample, rounded toward zero.
 
@@ -159,8 +178,7 @@ def ramp_step(start: Integers, end: Integers, samples: int) -> Integers:
     array of int
         Change per sample [1/256 sample code].
     """
-    change = end - start
-    return np.asarray(np.sign(change) * (np.abs(change) // samples))
+    return truncated(end - start, samples)
 
 
 def synthesize(
@@ -198,4 +216,4 @@ def synthesize(
     cos, sin = cosine(angle), sine(angle)
     total = cos @ in_phase.T - sin @ quadrature.T
     total += sample[:, None] * (cos @ step_i.T - sin @ step_q.T)
-    return np.asarray(np.clip((total + (1 << 22)) >> 23, -FULL_SCALE, FULL_SCALE))
+    return np.asarray(np.clip((total + (1 << 22)) >> 23, -FULL_SCALE_CODE, FULL_SCALE_CODE))

@@ -105,7 +105,7 @@ class SimulatedDisplay(MockBus):
         if len(shear) > skipped:
             self._shear.append(shear[skipped:] * self._display.polarity)
             self._shear_count += len(shear) - skipped
-        while not self._all and self._shear_count - len(shear) > self.wiring.sample_rate:
+        while self._shear_count - len(shear) > self._kept:
             dropped = len(self._shear.popleft())
             self._shear_count -= dropped
             self.dropped_shear += dropped

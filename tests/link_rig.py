@@ -127,10 +127,10 @@ class Bench:
         self.model, self.clock, self.rate = self.bus.model, self.bus.model.clock, rate
         self.position, self.zero = 0, math.nan
         self.full_scale = VOLTAGE
-        self._inner = self.model.listener
+        self._inner = self.model.on_output
         self._amplifiers = list(self.model.amplifiers)
         self.heard: list[list[Heard]] = [[Heard()] for _ in self._amplifiers]
-        self.model.listener = self._hear
+        self.model.on_output = self._hear
 
     def _hear(self, board: int, run: PlayedRun) -> None:
         self._inner(board, run)
@@ -183,7 +183,7 @@ class Bench:
 
     def silence_after(self, since: float) -> float:
         """Return how long after a time all outputs are at 0 V for good [s]."""
-        self.model.listen()
+        self.model.report_output()
         last = since
         for board in self.heard:
             for kept in board:
@@ -202,7 +202,7 @@ class Bench:
 
     def at(self, time: float) -> Floats:
         """Return magnitudes put out last before a time (C,) [V]."""
-        self.model.listen()
+        self.model.report_output()
         found = []
         for board in self.heard:
             times, codes, _ = board[-1].together()
@@ -214,7 +214,7 @@ class Bench:
 
     def check_limits(self) -> int:
         """See that no sample passes the limits in value or step; return how many there were."""
-        self.model.listen()
+        self.model.report_output()
         volts = self.full_scale / FULL_SCALE_CODE
         most = math.floor(self.panel.limits.voltage / volts + 1e-6)
         step = math.floor(self.panel.slew / self.rate / volts + 1e-6)
@@ -234,7 +234,7 @@ class Bench:
 
         And how many were compared, of those after a time.
         """
-        self.model.listen()
+        self.model.report_output()
         worst, count = 0.0, 0
         slope = 4 * PEAK / PERIOD
         level = round(LEVEL / self.full_scale * FULL_SCALE_CODE)

@@ -26,7 +26,7 @@ from firmware_protocol.i2c_link import (
 )
 from firmware_protocol.messages import SampleFormat, State
 from firmware_protocol.packet import Packet, decode_packet, encode_packet
-from firmware_protocol.ports import CanPort, I2cPort, PacketPort, SerialPort
+from firmware_protocol.ports import CanPort, I2cPort, SerialPort
 from firmware_protocol.serial_link import SerialDecoder, coded_limit, encode_frame
 
 KINDS = tuple(m.MESSAGES.values())
@@ -174,16 +174,19 @@ class SerialWire:
 
 class PacketWire:
     def __init__(self, amplifier: ReferenceAmplifier) -> None:
-        self.port = PacketPort(amplifier)
+        self.amplifier = amplifier
 
     def send(self, packet: Packet, now: int) -> None:
-        self.port.feed(encode_packet(packet), now)
+        self.rubbish(encode_packet(packet), now)
 
     def rubbish(self, data: bytes, now: int) -> None:
-        self.port.feed(data, now)
+        self.amplifier.run(now)
+        counters, limit = self.amplifier.counters, self.amplifier.config.packet_limit
+        if packet := decode_packet(data, counters, limit):
+            self.amplifier.receive(packet, now)
 
     def answers(self, now: int) -> list[Packet]:
-        found = [decode_packet(data) for data in self.port.take()]
+        found = [decode_packet(encode_packet(packet)) for packet in self.amplifier.take_sent()]
         assert None not in found
         return [packet for packet in found if packet is not None]
 
@@ -277,7 +280,7 @@ class Session:
             m.Start(session, 0xFFFFFFF0 if how & 8 else 0, how >> 4, 0),
         )
         for message in opening[: (0, 2, 3, 4)[how & 3]]:
-            self.wire.send(self.host.ask(message), self.now)
+            self.wire.send(self.host.request(message), self.now)
 
     def act(self, source: Source) -> None:
         """Do one action."""

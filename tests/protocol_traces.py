@@ -21,7 +21,7 @@ from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
-from firmware_protocol.ports import PacketPort
+from firmware_protocol.packet import decode_packet, encode_packet
 
 PACKET, RUN, FAULT, INPUT = 3, 4, 5, 9
 RECORD = Struct("<QBI")
@@ -99,7 +99,6 @@ class Rig:
     ) -> None:
         self.config, self.singly, self.now = config, singly, 0
         self.amplifier = ReferenceAmplifier(config)
-        self.port = PacketPort(self.amplifier)
         self.judge = Judge(config) if judged else None
         self.records: list[Record] = []
         self.sent: list[bytes] = []
@@ -124,12 +123,23 @@ class Rig:
         self.amplifier.run(self.now)
         self._take()
 
+    def feed(self, data: bytes, now: int) -> None:
+        """Pass the bytes of a packet to the amplifier."""
+        self.amplifier.run(now)
+        packet = decode_packet(data, self.amplifier.counters, self.config.packet_limit)
+        if packet is not None:
+            self.amplifier.receive(packet, now)
+
+    def packets(self) -> list[bytes]:
+        """Return what the amplifier has sent since the last call."""
+        return [encode_packet(packet) for packet in self.amplifier.take_sent()]
+
     def packet(self, data: bytes) -> None:
         self._settle()
         self.records.append(Record(self.now, PACKET, data))
         beyond = self.judge.packet(self.now, data) if self.judge else True
         future = self.amplifier.counters.future_samples
-        self.port.feed(data, self.now)
+        self.feed(data, self.now)
         assert beyond or self.amplifier.counters.future_samples == future
         self._take()
 
@@ -155,7 +165,7 @@ class Rig:
         follow = [*(run.position for run in played[1:]), self.amplifier.position]
         rows = [self._expanded(run, at) for run, at in zip(played, follow, strict=False)]
         self._state = self.amplifier.state
-        sent = self.port.take()
+        sent = self.packets()
         self.rows += rows
         self.sent += sent
         assert len(sent) <= 256

@@ -33,7 +33,7 @@ class Card:
     """
 
     def __init__(self, order: Order | None) -> None:
-        self.opened = StreamOpened("card", WIRING, 0.0)
+        self.stream = StreamOpened("card", WIRING, 0.0)
         self.ended, self.failed, self.output, self.status_time = False, None, None, np.inf
         self.phase = "rest"
         self.heard: list[str] = []
@@ -45,7 +45,7 @@ class Card:
         """State of the card: it takes whatever comes."""
         return PlayerStatus(0, self.phase, 0, 10**9, 0, 0, 0, 0, 0, 0.0, 0.0, "", "")  # type: ignore[arg-type]
 
-    def tell(self, kind: str, *rest: object, seconds: float = 1.0) -> int:
+    def send(self, kind: str, *rest: object, seconds: float = 1.0) -> int:
         self.heard.append(kind)
         if kind == "start":
             self.phase = "waiting"
@@ -55,16 +55,16 @@ class Card:
         self.hook(kind)
         return number
 
-    def ask(self, kind: str = "ask", *, seconds: float = 1.0) -> PlayerStatus | None:
+    def request(self, kind: str = "status", *, seconds: float = 1.0) -> PlayerStatus | None:
         return None if self.ended else self.status
 
-    def settled(self, seconds: float, *, rest: bool = True) -> bool:
+    def wait_for_card(self, seconds: float, *, rest: bool = True) -> bool:
         return not self.ended and (self.phase == "rest") == rest
 
     def kill(self) -> None:
         self.ended = True
 
-    def close(self, seconds: float = 1.0) -> None:
+    def close(self) -> None:
         self.ended = True
 
 
@@ -75,7 +75,7 @@ made: list[Card] = []
 def bus(monkeypatch: pytest.MonkeyPatch) -> AudioBus:
     made.clear()
     monkeypatch.setattr(audio_bus, "AudioProcess", Card)
-    monkeypatch.setattr(audio_bus, "opened", lambda player: player.opened)
+    monkeypatch.setattr(audio_bus, "opened_stream", lambda player: player.stream)
     monkeypatch.setattr(audio_bus, "RETRY", 0.0)
     return AudioBus(ORDER)
 

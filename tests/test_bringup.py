@@ -161,7 +161,7 @@ def test_readings_that_do_not_come_are_a_fault(
 @pytest.mark.realtime
 def test_measuring_ends_with_its_block(serve: Callable[..., Served], four: Path) -> None:
     def interval(bus: LinkBus) -> int:
-        value = bus.ask(m.Get(m.Parameter.SENSE_MS), 1)
+        value = bus.request(m.Get(m.Parameter.SENSE_MS), 1)
         assert isinstance(value, m.Value)
         return value.value
 
@@ -191,8 +191,8 @@ def test_readings_do_not_grow(serve: Callable[..., Served], four: Path) -> None:
         kept = bus.peers[0].queries.senses
         kept.extend([m.Sense()] * 1000)
         assert len(kept) == 256
-        assert len(bus.sensed()) == 256
-        assert bus.sensed() == []
+        assert len(bus.take_senses()) == 256
+        assert bus.take_senses() == []
 
 
 @pytest.mark.realtime

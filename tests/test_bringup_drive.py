@@ -109,15 +109,15 @@ def test_several_boards_show_themselves_in_turn(four: Path) -> None:
 def test_what_is_asked_aside_disturbs_nothing(four: Path) -> None:
     with open_bus("mock:?link=serial&keep=all", load_display(four)) as bus:
         assert isinstance(bus, LinkBus)
-        refused = bus.ask(m.Set(bus.peers[0].host.session, m.Parameter.SENSE_MS, 10), 1)
+        refused = bus.request(m.Set(bus.peers[0].host.session, m.Parameter.SENSE_MS, 10), 1)
         assert isinstance(refused, m.Nak)
         assert refused.code == m.NakCode.PARAMETER
         bus.start()
         bus.write(DriveBlock(0, np.full((800, 5), 3.0)))
-        refused = bus.ask(m.Get(m.Parameter.TEMPERATURE_MK), 1)
+        refused = bus.request(m.Get(m.Parameter.TEMPERATURE_MK), 1)
         assert isinstance(refused, m.Nak)
         assert identify(bus, 1, 1)
-        value = bus.ask(m.Get(m.Parameter.PULSE_MS), 1)
+        value = bus.request(m.Get(m.Parameter.PULSE_MS), 1)
         assert isinstance(value, m.Value)
         assert value.value == 10
         bus.write(DriveBlock(800, np.full((800, 5), 3.0)))
@@ -129,7 +129,7 @@ def test_a_request_is_repeated_and_given_up(four: Path) -> None:
     """Each of 40 requests is tried three times over a line that loses a third of all."""
     with open_bus("mock:?link=serial&loss=0.33&seed=3", load_display(four)) as bus:
         assert isinstance(bus, LinkBus)
-        answers = [bus.ask(m.Get(m.Parameter.PULSE_MS), 1) for _ in range(40)]
+        answers = [bus.request(m.Get(m.Parameter.PULSE_MS), 1) for _ in range(40)]
     answered = [one for one in answers if one is not None]
     assert all(isinstance(one, m.Value) for one in answered)
     assert 25 <= len(answered) < 40  # (1 − (2/3)²)³ of them fail: 17 %

@@ -17,20 +17,15 @@ from firmware_protocol.packet import Packet
 from tactile.bus.budget import (
     Ability,
     BudgetError,
-    Can,
     Coding,
-    I2c,
-    Link,
     Plan,
-    Uart,
-    Unlimited,
-    Usb,
     packets_of,
     plan,
     spectrum_group,
     table,
     use,
 )
+from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited, Usb
 from tactile.errors import InputError
 
 PCM16, PCM12, BFP8, SPECTRUM8 = SampleFormat

@@ -137,7 +137,7 @@ def test_a_tone_on_a_board_that_follows_has_no_seams_between_packets() -> None:
         bench.start()
         for k in range(0, len(n), BLOCK):
             bus.write(DriveBlock(k, np.repeat(tone[k : k + BLOCK, None], 2, axis=1)))
-        bench.model.listen()
+        bench.model.report_output()
         times, codes, _ = bench.heard[1][-1].together()
     late = (times > times[-1] - 0.3) & (times < times[-1] - 0.1)
     angle = 2 * np.pi * 250 * (1 + drift) * times[late]

@@ -202,7 +202,7 @@ def test_boards_whose_crystals_differ_play_frames_together(drift: int) -> None:
         for k in range(round(8 * bus.frames.rate)):
             bus.write_frame(DriveFrame(k * spacing, np.full((2, 1), LEVEL, np.complex128)))
         assert bus.counters.faults() == {}
-        bench.model.listen()
+        bench.model.report_output()
         (times, codes, _), (other_times, other, _) = (heard[-1].together() for heard in bench.heard)
     late = (times > times[-1] - 0.5) & (times < other_times[-1])
     apart = codes[late, 0] - np.interp(times[late], other_times, other[:, 0])

@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 import pytest
 
 from tactile import messages as m
+from tactile import processes
 from tactile.errors import BusError, InputError
-from tactile.server import children as child_processes
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
@@ -37,8 +37,8 @@ PATIENT = "from tactile.playback import process as p; p.SILENCE = 600.0; main()"
 @pytest.fixture(scope="module", autouse=True)
 def _patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        program = child_processes.PROGRAM.replace("main()", PATIENT)
-        patch.setattr(child_processes, "PROGRAM", program)
+        program = processes.PROGRAM.replace("main()", PATIENT)
+        patch.setattr(processes, "PROGRAM", program)
         patch.setattr(playing_module, "STILL", 600.0)
         patch.setattr(Playing, "ask", partialmethod(Playing.ask, within=PATIENCE))
         yield

@@ -21,7 +21,7 @@ from tactile.server.workbench import Workbench
 
 HOW = DeviceOpened(sample_rate=8000.0)
 OAK = "wood-oak"
-WRITER = "tactile.server.drawing:_write"
+WRITER = "tactile.server.drawing:write"
 
 
 class Bench:
@@ -212,7 +212,7 @@ def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another
     """The first process never hears of what it is to draw."""
     monkeypatch.setattr(workbench, "LONGEST", 0.0)
     told: list[Child] = []
-    monkeypatch.setattr(Child, "tell", lambda child, order: told.append(child))
+    monkeypatch.setattr(Child, "send", lambda child, order: told.append(child))
 
     async def story(bench: Bench) -> None:
         with pytest.raises(BusError, match="was not ready after 0 s"):

@@ -143,7 +143,7 @@ def test_a_request_aside_is_waited_for_until_its_third_try_can_be_answered(
     """Tries go out at 0, 50 and 100 ms; the link takes 80 ms."""
     rig = linked("serial")
     rig.model.back.hold(0.18, rig.clock.now())
-    answer = rig.bus.ask(m.Get(m.Parameter.PULSE_MS), 1)
+    answer = rig.bus.request(m.Get(m.Parameter.PULSE_MS), 1)
     assert answer == m.Value(m.Parameter.PULSE_MS, 10)  # as at power-up (SPEC.md, 4)
 
 
@@ -309,7 +309,7 @@ def test_a_renderer_that_is_late_with_its_frames_is_alive_all_the_same() -> None
         bus.start()
         model = bus.model  # type: ignore[attr-defined]
         for k in range(1, round(4 * WATCHDOG * bus.frames.rate)):
-            model.run_away(bus.due((k - 1) * spacing) - bus.ahead + 1e-4)
+            model.run_alone(bus.due((k - 1) * spacing) - bus.ahead + 1e-4)
             bus.write_frame(DriveFrame(k * spacing, np.full((2, 1), LEVEL, np.complex128)))
         (amplifier,) = model.amplifiers
         assert amplifier.state == State.RUNNING

@@ -52,7 +52,7 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
             pressed = rig.clock.now()
             assert rig.at(pressed)[1::2].min() >= 0.9 * LEVEL
             rig.bus.estop()
-            rig.model.run_away(pressed + 0.06)
+            rig.model.run_alone(pressed + 0.06)
             took = rig.silence_after(pressed)
             assert 0 < took < TO_ESTOP
             assert (rig.bus.status.state, rig.bus.status.detail) == ("estopped", "")
@@ -74,14 +74,14 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
 def test_no_more_than_4_ms_wait_for_a_full_link(link: str, longest: float) -> None:
     """The next message of a host, a heartbeat or an e-stop, comes soon (SPEC.md, 14, duty 3)."""
     rig, waiting = saturated(link), [0]
-    listener = rig.model.listener
+    listener = rig.model.on_output
 
     def look(board: int, run: PlayedRun) -> None:
         listener(board, run)
         units = rig.model.out.waiting(rig.clock.now())
         waiting.append(sum(len(unit) for unit in units) if link == "serial" else len(units))
 
-    rig.model.listener = look
+    rig.model.on_output = look
     rig.begin(0.5)
     rig.bus.close()
     assert rig.misplaced()[1] > 1000
@@ -101,7 +101,7 @@ def test_an_estop_overtakes_what_waits_for_a_link_that_takes_nothing(
     goes_on = rig.model.tick(0) + 0.06 * ticks
     rig.play(0.05)
     rig.bus.estop()
-    rig.model.run_away(rig.clock.now() + 0.03)
+    rig.model.run_alone(rig.clock.now() + 0.03)
     rig.bus.close()
     stopped = next(tick for packet, tick in heard if packet.type == m.Estop.TYPE)
     assert 0 <= stopped - goes_on < 4.5e-3 * ticks
@@ -286,7 +286,7 @@ def test_close_disarms_in_an_estop_as_well(linked: Linked, link: str) -> None:
     before = rig.clock.now()
     rig.bus.close()
     assert rig.clock.now() < before + 0.2
-    rig.model.run_away(before + TO_ESTOP)
+    rig.model.run_alone(before + TO_ESTOP)
     assert rig.silent
     assert rig.model.amplifiers[0].state == State.ESTOP
     assert not rig.model.amplifiers[0].high_voltage

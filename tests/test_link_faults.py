@@ -266,7 +266,7 @@ def test_when_the_host_dies_all_is_at_0_volts_in_time(linked: Linked, link: str)
     rig = linked(link)
     rig.begin(0.2)
     died = rig.clock.now()
-    rig.model.run_away(died + DEATH)
+    rig.model.run_alone(died + DEATH)
     assert rig.silent
     assert 0 < rig.silence_after(died) < DEATH
     assert not any(a.high_voltage for a in rig.model.amplifiers)
@@ -427,7 +427,7 @@ def test_whatever_happens_limits_hold_time_is_kept_and_the_end_is_0_volts(
         assert loss or corrupt or reorder or mean
     finally:
         rig.bus.close()
-    rig.model.run_away(rig.clock.now() + DEATH)
+    rig.model.run_alone(rig.clock.now() + DEATH)
     rig.check_limits()
     assert rig.silent
     assert rig.misplaced()[0] < SAMPLE + 2 * delay
@@ -444,7 +444,7 @@ def test_a_host_that_was_held_up_between_arm_and_start_arms_again(
     def late(session: LinkSession, now: float) -> None:
         if not held:
             held.append(now)
-            bus.model.run_away(bus.model.clock.now() + 0.2)
+            bus.model.run_alone(bus.model.clock.now() + 0.2)
         starting(session, bus.model.clock.now())
 
     monkeypatch.setattr(LinkSession, "_starting", late)

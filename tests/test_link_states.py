@@ -33,7 +33,7 @@ def playing(rig: Bench) -> Bench:
 
 def hold_up(rig: Bench) -> None:
     """Let the host do nothing for longer than the watchdog waits."""
-    rig.model.run_away(rig.clock.now() + HELD_UP)
+    rig.model.run_alone(rig.clock.now() + HELD_UP)
     rig.position += round(HELD_UP * rig.rate)
 
 
@@ -121,7 +121,7 @@ def test_a_link_that_goes_silent_does_not_play_and_is_lost(linked: Linked) -> No
     rest = until(rig, lambda: rig.bus.state != "running")
     assert rest <= 0.25 - TOLD + 2 * STEP, "25 PULSEs at 10 ms did not come"
     assert rig.bus.status.detail
-    rig.model.run_away(rig.clock.now() + HELD_UP)
+    rig.model.run_alone(rig.clock.now() + HELD_UP)
     assert rig.silent
 
 

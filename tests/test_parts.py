@@ -23,11 +23,11 @@ from parts_rig import (
 
 from tactile.bus.base import DriveBlock
 from tactile.bus.chips import bos1921, drv2667
-from tactile.bus.chips.adapter import transfer_bits
 from tactile.bus.chips.chip import codes_of, ramp_codes, stretch
 from tactile.bus.chips.occupancy import RATES, Occupancy, measured_rates
 from tactile.bus.chips.pump import share
 from tactile.bus.registry import open_bus
+from tactile.bus.wire_time import i2c_bits
 from tactile.errors import BusStateError, InputError
 
 # Pure parts
@@ -90,8 +90,8 @@ def test_a_rate_is_measured_within_what_the_times_leave_open() -> None:
 
 
 def test_what_a_chip_needs_of_the_bus_is_what_the_design_says() -> None:
-    assert transfer_bits(33) == 308
-    assert transfer_bits(1, 1) == 39
+    assert i2c_bits(33) == 308
+    assert i2c_bits(1, 1) == 39
     assert drv2667.bits_per_second() / 400e3 == pytest.approx(0.217, abs=0.001)
     use = bos1921.bits_per_second() / 400e3
     assert int(0.8 / use) == 2

@@ -128,9 +128,9 @@ def test_a_chip_that_does_not_answer_or_is_another_is_one_line(
     [
         (
             FileNotFoundError(2, "No such file"),
-            "there is no such I2C adapter; is the module i2c-dev loaded",
+            "no such bus; there are: ",
         ),
-        (PermissionError(13, "Permission denied"), "permission denied; be in the group i2c"),
+        (PermissionError(13, "Permission denied"), "permission denied; sudo usermod -aG i2c"),
         (OSError(16, "Device or resource busy"), "Device or resource busy"),
     ],
 )

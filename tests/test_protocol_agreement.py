@@ -198,7 +198,7 @@ def test_harmed_transfers_give_the_same_packets_and_counts(pipe: Pipe) -> None:
     expected: list[bytes] = []
     for _ in range(2000):
         limit, counters = rng.choice((64, 300, 4096)), LinkCounters()
-        reassembler, found = Reassembler(limit, counters, 20_000), []
+        reassembler, found = Reassembler(limit, counters), []
         record = struct.pack("<H", limit)
         for identifier, now, fragment in harmed_fragments(rng, rng.choice((8, 64))):
             record += struct.pack("<HIB", identifier, now, len(fragment)) + fragment

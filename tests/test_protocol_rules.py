@@ -222,14 +222,14 @@ def test_a_host_that_never_reads_costs_no_memory() -> None:
     rig.packet(packet("HELLO", OWNER, 1, 0, 0))
     before = rig.memory()
     for k in range(3000):
-        rig.port.feed(packet("POLL"), rig.now + 1000 * k)
+        rig.feed(packet("POLL"), rig.now + 1000 * k)
         rig.amplifier.take_played()
     assert rig.memory() < before + 256 * 300
-    assert len(rig.port.take()) == 256
+    assert len(rig.packets()) == 256
     dropped = rig.amplifier.counters.dropped_replies
     assert dropped > 2700
-    rig.port.feed(packet("POLL"), rig.amplifier.due() - 1)
-    assert rig.port.take()[-1][3] == (1 + 256 + dropped) & 0xFF
+    rig.feed(packet("POLL"), rig.amplifier.due() - 1)
+    assert rig.packets()[-1][3] == (1 + 256 + dropped) & 0xFF
 
 
 def test_frames_without_end_cost_no_memory() -> None:

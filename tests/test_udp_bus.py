@@ -33,7 +33,7 @@ def amplifier() -> Iterator[socket.socket]:
 @pytest.fixture
 def wire(amplifier: socket.socket) -> Iterator[UdpWire]:
     """Yield the host's end."""
-    wire = connect(f"127.0.0.1:{amplifier.getsockname()[1]}", LINK, MONOTONIC)
+    wire = connect(f"127.0.0.1:{amplifier.getsockname()[1]}", LINK)
     yield wire
     wire.close()
 

@@ -335,14 +335,14 @@ class Process:
     Parameters
     ----------
     world : world of the process
-    module, heard, inherited : parameters of `Child`
+    module, on_answer, inherited : parameters of `Child`
     """
 
     def __init__(
-        self, world: "World", module: str, heard: Callable[[Any], None],
+        self, world: "World", module: str, on_answer: Callable[[Any], None],
         inherited: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
-        self.world, self.clock, self._heard = world, world.clock, heard
+        self.world, self.clock, self._heard = world, world.clock, on_answer
         self._loop = asyncio.get_running_loop()
         self._files = {file: os.dup(file) for file in inherited}
         self.pid = next(world.numbers)
@@ -356,7 +356,7 @@ class Process:
         """Whether the server that started the process is the one that runs."""
         return self._loop is self.world.loop
 
-    def tell(self, order: object) -> None:
+    def send(self, order: object) -> None:
         """Send an order, or bytes that are the pickle of one."""
         data = order if isinstance(order, bytes) else pickle.dumps(order, protocol=5)
         self.clock.after(PIPE, lambda: self._deliver(data))

@@ -44,7 +44,6 @@ from tactile.bus.simulated.mock_bus import MockBus, open_mock
 from tactile.bus.simulated.modeled_bus import (
     MockOptions,
     ModeledBus,
-    link_of,
     model_of,
     open_modeled,
 )
@@ -354,12 +353,12 @@ class World:
         for board, amplifier in enumerate(model.amplifiers):
             for run in amplifier.take_played():
                 self.on_link(address, model, board, run)
-                model.listener(board, run)
+                model.on_output(board, run)
 
     def _go_on(self, model: Model) -> None:
         """Let amplifiers go on, also when no host talks to them."""
         model.exchange()
-        model.listen()
+        model.report_output()
         self.clock.after(ALONE, lambda: self._go_on(model))
 
     # The processes
@@ -457,7 +456,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
-        register_bus("mock", world.open_bus, MockOptions, link=link_of)
+        register_bus("mock", world.open_bus, MockOptions)
         stand_ins = {
             **_stand_ins(world),
             "tactile.playback.loop.SamplePlayback.write": write,

@@ -11,7 +11,7 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
-from firmware_protocol.host import AmplifierHost, codes_of, pcm, refusal
+from firmware_protocol.host import BY_HOST, SKIPPED, AmplifierHost, codes_of, pcm, refusal
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, SampleFormat, State
 from firmware_protocol.packet import TURN, Packet, encode_packet
@@ -27,10 +27,6 @@ CHUNK = 64
 """Number of samples that are sent before they are played."""
 SESSION = 1
 """Session token; it need not be random, because no other host is on this line."""
-SKIPPED = 1 << 20
-"""Distance between the positions sent before a START and those after it (SPEC.md, 8.1)."""
-REASON = 1
-"""Reason of an ESTOP by a host, as STATUS reports it."""
 STEEPEST = 10**8
 """Largest slew limit that is sent to an amplifier [V/s]."""
 
@@ -82,7 +78,7 @@ class Board:
         BusError
             If the amplifier refuses it.
         """
-        packet = self.host.ask(message)
+        packet = self.host.request(message)
         self._send(packet)
         answer = self.host.answer(packet)
         if isinstance(answer, m.Nak):
@@ -126,7 +122,7 @@ class Board:
             at, codes, session=SESSION,
             sample_format=self._format, packet_limit=config.packet_limit,
         ):  # fmt: skip
-            self._send(self.host.tell(message))
+            self._send(self.host.packet(message))
 
     def play(self, count: int) -> Floats:
         """Put out samples, and feed the watchdog of the amplifier.
@@ -142,7 +138,7 @@ class Board:
             Output of the amplifier [V].
         """
         if self._now - self._heartbeat >= HEARTBEAT_MS * self.amplifier.config.tick_hz // 2000:
-            self._send(self.host.tell(m.Heartbeat(SESSION)))
+            self._send(self.host.packet(m.Heartbeat(SESSION)))
             self._heartbeat = self._now
         return self._volts(self._run(count))
 
@@ -176,7 +172,7 @@ class Board:
         (S, C) array of float
             Output of the amplifier [V]; its last sample is 0 V.
         """
-        self._send(self.host.tell(m.Estop(REASON)))
+        self._send(self.host.packet(m.Estop(BY_HOST)))
         runs = self._run(1)
         while runs[-1].codes[-1].any():
             runs += self._run(1)
@@ -190,7 +186,7 @@ class Board:
         BusError
             If the amplifier refuses.
         """
-        self._send(self.host.ask(m.Poll()))
+        self._send(self.host.request(m.Poll()))
         assert self.host.status is not None
         self.request(m.ClearFault(SESSION, self.host.status.trips))
 

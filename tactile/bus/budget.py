@@ -25,25 +25,8 @@ from firmware_protocol.host import pcm
 from firmware_protocol.messages import HEARTBEAT_MS, PACKET_MAX, SampleFormat
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import Wiring
-from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited, Usb, above_zero
+from tactile.bus.wire_time import Link, above_zero
 from tactile.errors import InputError
-
-__all__ = [
-    "Ability",
-    "BudgetError",
-    "BudgetRow",
-    "Can",
-    "I2c",
-    "Link",
-    "Plan",
-    "Uart",
-    "Unlimited",
-    "Usb",
-    "check_limits",
-    "plan",
-    "spectrum_group",
-    "table",
-]
 
 RATE = 8000
 """Sample rate that is tried first unless another is requested [Hz]."""

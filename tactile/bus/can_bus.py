@@ -31,7 +31,7 @@ from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, FoundDevice, register_bus
-from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire import STALL, Waker, Wire, WireError
 from tactile.bus.wire_time import Can
 from tactile.clock import MONOTONIC, Clock
 
@@ -282,9 +282,7 @@ class PythonCan(CanChannel):
 
     def __init__(self, bus: Any, urgent: Any, link: Can) -> None:
         self._bus, self._urgent, self._link = bus, urgent, link
-        self._woken, self._waker = os.pipe()
-        os.set_blocking(self._woken, False)
-        os.set_blocking(self._waker, False)
+        self._waker = Waker()
         self._awake = False
         self._fd = _descriptor(bus)
         # Bit 0 of the identifier is the direction: only frames from amplifiers are received.
@@ -344,10 +342,9 @@ class PythonCan(CanChannel):
         try:
             bus.send(self._message(frame), timeout=0)
         except can.CanError as error:
-            code = error.error_code or getattr(error.__cause__, "errno", None)
-            if code in FULL or "buffer full" in str(error).lower():
+            if _code(error) in FULL or "buffer full" in str(error).lower():
                 return False
-            raise WireError(_failure(code, error)) from error
+            raise WireError(_failure(error)) from error
         return True
 
     def receive(self, until: float) -> list[Frame]:
@@ -384,8 +381,7 @@ class PythonCan(CanChannel):
                     frames.append((message.arbitration_id, bytes(message.data)))
                 message = self._bus.recv(0)
         except can.CanError as error:
-            code = error.error_code or getattr(error.__cause__, "errno", None)
-            raise WireError(_failure(code, error)) from error
+            raise WireError(_failure(error)) from error
         except ValueError:  # slcan: a line that is no frame
             self._awake = False
         return frames
@@ -394,14 +390,12 @@ class PythonCan(CanChannel):
         """Return the first message; None if none came in time, or `wake` was called."""
         while (remaining := until - MONOTONIC.now()) > 0 and not self._awake:
             if self._fd is not None:
-                ready, _, _ = select.select([self._fd, self._woken], [], [], remaining)
-                if ready:
+                if select.select([self._fd, self._waker.fileno()], [], [], remaining)[0]:
                     break
             elif (message := self._bus.recv(min(remaining, self.STEP))) is not None:
                 return message
         self._awake = False
-        with suppress(BlockingIOError):
-            os.read(self._woken, 4096)
+        self._waker.clear()
         return self._bus.recv(0)
 
     def _readable(self) -> bool:
@@ -421,20 +415,17 @@ class PythonCan(CanChannel):
     def wake(self) -> None:
         """Make `receive` return; it may be called from any thread."""
         self._awake = True
-        with suppress(OSError):
-            os.write(self._waker, b"\0")
+        self._waker.wake()
 
     def close(self) -> None:
-        """Shut both buses down, and close the pipe of `wake`."""
+        """Shut both buses down."""
         if self._bus is None:
             return
         for bus in {id(b): b for b in (self._bus, self._urgent)}.values():
             with suppress(Exception):
                 bus.shutdown()
         self._bus = None
-        woken, waker, self._woken, self._waker = self._woken, self._waker, -1, -1
-        os.close(woken)
-        os.close(waker)
+        self._waker.close()
 
 
 class SocketCan(PythonCan):
@@ -458,7 +449,7 @@ class SocketCan(PythonCan):
         except OSError as error:
             if error.errno in FULL:
                 return False
-            raise WireError(_failure(error.errno, error)) from error
+            raise WireError(_failure(error)) from error
         return True
 
 
@@ -471,14 +462,20 @@ def _descriptor(bus: Any) -> int | None:
     return number if isinstance(number, int) and number >= 0 else None
 
 
-def _failure(code: int | None, error: Exception) -> str:
+def _code(error: Exception) -> int | None:
+    """Return the error number of an error of python-can or the system; None if it has none."""
+    number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    return number or getattr(error.__cause__, "errno", None)
+
+
+def _failure(error: Exception) -> str:
     """Return a description of the failure of an interface."""
     known = {
         errno.ENETDOWN: "the interface is down: bus-off, or not set up (ip link set … up)",
         errno.ENODEV: "the interface is gone",
         errno.ENXIO: "the interface is gone",
     }
-    return known.get(code or 0, str(error))
+    return known.get(_code(error) or 0, str(error))
 
 
 # Opening
@@ -507,26 +504,15 @@ class CanOptions(LinkOptions, frozen=True, kw_only=True):
     extended: bool = False
     nodes: tuple[Annotated[int, Meta(ge=1, le=127)], ...] = ()
 
-
-def link_of(options: CanOptions) -> Can:
-    """Return the medium of a CAN bus.
-
-    Parameters
-    ----------
-    options : CanOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Can
-        Bus of these bit rates; it knows how long packets take.
-    """
-    fd = options.fd or options.data_bitrate is not None
-    data = (options.data_bitrate or DATA) if fd else None
-    return Can(options.bitrate, data, options.extended)
+    @property
+    def medium(self) -> Can:
+        """Bus of these bit rates."""
+        fd = self.fd or self.data_bitrate is not None
+        data = (self.data_bitrate or DATA) if fd else None
+        return Can(self.bitrate, data, self.extended)
 
 
-def connect(path: str, link: Can, clock: Clock) -> CanWire:
+def connect(path: str, link: Can) -> CanWire:
     """Open a CAN bus.
 
     Parameters
@@ -535,8 +521,6 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
         Interface of python-can and its channel, such as ``socketcan/can0``.
     link : Can
         Medium, whose bit rates are set on interfaces other than socketcan.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -574,7 +558,7 @@ def connect(path: str, link: Can, clock: Clock) -> CanWire:
             bus.shutdown()
         raise WireError(f"can: {path}: {_reason(interface, channel, error)}") from error
     channel_of = SocketCan if interface == "socketcan" else PythonCan
-    return CanWire(channel_of(buses[-1], buses[0], link), link, clock)
+    return CanWire(channel_of(buses[-1], buses[0], link), link, MONOTONIC)
 
 
 def _require_interface(channel: str) -> None:
@@ -593,7 +577,7 @@ def _reason(interface: str, channel: str, error: Exception) -> str:
     """Return why a bus does not open, and what to do about it."""
     import can
 
-    code = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    code = _code(error)
     if code == errno.ENODEV:
         interfaces = ", ".join(device.url for device in find()) or "none is there"
         return f"no such interface; there are: {interfaces}"
@@ -611,7 +595,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Interface of socketcan, whether it is up or down.
     """
     with suppress(OSError):
@@ -625,11 +609,11 @@ def find() -> Iterator[FoundDevice]:
 
 
 def _open(address: Address[CanOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
+    path, options = address.path, address.options
     return open_link(
-        options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC),
+        options, display, sample_rate, lambda: connect(path, options.medium),
         nodes=options.nodes,
     )  # fmt: skip
 
 
-register_bus("can", _open, CanOptions, takes_path=True, find=find, link=link_of)
+register_bus("can", _open, CanOptions, takes_path=True, find=find)

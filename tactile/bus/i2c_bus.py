@@ -10,11 +10,8 @@ acknowledged for a tenth of a second, the link is broken.
 """
 
 import errno
-import glob
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from typing import Annotated, Any
 
 from msgspec import Meta
@@ -27,12 +24,13 @@ from firmware_protocol.i2c_link import (
     WRITE_COMMAND,
     decode_read,
 )
-from firmware_protocol.messages import FRAGMENT_TIMEOUT_MS, PACKET_MAX, Flag, Poll, Pulse, Time
+from firmware_protocol.messages import PACKET_MAX, Flag, Poll, Pulse, Time
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import DisplayLike
 from tactile.bus.budget import PULSE_INTERVAL
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
+from tactile.bus.linux_i2c import LinuxI2c, SmbusAdapter, device_file, device_files
 from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, FoundDevice, register_bus
 from tactile.bus.wire import STALL, Wire, WireError
@@ -55,84 +53,12 @@ TICK_HZ = 1_000_000
 """Resolution of the time of reception, by which fragments time out [1/s]."""
 
 
-class Adapter(ABC):
-    """Transfers to and from addresses on a bus.
-
-    A call returns when its transfer has ended. Errors are OSErrors, a transfer that nobody
-    acknowledges among them.
-    """
-
-    @abstractmethod
-    def write(self, address: int, data: bytes) -> None:
-        """Write a transfer.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes of the transfer.
-        """
-
-    @abstractmethod
-    def read(self, address: int, size: int) -> bytes:
-        """Read a transfer.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        size : int
-            Number of bytes to read.
-
-        Returns
-        -------
-        bytes
-            Bytes that the target sent.
-        """
-
-    @abstractmethod
-    def write_block(self, address: int, command: int, block: bytes) -> None:
-        """Write an SMBus block.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        command : int
-            Command code.
-        block : bytes
-            At most 32 bytes.
-        """
-
-    @abstractmethod
-    def read_block(self, address: int, command: int) -> bytes:
-        """Read an SMBus block.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        command : int
-            Command code.
-
-        Returns
-        -------
-        bytes
-            Bytes that the target sent, at most 32.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the adapter; it may be called any number of times."""
-
-
 class I2cEnd:
     """Host's end of the exchange with one address, raw or in SMBus blocks.
 
     Parameters
     ----------
-    adapter : Adapter
+    adapter : SmbusAdapter
         Adapter of the bus.
     address : int
         Address of the target.
@@ -145,7 +71,7 @@ class I2cEnd:
         Address of the target.
     """
 
-    def __init__(self, adapter: Adapter, address: int, *, smbus: bool) -> None:
+    def __init__(self, adapter: SmbusAdapter, address: int, *, smbus: bool) -> None:
         self.address = address
         self._adapter, self._smbus = adapter, smbus
         self._cutter = Cutter(SMBUS_BLOCK)
@@ -179,12 +105,12 @@ class I2cEnd:
         """
         if self._smbus:
             return self._adapter.read_block(self.address, READ_COMMAND)
-        data = self._adapter.read(self.address, FIRST_READ)
+        data = self._adapter.write_read(self.address, b"", FIRST_READ)
         length = LENGTH.unpack_from(data)[0]
         if length > PACKET_MAX:
             raise OSError(errno.EPROTO, f"a packet of {length} bytes waits")
         if LENGTH.size + length > FIRST_READ:
-            data = self._adapter.read(self.address, LENGTH.size + length)
+            data = self._adapter.write_read(self.address, b"", LENGTH.size + length)
         return data
 
 
@@ -192,11 +118,11 @@ class I2cWire(Wire):
     """Packets on I²C.
 
     `send` and `send_urgent` wait until the transfer has ended. Different threads may call them and
-    `receive`: a transfer is one call of the kernel, or has the lock of `LinuxAdapter`.
+    `receive`: a transfer is one call of the kernel, or has the lock of `LinuxI2c`.
 
     Parameters
     ----------
-    adapter : Adapter
+    adapter : SmbusAdapter
         Adapter of the bus, which the wire closes.
     addresses : sequence of int
         Addresses of the amplifiers.
@@ -206,14 +132,15 @@ class I2cWire(Wire):
         Host time.
     """
 
-    def __init__(self, adapter: Adapter, addresses: Sequence[int], link: I2c, clock: Clock) -> None:
+    def __init__(
+        self, adapter: SmbusAdapter, addresses: Sequence[int], link: I2c, clock: Clock
+    ) -> None:
         super().__init__(link)
         self._adapter, self._clock, self._smbus = adapter, clock, link.smbus
         self._targets = [I2cEnd(adapter, a, smbus=link.smbus) for a in addresses]
         self._nodes: dict[int, I2cEnd] = {}
         """Targets by their nodes, as received packets show them."""
-        timeout = FRAGMENT_TIMEOUT_MS * TICK_HZ // 1000
-        self._reassemblers = [Reassembler(PACKET_MAX, self.counters, timeout) for _ in addresses]
+        self._reassemblers = [Reassembler(PACKET_MAX, self.counters, TICK_HZ) for _ in addresses]
         self._last_success = clock.now()
         """Host time of the last transfer that was acknowledged [s]."""
         self._next_read = -1.0
@@ -342,100 +269,6 @@ def _failure(error: OSError) -> str:
     return f"nothing acknowledges ({error.strerror or error})"
 
 
-class LinuxAdapter(Adapter):
-    """Adapter of Linux, /dev/i2c-N, by smbus2.
-
-    Parameters
-    ----------
-    path : str
-        Device of the adapter.
-
-    Raises
-    ------
-    ImportError
-        If smbus2 is not installed.
-    OSError
-        If the device cannot be opened.
-    """
-
-    def __init__(self, path: str) -> None:
-        import smbus2
-
-        self._smbus2, self._bus = smbus2, smbus2.SMBus(path)
-        self._lock = threading.RLock()
-        """Held while a block is exchanged, since smbus2 selects the target by a call of its own;
-        reentrant, since a signal handler may send an e-stop."""
-
-    def write(self, address: int, data: bytes) -> None:
-        """Write a transfer.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes of the transfer.
-        """
-        self._bus.i2c_rdwr(self._smbus2.i2c_msg.write(address, data))
-
-    def read(self, address: int, size: int) -> bytes:
-        """Read a transfer.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        size : int
-            Number of bytes to read.
-
-        Returns
-        -------
-        bytes
-            Bytes that the target sent.
-        """
-        message = self._smbus2.i2c_msg.read(address, size)
-        self._bus.i2c_rdwr(message)
-        return bytes(message)
-
-    def write_block(self, address: int, command: int, block: bytes) -> None:
-        """Write an SMBus block.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        command : int
-            Command code.
-        block : bytes
-            At most 32 bytes.
-        """
-        with self._lock:
-            self._bus.write_block_data(address, command, list(block))
-
-    def read_block(self, address: int, command: int) -> bytes:
-        """Read an SMBus block.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        command : int
-            Command code.
-
-        Returns
-        -------
-        bytes
-            Bytes that the target sent, at most 32.
-        """
-        with self._lock:
-            return bytes(self._bus.read_block_data(address, command))
-
-    def close(self) -> None:
-        """Close the device."""
-        with suppress(OSError):
-            self._bus.close()
-
-
 # Opening
 
 
@@ -456,45 +289,13 @@ class I2cOptions(LinkOptions, frozen=True, kw_only=True):
     clock: Annotated[float, Meta(ge=10e3, le=5e6)] = CLOCK
     smbus: bool = False
 
-
-def link_of(options: I2cOptions) -> I2c:
-    """Return the medium of an I²C bus.
-
-    Parameters
-    ----------
-    options : I2cOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    I2c
-        Bus of that clock; it knows how long packets take.
-    """
-    return I2c(options.clock, smbus=options.smbus)
+    @property
+    def medium(self) -> I2c:
+        """Bus of that clock."""
+        return I2c(self.clock, smbus=self.smbus)
 
 
-def device(path: str) -> str:
-    """Return the device of a bus.
-
-    Parameters
-    ----------
-    path : str
-        Number of the bus, or its device.
-
-    Returns
-    -------
-    str
-        Path of the device.
-
-    Examples
-    --------
-    >>> device("1")
-    '/dev/i2c-1'
-    """
-    return f"/dev/i2c-{path}" if path.isdigit() else path
-
-
-def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2cWire:
+def connect(path: str, addresses: Sequence[int], link: I2c) -> I2cWire:
     """Open an I²C bus.
 
     Parameters
@@ -505,8 +306,6 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
         Addresses of the amplifiers, each of which is read once.
     link : I2c
         Medium, which says whether packets go in SMBus blocks.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -515,16 +314,11 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
 
     Raises
     ------
-    WireError
+    BusError
         If the bus cannot be opened, or an address is not acknowledged, with what to do about it.
     """
-    path = device(path)
-    try:
-        adapter = LinuxAdapter(path)
-    except ImportError as error:
-        raise WireError("i2c: needs Linux and smbus2: pip install smbus2") from error
-    except OSError as error:
-        raise WireError(f"i2c: {path}: {_reason(error)}") from error
+    path = device_file(path)
+    adapter = LinuxI2c(path)
     try:
         for address in addresses:
             I2cEnd(adapter, address, smbus=link.smbus).read()
@@ -533,17 +327,7 @@ def connect(path: str, addresses: Sequence[int], link: I2c, clock: Clock) -> I2c
         raise WireError(
             f"i2c: {path}: nothing acknowledges at address {address:#04x}; check power and address"
         ) from error
-    return I2cWire(adapter, addresses, link, clock)
-
-
-def _reason(error: OSError) -> str:
-    """Return why a bus does not open, and what to do about it."""
-    if error.errno == errno.ENOENT:
-        devices = ", ".join(sorted(glob.glob("/dev/i2c-*"))) or "none; modprobe i2c-dev"
-        return f"no such bus; there are: {devices}"
-    if error.errno == errno.EACCES:
-        return "permission denied; sudo usermod -aG i2c $USER, then log in again"
-    return str(error.strerror or error)
+    return I2cWire(adapter, addresses, link, MONOTONIC)
 
 
 def find() -> Iterator[FoundDevice]:
@@ -551,10 +335,10 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Bus, with the default address.
     """
-    for path in sorted(glob.glob("/dev/i2c-*")):
+    for path in device_files():
         yield FoundDevice(
             f"i2c:{path.rpartition('-')[2]}?address={ADDRESS:#04x}", f"I²C bus {path}"
         )
@@ -563,11 +347,11 @@ def find() -> Iterator[FoundDevice]:
 def _open(address: Address[I2cOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
-    path, options, link = address.path, address.options, link_of(address.options)
+    path, options = address.path, address.options
     return open_link(
-        options, display, sample_rate, link,
-        lambda: connect(path, options.address or (ADDRESS,), link, MONOTONIC),
+        options, display, sample_rate,
+        lambda: connect(path, options.address or (ADDRESS,), options.medium),
     )  # fmt: skip
 
 
-register_bus("i2c", _open, I2cOptions, takes_path=True, find=find, link=link_of)
+register_bus("i2c", _open, I2cOptions, takes_path=True, find=find)

@@ -11,6 +11,7 @@ import msgspec
 from msgspec import inspect
 
 from firmware_protocol.messages import SampleFormat
+from tactile.bus.wire_time import Link
 from tactile.errors import InputError
 from tactile.files import nearest
 
@@ -41,18 +42,23 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     URL separates by commas. Each has a default.
     """
 
+    @property
+    def medium(self) -> Link | None:
+        """Medium by which packets go; None for a bus that does not carry the protocol."""
+        return None
+
 
 O = TypeVar("O", bound=Options)  # noqa: E741
 
 
-def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
+def decode(scheme: str, texts: Mapping[str, str], shape: type[O]) -> O:
     """Decode the options of a device URL.
 
     Parameters
     ----------
     scheme : str
         Scheme of the URL, which errors name.
-    given : mapping of str to str
+    texts : mapping of str to str
         Text of each option by its name.
     shape : type of Options
         Struct that declares the options which the driver has.
@@ -60,7 +66,7 @@ def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
     Returns
     -------
     Options
-        An instance of ``shape``; options that were not given have their defaults.
+        An instance of ``shape``; options that have no text have their defaults.
 
     Raises
     ------
@@ -69,7 +75,7 @@ def decode(scheme: str, given: Mapping[str, str], shape: type[O]) -> O:
     """
     kinds = option_types(shape)
     values: dict[str, Any] = {}
-    for name, text in given.items():
+    for name, text in texts.items():
         if name not in kinds:
             raise InputError(f"{scheme}: unknown option {name!r}; {nearest(name, list(kinds))}")
         try:

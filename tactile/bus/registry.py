@@ -80,9 +80,6 @@ class Driver(Generic[O]):
         What its amplifiers do when the host dies.
     find : callable
         Function that returns the devices that are present.
-    link : callable or None
-        Function from the options of a URL to the `Link`, which knows how long packets take; None
-        for a bus that does not carry the protocol.
     """
 
     factory: Factory[O]
@@ -90,7 +87,6 @@ class Driver(Generic[O]):
     takes_path: bool = False
     on_host_death: HostDeath = "ramps"
     find: Callable[[], Iterable[FoundDevice]] = tuple
-    link: Callable[[O], Link] | None = None
 
 
 _drivers: dict[str, Driver[Any]] = {}
@@ -105,7 +101,6 @@ def register_bus(
     takes_path: bool = False,
     on_host_death: HostDeath = "ramps",
     find: Callable[[], Iterable[FoundDevice]] = tuple,
-    link: Callable[[O], Link] | None = None,
 ) -> None:
     """Register a driver under a scheme; an earlier driver of that scheme is replaced.
 
@@ -113,10 +108,10 @@ def register_bus(
     ----------
     scheme : str
         First part of the URLs, without the colon.
-    factory, options, takes_path, on_host_death, find, link
+    factory, options, takes_path, on_host_death, find
         Attributes of the `Driver`.
     """
-    _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find, link)
+    _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find)
 
 
 def find_devices() -> Iterator[FoundDevice]:
@@ -124,7 +119,7 @@ def find_devices() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Device that is present.
     """
     for driver in _drivers.values():
@@ -213,12 +208,11 @@ def link_at(url: str) -> Link:
     InputError
         If the device does not carry the protocol, or as `parse` does.
     """
-    address = parse(url)
-    link = _drivers[address.scheme].link
+    link: Link | None = parse(url).options.medium
     if link is None:
-        carrying = ", ".join(f"{name}:" for name, driver in _drivers.items() if driver.link)
-        raise InputError(f"device {url!r}: carries no packets; {carrying} do")
-    return link(address.options)
+        carrying = [f"{name}:" for name, driver in _drivers.items() if driver.options().medium]
+        raise InputError(f"device {url!r}: carries no packets; {', '.join(carrying)} do")
+    return link
 
 
 def open_bus(

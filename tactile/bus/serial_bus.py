@@ -26,7 +26,7 @@ from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, FoundDevice, register_bus
-from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire import STALL, Waker, Wire, WireError
 from tactile.bus.wire_time import Link, Uart, Usb
 from tactile.clock import MONOTONIC, Clock
 
@@ -180,18 +180,15 @@ class SerialWire(Wire):
         with self._lock:
             self._queue = b""
             self._line.discard()
-            self._enqueue(DELIMITER + encode_frame(encode_packet(packet)))
+            self._write(DELIMITER + encode_frame(encode_packet(packet)))
 
     def _write(self, data: bytes) -> None:
+        """Queue bytes and write what the kernel takes."""
         with self._lock:
-            self._enqueue(data)
-
-    def _enqueue(self, data: bytes) -> None:
-        """Queue bytes and write what the kernel takes; the lock is held."""
-        if not self._queue:
-            self._since = self._clock.now()
-        self._queue += data
-        self._flush()
+            if not self._queue:
+                self._since = self._clock.now()
+            self._queue += data
+            self._flush()
 
     def _flush(self) -> None:
         """Write what is queued, as far as the kernel takes it; the lock is held."""
@@ -265,11 +262,9 @@ class PosixLine(SerialLine):
     def __init__(self, port: Any) -> None:
         self._port, self._fd = port, port.fileno()
         os.set_blocking(self._fd, False)
-        self._woken, self._waker = os.pipe()
-        os.set_blocking(self._woken, False)
-        os.set_blocking(self._waker, False)
+        self._waker = Waker()
         self._poll = select.poll()
-        self._poll.register(self._woken, select.POLLIN)
+        self._poll.register(self._waker, select.POLLIN)
         self._poll.register(self._fd, select.POLLIN)
 
     def write(self, data: bytes) -> int:
@@ -321,16 +316,14 @@ class PosixLine(SerialLine):
         self._poll.modify(self._fd, select.POLLIN | (select.POLLOUT if writable else 0))
         seconds = until - MONOTONIC.now()
         events = dict(self._poll.poll(max(0.0, seconds) * 1000))
-        if self._woken in events:
-            with suppress(BlockingIOError):
-                os.read(self._woken, 4096)
+        if self._waker.fileno() in events:
+            self._waker.clear()
         if events.get(self._fd, 0) & (select.POLLERR | select.POLLHUP | select.POLLNVAL):
             raise WireError("the port is gone")
 
     def wake(self) -> None:
         """Make `wait` return; it may be called from any thread."""
-        with suppress(OSError):
-            os.write(self._waker, b"\0")
+        self._waker.wake()
 
     def waiting(self) -> int:
         """Return the number of bytes in the kernel's output buffer.
@@ -347,15 +340,13 @@ class PosixLine(SerialLine):
         self._port.reset_output_buffer()
 
     def close(self) -> None:
-        """Close the port and the pipe of `wake`."""
+        """Close the port."""
         if self._fd < 0:
             return
         self._fd = -1
         with suppress(OSError):
             self._port.close()
-        woken, waker, self._woken, self._waker = self._woken, self._waker, -1, -1
-        os.close(woken)
-        os.close(waker)
+        self._waker.close()
 
 
 class PortLine(SerialLine):
@@ -462,24 +453,13 @@ class SerialOptions(LinkOptions, frozen=True, kw_only=True):
 
     baud: Annotated[float, Meta(ge=1200, le=100e6)] | None = None
 
-
-def link_of(options: SerialOptions) -> Link:
-    """Return the medium of a serial line.
-
-    Parameters
-    ----------
-    options : SerialOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Link
-        UART of that bit rate, or USB; it knows how long packets take.
-    """
-    return Usb() if options.baud is None else Uart(options.baud)
+    @property
+    def medium(self) -> Link:
+        """UART of that bit rate, or USB."""
+        return Usb() if self.baud is None else Uart(self.baud)
 
 
-def connect(path: str, link: Link, clock: Clock) -> SerialWire:
+def connect(path: str, link: Link) -> SerialWire:
     """Open a serial line.
 
     Parameters
@@ -488,8 +468,6 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
         Device of the port, or a URL of pyserial.
     link : Link
         Medium of the line; a `Uart` has the bit rate that is set.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -516,7 +494,7 @@ def connect(path: str, link: Link, clock: Clock) -> SerialWire:
         PosixLine(port) if os.name == "posix" and hasattr(port, "fd") else PortLine(port)
     )
     try:
-        return SerialWire(line, link, clock)
+        return SerialWire(line, link, MONOTONIC)
     except OSError as error:
         line.close()
         raise WireError(f"serial: {path}: {_reason(path, error)}") from error
@@ -551,7 +529,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         Port, described by its USB ids and serial number if it has them.
     """
     from serial.tools import list_ports
@@ -568,8 +546,8 @@ def find() -> Iterator[FoundDevice]:
 def _open(
     address: Address[SerialOptions], display: DisplayLike, sample_rate: float | None
 ) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
-    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
+    path, options = address.path, address.options
+    return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("serial", _open, SerialOptions, takes_path=True, find=find, link=link_of)
+register_bus("serial", _open, SerialOptions, takes_path=True, find=find)

@@ -10,7 +10,6 @@ import selectors
 import socket
 import threading
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
 from urllib.parse import urlsplit
@@ -29,7 +28,7 @@ from tactile.bus.base import DisplayLike
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, open_link
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.wire import STALL, Wire, WireError
+from tactile.bus.wire import STALL, Waker, Wire, WireError
 from tactile.bus.wire_time import Link
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
@@ -119,11 +118,10 @@ class UdpWire(Wire):
         self._queue: deque[tuple[bytes, float]] = deque()
         """Datagrams that the kernel has not taken, each with the host time of its sending [s]."""
         self._lock = threading.RLock()
-        self._woken, self._waker = socket.socketpair()
-        for end in (self._socket, self._woken, self._waker):
-            end.setblocking(False)
+        self._socket.setblocking(False)
+        self._waker = Waker()
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._selector.register(self._waker, selectors.EVENT_READ)
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     @property
@@ -219,9 +217,8 @@ class UdpWire(Wire):
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self.busy else 0)
         self._selector.modify(self._socket, events)
         ready = {key.fileobj for key, _ in self._selector.select(max(until - MONOTONIC.now(), 0.0))}
-        if self._woken in ready:
-            with suppress(BlockingIOError):
-                self._woken.recv(4096)
+        if self._waker in ready:
+            self._waker.clear()
         with self._lock:
             self._flush()
         if self.waited() > STALL:
@@ -239,14 +236,13 @@ class UdpWire(Wire):
 
     def wake(self) -> None:
         """Make `receive` return; it may be called from any thread."""
-        with suppress(OSError):
-            self._waker.send(b"\0")
+        self._waker.wake()
 
     def close(self) -> None:
-        """Close the socket and those of `wake`."""
+        """Close the socket."""
         self._selector.close()
-        for end in (self._socket, self._woken, self._waker):
-            end.close()
+        self._socket.close()
+        self._waker.close()
 
 
 class UdpOptions(LinkOptions, frozen=True, kw_only=True):
@@ -260,24 +256,13 @@ class UdpOptions(LinkOptions, frozen=True, kw_only=True):
 
     bit_rate: Annotated[float, Meta(ge=1e5, le=1e10)] = 10e6
 
-
-def link_of(options: UdpOptions) -> Udp:
-    """Return the medium of a network.
-
-    Parameters
-    ----------
-    options : UdpOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Udp
-        Network of that bit rate; it knows how long packets take.
-    """
-    return Udp(options.bit_rate)
+    @property
+    def medium(self) -> Udp:
+        """Network of that bit rate."""
+        return Udp(self.bit_rate)
 
 
-def connect(path: str, link: Link, clock: Clock) -> UdpWire:
+def connect(path: str, link: Link) -> UdpWire:
     """Open a socket to an amplifier.
 
     A host name is resolved first, which may take a while.
@@ -288,8 +273,6 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
         Host and port, such as ``192.168.4.1:7412``.
     link : Link
         Medium, which knows how long packets take.
-    clock : Clock
-        Host time.
 
     Returns
     -------
@@ -319,7 +302,7 @@ def connect(path: str, link: Link, clock: Clock) -> UdpWire:
         raise WireError(f"udp: {path}: {_reason(error)}") from error
     try:
         connection.connect(address)
-        return UdpWire(connection, link, clock, path)
+        return UdpWire(connection, link, MONOTONIC, path)
     except OSError as error:
         connection.close()
         raise WireError(f"udp: {path}: {_reason(error)}") from error
@@ -333,8 +316,8 @@ def _reason(error: OSError | UnicodeError) -> str:
 
 
 def _open(address: Address[UdpOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
-    path, options, link = address.path, address.options, link_of(address.options)
-    return open_link(options, display, sample_rate, link, lambda: connect(path, link, MONOTONIC))
+    path, options = address.path, address.options
+    return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("udp", _open, UdpOptions, takes_path=True, link=link_of)
+register_bus("udp", _open, UdpOptions, takes_path=True)

@@ -6,8 +6,10 @@ connects a new one.
 """
 
 import math
+import socket
 from abc import ABC, abstractmethod
 from collections import deque
+from contextlib import suppress
 
 from firmware_protocol.packet import LinkCounters, Packet
 from tactile.bus.wire_time import Link
@@ -24,6 +26,43 @@ class WireError(BusError):
     """Error of a wire that broke or could not be opened."""
 
 
+class Waker:
+    """End to the wait of another thread for a file, in `select` and the like.
+
+    Any thread may call `wake`, and so may a signal handler.
+    """
+
+    def __init__(self) -> None:
+        self._ends = socket.socketpair()
+        for end in self._ends:
+            end.setblocking(False)
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for, which `wake` makes readable.
+
+        Returns
+        -------
+        int
+            File descriptor; -1 after `close`.
+        """
+        return self._ends[0].fileno()
+
+    def wake(self) -> None:
+        """Make the descriptor readable; do nothing after `close`."""
+        with suppress(OSError):
+            self._ends[1].send(b"\0")
+
+    def clear(self) -> None:
+        """Make the descriptor unreadable until the next `wake`."""
+        with suppress(BlockingIOError):
+            self._ends[0].recv(4096)
+
+    def close(self) -> None:
+        """Close the descriptor; it may be called any number of times."""
+        for end in self._ends:
+            end.close()
+
+
 class FragmentWatch:
     """Watch for dropped fragments; a bus without a fault drops none.
 
@@ -37,7 +76,7 @@ class FragmentWatch:
         self.warning = ""
         self._counts: deque[tuple[float, int]] = deque([(-math.inf, 0)])
 
-    def look(self, dropped: int, now: float) -> None:
+    def update(self, dropped: int, now: float) -> None:
         """Update the warning.
 
         Parameters

@@ -144,20 +144,22 @@ def uart_bits(size: int) -> int:
     return UART_BITS * size
 
 
-def i2c_bits(size: int) -> int:
+def i2c_bits(size: int, read: int = 0) -> int:
     """Return the length of an I²C transfer: start, address, bytes, stop.
 
     Parameters
     ----------
     size : int
-        Number of bytes.
+        Number of bytes that are written, or that are read if none are written.
+    read : int
+        Number of bytes that are read after a repeated start, with an address of its own.
 
     Returns
     -------
     int
         Length [bits].
     """
-    return 1 + I2C_BITS * (1 + size) + 1
+    return 1 + I2C_BITS * (1 + size) + 1 + (1 + I2C_BITS * (1 + read) if read else 0)
 
 
 def smbus_write_bits(size: int) -> int:
@@ -181,7 +183,7 @@ def smbus_write_bits(size: int) -> int:
 def smbus_read_bits(size: int) -> int:
     """Return the length of an SMBus block read.
 
-    It is that of a block write plus a second start with the address.
+    It has a start, address and command, a second start with the address, count, bytes and a stop.
 
     Parameters
     ----------
@@ -193,7 +195,7 @@ def smbus_read_bits(size: int) -> int:
     int
         Length [bits].
     """
-    return i2c_bits(3 + size) + 1
+    return i2c_bits(1, 1 + size)
 
 
 def can_estimate(size: int, stuffing: Stuffing = "most", *, extended: bool = False) -> float:

@@ -13,7 +13,6 @@ answer ``{"estops": {"right": 3}}`` gives the number that was latched for each d
 import json
 import logging
 import os
-import pickle
 import socket
 import struct
 import sys
@@ -27,6 +26,7 @@ from typing import Any
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.estop.request import LARGEST_REQUEST
 from tactile.paths import runtime_folder
+from tactile.processes import pipes_of_parent, received, send
 
 log = logging.getLogger("tactile.estop")
 
@@ -211,22 +211,18 @@ def _end_with(pipe: Any, address: str) -> None:
 
 def main() -> None:
     """Serve requests until standard input ends, which is when the server ends."""
-    pipe: Any = os.fdopen(os.dup(0), "rb", buffering=0)
-    out: Any = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    try:
-        setup: EstopSetup = pickle.load(pipe)
-        link, address = bind(str(os.getppid()))
-    except (EOFError, pickle.UnpicklingError):
+    inward, outward = pipes_of_parent()
+    setup: EstopSetup | None = next(received(inward), None)
+    if setup is None:
         sys.exit(1)
+    try:
+        link, address = bind(str(os.getppid()))
     except OSError as error:
-        pickle.dump(EstopReady(failure=str(error)), out)
-        out.flush()
+        send(outward, EstopReady(failure=str(error)))
         sys.exit(1)
     desk = Desk({name: Latch(h, LatchWriter.ESTOP_PROCESS) for name, h in setup.latches.items()})
-    pickle.dump(EstopReady(address), out)
-    out.flush()
+    send(outward, EstopReady(address))
     threading.Thread(target=desk.save, daemon=True).start()
-    threading.Thread(target=_end_with, args=(pipe, address), daemon=True).start()
+    threading.Thread(target=_end_with, args=(inward, address), daemon=True).start()
     while True:
         desk.serve(link)

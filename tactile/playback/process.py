@@ -10,7 +10,6 @@ what plays, so that everything fades and the high voltage goes off.
 """
 
 import os
-import pickle
 import queue
 import signal
 import sys
@@ -19,7 +18,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from tactile.bus.base import Bus
 from tactile.bus.registry import with_default_option
@@ -32,6 +31,7 @@ from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
 from tactile.playback.loop import PlaybackLoop, state_of
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
+from tactile.processes import pipes_of_parent, received, send
 
 IDLE = 20e-3
 """Interval between looks at the orders while nothing plays [s]."""
@@ -311,10 +311,8 @@ class Pipe:
     def _read(self, program: Program) -> None:
         """Read orders until the server is gone, then end the program."""
         try:
-            while True:
-                program.take(*pickle.load(self._orders))
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return  # the server is gone
+            for order in received(self._orders):
+                program.take(*order)
         finally:
             program.end()
 
@@ -323,8 +321,7 @@ class Pipe:
         while True:
             message = self._waiting.get()
             try:
-                self._answers.write(pickle.dumps(message, protocol=5))
-                self._answers.flush()
+                send(self._answers, message)
             except (OSError, ValueError):
                 program.end()
                 return
@@ -382,19 +379,14 @@ def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
 
 def main() -> None:
     """Play as the server orders on standard input."""
-    inward: Any = os.fdopen(os.dup(0), "rb", buffering=1 << 16)
-    outward: Any = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        setup: Setup = pickle.load(inward)
-    except (EOFError, OSError, pickle.UnpicklingError):
+    inward, outward = pipes_of_parent()
+    setup: Setup | None = next(received(inward), None)
+    if setup is None:
         sys.exit(1)
     try:
         bus, how = opened(setup)
     except TactileError as error:
-        outward.write(pickle.dumps(DeviceOpened(why_not=str(error)), protocol=5))
-        outward.flush()
+        send(outward, DeviceOpened(why_not=str(error)))
         sys.exit(1)
     memory = PlaybackMemory(setup.memory, len(setup.display.contactors))
     player = PlaybackLoop(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
@@ -402,8 +394,7 @@ def main() -> None:
     program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     refused = priority.prepare()
-    outward.write(pickle.dumps(DeviceOpened(*_fields(how), refused), protocol=5))
-    outward.flush()
+    send(outward, DeviceOpened(*_fields(how), refused))
     pipe.begin(program)
     threading.Thread(target=program.watch, name="tactile-watch", daemon=True).start()
     priority.raise_priority()

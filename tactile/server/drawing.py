@@ -6,14 +6,13 @@ only passes it on.
 
 import os
 import pickle
-import sys
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
 from tactile.playback.commands import KeepTexture, Texture
+from tactile.processes import pipes_of_parent, received, send
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
@@ -101,23 +100,17 @@ def make(request: DrawingRequest) -> Texture:
 
 def main() -> None:
     """Serve requests from standard input until it ends."""
-    pipe: Any = os.fdopen(os.dup(0), "rb")
-    out: Any = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
+    inward, outward = pipes_of_parent()
     with suppress(AttributeError, OSError):
         os.nice(NICE)
-    while True:
-        try:
-            request: DrawingRequest = pickle.load(pipe)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            sys.exit(0)
+    request: DrawingRequest
+    for request in received(inward):
         try:
             order = request.number, KeepTexture(request.number, make(request))
             answer = DrawnTexture(request.number, pickle.dumps(order, protocol=5))
         except (TactileError, OSError) as error:
             answer = DrawnTexture(request.number, failure=str(error))
         try:
-            out.write(pickle.dumps(answer, protocol=5))
-            out.flush()
+            send(outward, answer)
         except OSError:
-            sys.exit(0)
+            return

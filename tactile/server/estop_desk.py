@@ -84,7 +84,7 @@ class EstopDesk:
             "tactile.estop.process", receive, tuple(fd for fd in inherited if fd is not None)
         )
         handles = {name: latch.handle for name, latch in latches.items()}
-        self._child.tell(EstopSetup(handles))
+        self._child.send(EstopSetup(handles))
         try:
             async with asyncio.timeout(READY_WITHIN):
                 await answered.wait()

@@ -182,7 +182,7 @@ class Playing:
                 self._receive(what)
 
         child = self._child = Child("tactile.playback.process", on_message, inherited)
-        child.tell(
+        child.send(
             Setup(
                 self.display, config.device, config.rearm, config.sample_rate_hz,
                 config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
@@ -319,7 +319,7 @@ class Playing:
         number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
         self._pending[number] = future
-        self._child.tell((number, order))
+        self._child.send((number, order))
         try:
             async with asyncio.timeout(within):
                 return await future
@@ -557,7 +557,7 @@ class Playing:
     def _keep_texture(self, order: bytes) -> None:
         if self._child is None or self.lost:
             raise BusError("playback was lost")
-        self._child.tell(order)
+        self._child.send(order)
 
     async def _drop_texture(self, number: int) -> None:
         await self.ask(commands.DropTexture(number))

@@ -102,7 +102,7 @@ class Workbench:
             try:
                 self.begin()
                 assert self._child is not None
-                self._child.tell(job.request)
+                self._child.send(job.request)
             except (OSError, BusError) as error:  # no descriptor or memory left
                 job.order.set_exception(BusError(f"no texture can be made ready: {error}"))
                 continue

@@ -101,7 +101,7 @@ def test_a_bus_that_goes_away() -> None:
 
 def test_the_amplifier_answers_raw_packets(master: SMBus) -> None:
     host = AmplifierHost(SESSION, node=1)
-    request = host.ask(Hello(session=SESSION, major=1))
+    request = host.request(Hello(session=SESSION, major=1))
     master.i2c_rdwr(i2c_msg.write(AMPLIFIER, encode_packet(request)))
     while host.caps is None:
         read = i2c_msg.read(AMPLIFIER, 2 + DEFAULT_LIMIT)
@@ -114,10 +114,10 @@ def test_the_amplifier_answers_raw_packets(master: SMBus) -> None:
 
 def test_the_amplifier_answers_smbus_blocks(master: SMBus) -> None:
     host = AmplifierHost(SESSION, node=1)
-    request = encode_packet(host.ask(Hello(session=SESSION, major=1)))
+    request = encode_packet(host.request(Hello(session=SESSION, major=1)))
     for block in Cutter(SMBUS_BLOCK).fragments(WRITE_COMMAND, request):
         master.write_block_data(AMPLIFIER, WRITE_COMMAND, block)
-    answers = Reassembler(DEFAULT_LIMIT, LinkCounters(), timeout=1)
+    answers = Reassembler(DEFAULT_LIMIT, LinkCounters())
     while host.caps is None:
         block = bytes(master.read_block_data(AMPLIFIER, READ_COMMAND))
         assert block != NOTHING

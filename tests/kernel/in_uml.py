@@ -102,7 +102,7 @@ def test_the_amplifier_in_c_answers_on_a_terminal() -> None:
     with virtual_amplifier("--pty") as amplifier:
         assert amplifier.stdout is not None
         with serial.Serial(amplifier.stdout.readline().strip(), timeout=WAIT) as port:
-            port.write(b"\0" + encode_frame(encode_packet(host.ask(Hello(host.session, 1)))))
+            port.write(b"\0" + encode_frame(encode_packet(host.request(Hello(host.session, 1)))))
             while host.caps is None:
                 data = port.read(1)
                 assert data, f"nothing came for {WAIT} s"

@@ -30,7 +30,7 @@ import numpy as np
 from tactile.arrays import Floats
 from tactile.bus.audio import process as audio_process
 from tactile.bus.audio.player import Order, PlayerStatus
-from tactile.bus.audio.process import ANSWER, AudioProcess, opened
+from tactile.bus.audio.process import ANSWER, AudioProcess, opened_stream
 from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS
 from tactile.bus.options import Options
@@ -93,7 +93,7 @@ class AudioBus(Bus):
 
     def __init__(self, order: Order, coupling: float = 0.0) -> None:
         player = AudioProcess(order)
-        stream = opened(player)
+        stream = opened_stream(player)
         super().__init__(stream.wiring)
         self.device, self.latency = stream.device, stream.latency
         self._order = replace(order, sample_rate=stream.wiring.sample_rate)
@@ -115,7 +115,7 @@ class AudioBus(Bus):
         player = self._player
         if player is not None:
             player.output = None
-            player.ask("output")
+            player.request("output")
             if player.output is not None:
                 self._recent_output = player.output
         return self._recent_output
@@ -135,7 +135,7 @@ class AudioBus(Bus):
         player = self._checked_player()
         if player is None:
             return None
-        report = player.ask()
+        report = player.request()
         self._count(report)
         return report
 
@@ -162,12 +162,12 @@ class AudioBus(Bus):
             f"weak, and after the drive, also in an e-stop, electrodes take {settling:.2g} s to 5 %"
         )
 
-    def _count(self, told: PlayerStatus | None) -> None:
+    def _count(self, report: PlayerStatus | None) -> None:
         """Add what the player has counted since the last report to the counters."""
-        if told is None:
+        if report is None:
             return
         late, dropped, underruns = self._counted
-        self._counted = told.late_blocks, told.dropped_samples, told.underruns + told.xruns
+        self._counted = report.late_blocks, report.dropped_samples, report.underruns + report.xruns
         self.counters.late_blocks += self._counted[0] - late
         self.counters.dropped_samples += self._counted[1] - dropped
         self.counters.underruns += self._counted[2] - underruns
@@ -217,7 +217,7 @@ class AudioBus(Bus):
                     AudioProcess(self._order),
                     now + audio_process.OPENING,
                 )
-        elif trial.opened is not None:
+        elif trial.stream is not None:
             self._player, self._opening, self._counted = trial, None, (0, 0, 0)
             self.counters.reconnects += 1
             self._problem = f"{self.device} was lost; stop and start to play on"
@@ -232,8 +232,8 @@ class AudioBus(Bus):
         if player is None:
             raise BusError(f"start: the link is down: {self._problem}")
         self._problem = ""
-        player.tell("start", position)
-        if not player.settled(ANSWER, rest=False) and self.state != "estopped":
+        player.send("start", position)
+        if not player.wait_for_card(ANSWER, rest=False) and self.state != "estopped":
             self._lose("it does not start")
             raise BusError(f"start: {self._problem}")
         self._started_player = player
@@ -246,7 +246,7 @@ class AudioBus(Bus):
             if player is None:
                 self._drop(block.position + k, len(volts))
             else:
-                player.tell("samples", block.position + k, self._block, volts)
+                player.send("samples", block.position + k, self._block, volts)
 
     def _drop(self, position: int, count: int) -> None:
         self._checked_player()
@@ -275,7 +275,7 @@ class AudioBus(Bus):
             if ahead <= 0:
                 return player
             if report.phase == "waiting":
-                player.tell("go")
+                player.send("go")
                 player.status_time = 0.0
             self._clock.sleep(min(max(ahead / rate, 5e-4), ANSWER / 10))
         return None
@@ -296,8 +296,8 @@ class AudioBus(Bus):
         player = self._player
         if player is None:
             return
-        player.tell(how, seconds=seconds)
-        if not player.settled(seconds):
+        player.send(how, seconds=seconds)
+        if not player.wait_for_card(seconds):
             self._lose(f"it did not {how} in {seconds:.1f} s")
         self._count(player.status)
 
@@ -305,9 +305,9 @@ class AudioBus(Bus):
         player = self._checked_player()
         if player is None:
             raise BusError(f"clear: the link is down: {self._problem}")
-        player.tell("clear")
-        settled, report = player.settled(ANSWER), player.status
-        if not settled or report is None or report.refused:
+        player.send("clear")
+        taken, report = player.wait_for_card(ANSWER), player.status
+        if not taken or report is None or report.refused:
             why = report.refused if report is not None and report.refused else "no answer"
             raise BusError(f"clear: {why}; it stays e-stopped")
 
@@ -325,7 +325,7 @@ def find() -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of an output device.
     """
     player = AudioProcess(None)

@@ -15,13 +15,12 @@ and arrays leave by the standard output.
 
 import gc
 import os
-import pickle
-import signal
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import IO, Any, Literal, NamedTuple, NoReturn
 
@@ -29,13 +28,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
+from firmware_protocol.host import BY_HOST
 from firmware_protocol.messages import HEARTBEAT_MS, SampleFormat, State
 from tactile.arrays import Floats
 from tactile.bus.audio.devices import choose, default_output, imported, outputs, rate_of
 from tactile.bus.base import Wiring
-from tactile.bus.board import REASON, SESSION, Board, config_of
+from tactile.bus.board import SESSION, Board, config_of
+from tactile.bus.output import OutputRecord
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, TactileError
+from tactile.processes import pipes_of_parent, received, send
 
 Phase = Literal["rest", "waiting", "playing", "ending"]
 
@@ -48,7 +50,7 @@ LEAVE = 0.3
 
 The program ends afterwards.
 """
-TOLD = 5e-3
+REPORT_INTERVAL = 5e-3
 """Least interval between reports in reply to samples [s]."""
 PACKET = 65535
 """Size limit of packets to the amplifier in memory [bytes].
@@ -241,8 +243,7 @@ class CardOutput:
         self._end = self._waited = self._late_block = 0
         self._go = self._stopping = False
         self._last = self._held = np.zeros(wiring.channels)
-        self._recent: deque[Floats] = deque()
-        self._recent_samples = 0
+        self._record = OutputRecord(wiring.channels, self._rate)
 
     @property
     def lead(self) -> int:
@@ -257,7 +258,7 @@ class CardOutput:
     @property
     def output(self) -> Floats:
         """Drive voltages of the last second outside of rest, array (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self._wiring.channels)), *list(self._recent)])
+        return self._record.volts
 
     def __call__(self, out: NDArray[np.float32], frames: int, clock: object, flags: Any) -> None:
         """Fill a buffer ``out`` of shape (frames, channels of the card)."""
@@ -324,7 +325,7 @@ class CardOutput:
         self._leave()
 
     def _on_estop(self) -> None:
-        self._board.request(m.Estop(REASON))
+        self._board.request(m.Estop(BY_HOST))
         self._leave()
 
     def _leave(self) -> None:
@@ -379,7 +380,7 @@ class CardOutput:
         self._feed_amplifier()
         volts = self._board.play(count)
         self.position += count
-        self._remember(volts)
+        self._record.add(volts)
         return volts
 
     def _feed_amplifier(self) -> None:
@@ -417,17 +418,10 @@ class CardOutput:
         volts = self._board.play(count)
         moving = np.flatnonzero(volts.any(axis=1))
         ended = int(moving[-1]) + 2 if len(moving) else 1
-        self._remember(volts[:ended])
+        self._record.add(volts[:ended])
         if self._board.amplifier.state != State.RAMPDOWN and not volts[-1].any():
             self.phase = "rest"
         return volts
-
-    def _remember(self, volts: Floats) -> None:
-        """Remember samples for `output`."""
-        self._recent.append(volts)
-        self._recent_samples += len(volts)
-        while self._recent_samples - len(self._recent[0]) >= self._rate:
-            self._recent_samples -= len(self._recent.popleft())
 
 
 def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
@@ -480,7 +474,7 @@ def open_stream(order: Order) -> tuple[CardOutput, Any, StreamOpened]:
 # The program
 
 
-def told(output: CardOutput, answered: int) -> PlayerStatus:
+def status_of(output: CardOutput, answered: int) -> PlayerStatus:
     """Return the state of the player as a message.
 
     Parameters
@@ -492,7 +486,7 @@ def told(output: CardOutput, answered: int) -> PlayerStatus:
 
     Returns
     -------
-    Told
+    PlayerStatus
         State of the player.
     """
     return PlayerStatus(
@@ -514,17 +508,13 @@ def serve(output: CardOutput, inward: IO[bytes], outward: IO[bytes]) -> None:
         Messages from the host and to the host.
     """
     last = 0.0
-    while True:
-        try:
-            number, kind, *rest = pickle.load(inward)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            break
+    for number, kind, *rest in received(inward):
         if kind == "output":
-            send(outward, output.output)
-        elif kind != "ask":
+            reply(outward, output.output)
+        elif kind != "status":
             output.inbox.append((kind, *rest))
-        if kind != "samples" or MONOTONIC.now() - last > TOLD:
-            send(outward, told(output, number))
+        if kind != "samples" or MONOTONIC.now() - last > REPORT_INTERVAL:
+            reply(outward, status_of(output, number))
             last = MONOTONIC.now()
     output.inbox.append(("stop",))
     end = MONOTONIC.now() + LEAVE
@@ -532,7 +522,7 @@ def serve(output: CardOutput, inward: IO[bytes], outward: IO[bytes]) -> None:
         MONOTONIC.sleep(1e-3)
 
 
-def send(outward: IO[bytes], message: object) -> None:
+def reply(outward: IO[bytes], message: object) -> None:
     """Send a message to the host; do nothing if the host has gone.
 
     Parameters
@@ -542,11 +532,8 @@ def send(outward: IO[bytes], message: object) -> None:
     message : object
         Message, which is pickled.
     """
-    try:
-        pickle.dump(message, outward, protocol=5)
-        outward.flush()
-    except OSError:
-        return
+    with suppress(OSError):
+        send(outward, message)
 
 
 def leave(stream: Any) -> NoReturn:
@@ -569,24 +556,22 @@ def leave(stream: Any) -> NoReturn:
 
 def main() -> None:
     """Open the card that the first message describes and serve it, or list the devices for None."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
+    inward, outward = pipes_of_parent()
     sys.setswitchinterval(5e-4)
-    order = pickle.load(inward)
+    order = next(received(inward), None)
     try:
         if order is None:
             sd = imported()
-            send(outward, (outputs(sd), default_output(sd)))
+            reply(outward, (outputs(sd), default_output(sd)))
             leave(None)
         output, stream, opened = open_stream(order)
     except TactileError as error:
-        send(outward, Failed(type(error).__name__, str(error)))
+        reply(outward, Failed(type(error).__name__, str(error)))
         leave(None)
     gc.collect()
     gc.freeze()
     gc.disable()
-    send(outward, opened)
+    reply(outward, opened)
     serve(output, inward, outward)
     MONOTONIC.sleep(min(opened.latency, LEAVE))
     leave(stream)

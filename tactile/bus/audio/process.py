@@ -8,11 +8,10 @@ import os
 import pickle
 import select
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -21,18 +20,17 @@ from tactile.bus.audio.devices import Device
 from tactile.bus.audio.player import Failed, Order, PlayerStatus, StreamOpened
 from tactile.clock import MONOTONIC
 from tactile.errors import BusError, InputError, NotFoundError
+from tactile.processes import ChildProcess
 
 OPENING = 20.0
 """Time limit for PortAudio to search for cards, which can be slow, and to open one [s]."""
 ANSWER = 1.0
 """Time limit for the player to answer [s]."""
-PROGRAM = "import sys; sys.path[:] = {!r}; from tactile.bus.audio.player import main; main()"
-"""Program of the player, to be formatted with the host's path to import the same package."""
 KINDS = {"InputError": InputError, "NotFoundError": NotFoundError}
 """Errors that the player reports by name; all others become a `BusError`."""
 
 
-class AudioProcess:
+class AudioProcess(ChildProcess):
     """The player's process, started on construction.
 
     Parameters
@@ -42,9 +40,9 @@ class AudioProcess:
 
     Attributes
     ----------
-    opened : StreamOpened or None
+    stream : StreamOpened or None
         The open stream; None before that.
-    told : Told or None
+    status : PlayerStatus or None
         Latest state that the player reported.
     status_time : float
         Time at which it was reported [s].
@@ -59,7 +57,7 @@ class AudioProcess:
     """
 
     def __init__(self, order: Order | None) -> None:
-        self.opened: StreamOpened | None = None
+        self.stream: StreamOpened | None = None
         self.status: PlayerStatus | None = None
         self.status_time = 0.0
         self.failed: Failed | None = None
@@ -67,36 +65,23 @@ class AudioProcess:
         self.output: Floats | None = None
         self.ended, self._sent = False, 0
         self._sending, self._changed = threading.Lock(), threading.Condition()
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM.format(sys.path)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            start_new_session=True, bufsize=0,
-        )  # fmt: skip
-        self._thread = threading.Thread(target=self._read, name="tactile-audio", daemon=True)
-        self._thread.start()
+        super().__init__("tactile.bus.audio.player", self._receive, stderr=subprocess.DEVNULL)
         if os.name == "posix":
-            os.set_blocking(cast(Any, self._process.stdin).fileno(), False)
-        self._send(order, ANSWER)
+            os.set_blocking(self._pipe.fileno(), False)
+        self._write(order, ANSWER)
 
-    def _read(self) -> None:
-        """Receive messages until the output of the program ends."""
-        stream = open(cast(Any, self._process.stdout).fileno(), "rb", closefd=False)  # noqa: SIM115
-        with stream:
-            while not self.ended:
-                try:
-                    message = pickle.load(stream)
-                except (EOFError, OSError, pickle.UnpicklingError):
-                    message = None
-                with self._changed:
-                    self._store(message)
-                    self._changed.notify_all()
+    def _receive(self, message: object) -> None:
+        """Store a message, None for the end of the output, and wake who waits for it."""
+        with self._changed:
+            self._store(message)
+            self._changed.notify_all()
 
     def _store(self, message: object) -> None:
         """Store a message, None for the end of the output."""
         if isinstance(message, PlayerStatus):
             self.status, self.status_time = message, MONOTONIC.now()
         elif isinstance(message, StreamOpened):
-            self.opened = message
+            self.stream = message
         elif isinstance(message, Failed):
             self.failed = message
         elif isinstance(message, np.ndarray):
@@ -106,18 +91,17 @@ class AudioProcess:
         else:
             self.ended = True
 
-    def _send(self, message: object, seconds: float) -> None:
+    def _write(self, message: object, seconds: float) -> None:
         """Write a message; kill a program that does not accept it in time."""
         data = memoryview(pickle.dumps(message, protocol=5))
-        pipe = cast(Any, self._process.stdin)
         with suppress(OSError, ValueError):
             while data:
-                data = data[pipe.write(data) or 0 :]
-                if data and not select.select([], [pipe], [], seconds)[1]:
+                data = data[self._pipe.write(data) or 0 :]
+                if data and not select.select([], [self._pipe], [], seconds)[1]:
                     self._process.kill()
                     return
 
-    def tell(self, kind: str, *rest: object, seconds: float = ANSWER) -> int:
+    def send(self, kind: str, *rest: object, seconds: float = ANSWER) -> int:
         """Send a message without waiting for an answer.
 
         Parameters
@@ -139,12 +123,12 @@ class AudioProcess:
             return self._sent
         try:
             self._sent += 1
-            self._send((self._sent, kind, *rest), seconds)
+            self._write((self._sent, kind, *rest), seconds)
             return self._sent
         finally:
             self._sending.release()
 
-    def ask(self, kind: str = "ask", *, seconds: float = ANSWER) -> PlayerStatus | None:
+    def request(self, kind: str = "status", *, seconds: float = ANSWER) -> PlayerStatus | None:
         """Send a message and wait for the answer.
 
         Parameters
@@ -156,10 +140,10 @@ class AudioProcess:
 
         Returns
         -------
-        Told or None
+        PlayerStatus or None
             State of the player; None if it does not answer in time.
         """
-        number = self.tell(kind, seconds=seconds)
+        number = self.send(kind, seconds=seconds)
         self.wait(lambda: self.status is not None and self.status.answered >= number, seconds)
         report = self.status
         return report if report is not None and report.answered >= number else None
@@ -182,7 +166,7 @@ class AudioProcess:
         with self._changed:
             return self._changed.wait_for(lambda: ready() or self.ended, seconds) and ready()
 
-    def settled(self, seconds: float, *, rest: bool = True) -> bool:
+    def wait_for_card(self, seconds: float, *, rest: bool = True) -> bool:
         """Wait until the card has taken all messages, and is at rest or not at rest as requested.
 
         Parameters
@@ -199,7 +183,7 @@ class AudioProcess:
         """
         end = MONOTONIC.now() + seconds
         while (remaining := end - MONOTONIC.now()) > 0:
-            report = self.ask(seconds=remaining)
+            report = self.request(seconds=remaining)
             if report is None or self.ended or report.fault:
                 return False
             if not report.waiting and (report.phase == "rest") == rest:
@@ -217,31 +201,16 @@ class AudioProcess:
         """
         return self._process.wait(ANSWER)
 
-    def kill(self) -> None:
-        """Kill the program, after which the card puts out nothing."""
-        self._process.kill()
-        self.close(0.0)
-
-    def close(self, seconds: float = ANSWER) -> None:
-        """Let the program go to 0 V and end; kill it if it does not end in time.
-
-        Parameters
-        ----------
-        seconds : float
-            Time limit [s]; 0 waits without a limit.
-        """
+    def close(self) -> None:
+        """Let the program go to 0 V and end; kill it if it does not end within `ANSWER`."""
         with suppress(OSError):
-            cast(Any, self._process.stdin).close()
-        try:
-            self._process.wait(seconds or None)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._thread.join(ANSWER)
-        cast(Any, self._process.stdout).close()
+            self._pipe.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(ANSWER)
+        self.kill()
 
 
-def opened(player: AudioProcess) -> StreamOpened:
+def opened_stream(player: AudioProcess) -> StreamOpened:
     """Return the stream that a player has opened.
 
     Parameters
@@ -261,9 +230,9 @@ def opened(player: AudioProcess) -> StreamOpened:
     BusError
         If the stream cannot be opened, the player crashes, or it does not answer within `OPENING`.
     """
-    player.wait(lambda: player.opened is not None or player.failed is not None, OPENING)
-    if player.opened is not None:
-        return player.opened
+    player.wait(lambda: player.stream is not None or player.failed is not None, OPENING)
+    if player.stream is not None:
+        return player.stream
     failed, ended = player.failed, player.ended
     if failed is not None:
         player.close()

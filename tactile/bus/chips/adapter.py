@@ -1,21 +1,17 @@
-"""I2C adapters of Linux, multiplexers before chips, and the share of bus time that chips use.
-
-Chips are accessed by two calls only, a write and a write followed by a read, so that a model in
-memory can replace ``/dev/i2c-N``.
-"""
+"""Places of chips on I2C buses, multiplexers before them, and their share of the bus time."""
 
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from msgspec import Meta
 
+from tactile.bus.linux_i2c import I2cAdapter, LinuxI2c, device_file, device_files
 from tactile.bus.options import HEXADECIMAL, Options
 from tactile.bus.registry import Address, FoundDevice
-from tactile.errors import BusError, InputError
+from tactile.errors import InputError
 
 CLOCK = 400_000
 """Default clock of the bus: fast mode, the highest rate of a DRV2667 (TI SLOS751E) [Hz]."""
@@ -48,119 +44,6 @@ class ChipOptions(Options, frozen=True, kw_only=True):
     mux: Annotated[int, Meta(ge=0x70, le=0x77, extra=HEXADECIMAL)] | None = None
     ports: tuple[Annotated[int, Meta(ge=0, le=7)], ...] = ()
     clock_hz: Annotated[int, Meta(ge=CLOCKS[0], le=CLOCKS[1])] = CLOCK
-
-
-class I2cAdapter(Protocol):
-    """I2C bus; every call raises OSError if the target does not acknowledge."""
-
-    def write(self, address: int, data: bytes) -> None:
-        """Write bytes to a target.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes to write.
-        """
-        ...
-
-    def write_read(self, address: int, data: bytes, size: int) -> bytes:
-        """Write bytes to a target and read from it after a repeated start.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes to write; if empty, nothing is written.
-        size : int
-            Number of bytes to read.
-
-        Returns
-        -------
-        bytes
-            Bytes that were read.
-        """
-        ...
-
-    def close(self) -> None:
-        """Release the bus."""
-        ...
-
-
-class LinuxI2c:
-    """I2C adapter of Linux, accessed by its device file.
-
-    Parameters
-    ----------
-    path : str
-        Device file, such as "/dev/i2c-1".
-
-    Raises
-    ------
-    BusError
-        If there is no such adapter, its use is not permitted, or smbus2 is missing.
-    """
-
-    def __init__(self, path: str) -> None:
-        try:
-            import smbus2
-        except ImportError as error:
-            raise BusError(
-                f"{path}: I2C needs Linux and the package smbus2 (pip install smbus2): {error}"
-            ) from error
-        self._message: Any = smbus2.i2c_msg
-        try:
-            self._bus = smbus2.SMBus(path)
-        except FileNotFoundError as error:
-            raise BusError(
-                f"{path}: there is no such I2C adapter; is the module i2c-dev loaded "
-                "(modprobe i2c-dev) and the bus switched on?"
-            ) from error
-        except PermissionError as error:
-            raise BusError(
-                f"{path}: permission denied; be in the group i2c (usermod -aG i2c $USER)"
-            ) from error
-        except OSError as error:
-            raise BusError(f"{path}: {error.strerror or error}") from error
-
-    def write(self, address: int, data: bytes) -> None:
-        """Write bytes to a target.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes to write.
-        """
-        self._bus.i2c_rdwr(self._message.write(address, data))
-
-    def write_read(self, address: int, data: bytes, size: int) -> bytes:
-        """Write bytes to a target and read from it after a repeated start.
-
-        Parameters
-        ----------
-        address : int
-            Address of the target.
-        data : bytes
-            Bytes to write; if empty, nothing is written.
-        size : int
-            Number of bytes to read.
-
-        Returns
-        -------
-        bytes
-            Bytes that were read.
-        """
-        read = self._message.read(address, size)
-        self._bus.i2c_rdwr(*([self._message.write(address, data)] if data else []), read)
-        return bytes(read)
-
-    def close(self) -> None:
-        """Release the bus."""
-        self._bus.close()
 
 
 def open_adapter(path: str) -> I2cAdapter:
@@ -423,39 +306,14 @@ def adapter_path(url: Address[Any]) -> str:
     InputError
         If the path is neither.
     """
-    if re.fullmatch(r"\d+", url.path):
-        return f"/dev/i2c-{int(url.path)}"
-    if re.fullmatch(r"/dev/i2c-\d+", url.path):
-        return url.path
+    if re.fullmatch(r"(/dev/i2c-)?\d+", url.path):
+        return device_file(url.path)
     raise InputError(
         f"{url.scheme}: path {url.path!r}: give the number of an I2C bus or /dev/i2c-N"
     )
 
 
-def transfer_bits(written: int, read: int = 0) -> int:
-    """Return the length of a transfer on the wire, with addresses, acknowledges, start and stop.
-
-    A byte takes nine bits (I2C specification UM10204, 3.1.5), start and stop one each. A read after
-    a write has its own address and a repeated start.
-
-    Parameters
-    ----------
-    written : int
-        Number of bytes that are written.
-    read : int
-        Number of bytes that are read.
-
-    Returns
-    -------
-    int
-        Length [bits].
-    """
-    return (9 * (1 + written) + 1 if written or not read else 0) + (
-        9 * (1 + read) + 1 if read else 0
-    ) + 1  # fmt: skip
-
-
-def found_on_adapters(
+def find_on_adapters(
     probe: Callable[[str, I2cAdapter], Iterator[FoundDevice]],
 ) -> Iterator[FoundDevice]:
     """Yield what a probe finds on each adapter; adapters that cannot be used are skipped.
@@ -468,16 +326,16 @@ def found_on_adapters(
 
     Yields
     ------
-    Found
+    FoundDevice
         Device on one of the adapters.
     """
-    for path in sorted(Path("/dev").glob("i2c-*")):
+    for path in device_files():
         try:
-            i2c = open_adapter(str(path))
+            i2c = open_adapter(path)
         except OSError:
             continue
         try:
-            yield from probe(path.name.removeprefix("i2c-"), i2c)
+            yield from probe(path.removeprefix("/dev/i2c-"), i2c)
         finally:
             i2c.close()
 

@@ -30,33 +30,29 @@ quote the data sheet. The following is also uncertain:
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipOptions, ChipTarget, I2cAdapter, Place, transfer_bits
+from tactile.bus.chips.adapter import ChipOptions, ChipTarget, Place
 from tactile.bus.chips.chip import (
     BURST,
     Chip,
     ChipCounters,
     LostError,
     ramp_codes,
-    was_taken_nothing,
+    was_not_acknowledged,
 )
-from tactile.bus.chips.chip_bus import (
-    ChipBus,
-    checked_estop,
-    checked_rate,
-    checked_voltage,
-    opened,
-    step_codes,
-)
+from tactile.bus.chips.chip_bus import ChipBus, check_voltage, open_chips
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import Runner, ThreadRunner
+from tactile.bus.linux_i2c import I2cAdapter
 from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, FoundDevice, register_bus
+from tactile.bus.wire_time import i2c_bits
 from tactile.clock import Clock
 from tactile.errors import BusError
 
@@ -115,8 +111,8 @@ def bits_per_second() -> float:
     float
         Bit rate [1/s].
     """
-    state = transfer_bits(3, 2)
-    return (transfer_bits(1 + 2 * BURST) + state / READ_EVERY) * RATE / BURST
+    state = i2c_bits(3, 2)
+    return (i2c_bits(1 + 2 * BURST) + state / READ_EVERY) * RATE / BURST
 
 
 class Bos1921(Chip):
@@ -135,6 +131,8 @@ class Bos1921(Chip):
     """
 
     kind = "BOS1921"
+    default_address = ADDRESS
+    fastest = FASTEST
     lead = HIGH
 
     def __init__(
@@ -144,7 +142,7 @@ class Bos1921(Chip):
         scale = SCALES[wide]
         super().__init__(
             target, clock, counters, volts_per_code=scale,
-            most=int(PEAKS[wide] / scale), step=step_codes(step, scale),
+            most=int(PEAKS[wide] / scale), step=step,
         )  # fmt: skip
         self._config = PLAY | (LOW_RANGE if wide == "13" else 0)
         self._board = board
@@ -308,7 +306,7 @@ class Bos1921(Chip):
         try:
             self.target.write(bytes([REFERENCE]) + data)
         except OSError as error:
-            self.unsure = not was_taken_nothing(error)
+            self.unsure = not was_not_acknowledged(error)
             self._attempted = len(codes)
             raise
         self._fill = self._fill[0] + len(codes), self._fill[1] + len(codes)
@@ -414,12 +412,8 @@ class Bos1921Bus(ChipBus):
         self, wiring: Wiring, place: Place, i2c: I2cAdapter, runner: Runner,
         *, wide: str = "95", board: dict[int, int] | None = None,
     ) -> None:  # fmt: skip
-        counters = ChipCounters()
-        chips = [
-            Bos1921(t, runner, counters, wide=wide, step=wiring.slew / RATE, board=board or {})
-            for t in place.targets(i2c)
-        ]
-        super().__init__(wiring, chips, i2c, runner, counters)
+        make_chip = partial(Bos1921, wide=wide, step=wiring.slew / RATE, board=board or {})
+        super().__init__(wiring, place, i2c, runner, make_chip)
 
 
 class Bos1921Options(ChipOptions, frozen=True, kw_only=True):
@@ -445,20 +439,17 @@ def _open(
     address: Address[Bos1921Options], display: DisplayLike, sample_rate: float | None
 ) -> ChipBus:
     """Open the bus of a display."""
-    wiring = Wiring.of(display, checked_rate("bos1921", sample_rate))
-    checked_estop(wiring, HIGH)
-    place = Place.of(address, ADDRESS)
-    extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
-    place.check("bos1921", display.channels, bits_per_second() + extra, FASTEST)
     options = address.options
     wide = options.range
-    checked_voltage("bos1921", display.limits.voltage, PEAKS[wide])
+    check_voltage("bos1921", display.limits.voltage, PEAKS[wide])
     registers = {PARCAP: options.parcap, SUP_RISE: options.sup_rise}
     board = {register: value for register, value in registers.items() if value is not None}
-    return opened(
-        place.path,
-        lambda i2c: Bos1921Bus(wiring, place, i2c, ThreadRunner(), wide=wide, board=board),
-    )
+    return open_chips(
+        address, display, sample_rate, Bos1921, bits_per_second(),
+        lambda wiring, place, i2c: Bos1921Bus(
+            wiring, place, i2c, ThreadRunner(), wide=wide, board=board
+        ),
+    )  # fmt: skip
 
 
 def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
@@ -473,7 +464,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of a chip.
     """
     for address in ADDRESSES:
@@ -485,15 +476,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
             )
 
 
-def find() -> Iterator[FoundDevice]:
-    """Return the chips that answer on the available I2C adapters.
-
-    Returns
-    -------
-    iterator of Found
-        URLs and descriptions of the chips.
-    """
-    return adapter.found_on_adapters(find_on)
-
+find = partial(adapter.find_on_adapters, find_on)
+"""Function that yields the chips which answer on the I2C adapters of this computer."""
 
 register_bus("bos1921", _open, Bos1921Options, takes_path=True, on_host_death="holds", find=find)

@@ -148,15 +148,21 @@ class Chip(ABC):
         Voltage of one code [V].
     most : int
         Largest magnitude of a code.
-    step : int
-        Largest change of the code in a sample.
+    step : float
+        Largest change of the voltage in a sample [V].
 
     Attributes
     ----------
     kind : str
         Name of the kind of chip.
+    default_address : int
+        Its I2C address, unless it is set to another one.
+    fastest : int
+        Highest clock of the I2C bus [Hz].
     lead : int
         Largest number of samples in the FIFO.
+    step : int
+        Largest change of the code in a sample, at least 1.
     pending : list of int
         Codes that the chip has not taken.
     last : int
@@ -166,15 +172,17 @@ class Chip(ABC):
     """
 
     kind: ClassVar[str]
+    default_address: ClassVar[int]
+    fastest: ClassVar[int]
     lead: ClassVar[int]
-    """Samples in the FIFO, at most."""
 
     def __init__(
         self, target: ChipTarget, clock: Clock, counters: ChipCounters,
-        *, volts_per_code: float, most: int, step: int,
+        *, volts_per_code: float, most: int, step: float,
     ) -> None:  # fmt: skip
         self.target, self.clock, self.counters = target, clock, counters
-        self.volts_per_code, self.most, self.step = volts_per_code, most, step
+        self.volts_per_code, self.most = volts_per_code, most
+        self.step = max(1, int(step / volts_per_code))
         self.pending: list[int] = []
         self.last = 0
         self.unsure = False
@@ -252,7 +260,7 @@ class Chip(ABC):
         """Discard the pending samples; the output is at 0 V."""
         self.pending, self.last, self.unsure, self._previous = [], 0, False, 0.0
 
-    def wanted(self) -> int:
+    def demand(self) -> int:
         """Return how many samples should be put next.
 
         Returns
@@ -379,7 +387,7 @@ class Chip(ABC):
         """Switch the output off at any voltage, as the last resort."""
 
 
-def was_taken_nothing(error: OSError) -> bool:
+def was_not_acknowledged(error: OSError) -> bool:
     """Return whether a failed write has certainly left nothing in the chip.
 
     ENXIO means that the address was not acknowledged (Linux, Documentation/i2c/fault-codes.rst).

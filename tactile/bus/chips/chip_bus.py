@@ -1,18 +1,22 @@
 """Bus of chips without firmware, common to all kinds of chips."""
 
 import atexit
-from collections.abc import Callable, Sequence
-from typing import Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 from firmware_protocol.messages import FADE_MS, SampleFormat
 from tactile.arrays import Floats
-from tactile.bus.base import Bus, BusStatus, DriveBlock, Wiring
+from tactile.bus.base import Bus, BusStatus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import MOST_CHANNELS, Board, config_of
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import I2cAdapter
+from tactile.bus.chips.adapter import ChipTarget, Place
 from tactile.bus.chips.chip import BURST, Chip, ChipCounters
 from tactile.bus.chips.occupancy import RATE, RATES
 from tactile.bus.chips.pump import QUEUE, Pump, Runner
+from tactile.bus.linux_i2c import I2cAdapter
+from tactile.bus.registry import Address
+from tactile.bus.wire_time import i2c_bits
+from tactile.clock import Clock
 from tactile.errors import BusError, InputError
 
 START_WAIT = 5.0
@@ -28,14 +32,14 @@ class ChipBus(Bus):
     ----------
     wiring : Wiring
         What the chips drive.
-    chips : sequence of Chip
-        Chips in the order of the channels.
+    place : Place
+        Location of the chips.
     i2c : I2cAdapter
-        Adapter, which is closed together with the bus.
+        The open adapter, which is closed together with the bus.
     runner : Runner
         Thread that writes to the chips, and its clock.
-    counters : ChipCounters
-        Counters, which are shared with the chips.
+    make_chip : callable
+        Function that makes a chip from its target, its clock and its counters.
 
     Attributes
     ----------
@@ -51,17 +55,18 @@ class ChipBus(Bus):
     """
 
     def __init__(
-        self, wiring: Wiring, chips: Sequence[Chip], i2c: I2cAdapter, runner: Runner,
-        counters: ChipCounters,
+        self, wiring: Wiring, place: Place, i2c: I2cAdapter, runner: Runner,
+        make_chip: Callable[[ChipTarget, Clock, ChipCounters], Chip],
     ) -> None:  # fmt: skip
         super().__init__(wiring, runner)
-        self.counters: ChipCounters = counters
+        self.counters: ChipCounters = ChipCounters()
+        chips = [make_chip(target, runner, self.counters) for target in place.targets(i2c)]
         self._i2c, self._runner = i2c, runner
         board = Board(config_of(wiring, wiring.channels, 1), SampleFormat.PCM16)
-        checked_estop(wiring, chips[0].lead)
+        check_estop(wiring, chips[0].lead)
         for chip in chips:
-            present(chip)
-        self.pump = Pump(board, chips, counters, runner)
+            identify(chip)
+        self.pump = Pump(board, chips, self.counters, runner)
         atexit.register(self.close)
         runner.begin(self.pump.step)
 
@@ -129,11 +134,11 @@ class ChipBus(Bus):
         """Order an end of playback, and wait for it."""
         with self._runner.lock:
             self.pump.order(order)
-            self._runner.wait_for(lambda: self.pump.settled, END_WAIT)
+            self._runner.wait_for(lambda: self.pump.at_rest, END_WAIT)
 
     def _clear(self) -> None:
         with self._runner.lock:
-            if not self.pump.settled:
+            if not self.pump.at_rest:
                 raise BusError("clear: the chips are not at 0 V yet")
             self.pump.board.clear()
 
@@ -146,7 +151,7 @@ class ChipBus(Bus):
         atexit.unregister(self.close)
 
 
-def present(chip: Chip) -> None:
+def identify(chip: Chip) -> None:
     """Check that a chip is present and of the expected kind.
 
     Parameters
@@ -170,13 +175,28 @@ def present(chip: Chip) -> None:
         ) from error
 
 
-def opened(path: str, make: Callable[[I2cAdapter], ChipBus]) -> ChipBus:
-    """Make a bus on the adapter at a path; the adapter is closed if that fails.
+def open_chips(
+    address: Address[Any],
+    display: DisplayLike,
+    sample_rate: float | None,
+    kind: type[Chip],
+    bits: float,
+    make: Callable[[Wiring, Place, I2cAdapter], ChipBus],
+) -> ChipBus:
+    """Open a bus of chips for a display; the adapter is closed if that fails.
 
     Parameters
     ----------
-    path : str
-        Device file of the adapter.
+    address : Address
+        Address with `ChipOptions`.
+    display : DisplayLike
+        Display that the chips drive.
+    sample_rate : float or None
+        Requested sample rate [Hz]; None for that of the chips.
+    kind : type of Chip
+        Kind of the chips.
+    bits : float
+        Bits that each chip needs on the bus, without those of a multiplexer [1/s].
     make : callable
         Function that makes the bus on the open adapter.
 
@@ -184,41 +204,32 @@ def opened(path: str, make: Callable[[I2cAdapter], ChipBus]) -> ChipBus:
     -------
     ChipBus
         The open bus.
+
+    Raises
+    ------
+    InputError
+        If the chips cannot play the rate, cannot do what the display needs, or have not enough of
+        the bus.
+    BusError
+        If the adapter cannot be opened, or a chip is missing.
     """
-    i2c = adapter.open_adapter(path)
+    scheme = address.scheme
+    if sample_rate not in (None, RATE):
+        raise InputError(f"{scheme}: sample_rate {sample_rate:g} Hz: the chip plays {RATE:g} Hz")
+    wiring = Wiring.of(display, RATE)
+    check_estop(wiring, kind.lead)
+    place = Place.of(address, kind.default_address)
+    extra = i2c_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
+    place.check(scheme, display.channels, bits + extra, kind.fastest)
+    i2c = adapter.open_adapter(place.path)
     try:
-        return make(i2c)
+        return make(wiring, place, i2c)
     except BaseException:
         i2c.close()
         raise
 
 
-def checked_rate(scheme: str, sample_rate: float | None) -> float:
-    """Return the sample rate of the chips, after comparing it with the requested one.
-
-    Parameters
-    ----------
-    scheme : str
-        Scheme of the URL, for messages.
-    sample_rate : float or None
-        Requested rate [Hz]; None for that of the chips.
-
-    Returns
-    -------
-    float
-        Sample rate [Hz].
-
-    Raises
-    ------
-    InputError
-        If another rate is requested.
-    """
-    if sample_rate not in (None, RATE):
-        raise InputError(f"{scheme}: sample_rate {sample_rate:g} Hz: the chip plays {RATE:g} Hz")
-    return RATE
-
-
-def checked_voltage(scheme: str, voltage: float, peak: float) -> None:
+def check_voltage(scheme: str, voltage: float, peak: float) -> None:
     """Check that a voltage limit is within the range of a chip.
 
     Parameters
@@ -242,7 +253,7 @@ def checked_voltage(scheme: str, voltage: float, peak: float) -> None:
         )
 
 
-def checked_estop(wiring: Wiring, lead: int) -> None:
+def check_estop(wiring: Wiring, lead: int) -> None:
     """Check that an e-stop is at 0 V in time, after the samples in the FIFO and the ramp.
 
     Parameters
@@ -267,21 +278,3 @@ def checked_estop(wiring: Wiring, lead: int) -> None:
             f"to 0 V, after {lead} samples in the chip {total * 1e3:.1f} ms, {FADE_MS} ms are "
             "promised; lower the voltage limit"
         )
-
-
-def step_codes(step: float, volts_per_code: float) -> int:
-    """Convert a slew limit to whole codes.
-
-    Parameters
-    ----------
-    step : float
-        Largest change of the voltage in a sample [V].
-    volts_per_code : float
-        Voltage of one code [V].
-
-    Returns
-    -------
-    int
-        Largest change of the code in a sample, at least 1.
-    """
-    return max(1, int(step / volts_per_code))

@@ -31,32 +31,22 @@ The following is uncertain:
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from tactile.bus.base import DisplayLike, Wiring
 from tactile.bus.chips import adapter
-from tactile.bus.chips.adapter import ChipOptions, ChipTarget, I2cAdapter, Place, transfer_bits
-from tactile.bus.chips.chip import (
-    BURST,
-    Chip,
-    ChipCounters,
-    LostError,
-    was_taken_nothing,
-)
-from tactile.bus.chips.chip_bus import (
-    ChipBus,
-    checked_estop,
-    checked_rate,
-    checked_voltage,
-    opened,
-    step_codes,
-)
+from tactile.bus.chips.adapter import ChipOptions, ChipTarget, Place
+from tactile.bus.chips.chip import BURST, Chip, ChipCounters, LostError, was_not_acknowledged
+from tactile.bus.chips.chip_bus import ChipBus, check_voltage, open_chips
 from tactile.bus.chips.occupancy import RATE, RATES, Occupancy, measured_rates
 from tactile.bus.chips.pump import Runner, ThreadRunner
+from tactile.bus.linux_i2c import I2cAdapter
 from tactile.bus.options import HEXADECIMAL
 from tactile.bus.registry import Address, FoundDevice, register_bus
+from tactile.bus.wire_time import i2c_bits
 from tactile.clock import Clock
 from tactile.errors import BusError
 
@@ -132,7 +122,7 @@ def bits_per_second() -> float:
     float
         Bit rate [1/s].
     """
-    return (transfer_bits(1 + BURST) + transfer_bits(1, 1)) * RATE / BURST
+    return (i2c_bits(1 + BURST) + i2c_bits(1, 1)) * RATE / BURST
 
 
 def chosen_range(voltage: float, option: str | None) -> int:
@@ -156,7 +146,7 @@ def chosen_range(voltage: float, option: str | None) -> int:
         If the requested range, or each range, is too small.
     """
     wide = int(option) if option else next((r for r in RANGES if r / 2 >= voltage), max(RANGES))
-    checked_voltage("drv2667", voltage, wide / 2)
+    check_voltage("drv2667", voltage, wide / 2)
     return wide
 
 
@@ -181,6 +171,8 @@ class Drv2667(Chip):
     """
 
     kind = "DRV2667"
+    default_address = ADDRESS
+    fastest = FASTEST
     lead = HIGH
 
     def __init__(
@@ -189,7 +181,7 @@ class Drv2667(Chip):
         scale = wide / 2 / MOST
         super().__init__(
             target, clock, counters,
-            volts_per_code=scale, most=MOST, step=step_codes(step, scale),
+            volts_per_code=scale, most=MOST, step=step,
         )  # fmt: skip
         self.gain = RANGES[wide]
         self.occupancy = Occupancy()
@@ -309,7 +301,7 @@ class Drv2667(Chip):
         """Write samples of 0 V."""
         self._write(bytes([FIFO]) + bytes(count))
 
-    def wanted(self) -> int:
+    def demand(self) -> int:
         """Return how many samples should be put next.
 
         While the FIFO runs empty, one burst is kept in reserve.
@@ -407,7 +399,7 @@ class Drv2667(Chip):
         try:
             self.target.write(bytes([FIFO, *(code & 0xFF for code in codes)]))
         except OSError as error:
-            self.unsure = self._lost = not was_taken_nothing(error)
+            self.unsure = self._lost = not was_not_acknowledged(error)
             raise
         after = self.clock.now()
         if self._empty:
@@ -490,12 +482,8 @@ class Drv2667Bus(ChipBus):
     def __init__(
         self, wiring: Wiring, place: Place, i2c: I2cAdapter, runner: Runner, *, wide: int
     ) -> None:
-        counters = ChipCounters()
-        chips = [
-            Drv2667(t, runner, counters, wide=wide, step=wiring.slew / RATE)
-            for t in place.targets(i2c)
-        ]
-        super().__init__(wiring, chips, i2c, runner, counters)
+        make_chip = partial(Drv2667, wide=wide, step=wiring.slew / RATE)
+        super().__init__(wiring, place, i2c, runner, make_chip)
 
 
 class Drv2667Options(ChipOptions, frozen=True, kw_only=True):
@@ -515,13 +503,11 @@ def _open(
     address: Address[Drv2667Options], display: DisplayLike, sample_rate: float | None
 ) -> ChipBus:
     """Open the bus of a display."""
-    wiring = Wiring.of(display, checked_rate("drv2667", sample_rate))
-    checked_estop(wiring, HIGH)
-    place = Place.of(address, ADDRESS)
-    extra = transfer_bits(1) * RATE / BURST if len(place.ports) > 1 else 0.0
-    place.check("drv2667", display.channels, bits_per_second() + extra, FASTEST)
     wide = chosen_range(display.limits.voltage, address.options.range)
-    return opened(place.path, lambda i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide))
+    return open_chips(
+        address, display, sample_rate, Drv2667, bits_per_second(),
+        lambda wiring, place, i2c: Drv2667Bus(wiring, place, i2c, ThreadRunner(), wide=wide),
+    )  # fmt: skip
 
 
 def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
@@ -538,7 +524,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
 
     Yields
     ------
-    Found
+    FoundDevice
         URL and description of the chip.
     """
     reply = adapter.answer(i2c, ADDRESS, bytes([CONTROL_1]), 1)
@@ -546,15 +532,7 @@ def find_on(number: str, i2c: I2cAdapter) -> Iterator[FoundDevice]:
         yield FoundDevice(f"drv2667:{number}", f"DRV2667 at 0x{ADDRESS:02x} of I2C bus {number}")
 
 
-def find() -> Iterator[FoundDevice]:
-    """Return the chips that answer on the available I2C adapters.
-
-    Returns
-    -------
-    iterator of Found
-        URLs and descriptions of the chips.
-    """
-    return adapter.found_on_adapters(find_on)
-
+find = partial(adapter.find_on_adapters, find_on)
+"""Function that yields the chips which answer on the I2C adapters of this computer."""
 
 register_bus("drv2667", _open, Drv2667Options, takes_path=True, on_host_death="zero", find=find)

@@ -291,7 +291,7 @@ class Pump:
             self.runner.alarm()
 
     @property
-    def settled(self) -> bool:
+    def at_rest(self) -> bool:
         """Whether no order is pending and nothing is on its way to 0 V."""
         return not self._order and self.phase in ("rest", "down")
 
@@ -390,7 +390,7 @@ class Pump:
         first = self.chips[0]
         queued = max(0, self.sent - self.position)
         needed = LOW - min(chip.fill() + len(chip.pending) for chip in self.chips)
-        count = min(first.wanted(), max(queued, needed), 2 * BURST)
+        count = min(first.demand(), max(queued, needed), 2 * BURST)
         if BURST < count < BURST + LEAST:
             count = BURST
         fed = count >= LEAST or count >= needed > 0

@@ -1,8 +1,8 @@
 """Inspection of the amplifiers on a bus: their capabilities, their identity, their measurements.
 
 Only amplifiers that speak the protocol can be inspected. For other buses every result is empty or
-False. Functions that ask an amplifier wait for its answer, `ASKING` of `link_bus` at most, and may
-be called while the bus plays; call them from one thread at a time.
+False. Functions that make a request wait for its answer, `ANSWERING` of `link_bus` at most, and
+may be called while the bus plays; call them from one thread at a time.
 """
 
 from collections.abc import Iterator
@@ -210,7 +210,7 @@ def identify(bus: Bus, node: int, seconds: int) -> bool:
     bool
         Whether the amplifier acknowledged.
     """
-    return isinstance(bus, LinkBus) and isinstance(bus.ask(m.Identify(seconds), node), m.Ack)
+    return isinstance(bus, LinkBus) and isinstance(bus.request(m.Identify(seconds), node), m.Ack)
 
 
 @contextmanager
@@ -249,7 +249,7 @@ def _measure(bus: Bus, node: int, milliseconds: int) -> bool:
     assert isinstance(bus, LinkBus)
     session = next(peer.host.session for peer in bus.peers if peer.host.node == node)
     setting = m.Set(session, Parameter.SENSE_MS, milliseconds)
-    answers = (bus.ask(setting, node) for _ in range(TRIES))
+    answers = (bus.request(setting, node) for _ in range(TRIES))
     return isinstance(next((a for a in answers if a is not None), None), m.Ack)
 
 
@@ -271,7 +271,7 @@ def readings(bus: Bus) -> list[Readings]:
         return []
     first = {facts.node: facts.first_channel for facts in amplifiers(bus)}
     measured = []
-    for peer, sense in bus.sensed():
+    for peer, sense in bus.take_senses():
         pairs = np.frombuffer(sense.readings, "<i2", 2 * (len(sense.readings) // 4)).reshape(-1, 2)
         scale = peer.caps.full_scale_uv * 1e-6 / FULL_SCALE_CODE
         at = distance(sense.position, peer.wire_end(0))

@@ -21,7 +21,7 @@ from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, FrameCapability, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.peer import Peer
-from tactile.bus.link.phases import SessionPhase, Want
+from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.session import LinkSession
 from tactile.bus.wire import Wire, WireError
 from tactile.clock import MONOTONIC, Clock
@@ -33,7 +33,7 @@ OPENING = 2.0
 """Maximum time in which amplifiers have to answer and their clocks to become known [s]."""
 STARTING, ENDING = 2.0, 0.5
 """Maximum times to wait for a start or the clear of an e-stop, and for the end of playing [s]."""
-ASKING = 0.2
+ANSWERING = 0.2
 """Maximum time to wait for the answer to a request: three attempts, and the time on the link
 (assumed) [s]."""
 IDLE = 20e-3
@@ -174,7 +174,7 @@ class LinkBus(Bus):
 
     def _has_fallen(self) -> bool:
         session = self._session
-        if session.phase is SessionPhase.RUN and session.want is Want.RUN:
+        if session.phase is SessionPhase.RUN and session.goal is Goal.RUN:
             return False
         with self._changed:
             return session.gives_up(self._clock.now())
@@ -339,7 +339,7 @@ class LinkBus(Bus):
             else:
                 self._clock.sleep(min(remaining, SLICE))
             with self._changed:
-                self._session.alive(self._clock.now())
+                self._session.feed_watchdog(self._clock.now())
 
     def _start(self, position: int) -> None:
         """Begin playing; wait until all amplifiers have acknowledged, for `STARTING` at most."""
@@ -353,13 +353,13 @@ class LinkBus(Bus):
         session = self._session
 
         def started() -> object:
-            session.alive(self._clock.now())
-            return session.phase is SessionPhase.RUN or session.want is not Want.RUN
+            session.feed_watchdog(self._clock.now())
+            return session.phase is SessionPhase.RUN or session.goal is not Goal.RUN
 
         if not self._wait(started, STARTING):
             session.end(self._clock.now(), quick=True)
             raise BusError(f"start: the amplifier does not start; {session.trouble}")
-        if session.want is not Want.RUN:
+        if session.goal is not Goal.RUN:
             raise BusError(f"start: {session.refusal or session.trouble}")
 
     def _write(self, block: DriveBlock) -> None:
@@ -373,7 +373,7 @@ class LinkBus(Bus):
             position, volts = block.position + k, block.volts[k : k + size]
             self._sleep(stream.due(position) - stream.ahead)
             with self._changed:
-                self._session.alive(self._clock.now())
+                self._session.feed_watchdog(self._clock.now())
                 if self._session.phase is SessionPhase.RUN:
                     stream.add(position, volts)
                     self._pump()
@@ -421,7 +421,7 @@ class LinkBus(Bus):
         assert stream is not None
         self._sleep(stream.due(frame.position - self.plan.packet_samples) - stream.ahead)
         with self._changed:
-            self._session.alive(self._clock.now())
+            self._session.feed_watchdog(self._clock.now())
             if self._session.phase is SessionPhase.RUN:
                 stream.add_frame(frame.position, frame.volts, carriers)
                 self._pump()
@@ -436,11 +436,11 @@ class LinkBus(Bus):
         """Amplifiers in the order of channels."""
         return self._session.peers
 
-    def ask(self, message: Message, node: int) -> Message | None:
+    def request(self, message: Message, node: int) -> Message | None:
         """Make a request (GET, SET, IDENTIFY) of an amplifier, and wait for its answer.
 
         It may be called while the bus is idle or running, by one thread at a time, and waits for
-        `ASKING` at most.
+        `ANSWERING` at most.
 
         Parameters
         ----------
@@ -456,12 +456,12 @@ class LinkBus(Bus):
         """
         with self._changed:
             queries = next(peer.queries for peer in self.peers if peer.host.node == node)
-            queries.ask(message)
+            queries.request(message)
             self._pump()
-        self._wait(lambda: queries.answer is not None, ASKING)
+        self._wait(lambda: queries.answer is not None, ANSWERING)
         return queries.answer
 
-    def sensed(self) -> list[tuple[Peer, m.Sense]]:
+    def take_senses(self) -> list[tuple[Peer, m.Sense]]:
         """Return the readings that have come since the last call.
 
         Returns
@@ -534,7 +534,7 @@ class LinkBus(Bus):
 
         def ended() -> object:
             return (
-                session.phase is SessionPhase.READY or session.refusal or session.want is Want.ESTOP
+                session.phase is SessionPhase.READY or session.refusal or session.goal is Goal.ESTOP
             )
 
         self._wait(ended, STARTING)
@@ -549,9 +549,9 @@ class LinkBus(Bus):
     def _close(self) -> None:
         """Disarm, waiting for `ENDING` at most; then end the thread and close the wire."""
         with self._changed:
-            self._session.leave()
+            self._session.finish()
         self._wake()
-        self._wait(lambda: self._session.phase in (SessionPhase.GONE, SessionPhase.DOWN), ENDING)
+        self._wait(lambda: self._session.phase in (SessionPhase.ENDED, SessionPhase.DOWN), ENDING)
         self._release()
 
     def _release(self) -> None:
@@ -569,5 +569,5 @@ class LinkBus(Bus):
             self._wire = None
 
 
-RESTING = (SessionPhase.READY, SessionPhase.DOWN, SessionPhase.GONE, SessionPhase.ESTOP)
+RESTING = (SessionPhase.READY, SessionPhase.DOWN, SessionPhase.ENDED, SessionPhase.ESTOP)
 """Phases in which a stop has nothing more to wait for."""

@@ -36,6 +36,11 @@ class LinkOptions(Options, frozen=True, kw_only=True):
     lead_ms: Annotated[float, Meta(ge=1e3 * LEAST_LEAD, le=1e3 * LONGEST_LEAD)] | None = None
 
     @property
+    def medium(self) -> Link:
+        """Medium by which packets go, which each driver knows."""
+        raise NotImplementedError
+
+    @property
     def sample_format(self) -> SampleFormat | None:
         """Sample format on the link, as the protocol numbers it; None for any."""
         return None if self.format is None else FORMATS[self.format]
@@ -50,7 +55,6 @@ def open_link(
     options: LinkOptions,
     display: DisplayLike,
     sample_rate: float | None,
-    link: Link,
     connect: Callable[[], Wire],
     *,
     nodes: Sequence[int] = (),
@@ -65,8 +69,6 @@ def open_link(
         Display that the amplifiers drive.
     sample_rate : float or None
         Sample rate of the drive [Hz]; None for the best that fits the link.
-    link : Link
-        Medium, which knows how long packets take.
     connect : callable
         Function that opens the wire; the thread of the bus calls it again after a loss.
     nodes : sequence of int
@@ -87,18 +89,18 @@ def open_link(
     """
     wiring = Wiring.of(display, sample_rate or RATE)
     config_of(wiring, 1, 1)  # raises if no amplifier can keep what the display asks for
-    choose = planner(options, display, sample_rate, link)
+    choose = planner(options, display, sample_rate)
     return LinkBus(wiring, connect, choose, nodes=nodes, rearm=options.rearm, lead=options.lead)
 
 
 def planner(
-    options: LinkOptions, display: DisplayLike, sample_rate: float | None, link: Link
+    options: LinkOptions, display: DisplayLike, sample_rate: float | None
 ) -> Callable[[Sequence[m.Caps]], Plan]:
     """Return the function that chooses how the drive is sent.
 
     Parameters
     ----------
-    options, display, sample_rate, link
+    options, display, sample_rate
         As `open_link` takes them.
 
     Returns
@@ -110,7 +112,7 @@ def planner(
     def choose(caps: Sequence[m.Caps]) -> Plan:
         ability = Ability.of(caps)
         return plan(
-            link, display.channels, ability,
+            options.medium, display.channels, ability,
             sample_rate=sample_rate, sample_format=options.sample_format,
         )  # fmt: skip
 

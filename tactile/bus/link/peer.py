@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from firmware_protocol import messages as m
 from firmware_protocol.clock import ClockEstimator
-from firmware_protocol.host import AmplifierHost
+from firmware_protocol.host import SKIPPED, AmplifierHost
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
@@ -23,8 +23,6 @@ TIME_LENGTH = m.TimeReply.HEAD.size
 [bytes]."""
 POLL_INTERVAL = 0.25
 """Interval of requests for STATUS while an amplifier plays, or its e-stop input is open [s]."""
-SKIPPED = 1 << 20
-"""Distance between all positions sent before a START and those after it (SPEC.md, 8.1)."""
 
 
 class Peer:
@@ -92,7 +90,7 @@ class Peer:
 
     # Requests
 
-    def ask(self, *messages: Message) -> None:
+    def request(self, *messages: Message) -> None:
         """Make requests, one after the other, in place of those not answered yet.
 
         Parameters
@@ -198,7 +196,7 @@ class Peer:
             self._late_seen = late
 
     @property
-    def forgot(self) -> str:
+    def reset_evidence(self) -> str:
         """Evidence that the amplifier was reset or lost this session, one line; empty if none."""
         refused, status = self.refused, self.host.status
         if self._restarted:
@@ -227,9 +225,9 @@ class Peer:
             message = self._requests.popleft()
             # On CAN an ESTOP is never answered; STATUS shows whether it was carried out.
             if isinstance(message, m.Estop):
-                out.append(self.host.tell(message))
+                out.append(self.host.packet(message))
                 continue
-            self._request = self.host.ask(message)
+            self._request = self.host.request(message)
             self._tries, self._next_try = 0, now
         if self._request is not None and now >= self._next_try:
             if self._tries == TRIES:
@@ -244,7 +242,7 @@ class Peer:
             out.append(self._probe(now))
         if now >= self._status_due:
             self._status_due = now + POLL_INTERVAL
-            out.append(self.host.tell(m.Poll()))
+            out.append(self.host.packet(m.Poll()))
         return out
 
     @property
@@ -276,7 +274,7 @@ class Peer:
         self._probes[stamp] = now
         while len(self._probes) > TRIES:
             del self._probes[next(iter(self._probes))]
-        packet = self.host.tell(m.Time(stamp))
+        packet = self.host.packet(m.Time(stamp))
         return replace(packet, payload=packet.payload.ljust(TIME_LENGTH, b"\0"))
 
     def _add_exchange(self, reply: m.TimeReply, now: float) -> None:

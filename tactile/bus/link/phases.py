@@ -19,7 +19,7 @@ class SessionPhase(Enum):
     LIMIT = auto()
     """Limits of the display are put in force."""
     READY = auto()
-    """Amplifiers are at 0 V, or latched in ESTOP or FAULT, and wait for what is wanted."""
+    """Amplifiers are at 0 V, or latched in ESTOP or FAULT, and wait for another goal."""
     ARM = auto()
     """High voltage is switched on."""
     START = auto()
@@ -36,11 +36,11 @@ class SessionPhase(Enum):
     """CLEAR_FAULT is sent."""
     DISARM = auto()
     """High voltage is switched off, and the ramps to 0 V are awaited."""
-    GONE = auto()
+    ENDED = auto()
     """The session has ended."""
 
 
-class Want(Enum):
+class Goal(Enum):
     """State that a session works toward."""
 
     READY = auto()
@@ -49,5 +49,5 @@ class Want(Enum):
     """Playing."""
     ESTOP = auto()
     """E-stopped, until it is cleared."""
-    GONE = auto()
+    ENDED = auto()
     """Disarmed and ended."""

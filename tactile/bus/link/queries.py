@@ -45,7 +45,7 @@ class Queries:
         self._request: Packet | None = None
         self._tries_left, self._next_try = 0, math.inf
 
-    def ask(self, message: Message) -> None:
+    def request(self, message: Message) -> None:
         """Make a request, in place of one that was not answered yet.
 
         Parameters
@@ -53,7 +53,7 @@ class Queries:
         message : Message
             Request, which `poll` sends.
         """
-        self._request, self.answer = self._host.ask(message), None
+        self._request, self.answer = self._host.request(message), None
         self._tries_left, self._next_try = TRIES, -math.inf
 
     def poll(self, now: float) -> list[Packet]:
@@ -94,11 +94,11 @@ class Queries:
         return self._next_try
 
 
-def _answers(message: Message, asked: Packet) -> bool:
+def _answers(message: Message, request: Packet) -> bool:
     """Return whether a message answers a request."""
     if isinstance(message, m.Ack | m.Nak):
-        return (message.type, message.seq) == (asked.type, asked.seq)
-    if isinstance(message, m.Value) and asked.type == m.Get.TYPE:
-        get = m.Get.unpack(asked.payload)
+        return (message.type, message.seq) == (request.type, request.seq)
+    if isinstance(message, m.Value) and request.type == m.Get.TYPE:
+        get = m.Get.unpack(request.payload)
         return get is not None and get.parameter == message.parameter
     return False

@@ -2,8 +2,8 @@
 
 The session does not wait and has no clock. The owner of the wire passes what was received to
 `LinkSession.receive`, and calls `LinkSession.poll` to send. The session moves from phase to phase
-toward what is wanted of it; a phase ends when all amplifiers have answered its requests. Failures
-are reported by `trouble` and, if they end what was wanted, by `refusal`. Nothing raises but the
+toward its goal; a phase ends when all amplifiers have answered its requests. Failures
+are reported by `trouble` and, if they end the goal, by `refusal`. Nothing raises but the
 wire, in `LinkSession.poll`.
 """
 
@@ -15,14 +15,14 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
-from firmware_protocol.host import refusal
+from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.base import BusCounters, Wiring
 from tactile.bus.budget import Plan, check_limits
 from tactile.bus.link.peer import Peer
-from tactile.bus.link.phases import SessionPhase, Want
+from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.queries import RETRY
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
 from tactile.bus.link.stream import LinkStream
@@ -43,8 +43,6 @@ QUEUED = 50e-3
 for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
 HELD = 2e-3
 """Time that packets given to the wire may still take when the next one is given to it [s]."""
-REASON = 1
-"""Reason of an ESTOP by a host, as STATUS reports it."""
 LATCHED = (State.ESTOP, State.FAULT)
 """States that only CLEAR_FAULT ends."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
@@ -88,7 +86,7 @@ class LinkSession:
     ----------
     phase : SessionPhase
         Present phase.
-    want : Want
+    goal : Goal
         State that the session works toward.
     peers : list of Peer
         Amplifiers in the order of channels; empty until they have been found.
@@ -101,7 +99,7 @@ class LinkSession:
     trouble : str
         One line on what is wrong; empty if nothing is.
     refusal : str
-        Reason why what was wanted last cannot be; empty if it can.
+        Reason why the last goal cannot be reached; empty if it can.
     error : InputError or None
         Error of a display that asks for more than the amplifiers or the link can give.
     fragments : FragmentWatch
@@ -125,7 +123,7 @@ class LinkSession:
         self.peers = [Peer(token, node) for node in nodes]
         self.plan: Plan | None = None
         self.stream: LinkStream | None = None
-        self.phase, self.want = SessionPhase.DOWN, Want.READY
+        self.phase, self.goal = SessionPhase.DOWN, Goal.READY
         self.trouble = self.refusal = ""
         self.fragments = FragmentWatch()
         self.error: InputError | None = None
@@ -149,17 +147,17 @@ class LinkSession:
             SessionPhase.HALT: self._after_halt,
             SessionPhase.LIMIT: self._after_limit,
             SessionPhase.READY: self._after_ready,
-            SessionPhase.ARM: self._after_arm,
+            SessionPhase.ARM: lambda now: self._enter(SessionPhase.START, now),
             SessionPhase.START: self._after_start,
             SessionPhase.RUN: self._after_run,
             SessionPhase.END: self._after_end,
             SessionPhase.ESTOP: self._after_estop,
-            SessionPhase.TRIPS: self._after_trips,
-            SessionPhase.CLEAR: self._after_clear,
+            SessionPhase.TRIPS: lambda now: self._enter(SessionPhase.CLEAR, now),
+            SessionPhase.CLEAR: lambda now: self._enter(SessionPhase.GREET, now),
             SessionPhase.DISARM: self._after_disarm,
         }
 
-    # What is wanted
+    # Goals
 
     def connected(self, now: float) -> None:
         """Begin on a wire that was just opened.
@@ -190,13 +188,13 @@ class LinkSession:
         self.trouble = why
         if self.stream is not None:
             self.stream.freeze(now)
-        if any(peer.forgot for peer in self.peers):
+        if any(peer.reset_evidence for peer in self.peers):
             self._known_to_run = -math.inf
         elif self.phase is SessionPhase.RUN:
             self._known_to_run = min(peer.last_received for peer in self.peers)
         self.phase = SessionPhase.DOWN
-        if self.want is Want.RUN and self._first is not None:
-            self.want, self.refusal = Want.READY, why
+        if self.goal is Goal.RUN and self._first is not None:
+            self.goal, self.refusal = Goal.READY, why
 
     def run(self, position: int) -> None:
         """Work toward playing; do nothing in an e-stop.
@@ -206,9 +204,9 @@ class LinkSession:
         position : int
             Position that is put out first.
         """
-        if self.want is Want.ESTOP:
+        if self.goal is Goal.ESTOP:
             return
-        self._first, self.want, self.refusal, self.trouble = position, Want.RUN, "", ""
+        self._first, self.goal, self.refusal, self.trouble = position, Goal.RUN, "", ""
         self._gave_up = False
         self.fragments.warning = ""
 
@@ -222,11 +220,11 @@ class LinkSession:
         quick : bool
             Whether to ramp at the slew limit, and not within the fade.
         """
-        if self.want is Want.ESTOP:
+        if self.goal is Goal.ESTOP:
             return
-        self.want, self._quick = Want.READY, quick
+        self.goal, self._quick = Goal.READY, quick
         if self.stream is not None:
-            self.stream.clear(wanted=True)
+            self.stream.clear(counted=False)
         if self.phase in (SessionPhase.ARM, SessionPhase.START, SessionPhase.RUN):
             self._enter(SessionPhase.END, now)
 
@@ -243,12 +241,12 @@ class LinkSession:
         Packet
             ESTOP to all nodes, which the caller has to send ahead of everything else.
         """
-        self.want, self.refusal, self._gave_up = Want.ESTOP, "", False
+        self.goal, self.refusal, self._gave_up = Goal.ESTOP, "", False
         if self.stream is not None:
-            self.stream.clear(wanted=True)
+            self.stream.clear(counted=False)
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
             self._enter(SessionPhase.ESTOP, now)
-        return self._to_all(m.Estop(REASON))
+        return self._to_all(m.Estop(BY_HOST))
 
     def clear(self, now: float) -> None:
         """Work toward the end of an e-stop or a fault.
@@ -258,7 +256,7 @@ class LinkSession:
         now : float
             Host time [s].
         """
-        self.want, self.refusal, self.tripped, self._gave_up = Want.READY, "", False, False
+        self.goal, self.refusal, self.tripped, self._gave_up = Goal.READY, "", False, False
         if self.phase is not SessionPhase.DOWN:
             self._enter(SessionPhase.TRIPS, now)
 
@@ -279,9 +277,9 @@ class LinkSession:
             Whether only `run` makes the amplifiers play again.
         """
         goes_on = self.phase is SessionPhase.RUN or self.rearm or self._first is not None
-        if self.want is Want.RUN and not goes_on and now > self._known_to_run + GIVEN_UP:
+        if self.goal is Goal.RUN and not goes_on and now > self._known_to_run + GIVEN_UP:
             self._give_up(self.trouble)
-        return self.want is not Want.RUN
+        return self.goal is not Goal.RUN
 
     def known_to_run(self, now: float) -> bool:
         """Return whether all amplifiers are known to play.
@@ -306,11 +304,11 @@ class LinkSession:
         """Amplifiers that are in ESTOP or FAULT by their latest reports."""
         return [peer for peer in self.peers if peer.state in LATCHED]
 
-    def leave(self) -> None:
+    def finish(self) -> None:
         """Work toward the end of the session: disarm as soon as nothing plays."""
-        self.want = Want.GONE
+        self.goal = Goal.ENDED
 
-    def alive(self, now: float) -> None:
+    def feed_watchdog(self, now: float) -> None:
         """Record that the loop that renders is alive; it alone feeds the watchdog.
 
         Parameters
@@ -350,7 +348,7 @@ class LinkSession:
         if self.stream is not None:
             self.stream.control(now, running=self.phase is SessionPhase.RUN)
         reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
-        self.fragments.look(dropped + sum(status.fragments_dropped for status in reports), now)
+        self.fragments.update(dropped + sum(status.fragments_dropped for status in reports), now)
 
     def poll(self, now: float, wire: Wire) -> None:
         """Move on to the next phases, and send what is to be sent now.
@@ -371,8 +369,8 @@ class LinkSession:
         out = []
         if self.phase is SessionPhase.SEARCH and self._due(now, SEARCH):
             out.append(self._to_all(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC)))
-        heard = self.phase.value > SessionPhase.GREET.value
-        if heard and self._owes_heartbeat and max(self._wire_free - now, wire.waited()) < QUEUED:
+        greeted = self.phase.value > SessionPhase.GREET.value
+        if greeted and self._owes_heartbeat and max(self._wire_free - now, wire.waited()) < QUEUED:
             self._owes_heartbeat, self._heartbeat = False, now
             out.append(self._to_all(m.Heartbeat(self.token)))
         for peer in self.peers:
@@ -410,10 +408,10 @@ class LinkSession:
         """
         if any(peer.lost for peer in self.peers):
             return "the amplifier does not answer"
-        if self.phase.value > SessionPhase.GREET.value and self.phase is not SessionPhase.GONE:
+        if self.phase.value > SessionPhase.GREET.value and self.phase is not SessionPhase.ENDED:
             for peer in self.peers:
-                if peer.forgot:
-                    return f"node {peer.host.node} was reset: {peer.forgot}"
+                if peer.reset_evidence:
+                    return f"node {peer.host.node} was reset: {peer.reset_evidence}"
             silent = [peer.host.node for peer in self.peers if now - peer.last_received > SILENCE]
             if silent:
                 return f"node {silent[0]} has been silent for {SILENCE * 1e3:.0f} ms"
@@ -443,26 +441,26 @@ class LinkSession:
             SessionPhase.HALT: lambda: [m.Stop(self.token, 1)],
             SessionPhase.ARM: self._arming,
             SessionPhase.END: lambda: [m.Stop(self.token, int(self._quick)), m.Poll()],
-            SessionPhase.ESTOP: lambda: [m.Estop(REASON), m.Poll()],
+            SessionPhase.ESTOP: lambda: [m.Estop(BY_HOST), m.Poll()],
             SessionPhase.TRIPS: lambda: [m.Poll()],
             SessionPhase.DISARM: lambda: [m.Disarm(self.token)],
         }
-        asked = requests.get(phase)
+        messages = requests.get(phase)
         for peer in self.peers:
             if phase is SessionPhase.LIMIT:
-                peer.ask(self._limits(peer.caps))
+                peer.request(self._limits(peer.caps))
             elif phase is SessionPhase.CLEAR:
                 status = peer.host.status or m.Status()
-                peer.ask(m.ClearFault(self.token, status.trips))
+                peer.request(m.ClearFault(self.token, status.trips))
             else:
-                peer.ask(*(asked() if asked is not None else []))
+                peer.request(*(messages() if messages is not None else []))
         if phase is SessionPhase.START:
             self._starting(now)
 
     def _greeting(self) -> list[Message]:
-        """Return the requests that take an amplifier; first of all ESTOP, if that is wanted."""
+        """Return the requests that take an amplifier; first of all ESTOP, if that is the goal."""
         hello = m.Hello(self.token, m.MAJOR, m.MINOR, m.SCHEMA_CRC)
-        return [*([m.Estop(REASON)] if self.want is Want.ESTOP else []), hello, m.Poll()]
+        return [*([m.Estop(BY_HOST)] if self.goal is Goal.ESTOP else []), hello, m.Poll()]
 
     def _arming(self) -> list[Message]:
         """Return the requests that switch high voltage on, and set the carriers of frames."""
@@ -497,7 +495,7 @@ class LinkSession:
             time = self.stream.due(position)
         starts = self.stream.begin(position, time, fade_in=self._first is None)
         for peer, start in zip(self.peers, starts, strict=True):
-            peer.ask(start)
+            peer.request(start)
 
     def _advance(self, now: float) -> None:
         """End each phase whose requests have been answered, until one has not."""
@@ -510,7 +508,7 @@ class LinkSession:
                     self._enter(SessionPhase.GREET, now)
             elif any(peer.lost for peer in self.peers):
                 return  # `lost` reports it, and the owner closes the wire
-            elif self.phase not in (SessionPhase.DOWN, SessionPhase.GONE) and all(
+            elif self.phase not in (SessionPhase.DOWN, SessionPhase.ENDED) and all(
                 p.idle for p in self.peers
             ):
                 refused = [p.refused for p in self.peers if p.refused is not None]
@@ -532,9 +530,9 @@ class LinkSession:
             self._wait(SessionPhase.TRIPS, now)
         else:
             self.refusal = INPUT_OPEN if nak.code == NakCode.INPUT_OPEN else refusal(nak)
-            if self.want is Want.RUN:
-                self.want = Want.READY
-            self._enter(SessionPhase.DISARM if self.want is Want.GONE else SessionPhase.READY, now)
+            if self.goal is Goal.RUN:
+                self.goal = Goal.READY
+            self._enter(SessionPhase.DISARM if self.goal is Goal.ENDED else SessionPhase.READY, now)
 
     def _wait(self, phase: SessionPhase, now: float) -> None:
         """Enter a phase after `RETRY`; it is called repeatedly until then."""
@@ -551,7 +549,7 @@ class LinkSession:
                 self._fit([peer.caps for peer in self.peers])
             except InputError as error:
                 self.refusal, self.error = str(error), error
-                self._enter(SessionPhase.GONE, now)
+                self._enter(SessionPhase.ENDED, now)
                 return
         self._enter(SessionPhase.CLOCK, now)
 
@@ -584,30 +582,27 @@ class LinkSession:
 
     def _after_limit(self, now: float) -> None:
         self.trouble = ""
-        if self._gave_up or (self.want is Want.RUN and self._first is None and not self.rearm):
+        if self._gave_up or (self.goal is Goal.RUN and self._first is None and not self.rearm):
             self._give_up("the link was lost and is back")
         self._enter(SessionPhase.READY, now)
 
     def _after_ready(self, now: float) -> None:
-        """Leave READY for what is wanted; do not play while an amplifier is latched."""
+        """Leave READY for the goal; do not play while an amplifier is latched."""
         latched = self.latched
-        if self.want is Want.ESTOP:
+        if self.goal is Goal.ESTOP:
             self._enter(SessionPhase.ESTOP, now)
-        elif self.want is Want.GONE:
+        elif self.goal is Goal.ENDED:
             self._enter(SessionPhase.DISARM, now)
         elif latched:
             if not self.tripped:
                 self.tripped = True
                 for peer in latched:
-                    peer.ask(m.Poll())
+                    peer.request(m.Poll())
             self.trouble = open_input(self.peers, now) or why_stopped(latched[0])
-            if self.want is Want.RUN:
-                self.want, self.refusal = Want.READY, self.trouble
-        elif self.want is Want.RUN:
+            if self.goal is Goal.RUN:
+                self.goal, self.refusal = Goal.READY, self.trouble
+        elif self.goal is Goal.RUN:
             self._enter(SessionPhase.ARM, now)
-
-    def _after_arm(self, now: float) -> None:
-        self._enter(SessionPhase.START, now)
 
     def _after_start(self, now: float) -> None:
         for peer in self.peers:
@@ -631,8 +626,8 @@ class LinkSession:
         self._enter(SessionPhase.END, now)
 
     def _give_up(self, why: str) -> None:
-        """Want to be ready in place of playing, since rearming is not allowed."""
-        self.want, self._gave_up = Want.READY, True
+        """Work toward READY in place of playing, since rearming is not allowed."""
+        self.goal, self._gave_up = Goal.READY, True
         self.trouble = f"{why}; not armed again, since nobody said so: start again, or rearm=true"
 
     def _after_end(self, now: float) -> None:
@@ -643,22 +638,16 @@ class LinkSession:
 
     def _after_estop(self, now: float) -> None:
         """Repeat ESTOP until all amplifiers report it; leave the phase only to disarm."""
-        if self.want is Want.GONE:
+        if self.goal is Goal.ENDED:
             self._enter(SessionPhase.DISARM, now)
         elif any(peer.state is not State.ESTOP for peer in self.peers):
             self._enter(SessionPhase.ESTOP, now)
         else:
             self.trouble = open_input(self.peers, now)
 
-    def _after_trips(self, now: float) -> None:
-        self._enter(SessionPhase.CLEAR, now)
-
-    def _after_clear(self, now: float) -> None:
-        self._enter(SessionPhase.GREET, now)
-
     def _after_disarm(self, now: float) -> None:
         if not self._moving:
-            self._enter(SessionPhase.GONE, now)
+            self._enter(SessionPhase.ENDED, now)
 
     @property
     def _moving(self) -> bool:

@@ -170,7 +170,7 @@ class LinkStream:
             amplifiers do not play or cannot be reached [s].
         """
         rate = self._plan.sample_rate
-        if self._playing and not self._peers[0].forgot:
+        if self._playing and not self._peers[0].reset_evidence:
             return self._peers[0].due(position, rate)
         return self._anchor[1] + (position - self._anchor[0]) / rate
 
@@ -218,7 +218,7 @@ class LinkStream:
 
     def _set_anchor(self, now: float) -> None:
         """Remember the position of now, for when the amplifiers' clock is lost or began anew."""
-        if self._playing and not self._peers[0].forgot:
+        if self._playing and not self._peers[0].reset_evidence:
             at = self.position_at(now)
             self._anchor = (at, self.due(at))
 
@@ -347,7 +347,7 @@ class LinkStream:
 
     def _clock_lead(self, peer: Peer, position: int) -> float:
         """Return the lead of the first amplifier over another one at a position [samples]."""
-        if not self._playing or peer.forgot or self._peers[0].forgot:
+        if not self._playing or peer.reset_evidence or self._peers[0].reset_evidence:
             return 0.0
         rate = self._plan.sample_rate
         return (peer.due(position, rate) - self._peers[0].due(position, rate)) * rate
@@ -395,18 +395,19 @@ class LinkStream:
     @staticmethod
     def _packets_of(peer: Peer, messages: Iterable[Message]) -> list[Packet]:
         """Return messages to an amplifier as packets that want no answer."""
-        return [peer.host.tell(message) for message in messages]
+        return [peer.host.packet(message) for message in messages]
 
-    def clear(self, *, wanted: bool = False) -> None:
+    def clear(self, *, counted: bool = True) -> None:
         """Drop what waits to be sent.
 
         Parameters
         ----------
-        wanted : bool
-            Whether the caller wants it gone, as in a stop; otherwise it is counted.
+        counted : bool
+            Whether it counts as dropped, which it does not if the caller asked for that, as in a
+            stop.
         """
         self._flush()
-        for part in () if wanted else self._parts:
+        for part in self._parts if counted else ():
             self._drop(part)
         self._parts.clear()
         self._last = self._tail = None

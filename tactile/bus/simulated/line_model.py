@@ -22,7 +22,7 @@ from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.ports import CanPort, I2cPort, SerialPort
 from tactile.bus.can_bus import CanChannel
-from tactile.bus.i2c_bus import Adapter
+from tactile.bus.linux_i2c import SmbusAdapter
 from tactile.bus.serial_bus import SerialLine
 from tactile.bus.wire import WireError
 from tactile.bus.wire_time import (
@@ -246,7 +246,7 @@ class Lane:
         return self._under_way[0].arrives if self._under_way else math.inf
 
 
-class Party(NamedTuple):
+class Setup(NamedTuple):
     """Amplifiers of a link, with their clocks and faults.
 
     Attributes
@@ -275,7 +275,7 @@ class Model(ABC):
 
     Parameters
     ----------
-    party : Party
+    setup : Setup
         Amplifiers, clocks and faults.
 
     Attributes
@@ -285,7 +285,7 @@ class Model(ABC):
     resent : bool
         Whether damaged units are sent again.
     configs, faults, clock, drift
-        Attributes of the `Party`.
+        Attributes of the `Setup`.
     random : numpy.random.Generator
         Generator from which the faults are drawn.
     out, back : Lane
@@ -294,15 +294,15 @@ class Model(ABC):
         Amplifiers since their latest reset.
     disconnects, resets, stalls : int
         Numbers of the faults so far.
-    listener : callable
+    on_output : callable
         Function that receives the index of an amplifier and each run that it puts out.
     """
 
     shared = False
     resent = False
 
-    def __init__(self, party: Party) -> None:
-        self.configs, self.faults, self.clock, self.drift, seed = party
+    def __init__(self, setup: Setup) -> None:
+        self.configs, self.faults, self.clock, self.drift, seed = setup
         faults = self.faults
         self.random = np.random.default_rng(seed)
         outward = Medium()
@@ -311,7 +311,7 @@ class Model(ABC):
         self.back = Lane(inward, faults, self.random, resent=self.resent)
         self.disconnects = self.resets = self.stalls = 0
         self.amplifiers: list[ReferenceAmplifier] = []
-        self.listener: Callable[[int, PlayedRun], None] = lambda board, run: None
+        self.on_output: Callable[[int, PlayedRun], None] = lambda board, run: None
         self._open, self._away_until = False, -math.inf
         self._events = {
             name: self._draw_time(getattr(faults, name))
@@ -325,7 +325,7 @@ class Model(ABC):
         self._power_up()
 
     def _power_up(self) -> None:
-        self.listen()
+        self.report_output()
         self.amplifiers = [ReferenceAmplifier(config) for config in self.configs]
         self._powered_at = [self.clock.now()] * len(self.configs)
         self.attach()
@@ -368,11 +368,11 @@ class Model(ABC):
         passed = tick / self.configs[board].tick_hz
         return self._powered_at[board] + passed / (1 + self.drift[board])
 
-    def listen(self) -> None:
-        """Pass what the amplifiers have put out to the listener."""
+    def report_output(self) -> None:
+        """Pass what the amplifiers have put out to `on_output`."""
         for board, amplifier in enumerate(self.amplifiers):
             for run in amplifier.take_played():
-                self.listener(board, run)
+                self.on_output(board, run)
 
     @abstractmethod
     def attach(self) -> None:
@@ -391,9 +391,9 @@ class Model(ABC):
             If it is disconnected.
         """
         self._open = self.clock.now() >= self._away_until
-        self.require()
+        self.check_connected()
 
-    def require(self) -> None:
+    def check_connected(self) -> None:
         """Check that the link is connected and has been since it was opened.
 
         Raises
@@ -423,7 +423,7 @@ class Model(ABC):
             self.clock.sleep(pause - self.clock.now())
             self.exchange()
             self._trigger_faults()
-            self.require()
+            self.check_connected()
 
     def _trigger_faults(self) -> None:
         """Let the faults occur whose time has come."""
@@ -463,7 +463,7 @@ class Model(ABC):
         self._open = False
         self._away_until = self.clock.now() + seconds
 
-    def run_away(self, until: float) -> None:
+    def run_alone(self, until: float) -> None:
         """Let the amplifiers run while nobody communicates with them.
 
         Parameters
@@ -484,14 +484,14 @@ class SerialModel(Model, SerialLine):
     ----------
     link : Link
         Link that determines the time on the wire; none is taken unless it is a `Uart`.
-    party : Party
+    setup : Setup
         Amplifier, clock and faults.
     """
 
-    def __init__(self, link: Link, party: Party) -> None:
+    def __init__(self, link: Link, setup: Setup) -> None:
         rate = link.bit_rate if isinstance(link, Uart) else math.inf
         self._byte_seconds = uart_bits(1) / rate
-        super().__init__(party)
+        super().__init__(setup)
 
     def attach(self) -> None:
         """Connect a serial port to the amplifier."""
@@ -522,7 +522,7 @@ class SerialModel(Model, SerialLine):
         int
             Number of bytes that were taken.
         """
-        self.require()
+        self.check_connected()
         taken = data[: max(KERNEL - self.waiting(), 0)]
         if taken:
             self.out.put(taken, len(taken) * self._byte_seconds, self.clock.now())
@@ -536,7 +536,7 @@ class SerialModel(Model, SerialLine):
         bytes
             Bytes; empty if there are none.
         """
-        self.require()
+        self.check_connected()
         return b"".join(u for u in self.back.take(self.clock.now()) if isinstance(u, bytes))
 
     def wait(self, until: float, *, writable: bool) -> None:
@@ -549,7 +549,7 @@ class SerialModel(Model, SerialLine):
         writable : bool
             Whether to wait for room for writing as well, which ends the wait after `STEP`.
         """
-        self.require()
+        self.check_connected()
         self.advance(min(until, self.clock.now() + STEP) if writable else until)
 
     def wake(self) -> None:
@@ -581,15 +581,15 @@ class CanModel(Model, CanChannel):
     ----------
     link : Can
         Link that determines the time on the wire.
-    party : Party
+    setup : Setup
         Amplifiers, clocks and faults.
     """
 
     shared = resent = True
 
-    def __init__(self, link: Can, party: Party) -> None:
+    def __init__(self, link: Can, setup: Setup) -> None:
         self._link = link
-        super().__init__(party)
+        super().__init__(setup)
 
     def attach(self) -> None:
         """Connect a CAN port to each amplifier."""
@@ -627,7 +627,7 @@ class CanModel(Model, CanChannel):
         bool
             Whether it was taken.
         """
-        self.require()
+        self.check_connected()
         if len(self.out.waiting(self.clock.now())) >= FRAMES:
             return False
         self.out.put(frame, self._seconds(len(frame[1])), self.clock.now())
@@ -641,7 +641,7 @@ class CanModel(Model, CanChannel):
         frame : Frame
             Frame to send.
         """
-        self.require()
+        self.check_connected()
         waiting = [u for u in self.out.waiting(self.clock.now()) if isinstance(u, tuple)]
         self.out.forget(self.clock.now())
         for queued in (frame, *waiting):
@@ -660,7 +660,7 @@ class CanModel(Model, CanChannel):
         list of Frame
             Frames that have arrived; empty if there are none.
         """
-        self.require()
+        self.check_connected()
         self.advance(until)
         return [u for u in self.back.take(self.clock.now()) if isinstance(u, tuple)]
 
@@ -672,7 +672,7 @@ class CanModel(Model, CanChannel):
         self.out.forget(self.clock.now())
 
 
-class I2cModel(Model, Adapter):
+class I2cModel(Model, SmbusAdapter):
     """Amplifiers on an I²C bus, at consecutive addresses; time passes during each transfer.
 
     Parameters
@@ -681,13 +681,13 @@ class I2cModel(Model, Adapter):
         Link that determines the time on the wire.
     first : int
         Address of the first amplifier, such as 0x42.
-    party : Party
+    setup : Setup
         Amplifiers, clocks and faults.
     """
 
-    def __init__(self, link: I2c, first: int, party: Party) -> None:
+    def __init__(self, link: I2c, first: int, setup: Setup) -> None:
         self._link, self._first = link, first
-        super().__init__(party)
+        super().__init__(setup)
 
     def attach(self) -> None:
         """Connect an I²C port to each amplifier."""
@@ -700,9 +700,9 @@ class I2cModel(Model, Adapter):
 
     def _transfer(self, address: int, size: int) -> I2cPort:
         """Let the time of a transfer pass, and return the port that acknowledges it."""
-        self.require()
-        self.run_away(self.clock.now() + i2c_bits(size) / self._link.clock_hz)
-        self.require()
+        self.check_connected()
+        self.run_alone(self.clock.now() + i2c_bits(size) / self._link.clock_hz)
+        self.check_connected()
         board = address - self._first
         if not 0 <= board < len(self._ports) or self.random.random() < self.faults.loss:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
@@ -727,13 +727,15 @@ class I2cModel(Model, Adapter):
         port = self._transfer(address, len(data))
         port.write(self._maybe_damaged(data), self.tick(address - self._first))
 
-    def read(self, address: int, size: int) -> bytes:
+    def write_read(self, address: int, data: bytes, size: int) -> bytes:
         """Read from an amplifier.
 
         Parameters
         ----------
         address : int
             Address of the amplifier.
+        data : bytes
+            Bytes to write before, of which amplifiers expect none.
         size : int
             Number of bytes to read.
 
@@ -743,8 +745,8 @@ class I2cModel(Model, Adapter):
             Bytes that were read.
         """
         port = self._transfer(address, size)
-        data = port.read(size, self.tick(address - self._first))
-        return self._maybe_damaged(data).ljust(size, b"\0")[:size]
+        answer = port.read(size, self.tick(address - self._first))
+        return self._maybe_damaged(answer).ljust(size, b"\0")[:size]
 
     def write_block(self, address: int, command: int, block: bytes) -> None:
         """Write an SMBus block.

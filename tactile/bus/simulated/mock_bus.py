@@ -8,8 +8,8 @@ everything with ``?keep=all``. ``?format=pcm16`` (the default), ``pcm12`` or ``b
 coding of the samples.
 """
 
+import math
 import threading
-from collections import deque
 
 import numpy as np
 from msgspec.structs import fields
@@ -18,8 +18,9 @@ from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
+from tactile.bus.output import OutputRecord
 from tactile.bus.registry import Address, register_bus
-from tactile.bus.simulated.modeled_bus import MockOptions, link_of, open_modeled
+from tactile.bus.simulated.modeled_bus import MockOptions, open_modeled
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
 
@@ -62,9 +63,9 @@ class MockBus(Bus):
         clock: Clock = MONOTONIC,
     ) -> None:
         super().__init__(wiring, clock)
-        self._all = keep == "all"
-        self._recent: deque[Floats] = deque()
-        self._recent_samples = 0
+        self._kept = math.inf if keep == "all" else wiring.sample_rate
+        """Number of samples of the output that are kept at least."""
+        self._record = OutputRecord(wiring.channels, self._kept)
         self._position = 0
         self._guard = threading.RLock()
         """Lock held while the amplifiers advance; an e-stop may come from any thread."""
@@ -80,7 +81,7 @@ class MockBus(Bus):
     @property
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self.wiring.channels)), *self._recent])
+        return self._record.volts
 
     def _start(self, position: int) -> None:
         with self._guard:
@@ -152,12 +153,7 @@ class MockBus(Bus):
 
     def _put(self, volts: Floats) -> None:
         """Put voltages out; a subclass with something behind the amplifiers continues from here."""
-        self._recent.append(volts)
-        self._recent_samples += len(volts)
-        while (
-            not self._all and self._recent_samples - len(self._recent[0]) >= self.wiring.sample_rate
-        ):
-            self._recent_samples -= len(self._recent.popleft())
+        self._record.add(volts)
 
 
 def open_mock(
@@ -203,4 +199,4 @@ def open_mock(
     return MockBus(wiring, keep=options.keep, sample_format=kind, clock=clock)
 
 
-register_bus("mock", open_mock, MockOptions, link=link_of)
+register_bus("mock", open_mock, MockOptions)

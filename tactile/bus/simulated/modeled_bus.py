@@ -7,7 +7,6 @@ the ramp.
 """
 
 import math
-from collections import deque
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -23,9 +22,11 @@ from tactile.bus.can_bus import DATA, NOMINAL, CanWire
 from tactile.bus.i2c_bus import ADDRESS, CLOCK, I2cWire
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.link_url import LinkOptions, planner
+from tactile.bus.link.session import MOVING
 from tactile.bus.options import Keep
+from tactile.bus.output import OutputRecord
 from tactile.bus.serial_bus import SerialWire
-from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, Party, SerialModel
+from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, SerialModel, Setup
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
 from tactile.clock import Clock, ModelClock
@@ -86,14 +87,25 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
     boards: Annotated[int, Meta(ge=1, le=16)] = 1
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
 
+    @property
+    def medium(self) -> Link:
+        """Modeled link; one on which packets take no time, if none or no bit rate is given."""
+        rate = self.bit_rate
+        match self.link:
+            case None | "serial":
+                return Unlimited() if rate is None else Uart(rate)
+            case "i2c":
+                return I2c(rate or CLOCK)
+            case _:
+                data = (self.data_bit_rate or DATA) if self.link == "canfd" else None
+                return Can(rate or NOMINAL, data)
+
 
 RATES = (2500, 16000)
 """Lowest and highest sample rate that the amplifiers play [Hz]."""
-MOVING = (State.RUNNING, State.RAMPDOWN)
-"""States in which an amplifier is not at rest."""
 
 
-class OutputRecord:
+class AmplifierRecord(OutputRecord):
     """Output of one amplifier between starts and ends.
 
     Parameters
@@ -104,20 +116,14 @@ class OutputRecord:
         Number of channels, C.
     kept : float
         Number of samples that are kept; infinite for all.
-
-    Attributes
-    ----------
-    total : int
-        Number of samples so far, whether kept or not.
     """
 
     def __init__(self, scale: float, channels: int, kept: float) -> None:
-        self._scale, self._channels, self._limit = scale, channels, kept
-        self._samples: deque[Floats] = deque()
-        self._count = self.total = 0
+        super().__init__(channels, kept)
+        self._scale, self._channels = scale, channels
         self._last, self._sounding = State.IDLE, False
 
-    def add(self, run: PlayedRun, begun: int, end: int | None) -> None:
+    def add_run(self, run: PlayedRun, begun: int, end: int | None) -> None:
         """Add a run of instants.
 
         Parameters
@@ -145,15 +151,7 @@ class OutputRecord:
             count = sounding[-1] + 2 if len(sounding) else int(self._sounding)
             keep = np.arange(len(run.codes)) < count  # up to and including the first 0 V
         self._sounding = bool(run.codes[-1:].any())
-        self._append(run.codes[keep].astype(np.float64) * self._scale)
-
-    def _append(self, volts: Floats) -> None:
-        """Keep samples, and discard the oldest ones beyond the limit."""
-        self._samples.append(volts)
-        self.total += len(volts)
-        self._count += len(volts)
-        while self._count - len(self._samples[0]) >= self._limit:
-            self._count -= len(self._samples.popleft())
+        self.add(run.codes[keep].astype(np.float64) * self._scale)
 
     def rest(self, total: int) -> None:
         """Extend the output by 0 V, because another amplifier came to rest slightly later.
@@ -163,12 +161,7 @@ class OutputRecord:
         total : int
             Number of samples after the extension.
         """
-        self._append(np.zeros((total - self.total, self._channels)))
-
-    @property
-    def volts(self) -> Floats:
-        """Kept samples, array (S, C) [V]."""
-        return np.concatenate([np.zeros((0, self._channels)), *self._samples])
+        self.add(np.zeros((total - self.total, self._channels)))
 
 
 class ModeledBus(LinkBus):
@@ -196,18 +189,18 @@ class ModeledBus(LinkBus):
         self.model = model
         self._ends: list[int | None] = [None] * len(model.configs)
         limit = math.inf if named.pop("keep") == "all" else wiring.sample_rate
-        self._heard = [
-            OutputRecord(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
+        self._records = [
+            AmplifierRecord(c.full_scale_uv * 1e-6 / FULL_SCALE_CODE, c.channels, limit)
             for c in model.configs
         ]
         super().__init__(wiring, *arguments, clock=model.clock, **named)
-        model.listener = self._hear
+        model.on_output = self._record_run
 
     @property
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
         self._align()
-        volts = [recording.volts for recording in self._heard]
+        volts = [record.volts for record in self._records]
         shortest = min(len(samples) for samples in volts)
         return np.hstack([samples[len(samples) - shortest :] for samples in volts])[
             :, : self.wiring.channels
@@ -215,21 +208,21 @@ class ModeledBus(LinkBus):
 
     def _align(self) -> None:
         """Extend the outputs of all amplifiers to the same length, if all are at rest."""
-        self.model.listen()
+        self.model.report_output()
         if not any(amplifier.state in MOVING for amplifier in self.model.amplifiers):
-            longest = max(recording.total for recording in self._heard)
-            for recording in self._heard:
-                recording.rest(longest)
+            longest = max(record.total for record in self._records)
+            for record in self._records:
+                record.rest(longest)
 
-    def _hear(self, board: int, run: PlayedRun) -> None:
+    def _record_run(self, board: int, run: PlayedRun) -> None:
         """Keep what an amplifier has put out."""
         node = self.model.configs[board].node
         begun = [peer.begun for peer in self._session.peers if peer.host.node == node]
-        self._heard[board].add(run, begun[0] if begun else 0, self._ends[board])
+        self._records[board].add_run(run, begun[0] if begun else 0, self._ends[board])
 
     def _turn(self, until: float) -> None:
         super()._turn(until)
-        self.model.listen()
+        self.model.report_output()
 
     def _start(self, position: int) -> None:
         self._align()
@@ -237,7 +230,7 @@ class ModeledBus(LinkBus):
         super()._start(position)
 
     def _stop(self) -> None:
-        self.model.listen()
+        self.model.report_output()
         stream = self._session.stream
         if stream is not None:
             self._ends = [peer.wire_end(stream.end) for peer in self._session.peers]
@@ -271,7 +264,7 @@ def open_modeled(
     wiring = Wiring.of(display, sample_rate or RATE)
     if model is None:
         model = model_of(options, wiring, ModelClock())
-    clock, link = model.clock, link_of(options)
+    clock, link = model.clock, options.medium
 
     def connect() -> Wire:
         model.open()
@@ -285,33 +278,9 @@ def open_modeled(
         return SerialWire(model, link, clock)
 
     return ModeledBus(
-        wiring, model, connect, planner(options, display, sample_rate, link),
+        wiring, model, connect, planner(options, display, sample_rate),
         keep=options.keep, rearm=options.rearm, lead=options.lead,
     )  # fmt: skip
-
-
-def link_of(options: MockOptions) -> Link:
-    """Return how long packets take on a modeled link.
-
-    Parameters
-    ----------
-    options : MockOptions
-        Options of the device's URL.
-
-    Returns
-    -------
-    Link
-        The link; one on which packets take no time, if none is modeled or it has no bit rate.
-    """
-    rate = options.bit_rate
-    match options.link:
-        case None | "serial":
-            return Unlimited() if rate is None else Uart(rate)
-        case "i2c":
-            return I2c(rate or CLOCK)
-        case _:
-            data = (options.data_bit_rate or DATA) if options.link == "canfd" else None
-            return Can(rate or NOMINAL, data)
 
 
 def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
@@ -336,25 +305,25 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
     InputError
         If a serial line is to have more than one amplifier.
     """
-    link, boards = link_of(options), options.boards
+    link, boards = options.medium, options.boards
     drift = options.drift_ppm * 1e-6
     width = -(wiring.channels // -boards)
     configs = [
         config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms)
         for node in range(1, boards + 1)
     ]
-    party = Party(
+    setup = Setup(
         configs, _faults(options), clock,
         drift=[drift * k for k in range(1, boards + 1)],
         seed=options.seed,
     )  # fmt: skip
     if isinstance(link, Can):
-        return CanModel(link, party)
+        return CanModel(link, setup)
     if isinstance(link, I2c):
-        return I2cModel(link, ADDRESS, party)
+        return I2cModel(link, ADDRESS, setup)
     if boards > 1:
         raise InputError(f"mock: boards = {boards}: one on a serial line")
-    return SerialModel(link, party)
+    return SerialModel(link, setup)
 
 
 def _faults(options: MockOptions) -> Faults:

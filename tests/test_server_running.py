@@ -208,7 +208,7 @@ PROCESS = """
                 print("closed", flush=True)
             await super().close()
 
-    server._host = lambda config: Hands()
+    server.Host = lambda config: Hands()
     log = LogConfig(format="json")
     config = DaemonConfig(server=ServerConfig(port=0, socket=""), log=log)
     server.serve(config, ready=lambda there: print(there.port, gc.get_freeze_count(), flush=True))

@@ -29,14 +29,16 @@ from tactile.messages import (
     Role,
     Welcome,
 )
+from tactile.server.client import Client
 from tactile.server.config import ServerConfig
 from tactile.server.decoding import ENCODINGS, Encoding, failed, read, read_estop
+from tactile.server.host import Host
 from tactile.server.liveness import SignsOfLife
 from tactile.server.metrics import Metrics
 from tactile.server.peers import PeerCredentials, is_local, judge, local_peer
 from tactile.server.places import Places
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import ClientProtocol, HostProtocol, Requests, id_of
+from tactile.server.requests import Requests, id_of
 from tactile.server.security import Tokens
 from tactile.server.sockets import BoundedWebSocket
 from tactile.server.tasks import watched
@@ -111,7 +113,7 @@ class Site:
 
     Parameters
     ----------
-    host : HostProtocol
+    host : Host
         Displays of the daemon.
     config : ServerConfig
         Configuration of the server.
@@ -124,7 +126,7 @@ class Site:
 
     Attributes
     ----------
-    places : Places of ServerConnection
+    places : Places
         Connections of admitted clients.
     ending : bool
         Whether the daemon ends.
@@ -132,7 +134,7 @@ class Site:
 
     def __init__(
         self,
-        host: HostProtocol,
+        host: Host,
         config: ServerConfig,
         metrics: Metrics,
         tokens: Tokens,
@@ -140,7 +142,7 @@ class Site:
     ) -> None:
         self.host, self.config, self.metrics = host, config, metrics
         self.tokens, self.version = tokens, version
-        self.places: Places[ServerConnection] = Places(config.most_clients)
+        self.places = Places(config.most_clients)
         self.ending = False
 
     @property
@@ -202,7 +204,7 @@ class ServerConnection:
         self._failures = 0
         self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
         self._parts: list[asyncio.Task[None]] = []
-        self._client: ClientProtocol
+        self._client: Client
         self._requests: Requests
 
     async def run(self) -> Close:

@@ -35,10 +35,12 @@ from tactile.messages import (
     SetGain,
     StopPlaying,
 )
+from tactile.server.client import Client
 from tactile.server.decoding import failed
+from tactile.server.host import Host
 from tactile.server.metrics import Metrics
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import ClientProtocol, HostProtocol, Requests
+from tactile.server.requests import Requests
 from tactile.server.tasks import watched
 
 log = logging.getLogger("tactile.osc")
@@ -239,7 +241,7 @@ class Sender:
 
     Attributes
     ----------
-    client : ClientProtocol
+    client : Client
         Client of the host.
     requests : Requests
         Requests of the client.
@@ -249,7 +251,7 @@ class Sender:
         Time of its latest packet [s].
     """
 
-    client: ClientProtocol
+    client: Client
     requests: Requests
     bucket: TokenBucket
     last_received: float
@@ -262,7 +264,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     ----------
     link : socket
         Socket of the packets, non-blocking.
-    host : HostProtocol
+    host : Host
         Displays of the daemon.
     metrics : Metrics
         Metrics of the daemon.
@@ -271,7 +273,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, link: socket.socket, host: HostProtocol, metrics: Metrics, messages_per_second: float
+        self, link: socket.socket, host: Host, metrics: Metrics, messages_per_second: float
     ) -> None:
         self._link, self._host, self._rate = link, host, messages_per_second
         self._traffic = metrics.of("osc")
@@ -368,7 +370,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._discard_outbox(sender.client)
 
     @staticmethod
-    def _discard_outbox(client: ClientProtocol) -> None:
+    def _discard_outbox(client: Client) -> None:
         """Discard the messages for a client, because nothing is sent back."""
         while not client.outbox.empty():
             client.outbox.get_nowait()

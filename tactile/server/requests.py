@@ -3,7 +3,6 @@
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from msgspec import structs
 
@@ -12,19 +11,15 @@ from tactile.messages import (
     Answer,
     ApiMessage,
     Command,
-    Contact,
     DisarmDisplay,
-    DisplayDescription,
     EStop,
-    EventMessage,
     Failure,
     Reply,
-    Role,
-    TelemetryMessage,
     kind_of,
 )
+from tactile.server.client import Client
 from tactile.server.decoding import failed
-from tactile.server.metrics import MetricsSource, Traffic
+from tactile.server.metrics import Traffic
 from tactile.server.tasks import watched
 
 log = logging.getLogger("tactile.server")
@@ -33,130 +28,6 @@ FINISH_WITHIN = 1.0
 """Time in which what makes displays safe must be done after its client has left [s]."""
 MOST_REQUESTS = 32
 """Maximum number of requests that one client may have queued."""
-
-
-class ClientProtocol(Protocol):
-    """Client as transports use it; `tactile.server.client.Client` is one.
-
-    Attributes
-    ----------
-    outbox : asyncio.Queue of EventMessage or TelemetryMessage
-        Messages for the client that no request asked for.
-    """
-
-    outbox: "asyncio.Queue[EventMessage | TelemetryMessage]"
-
-    @property
-    def sounds(self) -> bool:
-        """Whether the client has waveforms or effects that may still sound."""
-        ...
-
-    @property
-    def holds_voltage(self) -> bool:
-        """Whether the client armed a display whose high voltage is on."""
-        ...
-
-    def contact(self, message: Contact, arrival: float) -> Failure | None:
-        """Take a contact.
-
-        Parameters
-        ----------
-        message : Contact
-            Message of the client.
-        arrival : float
-            Time of arrival on the monotonic clock [s].
-
-        Returns
-        -------
-        Failure or None
-            What is wrong with the contact.
-        """
-        ...
-
-    async def request(self, command: Command) -> Answer:
-        """Carry out a request.
-
-        Parameters
-        ----------
-        command : Command
-            Message of the client.
-
-        Returns
-        -------
-        Answer
-            Answer to the request, a `Failure` if it could not be carried out.
-        """
-        ...
-
-    def quiet(self) -> None:
-        """Fade the client's waveforms and effects, because it gives no sign of life."""
-        ...
-
-    def give_up(self) -> None:
-        """Give up the client's share of high voltage, because it gives no sign of life."""
-        ...
-
-    def close(self) -> None:
-        """Lift the finger and fade what sounds; may be called repeatedly."""
-        ...
-
-
-class HostProtocol(MetricsSource, Protocol):
-    """All displays and their clients, as servers use them; `tactile.server.host.Host` is one."""
-
-    async def start(self) -> None:
-        """Open all displays."""
-        ...
-
-    async def close(self) -> None:
-        """Fade out, disarm and end all displays; may be called repeatedly."""
-        ...
-
-    async def reload(self) -> None:
-        """Read textures and configuration again."""
-        ...
-
-    @property
-    def displays(self) -> tuple[DisplayDescription, ...]:
-        """Displays that can be played on."""
-        ...
-
-    def connect(self, name: str, *, roles: frozenset[Role]) -> ClientProtocol:
-        """Add a client.
-
-        Parameters
-        ----------
-        name : str
-            Name of the client.
-        roles : frozenset of Role
-            What the client may do.
-
-        Returns
-        -------
-        ClientProtocol
-            The new client.
-        """
-        ...
-
-    def beat(self) -> bool:
-        """Return whether playback has made progress since the last call.
-
-        Returns
-        -------
-        bool
-            False if a playback process hangs or has died.
-        """
-        ...
-
-    def degrade(self, error: BaseException) -> None:
-        """Disarm all displays after an unexpected failure.
-
-        Parameters
-        ----------
-        error : BaseException
-            The failure.
-        """
-        ...
 
 
 def id_of(message: ApiMessage) -> int | None:
@@ -181,7 +52,7 @@ class Requests:
 
     Parameters
     ----------
-    client : ClientProtocol
+    client : Client
         Client that sends the requests.
     traffic : Traffic
         Counters of the transport.
@@ -194,7 +65,7 @@ class Requests:
 
     def __init__(
         self,
-        client: ClientProtocol,
+        client: Client,
         traffic: Traffic,
         answered: Callable[[Answer], None],
         broke: Callable[[BaseException], object] | None = None,

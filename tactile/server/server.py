@@ -28,12 +28,12 @@ from tactile.playback.priority import shorten_collections
 from tactile.server import watchdog
 from tactile.server.config import DaemonConfig, read_tokens
 from tactile.server.connection import Site, talk
+from tactile.server.host import Host
 from tactile.server.listening import Listener, bound_sockets
 from tactile.server.liveness import look_after
 from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
-from tactile.server.requests import HostProtocol
 from tactile.server.security import Door, Tokens
 from tactile.server.tasks import watched
 
@@ -65,7 +65,7 @@ class Server:
     serving: "asyncio.Task[None]"
 
     @property
-    def host(self) -> HostProtocol:
+    def host(self) -> Host:
         """All displays and their clients."""
         return self.site.host
 
@@ -153,12 +153,6 @@ async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
             await protocol.finish()
 
 
-def _host(config: DaemonConfig) -> HostProtocol:
-    from tactile.server.host import Host
-
-    return Host(config)
-
-
 def _version() -> str:
     try:
         return version("tactile-display")
@@ -170,7 +164,7 @@ def _version() -> str:
 async def running(
     config: DaemonConfig,
     *,
-    host: HostProtocol | None = None,
+    host: Host | None = None,
     dropped_logs: Callable[[], float] = lambda: 0,
 ) -> AsyncIterator[Server]:
     """Run the daemon in this event loop; port 0 takes a free one.
@@ -179,7 +173,7 @@ async def running(
     ----------
     config : DaemonConfig
         Configuration, as returned by `load_config`.
-    host : HostProtocol, optional
+    host : Host, optional
         What to serve; by default, the host of the configuration.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
@@ -195,7 +189,7 @@ async def running(
         If the daemon cannot listen.
     """
     tokens = Tokens(read_tokens(config))
-    host = _host(config) if host is None else host
+    host = Host(config) if host is None else host
     with bound_sockets(config.server, guarded=bool(tokens)) as sockets:
         site = Site(host, config.server, Metrics(host, dropped_logs), tokens, _version())
         listener = Listener(application(site), site)
@@ -289,7 +283,7 @@ class Reloading:
 
     Parameters
     ----------
-    host : HostProtocol
+    host : Host
         Host to reload.
 
     Attributes
@@ -298,7 +292,7 @@ class Reloading:
         Reloads under way.
     """
 
-    def __init__(self, host: HostProtocol) -> None:
+    def __init__(self, host: Host) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
         self._host, self._lock = host, asyncio.Lock()
 

@@ -34,7 +34,7 @@ from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.host import Host
 from tactile.server.metrics import Metrics, Traffic
 from tactile.server.requests import Requests
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 OPENING = 45.0
 """Time within which the device must open [s]."""
@@ -104,7 +104,7 @@ class LocalTransport:
     def _begin(self) -> None:
         traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
         self._requests = Requests(self._client, traffic, self._receiver.received)
-        self._forwarding = watched(asyncio.create_task(self._forward_outbox(self._client)))
+        self._forwarding = start_task(self._forward_outbox(self._client))
         self._receiver.opened()
 
     async def _forward_outbox(self, client: Client) -> None:

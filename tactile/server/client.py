@@ -31,7 +31,7 @@ from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import hint
 from tactile.server.playing import Playing
 from tactile.server.shelf import TooManyDrawingsError
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 from tactile.tracking.clock_map import ClockMap
 
 if TYPE_CHECKING:
@@ -385,7 +385,7 @@ class Client:
             before.cancel()
         if command.rate_hz > 0:
             sending = self._send_telemetry(name, 1 / command.rate_hz)
-            self._telemetry[name] = watched(asyncio.create_task(sending))
+            self._telemetry[name] = start_task(sending)
         return m.Done()
 
     async def _send_telemetry(self, name: str, interval: float) -> None:

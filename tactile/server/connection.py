@@ -41,7 +41,7 @@ from tactile.server.rates import TokenBucket
 from tactile.server.requests import Requests, id_of
 from tactile.server.security import Tokens
 from tactile.server.sockets import BoundedWebSocket
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -336,7 +336,7 @@ class ServerConnection:
 
     def _start_part(self, work: Coroutine[Any, Any, Close]) -> None:
         """Start a part of the connection; the part that ends first ends the connection."""
-        self._parts.append(watched(asyncio.create_task(self._run_part(work)), self._fail))
+        self._parts.append(start_task(self._run_part(work), self._fail))
 
     async def _run_part(self, work: Coroutine[Any, Any, Close]) -> None:
         try:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from tactile.estop.latch import Latch
 from tactile.estop.process import EstopReady, EstopSetup
 from tactile.server.children import Child
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -43,7 +43,7 @@ class EstopDesk:
         """
         await self.close()
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._supervisor = watched(asyncio.create_task(self._supervise(dict(latches), ready)))
+        self._supervisor = start_task(self._supervise(dict(latches), ready))
         await ready
 
     async def _supervise(self, latches: dict[str, Latch], ready: "asyncio.Future[None]") -> None:

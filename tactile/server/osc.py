@@ -41,7 +41,7 @@ from tactile.server.host import Host
 from tactile.server.metrics import Metrics
 from tactile.server.rates import TokenBucket
 from tactile.server.requests import Requests
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.osc")
 
@@ -428,9 +428,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         sender = self._senders.pop(addr)
         self._traffic.clients.dec()
         sender.client.close()
-        task = watched(asyncio.create_task(sender.requests.finish()))
-        self._ended.add(task)
-        task.add_done_callback(self._ended.discard)
+        start_task(sender.requests.finish(), among=self._ended)
 
     async def forget_silent(self) -> None:
         """Close the clients of senders that have been silent, until cancelled."""

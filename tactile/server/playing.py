@@ -34,7 +34,7 @@ from tactile.server.description import describe
 from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.shelf import Shelf
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 from tactile.server.workbench import Workbench
 
 log = logging.getLogger("tactile.playback")
@@ -167,7 +167,7 @@ class Playing:
 
     def keep_open(self) -> None:
         """Start supervision: from now on, playback is started again whenever it is lost."""
-        self._supervisor = watched(asyncio.create_task(self._supervise()))
+        self._supervisor = start_task(self._supervise())
 
     async def _open(self) -> None:
         """Start a playback process and wait until it has opened the device."""

@@ -20,7 +20,7 @@ from tactile.messages import (
 from tactile.server.client import Client
 from tactile.server.decoding import failed
 from tactile.server.metrics import Traffic
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -77,7 +77,7 @@ class Requests:
         self._ended = False
         self._broke = broke
         self._urgent: set[asyncio.Task[None]] = set()
-        self._worker = watched(asyncio.create_task(self._work()), broke)
+        self._worker = start_task(self._work(), broke)
 
     def offer(self, command: Command) -> Failure | None:
         """Queue a request; an e-stop is carried out at once.
@@ -96,9 +96,7 @@ class Requests:
         if len(queue) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
         if isinstance(command, EStop):
-            task = watched(asyncio.create_task(self._carry_out(command)), self._broke)
-            self._urgent.add(task)
-            task.add_done_callback(self._urgent.discard)
+            start_task(self._carry_out(command), self._broke, among=self._urgent)
         else:
             self._waiting.append(command)
             self._arrived.set()
@@ -136,7 +134,7 @@ class Requests:
         self._worker.cancel()
         self._arrived.set()
         disarms = [command for command in self._waiting if isinstance(command, DisarmDisplay)]
-        tasks = {*self._urgent, watched(asyncio.create_task(self._carry_out_each(disarms)))}
+        tasks = {*self._urgent, start_task(self._carry_out_each(disarms))}
         try:
             await asyncio.wait(tasks, timeout=FINISH_WITHIN)
         finally:

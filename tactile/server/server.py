@@ -35,7 +35,7 @@ from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
 from tactile.server.security import Door, Tokens
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -144,7 +144,7 @@ async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
             raise InputError(text) from error
         protocol = OscProtocol(link, site.host, site.metrics, config.server.messages_per_second)
         transport, _ = await loop.create_datagram_endpoint(lambda: protocol, sock=link)
-        watching = watched(asyncio.create_task(protocol.forget_silent()))
+        watching = start_task(protocol.forget_silent())
         try:
             yield
         finally:
@@ -213,7 +213,7 @@ async def running(
 @asynccontextmanager
 async def _looking_after(site: Site) -> AsyncIterator[None]:
     """Watch whether the clients are alive; if that fails, all displays are disarmed."""
-    task = watched(asyncio.create_task(look_after(lambda: site.places)), site.host.degrade)
+    task = start_task(look_after(lambda: site.places), site.host.degrade)
     try:
         yield
     finally:
@@ -264,7 +264,7 @@ async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], Non
         reloading = Reloading(server.host)
         with suppress(NotImplementedError, AttributeError):
             loop.add_signal_handler(signal.SIGHUP, reloading.begin)
-        beating = watched(asyncio.create_task(watchdog.keep_alive(server.host.beat)))
+        beating = start_task(watchdog.keep_alive(server.host.beat))
         shorten_collections()
         log.info("listening", extra={"fields": {"url": server.url, "osc": config.osc.port}})
         watchdog.notify("READY=1")
@@ -298,9 +298,7 @@ class Reloading:
 
     def begin(self) -> None:
         """Start a reload in the background."""
-        task = asyncio.create_task(self._reload())
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
+        start_task(self._reload(), among=self.tasks)
 
     async def _reload(self) -> None:
         async with self._lock:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tactile.errors import InputError
+from tactile.errors import InputError, locate_mistake, show_field
 from tactile.messages import (
     MOST_LAYERS,
     MOST_POINTS,
@@ -216,19 +216,9 @@ def _read(plain: dict[str, Any], kind: type[M]) -> M:
     try:
         return msgspec.convert(plain, kind)
     except msgspec.ValidationError as error:
-        text, _, path = str(error).partition(" - at `$")
-        path = path.rstrip("`").removeprefix(".")
-        raise InputError(f"{path or plain['type']}: {_value_at(plain, path)}{text}") from None
-
-
-def _value_at(plain: Any, path: str) -> str:
-    """Return the value at a path such as "layers[0].gain", for an error message."""
-    for part in path.replace("[", ".").replace("]", "").split("."):
-        try:
-            plain = plain[int(part) if part.isdigit() else part]
-        except (IndexError, KeyError, TypeError):
-            return ""
-    return f"{plain!r}: " if isinstance(plain, float | int | str) else ""
+        field, problem = locate_mistake(str(error))
+        where = show_field(plain, field) or f"{plain['type']}: "
+        raise InputError(where + problem) from None
 
 
 def shown(value: object) -> str:

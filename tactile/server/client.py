@@ -120,7 +120,7 @@ class Client:
         self._sounds_until = -math.inf
         for playing in self._host.playing.values():
             if self.number in playing.states:
-                self._host.run(partial(playing.ask, commands.EndWaves(self.number)))
+                self._host.run(partial(playing.request, commands.EndWaves(self.number)))
                 self.post(EventMessage(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
@@ -268,7 +268,7 @@ class Client:
 
     async def _stop(self, playing: Playing, command: m.StopPlaying) -> Answer:
         playing.state_of(self.number).sounds = False
-        await playing.ask(commands.EndWaves(self.number))
+        await playing.request(commands.EndWaves(self.number))
         return await self._apply_state(playing)
 
     async def _gain(self, playing: Playing, command: m.SetGain) -> Answer:
@@ -313,7 +313,7 @@ class Client:
         else:
             samples = np.array(command.samples, np.float32)
         playing.state_of(self.number)
-        consumed, queued = await playing.ask(
+        consumed, queued = await playing.request(
             commands.AppendSamples(
                 self.number, np.float32(command.amplitude_um * 1e-6) * samples,
                 command.sample_rate_hz, command.contactors, command.append,
@@ -337,7 +337,7 @@ class Client:
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
             if np.any(np.diff(rows[:, 0]) < 0):
                 return Failure(code="invalid_field", field=name, message="times must not descend")
-        await playing.ask(commands.BeginEffect(self.number, curve))
+        await playing.request(commands.BeginEffect(self.number, curve))
         self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
         return m.Done()
 

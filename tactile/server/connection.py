@@ -300,12 +300,12 @@ class ServerConnection:
             roles = frozenset()
         return Welcomed(hello, roles, peer)
 
-    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
+    async def _roles(self, token: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
         """Return what a client may do by its token or user, None if it is refused, and its user."""
         tokens, socket = self._site.tokens, self._link.socket
         local = is_local(socket)
-        if tokens and (said or not local):
-            return tokens.roles(said), local_peer(socket) if local else None
+        if tokens and (token or not local):
+            return tokens.roles(token), local_peer(socket) if local else None
         return await judge(socket)
 
     def _full_text(self) -> str:
@@ -364,7 +364,7 @@ class ServerConnection:
     def _fail(self, error: BaseException) -> None:
         self.end(BROKEN)
 
-    def look(self, passed: float) -> None:
+    def check(self, passed: float) -> None:
         """Ask for a sign of life when it is due, and act if there was none for too long.
 
         Parameters
@@ -441,7 +441,7 @@ class ServerConnection:
     def _drop_too_fast(self, now: float) -> None:
         """Drop a message of a client that sends too many, and report that once per second."""
         self._traffic.drop("too_fast")
-        if self._bucket.is_to_be_told(now):
+        if self._bucket.report_is_due(now):
             rate = self._site.config.messages_per_second
             text = f"{self._bucket.refused} messages dropped: at most {rate} a second"
             self._traffic.failure("too_fast")

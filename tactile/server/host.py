@@ -151,7 +151,7 @@ class Host:
             now = asyncio.get_running_loop().time()
             for playing in list(self.playing.values()):
                 playing.memory.beat()
-                if playing.notice_estop():
+                if playing.announce_estop():
                     self.run(playing.save_latch)
                 if playing.is_ownerless(now):
                     self.run(playing.take_voltage)

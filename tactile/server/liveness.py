@@ -85,7 +85,7 @@ class SignsOfLife:
         )
 
 
-async def look_after(clients: Callable[[], Iterable["ServerConnection"]]) -> None:
+async def watch_clients(clients: Callable[[], Iterable["ServerConnection"]]) -> None:
     """Check all clients in each tick, until cancelled.
 
     Parameters
@@ -98,5 +98,5 @@ async def look_after(clients: Callable[[], Iterable["ServerConnection"]]) -> Non
         await asyncio.sleep(TICK)
         now = loop_time()
         for client in tuple(clients()):
-            client.look(now - before)
+            client.check(now - before)
         before = now

@@ -56,9 +56,9 @@ class Requests:
         Client that sends the requests.
     traffic : Traffic
         Counters of the transport.
-    answered : callable
+    on_answer : callable
         Function that is called with each answer.
-    broke : callable, optional
+    on_failure : callable, optional
         Function that is called if an exception ends the processing, so that nothing more can be
         done.
     """
@@ -67,17 +67,17 @@ class Requests:
         self,
         client: Client,
         traffic: Traffic,
-        answered: Callable[[Answer], None],
-        broke: Callable[[BaseException], object] | None = None,
+        on_answer: Callable[[Answer], None],
+        on_failure: Callable[[BaseException], object] | None = None,
     ) -> None:
-        self._client, self._traffic, self._answered = client, traffic, answered
+        self._client, self._traffic, self._on_answer = client, traffic, on_answer
         self._waiting: list[Command] = []
         # The first is the request that is being carried out, the others wait.
         self._arrived = asyncio.Event()
         self._ended = False
-        self._broke = broke
+        self._on_failure = on_failure
         self._urgent: set[asyncio.Task[None]] = set()
-        self._worker = start_task(self._work(), broke)
+        self._worker = start_task(self._work(), on_failure)
 
     def offer(self, command: Command) -> Failure | None:
         """Queue a request; an e-stop is carried out at once.
@@ -96,7 +96,7 @@ class Requests:
         if len(queue) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
         if isinstance(command, EStop):
-            start_task(self._carry_out(command), self._broke, among=self._urgent)
+            start_task(self._carry_out(command), self._on_failure, among=self._urgent)
         else:
             self._waiting.append(command)
             self._arrived.set()
@@ -122,7 +122,7 @@ class Requests:
         self._traffic.message(kind_of(command), loop_time() - started)
         if isinstance(answer, Reply) and answer.id != id_of(command):
             answer = structs.replace(answer, id=id_of(command))
-        self._answered(answer)
+        self._on_answer(answer)
 
     async def finish(self) -> None:
         """End within `FINISH_WITHIN`; each e-stop and each disarm is still carried out.

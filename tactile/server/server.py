@@ -30,7 +30,7 @@ from tactile.server.config import DaemonConfig, read_tokens
 from tactile.server.connection import Site, talk
 from tactile.server.host import Host
 from tactile.server.listening import Listener, bound_sockets
-from tactile.server.liveness import look_after
+from tactile.server.liveness import watch_clients
 from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
@@ -195,7 +195,7 @@ async def running(
         listener = Listener(application(site), site)
         try:
             await host.start()
-            async with _osc(config, site), _looking_after(site):
+            async with _osc(config, site), _watching_clients(site):
                 serving = asyncio.create_task(listener.serve(sockets))
                 try:
                     while not listener.started and not serving.done():
@@ -211,9 +211,9 @@ async def running(
 
 
 @asynccontextmanager
-async def _looking_after(site: Site) -> AsyncIterator[None]:
+async def _watching_clients(site: Site) -> AsyncIterator[None]:
     """Watch whether the clients are alive; if that fails, all displays are disarmed."""
-    task = start_task(look_after(lambda: site.places), site.host.degrade)
+    task = start_task(watch_clients(lambda: site.places), site.host.degrade)
     try:
         yield
     finally:

@@ -18,8 +18,9 @@ from typing import Any
 
 import msgspec
 
-from tactile.client import Connection, Receiver, RemoteDisplay
+from tactile.client import Connection, RemoteDisplay
 from tactile.client.base import TIMEOUT
+from tactile.client.session import ClientSession
 from tactile.messages import (
     ALL_ROLES,
     API_VERSION,
@@ -90,26 +91,26 @@ class LocalTransport:
         finally:
             await host.close()
 
-    def open(self, receiver: Receiver) -> None:
+    def open(self, session: ClientSession) -> None:
         """Open the connection to the host.
 
         Parameters
         ----------
-        receiver : Receiver
-            Object that is told that the connection is open, and gets the answers.
+        session : ClientSession
+            Session that learns that the connection is open, and gets the answers.
         """
-        self._receiver = receiver
+        self._session = session
         self._loop.call_soon_threadsafe(self._begin)
 
     def _begin(self) -> None:
-        traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
-        self._requests = Requests(self._client, traffic, self._receiver.received)
+        traffic = Traffic(Metrics(self._host), "local")
+        self._requests = Requests(self._client, traffic, self._session.received)
         self._forwarding = start_task(self._forward_outbox(self._client))
-        self._receiver.opened()
+        self._session.opened()
 
     async def _forward_outbox(self, client: Client) -> None:
         while True:
-            self._receiver.received(await client.outbox.get())
+            self._session.received(await client.outbox.get())
 
     def send(self, command: Command) -> None:
         """Send a message; may be called from any thread.
@@ -136,7 +137,7 @@ class LocalTransport:
             answer = self._requests.offer(command)
         if answer is not None:
             number = getattr(command, "id", None)
-            self._receiver.received(msgspec.structs.replace(answer, id=number))
+            self._session.received(msgspec.structs.replace(answer, id=number))
 
     def close(self) -> "Future[None]":
         """Fade out, disarm, and end the thread.

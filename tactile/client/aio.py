@@ -12,7 +12,6 @@ the program as gone, and fades its waveforms.
 
 import functools
 from collections.abc import Callable, Coroutine, Generator
-from types import TracebackType
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from tactile.client.connection import AsyncConnection as AsyncConnection
@@ -45,12 +44,7 @@ class Opening(Generic[C]):
         self._object = await self._opened()
         return self._object
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self._object.close()
 
 

@@ -17,7 +17,7 @@ from tactile.cli.options import (
     ReportOption,
     StartDisplay,
     VoltageLimit,
-    check_plot,
+    check_outputs,
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar, right
@@ -198,17 +198,9 @@ def _limit(name: str, text: str) -> tuple[float, float]:
 
 def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path | None) -> None:
     """Check that the output files can be written, before anything is computed."""
-    if report is not None:
-        from tactile.study.report import check_report
-
-        check_report(report)
-    if out is not None:
-        from tactile.study.storing import check_store
-
-        check_store(out)
-        if out.suffix == ".zarr" and out.exists():
-            raise InputError(f"{out}: already exists; remove it, or choose another name")
-    check_plot(plot)
+    check_outputs(out, plot, report)
+    if out is not None and out.suffix == ".zarr" and out.exists():
+        raise InputError(f"{out}: already exists; remove it, or choose another name")
     if plot is not None and len(task.objectives) == 1:
         raise InputError("--plot: needs two or three objectives, of which it shows the front")
 

@@ -178,7 +178,13 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     }
     if s["gain"] != 1:
         rows["gain"] = f"{s['gain']:.3g}"
-    rows |= _frames(s) if s["frames"] else _samples(s)
+    if s["frames"]:
+        rows["frames"] = (
+            f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the events of "
+            "the texture are not played"
+        )
+    else:
+        rows |= _samples(s)
     if s["faults"] or s["invalid_samples"]:
         counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}
         rows["faults"] = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
@@ -187,14 +193,6 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     if s["recording"]:
         rows["recorded"] = s["recording"]
     return rows
-
-
-def _frames(s: dict[str, Any]) -> dict[str, str]:
-    """Return the lines about a device that takes spectrum frames."""
-    return {
-        "frames": f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the "
-        "events of the texture are not played",
-    }
 
 
 def _samples(s: dict[str, Any]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from tactile.cli.options import (
     ReportOption,
     StartDisplay,
     VoltageLimit,
-    check_plot,
+    check_outputs,
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar
@@ -24,7 +24,6 @@ from tactile.study.criteria import CRITERIA, variable
 from tactile.study.findings import Figures, summarize
 from tactile.study.ranges import SHARE, check_share
 from tactile.study.runs import fitting_workers, run_study
-from tactile.study.storing import check_store
 from tactile.study.sweep import RESPONSES, Study
 
 
@@ -130,7 +129,7 @@ def run(
     )
     study = ask(words, None if display is None else start_from(tactile.load_display(display)))
     check_share(within)
-    _check_files(out, plot, report)
+    check_outputs(out, plot, report)
     data = _run(study, out, workers, scheduler, shown=not as_json)
     if out is not None and not as_json:
         typer.echo(f"stored: {out}")
@@ -140,17 +139,6 @@ def run(
     for path in (plot, report):
         if path is not None and not as_json:
             typer.echo(f"written: {path}")
-
-
-def _check_files(out: Path | None, plot: Path | None, report: Path | None) -> None:
-    """Check that the output files can be written, before anything is computed."""
-    if out is not None:
-        check_store(out)
-    check_plot(plot)
-    if report is not None:
-        from tactile.study.report import check_report
-
-        check_report(report)
 
 
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:

@@ -18,9 +18,7 @@ from rich.style import Style
 from tactile.arrays import Floats
 from tactile.show.live import (
     BADGE,
-    HEIGHTS,
     LABEL,
-    LEVELS,
     PARTS,
     TITLE,
     VALUE,
@@ -29,7 +27,7 @@ from tactile.show.live import (
     color_lines,
     height_lines,
     nice,
-    palette,
+    scale_line,
 )
 from tactile.show.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
 
@@ -132,13 +130,7 @@ def surface_lines(surface: Floats, columns: int, *, color: bool) -> list[Line]:
         np.zeros((rows, columns), np.intp), 1,
     )  # fmt: skip
     lines = (color_lines if color else height_lines)(raster, micro / end)
-    low, high = f"−{end:g} µm ", f" +{end:g} µm"
-    length = max(columns - len(low) - len(high), 0)
-    sweep = np.linspace(0, 1, length)
-    ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
-    if not color:
-        ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
-    return [*lines, [Segment(low, LABEL), *ramp, Segment(high, LABEL)]]
+    return [*lines, scale_line(end, columns, columns, color=color)]
 
 
 def spectrum_lines(view: View, width: int) -> list[Line]:

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -12,6 +12,7 @@ import typer
 
 from tactile.cli.options import AsJson, Force, PlotOption, check_plot, emit
 from tactile.cli.printing import print_facts, print_table, progress_bar, right, unwrapped
+from tactile.cli.textures_command import CATEGORIES
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.texture.descriptor import About
@@ -136,8 +137,7 @@ def _about(out: Path, category: str, description: str, source: str, license_: st
         return msgspec.convert(given, About)
     except msgspec.ValidationError as error:
         if "category" in str(error):
-            known = list(get_args(get_type_hints(About)["category"]))
-            raise InputError(f"--category {category!r}: {nearest(category, known)}") from error
+            raise InputError(f"--category {category!r}: {nearest(category, CATEGORIES)}") from error
         raise InputError(
             f"{out}: the name of a texture consists of lower-case letters, digits and hyphens, for "
             "example denim-blue.toml"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tactile.messages import (
     Answer,
     ArmDisplay,
-    Command,
+    DisplayRequest,
     Done,
     EStop,
     EventMessage,
@@ -44,12 +44,12 @@ class DesiredState:
     armed: ArmDisplay | None = None
     arming: int = 0
 
-    def confirm(self, command: Command) -> None:
+    def confirm(self, command: DisplayRequest) -> None:
         """Remember a command that was done, unless it is an `ArmDisplay` that was withdrawn.
 
         Parameters
         ----------
-        command : Command
+        command : DisplayRequest
             Request that the daemon confirmed.
         """
         match command:

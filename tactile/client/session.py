@@ -36,6 +36,7 @@ from tactile.messages import (
     Command,
     Contact,
     DisarmDisplay,
+    DisplayRequest,
     EStop,
     EventMessage,
     Failure,
@@ -484,9 +485,9 @@ class ClientSession:
                 future.set_result(reply)
 
     def _confirmed(self, command: Request) -> None:
-        if (display := getattr(command, "display", None)) is not None:
+        if isinstance(command, DisplayRequest):
             with self._lock:
-                self._desired_state(display).confirm(command)  # type: ignore[arg-type]
+                self._desired_state(command.display).confirm(command)
 
     def _refuse(self, failure: Failure) -> None:
         """Count a contact that was refused; notify of it once a second, not at its rate."""

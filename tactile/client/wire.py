@@ -496,13 +496,13 @@ def to_effect(
     )
 
 
-def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list[float]]:
+def _to_rows(rows: Any, what: str, names: str) -> Iterator[list[float]]:
     """Yield the values of each point of an effect, which are called by these names."""
     most = names.count(",") + 1
     for index, row in enumerate(to_items(rows, what, MOST_POINTS)):
         where = f"{what}[{index}]"
         values = list(to_items(row, where, most))
-        if not fewest <= len(values) <= most:
+        if not 2 <= len(values) <= most:
             raise InputError(f"{where}: {shown(row)} is not ({names})")
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 

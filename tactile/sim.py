@@ -122,10 +122,10 @@ class SimulatedDisplay(MockBus):
         (S, N) array of float
             Shear displacement of the skin at each contactor [m].
         """
-        taken = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
+        shear = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
         self._shear.clear()
         self._shear_count = 0
-        return taken
+        return shear
 
     def settle(self) -> None:
         """Run the plant on at 0 V until its output covers everything that was played."""

@@ -303,7 +303,7 @@ def figure(there: Server, name: str, **labels: str) -> float:
     """Return the sum of a metric over the labels that are not given."""
     return sum(
         sample.value
-        for family in there.metrics.registry.collect()
+        for family in there.site.metrics.registry.collect()
         for sample in family.samples
         if sample.name == name and labels.items() <= sample.labels.items()
     )

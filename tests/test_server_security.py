@@ -272,7 +272,7 @@ async def test_one_client_more_than_may_be_can_only_estop_and_a_place_becomes_fr
                 assert [type(c) for c in hands.clients[2].commands] == [EStop]
                 assert hands.clients[2].contacts == []
             assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
-        await until(lambda: there.site.clients == 0)
+        await until(lambda: len(there.site.places) == 0)
         async with talking(there):
             assert "arm" in hands.clients[3].roles
         await until(lambda: [hand.closed for hand in hands.clients] == [1] * 4)
@@ -413,7 +413,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notic
                         hand.outbox.put_nowait(LARGE)
                     assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
                 await until(lambda: hand.closed == 1)
-                await until(lambda: there.site.clients == 1)
+                await until(lambda: len(there.site.places) == 1)
                 assert not hands.clients[1].closed
 
 

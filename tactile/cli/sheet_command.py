@@ -31,7 +31,7 @@ def run(
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_plot(plot)
     names = [found.texture.id for found in find_textures(category)]
-    with progress_bar(shown=True) as bar:
+    with progress_bar(visible=True) as bar:
         watched = bar.track(names, description="textures")
         tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
     plot_sheet(plot, tiles, speed=speed)

@@ -130,7 +130,7 @@ def run(
     study = ask(words, None if display is None else start_from(tactile.load_display(display)))
     check_share(within)
     check_outputs(out, plot, report)
-    data = _run(study, out, workers, scheduler, shown=not as_json)
+    data = _run(study, out, workers, scheduler, visible=not as_json)
     if out is not None and not as_json:
         typer.echo(f"stored: {out}")
     facts = summarize(data, share=within) | {"stored": None if out is None else str(out)}
@@ -162,10 +162,10 @@ def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, sh
 
 
 def _run(
-    study: Study, out: Path | None, workers: int | None, scheduler: str | None, *, shown: bool
+    study: Study, out: Path | None, workers: int | None, scheduler: str | None, *, visible: bool
 ) -> Any:
     """Run a study with a progress bar that counts blocks of designs."""
-    with progress_bar(shown=shown) as bar:
+    with progress_bar(visible=visible) as bar:
         task = bar.add_task(f"{study.designs} designs", total=None)
         return run_study(
             study,

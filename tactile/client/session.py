@@ -504,15 +504,15 @@ class ClientSession:
         self.offset = ClockOffset()
         self.offset.exchange(sent, welcome.time_us * 1e-6, self.clock.now())
         with self._lock:  # no other request comes between those that restore
-            again = self.welcome is not None
+            reconnected = self.welcome is not None
             self.welcome = welcome
             for estop in self.estops.unsent():
                 self._send(estop).add_done_callback(self._report)
-            if again:
+            if reconnected:
                 self._restore(welcome)
             self.connected = not self.closed
-            self.counters["reconnections"] += again
-        if again:
+            self.counters["reconnections"] += reconnected
+        if reconnected:
             self.notify(wire.Event("connected", detail=welcome.server))
 
     def _restore(self, welcome: Welcome) -> None:

@@ -221,7 +221,7 @@ def _read(plain: dict[str, Any], kind: type[M]) -> M:
         raise InputError(where + problem) from None
 
 
-def shown(value: object) -> str:
+def excerpt(value: object) -> str:
     """Return a value for an error message.
 
     Parameters
@@ -262,7 +262,7 @@ def to_number(value: Any, what: str) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{what}: {shown(value)} is not a finite number")
+        raise InputError(f"{what}: {excerpt(value)} is not a finite number")
     return number
 
 
@@ -291,7 +291,7 @@ def to_items(values: Any, what: str, most: int | None = None) -> Iterator[Any]:
     try:
         return islice(values, None if most is None else most + 1)
     except TypeError:
-        raise InputError(f"{what}: {shown(values)} is not a sequence") from None
+        raise InputError(f"{what}: {excerpt(values)} is not a sequence") from None
 
 
 def to_index(value: Any, what: str) -> int:
@@ -317,7 +317,7 @@ def to_index(value: Any, what: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise InputError(f"{what}: {shown(value)} is not a whole number") from None
+        raise InputError(f"{what}: {excerpt(value)} is not a whole number") from None
 
 
 def to_microseconds(time: float) -> int:
@@ -341,7 +341,7 @@ def to_microseconds(time: float) -> int:
     try:
         return round(time * 1e6)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"time: {shown(time)} s is not a finite time, as 12.5") from None
+        raise InputError(f"time: {excerpt(time)} s is not a finite time, as 12.5") from None
 
 
 def to_contact(
@@ -402,7 +402,7 @@ def _to_pair(values: Any, complaint: str) -> Pair:
         x, y = values
         return float(x * 1.0), float(y * 1.0)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(complaint.format(shown(values))) from None
+        raise InputError(complaint.format(excerpt(values))) from None
 
 
 def to_layers(layers: Layers) -> tuple[Layer, ...]:
@@ -503,7 +503,7 @@ def _to_rows(rows: Any, what: str, names: str) -> Iterator[list[float]]:
         where = f"{what}[{index}]"
         values = list(to_items(row, where, most))
         if not 2 <= len(values) <= most:
-            raise InputError(f"{where}: {shown(row)} is not ({names})")
+            raise InputError(f"{where}: {excerpt(row)} is not ({names})")
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 

@@ -145,11 +145,6 @@ class Site:
         self.places = Places(config.most_clients)
         self.ending = False
 
-    @property
-    def clients(self) -> int:
-        """Number of clients."""
-        return len(self.places)
-
     def end(self) -> None:
         """Disconnect all clients because the daemon ends, and admit no more."""
         self.ending = True
@@ -268,16 +263,16 @@ class ServerConnection:
                 message = await self._socket.receive()
         except TimeoutError:
             late = failed("hello_first", f"no hello within {HELLO_WITHIN:g} s")
-            return await self._refuse(Close(4408, "no hello"), late)
+            return self._refuse(Close(4408, "no hello"), late)
         if message["type"] != "websocket.receive":
             return GONE
         hello = read(self._data(message), self._encoding)
         if isinstance(hello, Failure):
-            return await self._refuse(Close(4400, "no hello"), hello)
+            return self._refuse(Close(4400, "no hello"), hello)
         if not isinstance(hello, ClientHello):
             first = "the first message must be a hello"
             failure = failed("hello_first", first, field="type", to=id_of(hello))
-            return await self._refuse(Close(4400, "no hello"), failure)
+            return self._refuse(Close(4400, "no hello"), failure)
         return await self._admit(hello)
 
     async def _admit(self, hello: ClientHello) -> Welcomed | Close:
@@ -286,16 +281,16 @@ class ServerConnection:
         if roles is None:
             await asyncio.sleep(PENALTY)
             failure = failed("unauthorized", WRONG_TOKEN, field="token", to=hello.id)
-            return await self._refuse(Close(4401, "unauthorized"), failure)
+            return self._refuse(Close(4401, "unauthorized"), failure)
         if hello.version != API_VERSION:
             text = f"version = {hello.version}: must be {API_VERSION}"
             failure = failed("wrong_version", text, field="version", to=hello.id)
-            return await self._refuse(Close(4406, "wrong version"), failure)
+            return self._refuse(Close(4406, "wrong version"), failure)
         if self._site.ending:
             return ENDING
         if not self._site.places.take(self, loop_time()):
             text = self._full_text()
-            return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
+            return self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
         if self._site.places.is_reserved(self):
             roles = frozenset()
         return Welcomed(hello, roles, peer)
@@ -313,7 +308,7 @@ class ServerConnection:
         most = self._site.config.most_clients
         return f"there are {most} clients, as many as server.most_clients allows"
 
-    async def _refuse(self, close: Close, failure: Failure) -> Close:
+    def _refuse(self, close: Close, failure: Failure) -> Close:
         """Queue the failure of a client that is not admitted; return the close reason."""
         self._traffic.failure(failure.code)
         self._queue(failure)

@@ -221,7 +221,7 @@ def _invalid(data: str | bytes, encoding: Encoding, error: str) -> Failure:
     good = type(request_id) is int and 0 <= request_id <= 2**53
     code: Code = "unknown_type" if field == "type" and not missing else "invalid_field"
     if code == "unknown_type":
-        said = str(content.get("type"))[:60] if isinstance(content, dict) else ""
-        problem = f"no command; {hint(said, KINDS)}"
+        kind = str(content.get("type"))[:60] if isinstance(content, dict) else ""
+        problem = f"no command; {hint(kind, KINDS)}"
     text = show_field(content, field, LONGEST_VALUE) + problem
     return failed(code, text, field=field, to=request_id if good else None)

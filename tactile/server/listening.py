@@ -220,13 +220,13 @@ def _listening_locally(config: ServerConfig) -> Iterator[socket.socket | None]:
         log.warning("no Unix socket; TCP only", extra={"fields": {"why": str(error)}})
         yield None
         return
-    made = path.lstat().st_ino
+    inode = path.lstat().st_ino
     try:
         yield local
     finally:
         local.close()
         with suppress(OSError):  # the socket was removed already
-            if path.lstat().st_ino == made:
+            if path.lstat().st_ino == inode:
                 path.unlink()
 
 

@@ -135,7 +135,7 @@ class Playing:
         self.child: Child | None = None
         self._pending: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
-        self._opened: asyncio.Future[DeviceOpened] | None = None
+        self._device_opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
         self._shelf = Shelf(
             self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
@@ -176,7 +176,7 @@ class Playing:
         config, loop = self.config, asyncio.get_running_loop()
         shared = self.memory.descriptor, self.latch.descriptor
         inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
-        self._opened = loop.create_future()
+        self._device_opened = loop.create_future()
 
         def on_message(what: Any) -> None:
             if self.child is child:  # ignore a process that was killed
@@ -192,7 +192,7 @@ class Playing:
         )  # fmt: skip
         try:
             async with asyncio.timeout(OPENING):
-                self.how = await asyncio.shield(self._opened)
+                self.how = await asyncio.shield(self._device_opened)
         except TimeoutError:
             self.how = DeviceOpened(why_not=f"not open after {OPENING:g} s")
         if self.how.why_not:
@@ -206,8 +206,8 @@ class Playing:
     def _receive(self, what: Any) -> None:
         """Take a message of the process; None means that the process has ended."""
         if isinstance(what, DeviceOpened):
-            if self._opened is not None and not self._opened.done():
-                self._opened.set_result(what)
+            if self._device_opened is not None and not self._device_opened.done():
+                self._device_opened.set_result(what)
         elif isinstance(what, Answer):
             future = self._pending.pop(what.number, None)
             if future is not None and not future.done():
@@ -222,8 +222,8 @@ class Playing:
 
     def _process_ended(self) -> None:
         """Fail everything that waits for the process, and announce that it is lost."""
-        if self._opened is not None and not self._opened.done():
-            self._opened.set_result(
+        if self._device_opened is not None and not self._device_opened.done():
+            self._device_opened.set_result(
                 DeviceOpened(why_not="playback ended while it opened the device")
             )
         for future in self._pending.values():

@@ -69,11 +69,6 @@ class Server:
         """All displays and their clients."""
         return self.site.host
 
-    @property
-    def metrics(self) -> Metrics:
-        """All metrics of the daemon."""
-        return self.site.metrics
-
 
 def application(site: Site) -> ASGIApp:
     """Create the application with all routes, behind the door.

@@ -148,14 +148,14 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     list of Line
         Lines of the picture.
     """
-    s, shown = view.spectrum, shown_bands(view.spectrum)
+    s, bands = view.spectrum, shown_bands(view.spectrum)
     low = BAR_LEVELS[0]
     high = max(BAR_LEVELS[1], nice(float(s.total.max(initial=1e-9)) * 1e6))
     length = int(np.clip(width - NAMED - TOLD, 8, LONGEST_BAR))
     head = f"spectrum at {view.speed * 1e3:g} mm/s, µm peak per third octave"
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
-    for band in shown:
+    for band in bands:
         micro, least = s.total[band] * 1e6, float(just_felt(CENTER[band])) * 1e6
         excess = s.excess_db[band]
         style = FELT if excess >= 0 else HIDDEN
@@ -168,7 +168,7 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
                 Segment(label.replace("-", "−"), VALUE if excess >= 0 else LABEL),
             ]
         )
-    if not len(shown):
+    if not len(bands):
         lines.append([Segment("nothing up to 1 kHz", LABEL)])
     return lines + grating_lines(s.grating_frequency, s.grating_peak * 1e6, width)
 

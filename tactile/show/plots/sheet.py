@@ -115,7 +115,7 @@ def category_ends(tiles: Sequence[Tile]) -> dict[str, float]:
 
 
 def _category(
-    figure: "Figure", left: float, top: float, count: int, name: str, end: float, again: bool
+    figure: "Figure", left: float, top: float, count: int, name: str, end: float, continued: bool
 ) -> None:
     """Write a category over its tiles in a row, with the scale of its colors."""
     from matplotlib.lines import Line2D
@@ -125,7 +125,7 @@ def _category(
     y = top - RULE
     line = Line2D([left / across, right / across], [y / up, y / up], color="black", linewidth=1.0)
     figure.add_artist(line)
-    _write(figure, left, y + 0.13, f"{name} …" if again else name, 10, weight="bold")
+    _write(figure, left, y + 0.13, f"{name} …" if continued else name, 10, weight="bold")
     scale = f"± {end * 1e6:.2g} µm"
     _write(figure, right, y + 0.13, scale, 8, ha="right", color=GRAY)
 

@@ -33,7 +33,7 @@ from tactile.errors import InputError
 from tactile.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
 from tactile.server import connection, listening, places, sockets
 from tactile.server.config import ServerConfig
-from tactile.server.listening import listen
+from tactile.server.listening import bound_sockets
 from tactile.server.security import Tokens, host_name, refusal
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -247,11 +247,10 @@ def test_each_token_has_its_roles_and_none_can_be_read_back() -> None:
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
 def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
     """Also where a name that seemed to be this machine turns out to be more."""
-    config = ServerConfig(host=host, port=0, token_file="x")
-    with pytest.raises(
-        InputError, match=r"which others can reach: server\.token_file must be given"
-    ):
-        listen(config, guarded=False)
+    config = ServerConfig(host=host, port=0, token_file="x", socket="")
+    message = r"which others can reach: server\.token_file must be given"
+    with pytest.raises(InputError, match=message), bound_sockets(config, guarded=False):
+        pass
 
 
 # One client and the others

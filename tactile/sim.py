@@ -86,11 +86,7 @@ class SimulatedDisplay(MockBus):
         self._shear: deque[Floats] = deque()
         self._shear_count = 0
         self.dropped_shear = 0
-        """Number of samples of shear that were dropped because nobody took them within a second.
-
-        None are dropped with keep=all."""
         self.peak_current = 0.0
-        """Largest current into any contactor so far [A]."""
 
     def _put(self, volts: Floats) -> None:
         super()._put(volts)

@@ -68,23 +68,17 @@ class Encoding(NamedTuple):
     encode: Callable[[Answer], bytes]
 
 
+def _encoding(name: str, kind: Literal["text", "bytes"], codec: Any) -> Encoding:
+    """Return the encoding of a module of msgspec."""
+    return Encoding(
+        name, kind, codec.Decoder(Command).decode, codec.Decoder(EStop).decode,
+        codec.Decoder().decode, codec.Encoder().encode,
+    )  # fmt: skip
+
+
 ENCODINGS = {
-    JSON_PROTOCOL: Encoding(
-        "JSON",
-        "text",
-        msgspec.json.Decoder(Command).decode,
-        msgspec.json.Decoder(EStop).decode,
-        msgspec.json.Decoder().decode,
-        msgspec.json.Encoder().encode,
-    ),
-    MSGPACK_PROTOCOL: Encoding(
-        "MessagePack",
-        "bytes",
-        msgspec.msgpack.Decoder(Command).decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Decoder(EStop).decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Decoder().decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Encoder().encode,
-    ),
+    JSON_PROTOCOL: _encoding("JSON", "text", msgspec.json),
+    MSGPACK_PROTOCOL: _encoding("MessagePack", "bytes", msgspec.msgpack),
 }
 """Encodings by subprotocol."""
 

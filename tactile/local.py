@@ -29,6 +29,7 @@ from tactile.messages import (
     Command,
     Contact,
     Welcome,
+    id_of,
 )
 from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, DisplayConfig
@@ -136,8 +137,7 @@ class LocalTransport:
         else:
             answer = self._requests.offer(command)
         if answer is not None:
-            number = getattr(command, "id", None)
-            self._session.received(msgspec.structs.replace(answer, id=number))
+            self._session.received(msgspec.structs.replace(answer, id=id_of(command)))
 
     def close(self) -> "Future[None]":
         """Fade out, disarm, and end the thread.

@@ -135,6 +135,23 @@ def kind_of(message: ApiMessage) -> str:
     return str(type(message).__struct_config__.tag)
 
 
+def id_of(message: ApiMessage) -> int | None:
+    """Return the id of a message.
+
+    Parameters
+    ----------
+    message : ApiMessage
+        Any message.
+
+    Returns
+    -------
+    int or None
+        Id of the request or reply; None without one, as in a `Contact`.
+    """
+    number: int | None = getattr(message, "id", None)
+    return number
+
+
 class Request(ApiMessage, frozen=True, kw_only=True):
     """Base class of every message of a client that the daemon answers.
 

@@ -49,6 +49,7 @@ from tactile.messages import (
     Subscribe,
     TelemetryMessage,
     Welcome,
+    id_of,
     kind_of,
 )  # fmt: skip
 
@@ -288,7 +289,7 @@ class ClientSession:
         bool
             False for a request whose answer nobody waits for, unless it makes a display quieter.
         """
-        number = getattr(command, "id", None)
+        number = id_of(command)
         return number is None or number in self._waiting or isinstance(command, QUIETER)
 
     def subscribe(self, queue: TelemetryQueue) -> "Future[Any]":

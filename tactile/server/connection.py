@@ -28,6 +28,7 @@ from tactile.messages import (
     Pong,
     Role,
     Welcome,
+    id_of,
 )
 from tactile.server.client import Client
 from tactile.server.config import ServerConfig
@@ -38,7 +39,7 @@ from tactile.server.metrics import Metrics
 from tactile.server.peers import PeerCredentials, is_local, judge, local_peer
 from tactile.server.places import Places
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import Requests, id_of
+from tactile.server.requests import Requests
 from tactile.server.security import Tokens
 from tactile.server.sockets import BoundedWebSocket
 from tactile.server.tasks import start_task

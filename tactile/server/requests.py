@@ -9,12 +9,12 @@ from msgspec import structs
 from tactile.clock import loop_time
 from tactile.messages import (
     Answer,
-    ApiMessage,
     Command,
     DisarmDisplay,
     EStop,
     Failure,
     Reply,
+    id_of,
     kind_of,
 )
 from tactile.server.client import Client
@@ -28,23 +28,6 @@ FINISH_WITHIN = 1.0
 """Time in which what makes displays safe must be done after its client has left [s]."""
 MOST_REQUESTS = 32
 """Maximum number of requests that one client may have queued."""
-
-
-def id_of(message: ApiMessage) -> int | None:
-    """Return the id of a message.
-
-    Parameters
-    ----------
-    message : ApiMessage
-        Any message.
-
-    Returns
-    -------
-    int or None
-        Id of the request or reply; None without one, as in a `Contact`.
-    """
-    number: int | None = getattr(message, "id", None)
-    return number
 
 
 class Requests:

@@ -15,7 +15,6 @@ from tactile.show.plots.style import (
     COLORS,
     GRAY,
     RED,
-    check_file,
     new_figure,
     plain,
     save,
@@ -99,7 +98,6 @@ def plot_played(path: str | Path, play: Played, *, title: str) -> None:
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(played_figure(play, title=title), path)
 
 

@@ -11,7 +11,6 @@ from tactile.show.plots.style import (
     COLORS,
     GRAY,
     THRESHOLD_NAME,
-    check_file,
     draw_threshold,
     name_ends,
     new_figure,
@@ -46,7 +45,6 @@ def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltag
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(response_figure(responses, voltage=voltage), path)
 
 

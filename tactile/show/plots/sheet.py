@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile.show.plots.style import GRAY, axes_at, check_file, new_figure, save
+from tactile.show.plots.style import GRAY, axes_at, new_figure, save
 from tactile.show.plots.texture import DIVERGING, color_end, draw_spectrum
 from tactile.show.views import NORMAL_FORCE, TILE_SIDE, Tile
 
@@ -49,7 +49,6 @@ def plot_sheet(path: str | Path, tiles: Sequence[Tile], *, speed: float) -> None
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(sheet_figure(tiles, speed=speed), path)
 
 

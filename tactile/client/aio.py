@@ -30,18 +30,18 @@ class Opening(Generic[C]):
 
     Parameters
     ----------
-    opened : Callable
+    opener : Callable
         Coroutine function that opens it.
     """
 
-    def __init__(self, opened: Callable[[], Coroutine[Any, Any, C]]) -> None:
-        self._opened = opened
+    def __init__(self, opener: Callable[[], Coroutine[Any, Any, C]]) -> None:
+        self._opener = opener
 
     def __await__(self) -> Generator[Any, None, C]:
-        return self._opened().__await__()
+        return self._opener().__await__()
 
     async def __aenter__(self) -> C:
-        self._object = await self._opened()
+        self._object = await self._opener()
         return self._object
 
     async def __aexit__(self, *_: object) -> None:

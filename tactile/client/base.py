@@ -84,7 +84,7 @@ class BaseConnection(ABC):
         hello = wire.checked(ClientHello(client=client_name, token=token))
         self._session = ClientSession(transport, hello, clock=clock, rearm=rearm)
         self._displays: dict[str, Any] = {}  # those that the program uses, by name
-        self._opened = False
+        self._was_opened = False
 
     @abstractmethod
     async def _wait(self, future: "Future[T]", timeout: float, what: str) -> T:
@@ -96,9 +96,9 @@ class BaseConnection(ABC):
 
     async def _open(self) -> None:
         """Connect, unless this was opened before."""
-        if self._opened:
+        if self._was_opened:
             return
-        self._opened = True
+        self._was_opened = True
         self._session.notify = self._dispatcher.put
         self._transport.open(self._session)
         try:

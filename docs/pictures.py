@@ -31,7 +31,7 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
 from tactile.bus.simulated.modeled_bus import AmplifierRecord, ModeledBus
-from tactile.show.plots import plot_played
+from tactile.show.plots import Played, plot_played
 from tactile.study.paper import FINGERS, over_length
 from tactile.study.plots import plot_length_map
 from tactile.study.sweep import solve_study
@@ -93,16 +93,8 @@ def played(path: Path) -> None:
     plant = tactile.Plant(display.bimorph, display.load_at(0.5), made.sample_rate, contactors=24)
     rest = np.zeros((plant.delay, 24))
     shear, _ = plant.step(np.concatenate([made.drive, rest]))
-    plot_played(
-        path,
-        display=display,
-        time=made.time,
-        position=made.position,
-        shear_target=made.shear,
-        shear_played=shear[plant.delay :],
-        drive=made.drive,
-        title="wood-oak on reference-24: 80 mm/s, 0.5 N, friction left out",
-    )
+    play = Played(display, made.time, made.shear, shear[plant.delay :], made.drive, made.position)
+    plot_played(path, play, title="wood-oak on reference-24: 80 mm/s, 0.5 N, friction left out")
 
 
 def length_study(path: Path) -> None:

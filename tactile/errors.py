@@ -1,4 +1,13 @@
-"""Exceptions of the package, in one tree; each is also the built-in error that fits its meaning."""
+"""Exceptions of the package, in one tree; each is also the built-in error that fits its meaning.
+
+`locate_mistake` and `show_field` describe a value that msgspec does not accept.
+"""
+
+import re
+from typing import Any
+
+MISTAKE = re.compile(r"(?s)(.*?)(?: - at `(?:key` in `)?\$\.?([^`]*)`)?")
+"""Problem and path in an error of msgspec."""
 
 
 class TactileError(Exception):
@@ -65,3 +74,48 @@ class ClientTimeoutError(ClientError, TimeoutError):
 
 class DisconnectedError(ClientError, ConnectionError):
     """A missing connection to the daemon: not yet made, interrupted, or closed."""
+
+
+def locate_mistake(error: str) -> tuple[str, str]:
+    """Split an error of msgspec into the field that it is about and the problem.
+
+    Parameters
+    ----------
+    error : str
+        Error such as "Expected `float` - at `$.layers[0].gain`".
+
+    Returns
+    -------
+    tuple of 2 str
+        Path of the field, such as "layers[0].gain", empty if the error names none; and problem,
+        such as "expected float".
+    """
+    match = MISTAKE.fullmatch(error)
+    problem, field = (match[1], match[2] or "") if match else (error, "")
+    return field, problem.replace("Expected", "expected").replace("`", "")
+
+
+def show_field(data: Any, field: str, longest: int = 1000) -> str:
+    """Return a field and its value as the beginning of an error message.
+
+    Parameters
+    ----------
+    data : Any
+        Nested data that the field is in.
+    field : str
+        Path of the field; it may be empty.
+    longest : int
+        Maximum length of the value [characters].
+
+    Returns
+    -------
+    str
+        "field = value: "; "field: " if the value is missing, a table or an array; "" for no field.
+    """
+    for key in re.findall(r"[^.\[\]]+", field):
+        try:
+            data = data[int(key)] if isinstance(data, list | tuple) else data[key]
+        except (LookupError, TypeError, ValueError):
+            data = None
+    plain = isinstance(data, int | float | str) and field
+    return f"{field} = {repr(data)[:longest]}: " if plain else f"{field}: " if field else ""

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import InputError, NotFoundError
+from tactile.errors import InputError, NotFoundError, locate_mistake, show_field
 
 Shape = TypeVar("Shape", bound=msgspec.Struct)
 
@@ -272,20 +272,10 @@ def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tupl
 
 def _explain(data: Any, message: str) -> str:
     """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …"."""
-    match = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", message)
-    assert match is not None
-    problem, field = match[1], match[2] or ""
-    value = data
-    for key in re.findall(r"[^.\[\]]+", field):
-        try:
-            value = value[int(key)] if isinstance(value, list) else value[key]
-        except (KeyError, IndexError, ValueError):
-            value = None
+    field, problem = locate_mistake(message)
     if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # from the Struct's own check
         return f"{field}.{problem}"
-    plain = isinstance(value, int | float | str | bool)
-    where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
-    return where + problem.replace("Expected", "expected").replace("`", "")
+    return show_field(data, field) + problem
 
 
 class Row(NamedTuple):

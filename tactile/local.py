@@ -18,8 +18,9 @@ from typing import Any
 
 import msgspec
 
-from tactile.client import Connection, Receiver, RemoteDisplay
+from tactile.client import Connection, RemoteDisplay
 from tactile.client.base import TIMEOUT
+from tactile.client.session import ClientSession
 from tactile.messages import (
     ALL_ROLES,
     API_VERSION,
@@ -28,13 +29,14 @@ from tactile.messages import (
     Command,
     Contact,
     Welcome,
+    id_of,
 )
 from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.host import Host
 from tactile.server.metrics import Metrics, Traffic
 from tactile.server.requests import Requests
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 OPENING = 45.0
 """Time within which the device must open [s]."""
@@ -90,26 +92,26 @@ class LocalTransport:
         finally:
             await host.close()
 
-    def open(self, receiver: Receiver) -> None:
+    def open(self, session: ClientSession) -> None:
         """Open the connection to the host.
 
         Parameters
         ----------
-        receiver : Receiver
-            Object that is told that the connection is open, and gets the answers.
+        session : ClientSession
+            Session that learns that the connection is open, and gets the answers.
         """
-        self._receiver = receiver
+        self._session = session
         self._loop.call_soon_threadsafe(self._begin)
 
     def _begin(self) -> None:
-        traffic = Traffic(Metrics(self._host, lambda: 0.0), "local")
-        self._requests = Requests(self._client, traffic, self._receiver.received)
-        self._forwarding = watched(asyncio.create_task(self._forward_outbox(self._client)))
-        self._receiver.opened()
+        traffic = Traffic(Metrics(self._host), "local")
+        self._requests = Requests(self._client, traffic, self._session.received)
+        self._forwarding = start_task(self._forward_outbox(self._client))
+        self._session.opened()
 
     async def _forward_outbox(self, client: Client) -> None:
         while True:
-            self._receiver.received(await client.outbox.get())
+            self._session.received(await client.outbox.get())
 
     def send(self, command: Command) -> None:
         """Send a message; may be called from any thread.
@@ -135,8 +137,7 @@ class LocalTransport:
         else:
             answer = self._requests.offer(command)
         if answer is not None:
-            number = getattr(command, "id", None)
-            self._receiver.received(msgspec.structs.replace(answer, id=number))
+            self._session.received(msgspec.structs.replace(answer, id=id_of(command)))
 
     def close(self) -> "Future[None]":
         """Fade out, disarm, and end the thread.

@@ -135,6 +135,23 @@ def kind_of(message: ApiMessage) -> str:
     return str(type(message).__struct_config__.tag)
 
 
+def id_of(message: ApiMessage) -> int | None:
+    """Return the id of a message.
+
+    Parameters
+    ----------
+    message : ApiMessage
+        Any message.
+
+    Returns
+    -------
+    int or None
+        Id of the request or reply; None without one, as in a `Contact`.
+    """
+    number: int | None = getattr(message, "id", None)
+    return number
+
+
 class Request(ApiMessage, frozen=True, kw_only=True):
     """Base class of every message of a client that the daemon answers.
 
@@ -145,6 +162,18 @@ class Request(ApiMessage, frozen=True, kw_only=True):
     """
 
     id: Id | None = None
+
+
+class DisplayRequest(Request, frozen=True, kw_only=True):
+    """Base class of every request that is about one display.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    """
+
+    display: Name
 
 
 class Reply(ApiMessage, frozen=True, kw_only=True):
@@ -205,7 +234,7 @@ class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1)] = 0
 
 
-class Select(Request, frozen=True, kw_only=True, tag="select"):
+class Select(DisplayRequest, frozen=True, kw_only=True, tag="select"):
     """Select the textures that the finger feels of this client; requires the role "play".
 
     They replace the client's earlier selection in a cross-fade. `Done` follows once the textures
@@ -213,13 +242,10 @@ class Select(Request, frozen=True, kw_only=True, tag="select"):
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     layers : list of Layer
         Textures to superimpose; an empty list deselects all.
     """
 
-    display: Name
     layers: Annotated[tuple[Layer, ...], Meta(max_length=MOST_LAYERS)]
 
 
@@ -252,50 +278,33 @@ class Contact(ApiMessage, frozen=True, kw_only=True, tag="contact"):
     velocity_mm_s: tuple[Speed, Speed] | None = None
 
 
-class Play(Request, frozen=True, kw_only=True, tag="play"):
+class Play(DisplayRequest, frozen=True, kw_only=True, tag="play"):
     """Resume this client's textures after `StopPlaying`; requires the role "play".
 
     The textures of a new client sound without it.
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
     """
 
-    display: Name
 
-
-class StopPlaying(Request, frozen=True, kw_only=True, tag="stop"):
+class StopPlaying(DisplayRequest, frozen=True, kw_only=True, tag="stop"):
     """Fade out everything that this client plays; requires the role "play".
 
     Its textures are silent until `Play`. Its waveforms and effects are discarded.
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
     """
 
-    display: Name
 
-
-class SetGain(Request, frozen=True, kw_only=True, tag="gain"):
+class SetGain(DisplayRequest, frozen=True, kw_only=True, tag="gain"):
     """Scale everything that this client plays on a display; requires the role "play".
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     gain : float
         Factor of textures, waveforms and effects, 0 to 1.
     """
 
-    display: Name
     gain: Fraction
 
 
-class Append(Request, frozen=True, kw_only=True, tag="append"):
+class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     """Queue a waveform of tangential shear; requires the role "play" and an armed display.
 
     It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
@@ -303,8 +312,6 @@ class Append(Request, frozen=True, kw_only=True, tag="append"):
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     sample_rate_hz : float
         Rate of the samples [Hz]; the daemon resamples them to the rate of the display.
     amplitude_um : float
@@ -319,7 +326,6 @@ class Append(Request, frozen=True, kw_only=True, tag="append"):
         Indices of the contactors that play the waveform; all if the list is empty.
     """
 
-    display: Name
     sample_rate_hz: Annotated[float, Meta(ge=100, le=48_000)]
     amplitude_um: Micrometers
     samples: (
@@ -380,7 +386,7 @@ class Transient(Struct, frozen=True, array_like=True):
     frequency_hz: Annotated[float, Meta(ge=20, le=1000)] = 160.0
 
 
-class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
+class PlayEffect(DisplayRequest, frozen=True, kw_only=True, tag="effect"):
     """Play an effect given by curves of amplitude and frequency over time.
 
     It requires the role "play" and an armed display, and follows XR_EXT_haptic_parametric. The
@@ -390,8 +396,6 @@ class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     amplitude_um : float
         Shear that a value of 1 stands for [µm].
     amplitude : list of Point
@@ -405,7 +409,6 @@ class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
         of what was still to come of that, and its last amplitude is held for 50 ms before it fades.
     """
 
-    display: Name
     amplitude_um: Micrometers
     amplitude: Annotated[tuple[Point, ...], Meta(max_length=MOST_POINTS)] = ()
     frequency: Annotated[tuple[FrequencyPoint, ...], Meta(max_length=MOST_POINTS)] = ()
@@ -413,31 +416,16 @@ class PlayEffect(Request, frozen=True, kw_only=True, tag="effect"):
     stream: bool = False
 
 
-class ArmDisplay(Request, frozen=True, kw_only=True, tag="arm"):
+class ArmDisplay(DisplayRequest, frozen=True, kw_only=True, tag="arm"):
     """Switch high voltage on and start playing; requires the role "arm".
 
     Only do so if the person at the display knows of it. The client owns the high voltage from then
     on.
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
     """
 
-    display: Name
 
-
-class DisarmDisplay(Request, frozen=True, kw_only=True, tag="disarm"):
-    """Fade out and switch high voltage off, whoever armed; requires the role "arm" or "stop".
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
-    """
-
-    display: Name
+class DisarmDisplay(DisplayRequest, frozen=True, kw_only=True, tag="disarm"):
+    """Fade out and switch high voltage off, whoever armed; requires the role "arm" or "stop"."""
 
 
 class EStop(Request, frozen=True, kw_only=True, tag="estop"):
@@ -454,7 +442,7 @@ class EStop(Request, frozen=True, kw_only=True, tag="estop"):
     display: Name | None = None
 
 
-class ClearEstop(Request, frozen=True, kw_only=True, tag="clear"):
+class ClearEstop(DisplayRequest, frozen=True, kw_only=True, tag="clear"):
     """End an e-stop, after a person has decided that it is safe; requires the role "arm".
 
     The display is disarmed afterwards. If a newer e-stop holds, the answer is a `Failure` with the
@@ -462,43 +450,29 @@ class ClearEstop(Request, frozen=True, kw_only=True, tag="clear"):
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     estop : int
         Number of the e-stop, as in `Done`, `EventMessage`, `StatsReply` and `DisplayDescription`.
     """
 
-    display: Name
     estop: Annotated[int, Meta(ge=1, le=2**53)]
 
 
-class Subscribe(Request, frozen=True, kw_only=True, tag="subscribe"):
+class Subscribe(DisplayRequest, frozen=True, kw_only=True, tag="subscribe"):
     """Ask for a `TelemetryMessage` of a display at a regular rate.
 
     It replaces the client's earlier subscription to that display.
 
     Attributes
     ----------
-    display : str
-        Name of the display.
     rate_hz : float
         Messages per second [Hz]; 0 ends the subscription.
     """
 
-    display: Name
     rate_hz: Annotated[float, Meta(ge=0, le=100)]
 
 
-class GetStats(Request, frozen=True, kw_only=True, tag="get_stats"):
-    """Ask for the state of a display; answered by `StatsReply`.
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
-    """
-
-    display: Name
+class GetStats(DisplayRequest, frozen=True, kw_only=True, tag="get_stats"):
+    """Ask for the state of a display; answered by `StatsReply`."""
 
 
 class Ping(Request, frozen=True, kw_only=True, tag="ping"):

@@ -86,11 +86,7 @@ class SimulatedDisplay(MockBus):
         self._shear: deque[Floats] = deque()
         self._shear_count = 0
         self.dropped_shear = 0
-        """Number of samples of shear that were dropped because nobody took them within a second.
-
-        None are dropped with keep=all."""
         self.peak_current = 0.0
-        """Largest current into any contactor so far [A]."""
 
     def _put(self, volts: Floats) -> None:
         super()._put(volts)
@@ -122,10 +118,10 @@ class SimulatedDisplay(MockBus):
         (S, N) array of float
             Shear displacement of the skin at each contactor [m].
         """
-        taken = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
+        shear = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
         self._shear.clear()
         self._shear_count = 0
-        return taken
+        return shear
 
     def settle(self) -> None:
         """Run the plant on at 0 V until its output covers everything that was played."""

@@ -44,7 +44,9 @@ from tactile.messages import (
     TextureInfo,
     Textures,
 )
+from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, OscConfig, ServerConfig, TokenConfig
+from tactile.server.host import Host
 from tactile.server.server import Server, running
 
 T = TypeVar("T")
@@ -71,12 +73,14 @@ def display(name: str) -> DisplayDescription:
     )
 
 
-class Hand:
+class Hand(Client):
     """A client that notes."""
+
+    sounds: bool = False
+    holds_voltage: bool = False
 
     def __init__(self, hands: "Hands", name: str, roles: frozenset[Role]) -> None:
         self.hands, self.name, self.roles = hands, name, roles
-        self.sounds = self.holds_voltage = False
         self.quieted = self.gave_up = 0
         self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(256)
         self.contacts: list[Contact] = []
@@ -100,9 +104,9 @@ class Hand:
         await self.hands.pause()
         self.commands.append(command)
         self.hands.log.append((self.name, command))
-        return self._answer(command)
+        return self._reply(command)
 
-    def _answer(self, command: Any) -> Answer:
+    def _reply(self, command: Any) -> Answer:
         code = self.hands.codes.get(type(command))
         if code is not None:
             return Failure(code=code, message="as told", field="display")
@@ -124,11 +128,11 @@ class Hand:
                 touching=False, owner=False, latency_ms=9.0, counters={"underruns": 0},
             )  # fmt: skip
         elif isinstance(command, Subscribe):
-            self.outbox.put_nowait(self._telemetry(command.display))
+            self.outbox.put_nowait(self._sample(command.display))
         return Done()
 
     @staticmethod
-    def _telemetry(name: str) -> TelemetryMessage:
+    def _sample(name: str) -> TelemetryMessage:
         return TelemetryMessage(
             display=name, time_us=1, state="disarmed", position_mm=(0.0, 0.0),
             velocity_mm_s=(0.0, 0.0), normal_force_n=0.0, shear_um=(0.0,), drive_v=(0.0,),
@@ -152,7 +156,7 @@ async def no_pause() -> None:
     """Carry out a request at once."""
 
 
-class Hands:
+class Hands(Host):
     """The host: notes what its clients do, in `log` in the order in which it came.
 
     `pause` is awaited before each request but a contact, and makes the host as slow as it is.
@@ -299,7 +303,7 @@ def figure(there: Server, name: str, **labels: str) -> float:
     """Return the sum of a metric over the labels that are not given."""
     return sum(
         sample.value
-        for family in there.metrics.registry.collect()
+        for family in there.site.metrics.registry.collect()
         for sample in family.samples
         if sample.name == name and labels.items() <= sample.labels.items()
     )

@@ -175,7 +175,7 @@ def test_a_sheet_of_one_category_is_written(command: Command) -> None:
         (["show", "wood-oak", "--plot", "no/a.png"], "no/a.png: No such file or directory"),
         (["sheet", "no/a.png"], "no/a.png: No such file or directory"),
         (["sheet", "a.png", "--category", "wod"],
-         "no texture is of category 'wod'; did you mean 'wood'?"),
+         "no category 'wod'; did you mean 'wood'?"),
         (["sheet", "a.png", "--speed-mm-s", "2000"], "--speed-mm-s 2000: must be between 5 and"),
     ],
 )  # fmt: skip

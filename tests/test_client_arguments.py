@@ -24,20 +24,20 @@ WRONG: dict[str, list[Call]] = {
         lambda d: d.touch("12"),
         lambda d: d.touch((10**400, 0)),
     ],
-    r"position_mm\[1\]: -inf": [lambda d: d.touch((0, -math.inf))],
-    r"position_mm\[0\]: nan: Expected `float`": [lambda d: d.touch((math.nan, 0.0))],
-    r"position_mm\[1\]: 101000.0: .* <= 100000.0": [lambda d: d.touch((0.0, 101.0))],
-    r"velocity_mm_s\[1\]: inf": [lambda d: d.touch((0.0, 0.0), velocity=(0.0, math.inf))],
-    "normal_force_n: -0.1: .* >= 0": [lambda d: d.touch((0.0, 0.0), normal_force=-0.1)],
-    "gain: 1.5: .* <= 1": [lambda d: d.gain(1.5)],
-    r"layers\[1\].gain: 2.0: .* <= 1": [lambda d: d.select(["a", ("b", 2.0)])],
+    r"position_mm\[1\] = -inf": [lambda d: d.touch((0, -math.inf))],
+    r"position_mm\[0\] = nan: expected float": [lambda d: d.touch((math.nan, 0.0))],
+    r"position_mm\[1\] = 101000.0: .* <= 100000.0": [lambda d: d.touch((0.0, 101.0))],
+    r"velocity_mm_s\[1\] = inf": [lambda d: d.touch((0.0, 0.0), velocity=(0.0, math.inf))],
+    "normal_force_n = -0.1: .* >= 0": [lambda d: d.touch((0.0, 0.0), normal_force=-0.1)],
+    "gain = 1.5: .* <= 1": [lambda d: d.gain(1.5)],
+    r"layers\[1\].gain = 2.0: .* <= 1": [lambda d: d.select(["a", ("b", 2.0)])],
     "layers: 3 is no texture": [lambda d: d.select([3])],
     "layers: .*length <= 4": [lambda d: d.select(["a"] * 5)],
-    "amplitude_um: 1000000.0: .* <= 500": [lambda d: d.effect(1.0)],
+    "amplitude_um = 1000000.0: .* <= 500": [lambda d: d.effect(1.0)],
     r"samples\[1\]: 1.5 is outside −1 … 1": [lambda d: d.append([0.0, 1.5], **WAVE)],
     r"samples\[0\]: nan is outside": [lambda d: d.append([math.nan], **WAVE)],
     "samples: must be real": [lambda d: d.append(["a"], **WAVE)],
-    "sample_rate_hz: 8.0: ": [lambda d: d.append([0.0], sample_rate=8, amplitude=1e-6)],
+    "sample_rate_hz = 8.0: ": [lambda d: d.append([0.0], sample_rate=8, amplitude=1e-6)],
     "rate: 0 Hz is not above 0": [lambda d: d.telemetry(rate=0)],
     r"velocity \[m/s\]: .* is not two numbers": [
         lambda d: d.touch((0, 0), velocity=(0, 0, 0)),
@@ -49,7 +49,7 @@ WRONG: dict[str, list[Call]] = {
         lambda d: d.touch((0, 0), normal_force="0.5"),
         lambda d: d.touch((0, 0), normal_force=(1, 2)),
     ],
-    "normal_force_n: nan": [lambda d: d.touch((0, 0), normal_force=math.nan)],
+    "normal_force_n = nan": [lambda d: d.touch((0, 0), normal_force=math.nan)],
     "time: .* is not a finite time": [
         lambda d: d.touch((0, 0), time="now"),
         lambda d: d.touch((0, 0), time=1e308),
@@ -58,7 +58,7 @@ WRONG: dict[str, list[Call]] = {
     ],
     "layers: .* is n": [lambda d: d.select(5), lambda d: d.select(None), lambda d: d.select([3])],
     "layers: .* is no texture": [lambda d: d.select([("a", "b", "c")])],
-    "texture: ": [lambda d: d.select(m.Layer(texture=5))],  # type: ignore[arg-type]
+    r"layers\[0\].texture = 5": [lambda d: d.select(m.Layer(texture=5))],  # type: ignore[arg-type]
     "select: .*unsupported": [lambda d: d.select(m.Layer(texture=object()))],  # type: ignore[arg-type]
     "gain: .* is not a finite number": [
         lambda d: d.gain("x"), lambda d: d.gain(None), lambda d: d.gain(math.nan),
@@ -69,7 +69,7 @@ WRONG: dict[str, list[Call]] = {
         lambda d: d.play([0.0], **WAVE, timeout="x"),
     ],
     "timeout: -1 s is not in 0": [lambda d: d.stats(timeout=-1), lambda d: d.arm(timeout=-1)],
-    "estop: ": [lambda d: d.clear(estop=0), lambda d: d.clear(estop="x")],
+    "estop = ": [lambda d: d.clear(estop=0), lambda d: d.clear(estop="x")],
     "samples: ": [
         lambda d: d.append(5, **WAVE),
         lambda d: d.append("abc", **WAVE),
@@ -86,7 +86,7 @@ WRONG: dict[str, list[Call]] = {
         lambda d: d.append([0.0], **WAVE, contactors=["a"]),
     ],
     "contactors: 5 is not a sequence": [lambda d: d.append([0.0], **WAVE, contactors=5)],
-    r"contactors\[0\]: -1": [lambda d: d.append([0.0], **WAVE, contactors=[-1])],
+    r"contactors\[0\] = -1": [lambda d: d.append([0.0], **WAVE, contactors=[-1])],
     "amplitude_points: 5 is not a sequence": [lambda d: d.effect(1e-6, amplitude_points=5)],
     r"amplitude_points\[1\]: .* is not \(time \[s\], value\)": [
         lambda d: d.effect(1e-6, amplitude_points=[(0, 1), (1,)]),
@@ -104,7 +104,7 @@ WRONG: dict[str, list[Call]] = {
     "rate .* is not a finite number": [
         lambda d: d.telemetry(rate="x"), lambda d: d.telemetry(rate=math.inf),
     ],
-    "rate_hz: 1000": [lambda d: next(iter(d.telemetry(rate=1000)))],
+    "rate_hz = 1000": [lambda d: next(iter(d.telemetry(rate=1000)))],
     "callback: 5 is not a function": [
         lambda d: d.on_event(5), lambda d: d.connection.on_event(5),
     ],

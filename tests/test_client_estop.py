@@ -93,11 +93,11 @@ def test_a_display_whose_estop_was_cleared_meanwhile_is_not_armed_again(
 def test_what_makes_quieter_is_never_too_much() -> None:
     session, kept = opened_session()
     for _ in range(256):
-        session.ask(m.SetGain(display="left", gain=0.5))
+        session.request(m.SetGain(display="left", gain=0.5))
     with pytest.raises(ClientError, match="256 requests wait"):
-        session.ask(m.ArmDisplay(display="left"))
-    session.ask(m.EStop())
-    session.ask(m.DisarmDisplay(display="left"))
+        session.request(m.ArmDisplay(display="left"))
+    session.request(m.EStop())
+    session.request(m.DisarmDisplay(display="left"))
     assert [type(said) for said in kept[256:]] == [m.EStop, m.DisarmDisplay]
 
 
@@ -178,7 +178,7 @@ def test_sending_without_end_leaves_others_their_turn() -> None:
 
     async def main() -> None:
         transport = websocket.TaskTransport(address.EXAMPLE_URL, timeout=PATIENCE)
-        transport._receiver = opened_session()[0]
+        transport._session = opened_session()[0]
         sent: list[Any] = []
 
         class Endless:

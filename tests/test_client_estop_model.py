@@ -16,7 +16,6 @@ from repeating import often
 from tactile import messages as m
 from tactile.client.outbox import Outbox
 from tactile.client.session import ClientSession
-from tactile.client.transport import Receiver
 from tactile.clock import ModelClock
 from tactile.errors import ClientError, DisconnectedError
 
@@ -49,7 +48,7 @@ class Schedule(RuleBasedStateMachine):
 
     # The transport
 
-    def open(self, receiver: Receiver) -> None:
+    def open(self, session: ClientSession) -> None:
         raise NotImplementedError
 
     def close(self) -> "Future[None]":
@@ -94,7 +93,7 @@ class Schedule(RuleBasedStateMachine):
             self.batch = self.outbox.take()
             return
         command = self.batch.pop(0)
-        if not self.session.wanted(command):
+        if not self.session.is_pending(command):
             return
         assert command.id not in self.overtaken
         assert isinstance(command, m.ClientHello) == (not self.sent), "hello is first, and once"
@@ -164,7 +163,7 @@ class Schedule(RuleBasedStateMachine):
 
     def ask(self, request: m.Request) -> bool:
         try:
-            self.futures.append(self.session.ask(request))
+            self.futures.append(self.session.request(request))
         except DisconnectedError:
             return False
         return True

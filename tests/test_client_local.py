@@ -10,7 +10,7 @@ from client_rig import MESSAGES, Script, Twin, opened_session, plain
 
 from tactile import messages as m
 from tactile.client.outbox import Outbox
-from tactile.client.transport import Receiver
+from tactile.client.session import ClientSession
 from tactile.errors import DisconnectedError
 
 
@@ -21,14 +21,14 @@ class LocalTransport:
         self.script = script
         self.heard: list[Any] = []
 
-    def open(self, receiver: Receiver) -> None:
-        self._receiver = receiver
-        receiver.opened()
+    def open(self, session: ClientSession) -> None:
+        self._session = session
+        session.opened()
 
     def send(self, command: m.Command) -> None:
         self.heard.append(command)
         if (answer := self.script.answer(command)) is not None:
-            self._receiver.received(answer)
+            self._session.received(answer)
 
     def close(self) -> "Future[None]":
         future: Future[None] = Future()
@@ -71,10 +71,10 @@ def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> N
         m.EStop(display="left"),
         m.StopPlaying(display="left"),
     ):
-        session.ask(request).cancel()
-    assert [session.wanted(command) for command in kept] == [False, True, True]
-    waiting = session.ask(m.ArmDisplay(display="left"))
-    assert session.wanted(kept[-1])
+        session.request(request).cancel()
+    assert [session.is_pending(command) for command in kept] == [False, True, True]
+    waiting = session.request(m.ArmDisplay(display="left"))
+    assert session.is_pending(kept[-1])
     session.close()
     assert isinstance(waiting.exception(), DisconnectedError)
 

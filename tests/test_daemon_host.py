@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import closing
-from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -24,7 +23,6 @@ from tactile.server import playing as playing_module
 from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, DisplayConfig
 from tactile.server.host import Host
-from tactile.server.playing import Playing
 
 T = TypeVar("T")
 NAME = "right"
@@ -40,7 +38,7 @@ def _patient() -> Iterator[None]:
         program = processes.PROGRAM.replace("main()", PATIENT)
         patch.setattr(processes, "PROGRAM", program)
         patch.setattr(playing_module, "STILL", 600.0)
-        patch.setattr(Playing, "ask", partialmethod(Playing.ask, within=PATIENCE))
+        patch.setattr(playing_module, "ANSWER", PATIENCE)
         yield
 
 

@@ -254,17 +254,7 @@ def save_response(path: Path) -> None:
 
 
 def save_played(path: Path) -> None:
-    play = played()
-    plots.plot_played(
-        path,
-        display=DISPLAY,
-        time=play.time,
-        shear_target=play.target,
-        shear_played=play.played,
-        drive=play.drive,
-        title="a wave",
-        position=play.position,
-    )
+    plots.plot_played(path, played(), title="a wave")
 
 
 @pytest.mark.ci

@@ -208,7 +208,7 @@ async def test_what_makes_safe_is_carried_out_though_its_client_is_gone() -> Non
             await talker.send(type="disarm", display="right")
             await talker.send(type="arm", display="right")
             await talker.send(type="estop")
-        await until(lambda: there.site.clients == 0)
+        await until(lambda: len(there.site.places) == 0)
         done = [type(command) for _, command in hands.log]
         assert done == [EStop, type(None), DisarmDisplay], "the client was closed before the disarm"
         assert not {Select, ArmDisplay} & set(done)
@@ -223,4 +223,4 @@ async def test_a_client_that_is_gone_is_closed_once_and_its_slow_request_with_it
             talker.link.transport.abort()
         await until(lambda: hands.clients[0].closed == 1)
         assert hands.clients[0].commands == []
-        await until(lambda: there.site.clients == 0)
+        await until(lambda: len(there.site.places) == 0)

@@ -173,4 +173,4 @@ async def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
                 noise = rng.randbytes(rng.randrange(1, 300))
                 await asyncio.get_running_loop().sock_sendall(link, head + noise)
             assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
-        await until(lambda: there.site.clients == 1)
+        await until(lambda: len(there.site.places) == 1)

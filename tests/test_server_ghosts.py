@@ -57,7 +57,7 @@ async def hang_up(there: Server, rng: random.Random) -> None:
 
 def nobody_is_left(there: Server, hands: Hands) -> bool:
     gauge = figure(there, "tactile_clients", transport="websocket")
-    return there.site.clients == 0 and gauge == 0 and all(hand.closed for hand in hands.clients)
+    return len(there.site.places) == 0 and gauge == 0 and all(hand.closed for hand in hands.clients)
 
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.ci)])
@@ -68,7 +68,7 @@ async def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
         before = asyncio.all_tasks()
         while len(hands.clients) < count:
             # A place is free only once its client's requests have ended: four must be left.
-            await until(lambda: there.site.clients <= 4)
+            await until(lambda: len(there.site.places) <= 4)
             await asyncio.gather(*(hang_up(there, rng) for _ in range(4)))
         await until(lambda: nobody_is_left(there, hands))
         await until(lambda: asyncio.all_tasks() <= before)
@@ -170,4 +170,4 @@ async def test_a_client_that_cannot_be_closed_keeps_no_place(
         async with talking(there) as talker:
             await talker.ask(type="ping", time_us=time.monotonic_ns() // 1000)
             monkeypatch.setattr(type(hands.clients[0]), "close", fail)
-        await until(lambda: there.site.clients == 0)
+        await until(lambda: len(there.site.places) == 0)

@@ -33,7 +33,7 @@ from tactile.errors import InputError
 from tactile.messages import JSON_PROTOCOL
 from tactile.server import listening, sockets
 from tactile.server.config import DaemonConfig, OscConfig, ServerConfig
-from tactile.server.listening import Listener, listen
+from tactile.server.listening import Listener, bound_sockets
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -103,9 +103,8 @@ async def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.Monk
 
 
 async def test_each_connection_has_no_delay_and_no_compression() -> None:
-    (bound,) = listen(ServerConfig(port=0), guarded=False)
-    assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
-    bound.close()
+    with bound_sockets(ServerConfig(port=0, socket=""), guarded=False) as (bound,):
+        assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
     async with daemon() as (there, _), talking(there) as talker:
         assert talker.link.protocol.extensions == []
 
@@ -208,7 +207,7 @@ PROCESS = """
                 print("closed", flush=True)
             await super().close()
 
-    server._host = lambda config: Hands()
+    server.Host = lambda config: Hands()
     log = LogConfig(format="json")
     config = DaemonConfig(server=ServerConfig(port=0, socket=""), log=log)
     server.serve(config, ready=lambda there: print(there.port, gc.get_freeze_count(), flush=True))

@@ -33,7 +33,7 @@ from tactile.errors import InputError
 from tactile.messages import ALL_ROLES, JSON_PROTOCOL, EStop, Role
 from tactile.server import connection, listening, places, sockets
 from tactile.server.config import ServerConfig
-from tactile.server.listening import listen
+from tactile.server.listening import bound_sockets
 from tactile.server.security import Tokens, host_name, refusal
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -247,11 +247,10 @@ def test_each_token_has_its_roles_and_none_can_be_read_back() -> None:
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
 def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
     """A name that seemed to be this machine may turn out to be more."""
-    config = ServerConfig(host=host, port=0, token_file="x")
-    with pytest.raises(
-        InputError, match=r"which others can reach: server\.token_file must be given"
-    ):
-        listen(config, guarded=False)
+    config = ServerConfig(host=host, port=0, token_file="x", socket="")
+    message = r"which others can reach: server\.token_file must be given"
+    with pytest.raises(InputError, match=message), bound_sockets(config, guarded=False):
+        pass
 
 
 # One client and the others
@@ -272,7 +271,7 @@ async def test_one_client_more_than_may_be_can_only_estop_and_a_place_becomes_fr
                 assert [type(c) for c in hands.clients[2].commands] == [EStop]
                 assert hands.clients[2].contacts == []
             assert (await first.ask(type="ping", time_us=1))["type"] == "pong"
-        await until(lambda: there.site.clients == 0)
+        await until(lambda: len(there.site.places) == 0)
         async with talking(there):
             assert "arm" in hands.clients[3].roles
         await until(lambda: [hand.closed for hand in hands.clients] == [1] * 4)
@@ -413,7 +412,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notic
                         hand.outbox.put_nowait(LARGE)
                     assert (await other.ask(type="ping", time_us=1, id=number))["id"] == number
                 await until(lambda: hand.closed == 1)
-                await until(lambda: there.site.clients == 1)
+                await until(lambda: len(there.site.places) == 1)
                 assert not hands.clients[1].closed
 
 

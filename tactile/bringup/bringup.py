@@ -355,7 +355,7 @@ def _ask_yes_no(ask: Ask, question: str) -> bool:
     return reply in ("", "y", "yes")
 
 
-def told_map(channels: Sequence[CheckedChannel], display: Display) -> tuple[Map, list[str]]:
+def reported_map(channels: Sequence[CheckedChannel], display: Display) -> tuple[Map, list[str]]:
     """Return the map that a person reported, and what is wrong with it.
 
     A channel that moves nothing, or was not asked about, keeps its contactor unless another channel
@@ -407,7 +407,7 @@ def _conclude(
         f"channel {line.channel} moved nothing" for line in report.channels
         if line.asked and line.moved is None
     ]  # fmt: skip
-    reported, problems = told_map(report.channels, display)
+    reported, problems = reported_map(report.channels, display)
     report.faults += problems
     unasked = [c for c in report.channels if not c.asked and c.verdict not in UNTOUCHABLE]
     changed = reported != Map.of(display)

@@ -76,20 +76,20 @@ def run(
     """
     _check_options(load, admittance, velocity, stiffness=stiffness, branches=branches)
     check_plot(plot)
-    shown = tactile.load_display(display)
+    loaded = tactile.load_display(display)
     result: LoadFit | BimorphFit
     if load is not None:
-        result, tables = _fit_finger(shown, load, branches)
+        result, tables = _fit_finger(loaded, load, branches)
     else:
         on_tip = getattr(tactile.FingerLoad, finger.value)()
-        result, tables = _fit_bender(shown, admittance, velocity, on_tip, stiffness=stiffness)
+        result, tables = _fit_bender(loaded, admittance, velocity, on_tip, stiffness=stiffness)
     if out is not None:
         write_tables(display, out, **tables, force=force)
     if plot is not None:
         from tactile.study.plots import plot_adjusted
 
         plot_adjusted(plot, result.comparisons)
-    emit(_facts(result), as_json, lambda _: _print(result, shown.name))
+    emit(_facts(result), as_json, lambda _: _print(result, loaded.name))
     for done, path in (("written", out), ("drawn", plot)):
         if path is not None and not as_json:
             typer.echo(f"{done}: {path}")
@@ -114,22 +114,22 @@ def _check_options(
 
 
 def _fit_finger(
-    shown: tactile.Display, path: Path, branches: int | None
+    loaded: tactile.Display, path: Path, branches: int | None
 ) -> tuple["LoadFit", dict[str, Any]]:
     """Return the fit of a load, and the tables of a display file that contain it."""
     from tactile.study.load_fit import KINDS, fit_load
     from tactile.study.measurement import load_measurement
 
     measured = load_measurement(path, *KINDS)
-    before = shown.load_at(shown.load_forces[0])
-    fit = fit_load(shown.bimorph, measured, branches=branches, before=before)
+    before = loaded.load_at(loaded.load_forces[0])
+    fit = fit_load(loaded.bimorph, measured, branches=branches, before=before)
     k0, d0, *rest = (_rounded(c.value) for c in fit.constants)
     pairs = list(zip(rest[::2], rest[1::2], strict=True))
     return fit, {"finger": {"k0_n_per_m": k0, "d0_n_s_per_m": d0, "branches": pairs}}
 
 
 def _fit_bender(
-    shown: tactile.Display,
+    loaded: tactile.Display,
     admittance: Path | None,
     velocity: Path | None,
     load: tactile.FingerLoad,
@@ -140,13 +140,13 @@ def _fit_bender(
     from tactile.study.admittance_fit import ADJUSTED, fit_bimorph
     from tactile.study.measurement import load_measurement
 
-    told = [
+    measurements = [
         None if admittance is None else load_measurement(admittance, "admittance"),
         None if velocity is None else load_measurement(velocity, "velocity", "displacement"),
     ]
     names = (*ADJUSTED, STIFFNESS) if stiffness else ADJUSTED
-    measured = [(one, load) for one in told if one is not None]
-    fit = fit_bimorph(shown.bimorph, measured, names=names)
+    measured = [(one, load) for one in measurements if one is not None]
+    fit = fit_bimorph(loaded.bimorph, measured, names=names)
     return fit, {"bimorph": {c.name: _rounded(c.value) for c in fit.constants}}
 
 

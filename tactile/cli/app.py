@@ -129,9 +129,9 @@ def _new_name(name: str) -> str:
 app = typer.Typer(cls=LazyGroup, context_settings={"token_normalize_func": _new_name}, **_STYLE)
 
 
-def _print_version(asked: bool) -> None:
+def _print_version(requested: bool) -> None:
     """Print the installed version and exit, if it was asked for."""
-    if asked:
+    if requested:
         from importlib.metadata import PackageNotFoundError, version
 
         try:

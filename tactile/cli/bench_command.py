@@ -38,6 +38,6 @@ def run(
             raise InputError(f"no benchmark {name!r}; {nearest(name, list(BENCHMARKS))}")
     chosen = [BENCHMARKS[name] for name in only or ([] if device else BENCHMARKS)]
     if device is not None:
-        shown = tactile.load_display(display)
-        chosen.append(lambda: measure_link(device, shown))
+        loaded = tactile.load_display(display)
+        chosen.append(lambda: measure_link(device, loaded))
     emit([figure.as_dict() for figure in measure(chosen)], as_json, print_figures)

@@ -33,15 +33,15 @@ def run(
     from tactile.bus.budget import BudgetError, plan, table
     from tactile.devices import link_at
 
-    shown, link = tactile.load_display(display), link_at(url)
+    loaded, link = tactile.load_display(display), link_at(url)
     chosen = None
     with suppress(BudgetError):
-        chosen = plan(link, shown.channels, band=band_hz)
-    rows = table(link, shown.channels, band=band_hz)
-    title = f"{shown.channels} channels on {link.name}, of which {link.cap:.0%} may be used"
+        chosen = plan(link, loaded.channels, band=band_hz)
+    rows = table(link, loaded.channels, band=band_hz)
+    title = f"{loaded.channels} channels on {link.name}, of which {link.cap:.0%} may be used"
     facts = {
         "link": link.name,
-        "channels": shown.channels,
+        "channels": loaded.channels,
         "cap": link.cap,
         "plan": None if chosen is None else asdict(chosen),
         "rows": [asdict(row) | {"fits": row.fits} for row in rows],

@@ -48,7 +48,7 @@ def run(
     """
     from tactile.bringup.bringup import bring_up
 
-    with progress_bar(shown=not as_json) as bar:
+    with progress_bar(visible=not as_json) as bar:
         task = bar.add_task("channels", total=None)
 
         def ask(question: str) -> str:
@@ -68,10 +68,10 @@ def _print(r: dict[str, Any]) -> None:
     """Print the amplifiers, the channels and the faults of a report."""
     for one in r["amplifiers"]:
         typer.echo(_amplifier(one))
-    shown = [name for name in COLUMNS if any(one[name] is not None for one in r["channels"])]
-    rows = ([_cell(one[name]) for name in shown] for one in r["channels"])
+    names = [name for name in COLUMNS if any(one[name] is not None for one in r["channels"])]
+    rows = ([_cell(one[name]) for name in names] for one in r["channels"])
     title = f"{r['display']} at {r['device']}, checked with {r['voltage_v']:g} V at most"
-    print_table(right(*(COLUMNS[name] for name in shown)), rows, title)
+    print_table(right(*(COLUMNS[name] for name in names)), rows, title)
     for kind in ("note", "fault"):
         for line in r[f"{kind}s"]:
             typer.echo(f"{kind}: {line}")

@@ -89,8 +89,8 @@ def _clear_device(device: str, display: str, estop: int | None, accept_unsafe_ho
         _confirm(device, number, reason)
         return number
 
-    shown = load_display(display)
-    return clear_device(device, shown, choose, accept_unsafe_hold=accept_unsafe_hold)
+    loaded = load_display(display)
+    return clear_device(device, loaded, choose, accept_unsafe_hold=accept_unsafe_hold)
 
 
 def _confirm(name: str, number: int, reason: str) -> None:

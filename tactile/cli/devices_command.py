@@ -16,10 +16,10 @@ def run(as_json: AsJson = False) -> None:
     emit([{"url": one.url, "about": one.about} for one in find_devices()], as_json, _print)
 
 
-def _print(found: list[dict[str, str]]) -> None:
+def _print(devices: list[dict[str, str]]) -> None:
     """Print a line for each device."""
-    if found:
+    if devices:
         columns = [unwrapped("device"), "description"]
-        print_table(columns, ((one["url"], one["about"]) for one in found))
+        print_table(columns, ((one["url"], one["about"]) for one in devices))
     else:
         typer.echo("no device found; sim: and mock: are always available")

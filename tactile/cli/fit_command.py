@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -12,6 +12,7 @@ import typer
 
 from tactile.cli.options import AsJson, Force, PlotOption, check_plot, emit
 from tactile.cli.printing import print_facts, print_table, progress_bar, right, unwrapped
+from tactile.cli.textures_command import CATEGORIES
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.texture.descriptor import About
@@ -106,7 +107,7 @@ def run(
     ]
     silent = None if noise is None else read(noise, speed=1.0)
     reference = None if reference_speed_mm_s is None else reference_speed_mm_s * 1e-3
-    with progress_bar(shown=not as_json) as bar:
+    with progress_bar(visible=not as_json) as bar:
         task = bar.add_task("reading", total=STEPS)
         fit, verdict = fit_texture(
             slides, about, noise=silent, reference_speed=reference,
@@ -124,7 +125,7 @@ def run(
 
 def _about(out: Path, category: str, description: str, source: str, license_: str) -> About:
     """Return the first table of the texture file."""
-    given = {
+    fields = {
         "id": out.stem,
         "category": category,
         "description": description or out.stem,
@@ -133,11 +134,10 @@ def _about(out: Path, category: str, description: str, source: str, license_: st
         "license": license_,
     }
     try:
-        return msgspec.convert(given, About)
+        return msgspec.convert(fields, About)
     except msgspec.ValidationError as error:
         if "category" in str(error):
-            known = list(get_args(get_type_hints(About)["category"]))
-            raise InputError(f"--category {category!r}: {nearest(category, known)}") from error
+            raise InputError(f"--category {category!r}: {nearest(category, CATEGORIES)}") from error
         raise InputError(
             f"{out}: the name of a texture consists of lower-case letters, digits and hyphens, for "
             "example denim-blue.toml"
@@ -145,20 +145,20 @@ def _about(out: Path, category: str, description: str, source: str, license_: st
 
 
 def _one_each(
-    given: list[float] | None, recordings: list[Path], name: str, unit: float
+    values: list[float] | None, recordings: list[Path], name: str, unit: float
 ) -> list[float | None]:
     """Return the value of an option for each recording, in SI units."""
-    if not given:
+    if not values:
         return [None] * len(recordings)
-    if len(given) not in (1, len(recordings)):
+    if len(values) not in (1, len(recordings)):
         raise InputError(
-            f"{name} is given {len(given)} times for {len(recordings)} recordings; give it once "
+            f"{name} is given {len(values)} times for {len(recordings)} recordings; give it once "
             "for all, or once for each"
         )
-    for value in given:
+    for value in values:
         if not 0 < value < math.inf:
             raise InputError(f"{name} {value:g}: must be greater than 0")
-    whole = given * (len(recordings) if len(given) == 1 else 1)
+    whole = values * (len(recordings) if len(values) == 1 else 1)
     return [value * unit for value in whole]
 
 

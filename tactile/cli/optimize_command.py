@@ -17,7 +17,7 @@ from tactile.cli.options import (
     ReportOption,
     StartDisplay,
     VoltageLimit,
-    check_plot,
+    check_outputs,
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar, right
@@ -134,7 +134,7 @@ def run(
         seed=seed,
     )
     _check_files(task, out, plot, report)
-    front = _find(task, shown=not as_json)
+    front = _find(task, visible=not as_json)
     advice = recommend(front)
     emit(_facts(front, advice), as_json, lambda _: _print(front, advice))
     _write_files(front, advice, out, plot, report)
@@ -161,9 +161,9 @@ def _conditions(
 
 def _fixed(fix: list[str] | None, load: str | None) -> dict[str, Any]:
     """Return the values of the parameters that do not vary, by name."""
-    given = assignments(fix or [], "width_mm=2")
+    texts = assignments(fix or [], "width_mm=2")
     fixed: dict[str, Any] = {
-        name: text if name in NAMED else parse_number(name, text) for name, text in given.items()
+        name: text if name in NAMED else parse_number(name, text) for name, text in texts.items()
     }
     if load is not None:
         if "load" in fixed:
@@ -198,26 +198,18 @@ def _limit(name: str, text: str) -> tuple[float, float]:
 
 def _check_files(task: "Task", out: Path | None, plot: Path | None, report: Path | None) -> None:
     """Check that the output files can be written, before anything is computed."""
-    if report is not None:
-        from tactile.study.report import check_report
-
-        check_report(report)
-    if out is not None:
-        from tactile.study.storing import check_store
-
-        check_store(out)
-        if out.suffix == ".zarr" and out.exists():
-            raise InputError(f"{out}: already exists; remove it, or choose another name")
-    check_plot(plot)
+    check_outputs(out, plot, report)
+    if out is not None and out.suffix == ".zarr" and out.exists():
+        raise InputError(f"{out}: already exists; remove it, or choose another name")
     if plot is not None and len(task.objectives) == 1:
         raise InputError("--plot: needs two or three objectives, of which it shows the front")
 
 
-def _find(task: "Task", *, shown: bool) -> "xarray.Dataset":
+def _find(task: "Task", *, visible: bool) -> "xarray.Dataset":
     """Find the designs with a progress bar that counts generations."""
     from tactile.study.optimizing import find_designs
 
-    with progress_bar(shown=shown) as bar:
+    with progress_bar(visible=visible) as bar:
         row = bar.add_task("generations", total=None)
         return find_designs(task, lambda done, total: bar.update(row, completed=done, total=total))
 

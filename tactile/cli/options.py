@@ -153,3 +153,28 @@ def check_plot(plot: Path | None) -> None:
         from tactile.show.plots import check_file
 
         check_file(plot)
+
+
+def check_outputs(out: Path | None, plot: Path | None, report: Path | None) -> None:
+    """Check that the files of a study can be written, before anything is computed.
+
+    Parameters
+    ----------
+    out : data file of the option ``--out``, or None
+    plot : file of the option ``--plot``, or None
+    report : file of the option ``--report``, or None
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    if out is not None:
+        from tactile.study.storing import check_store
+
+        check_store(out)
+    check_plot(plot)
+    if report is not None:
+        from tactile.study.report import check_report
+
+        check_report(report)

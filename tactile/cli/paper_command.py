@@ -29,13 +29,13 @@ def run(
     console = plain_console(stderr=True)
     console.quiet = as_json
     with console.status("") as status:
-        found = write_paper(folder, progress=lambda name: status.update(name))
+        claims = write_paper(folder, progress=lambda name: status.update(name))
     facts = {
-        "claims": [asdict(c) | {"difference": c.difference, "is_met": c.is_met} for c in found],
+        "claims": [asdict(c) | {"difference": c.difference, "is_met": c.is_met} for c in claims],
         "kinds": KINDS,
         "files": sorted(str(path) for path in folder.iterdir() if path.is_file()),
     }
-    emit(facts, as_json, lambda _: _print(found, folder))
+    emit(facts, as_json, lambda _: _print(claims, folder))
 
 
 def _print(claims: "list[Claim]", folder: Path) -> None:

@@ -95,20 +95,20 @@ def run(
     }
     trajectory = _trajectory(path, stroke)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
-    shown, felt = tactile.load_display(display), tactile.load_texture(texture)
-    factor = _gain(gain, shown, felt, stroke, path)
+    loaded, surface = tactile.load_display(display), tactile.load_texture(texture)
+    factor = _gain(gain, loaded, surface, stroke, path)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
-        _live(shown, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
+        _live(loaded, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
     )
     with live:
         summary = runs.run(
-            shown, felt, trajectory,
+            loaded, surface, trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
             watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
-        title = f"Played {felt.descriptor.texture.description}"
+        title = f"Played {surface.descriptor.texture.description}"
         emit(summary.as_dict(), as_json, lambda facts: print_facts(_report(facts), title))
 
 
@@ -128,19 +128,19 @@ def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.
 
 
 def _gain(
-    given: str,
+    text: str,
     display: "tactile.Display",
     texture: "tactile.Texture",
     stroke: dict[str, float | None],
     path: Path | None,
 ) -> float:
     """Return the gain as a number; "auto" is the largest one for the straight stroke."""
-    if given != "auto":
+    if text != "auto":
         try:
-            return within("--gain", float(given), 0.0, LARGEST_GAIN, 1.0)
+            return within("--gain", float(text), 0.0, LARGEST_GAIN, 1.0)
         except ValueError:
             raise InputError(
-                f"--gain {given}: must be auto or a number between 0 and {LARGEST_GAIN:g}"
+                f"--gain {text}: must be auto or a number between 0 and {LARGEST_GAIN:g}"
             ) from None
     if path is not None:
         raise InputError(
@@ -178,7 +178,13 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     }
     if s["gain"] != 1:
         rows["gain"] = f"{s['gain']:.3g}"
-    rows |= _frames(s) if s["frames"] else _samples(s)
+    if s["frames"]:
+        rows["frames"] = (
+            f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the events of "
+            "the texture are not played"
+        )
+    else:
+        rows |= _samples(s)
     if s["faults"] or s["invalid_samples"]:
         counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}
         rows["faults"] = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
@@ -187,14 +193,6 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     if s["recording"]:
         rows["recorded"] = s["recording"]
     return rows
-
-
-def _frames(s: dict[str, Any]) -> dict[str, str]:
-    """Return the lines about a device that takes spectrum frames."""
-    return {
-        "frames": f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the "
-        "events of the texture are not played",
-    }
 
 
 def _samples(s: dict[str, Any]) -> dict[str, str]:

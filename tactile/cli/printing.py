@@ -147,12 +147,12 @@ def print_figures(figures: Iterable[Mapping[str, Any]]) -> None:
     print_table(["figure", *right("measured"), "goal", ""], rows)
 
 
-def progress_bar(*, shown: bool) -> Progress:
+def progress_bar(*, visible: bool) -> Progress:
     """Return a progress bar on standard error that counts steps.
 
     Parameters
     ----------
-    shown : whether it may be shown; it never is if standard error is not a terminal
+    visible : whether it may be shown; it never is if standard error is not a terminal
 
     Returns
     -------
@@ -162,5 +162,5 @@ def progress_bar(*, shown: bool) -> Progress:
     console = plain_console(stderr=True)
     return Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=console, transient=True, disable=not (shown and console.is_terminal),
+        console=console, transient=True, disable=not (visible and console.is_terminal),
     )  # fmt: skip

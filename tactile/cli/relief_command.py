@@ -54,22 +54,22 @@ def run(
     check_name(out.stem, category)
     descriptor_file.check_target(out, out.stem, force=force)
     heights = read_height(picture, um_per_level=um_per_level, mm_per_pixel=mm_per_pixel)
-    made = texture_of(heights, name=out.stem, category=category, picture=picture.name)
-    descriptor_file.write(made.descriptor, out, made.comments, force=force)
-    emit(_facts(made, tactile.load_texture(out), out), as_json, _print)
+    result = texture_of(heights, name=out.stem, category=category, picture=picture.name)
+    descriptor_file.write(result.descriptor, out, result.comments, force=force)
+    emit(_facts(result, tactile.load_texture(out), out), as_json, _print)
 
 
-def _facts(made: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]:
+def _facts(result: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]:
     """Return what was measured in the picture and what the surface realizes."""
-    random = made.descriptor.stochastic
+    random = result.descriptor.stochastic
     return {
         "file": str(out),
         "name": texture.name,
-        "roughness_um": made.roughness_um,
-        "rms_um": made.rms_um,
-        "sag_um": made.sag_um,
-        "rms_slope": made.rms_slope,
-        "contact_share": made.contact_share,
+        "roughness_um": result.roughness_um,
+        "rms_um": result.rms_um,
+        "sag_um": result.sag_um,
+        "rms_slope": result.rms_slope,
+        "contact_share": result.contact_share,
         "skin_rms_um": float((texture.partials.amplitude**2).sum() / 2) ** 0.5 * 1e6,
         "periodic": [
             {
@@ -77,19 +77,19 @@ def _facts(made: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]:
                 "direction_deg": part.direction_deg,
                 "harmonics_um": part.harmonics_um,
             }
-            for part in made.descriptor.periodic
+            for part in result.descriptor.periodic
         ],
         "direction_deg": None if random is None else random.direction_deg,
         "direction_spread_deg": None if random is None else random.direction_spread_deg,
-        "resultant": made.resultant,
+        "resultant": result.resultant,
         "excess_kurtosis": None if random is None else random.excess_kurtosis,
         "am_depth": None if random is None else random.am_depth,
         "frequency_per_mm": [] if random is None else random.frequency_per_mm,
         "level_db": [] if random is None else random.level_db,
         "band_error_db": [round(float(e), 3) for e in texture.band_error_db],
-        "coarser_share": made.outside[0],
-        "finer_share": made.outside[1],
-        "notes": made.notes,
+        "coarser_share": result.outside[0],
+        "finer_share": result.outside[1],
+        "notes": result.notes,
     }
 
 

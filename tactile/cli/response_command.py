@@ -31,19 +31,19 @@ def run(
     """
     from tactile.study.figures import response_figures
 
-    shown = tactile.load_display(display)
+    loaded = tactile.load_display(display)
     loads = {f.value: getattr(tactile.FingerLoad, f.value)() for f in load or list(Finger)}
-    figures = response_figures(shown.bimorph, loads, shown.limits.voltage)
+    figures = response_figures(loaded.bimorph, loads, loaded.limits.voltage)
     if plot is not None:
         from tactile.show.plots import plot_response
 
         frequency = np.geomspace(1, 2000, 2000)
         curves = {
-            name: tactile.tip_response(shown.bimorph, finger, frequency)
+            name: tactile.tip_response(loaded.bimorph, finger, frequency)
             for name, finger in loads.items()
         }
-        plot_response(plot, curves, voltage=shown.limits.voltage)
-    emit(figures, as_json, partial(_print, shown.name))
+        plot_response(plot, curves, voltage=loaded.limits.voltage)
+    emit(figures, as_json, partial(_print, loaded.name))
     if plot is not None and not as_json:
         typer.echo(f"drawn: {plot}")
 

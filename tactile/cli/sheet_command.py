@@ -9,6 +9,7 @@ import tactile
 from tactile.cli.options import SpeedOption, check_plot, within
 from tactile.cli.printing import progress_bar
 from tactile.cli.show_command import SPEED
+from tactile.cli.textures_command import find_textures
 
 
 def run(
@@ -25,12 +26,12 @@ def run(
     Example: tactile sheet textures.png --category wood
     """
     from tactile.show.plots import plot_sheet
-    from tactile.show.views import names_of, tile
+    from tactile.show.views import tile
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_plot(plot)
-    names = names_of(category)
-    with progress_bar(shown=True) as bar:
+    names = [found.texture.id for found in find_textures(category)]
+    with progress_bar(visible=True) as bar:
         watched = bar.track(names, description="textures")
         tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
     plot_sheet(plot, tiles, speed=speed)

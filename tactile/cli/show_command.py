@@ -38,8 +38,8 @@ def run(
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_plot(plot)
-    shown = tactile.load_display(display)
-    view = view_texture(tactile.load_texture(texture), shown, speed=speed)
+    loaded = tactile.load_display(display)
+    view = view_texture(tactile.load_texture(texture), loaded, speed=speed)
     if plot is not None:
         from tactile.show.plots import plot_texture
 

@@ -59,14 +59,14 @@ def run(
         angle=math.radians(within("--angle-deg", angle_deg, -360.0, 360.0, 0.0)),
     )
     factor = within("--gain", gain, 0.0, 1e3, 1.0)
-    shown = [tactile.load_display(d) for d in display or ["reference-24"]]
+    loaded = [tactile.load_display(d) for d in display or ["reference-24"]]
     facts = []
-    for one in shown:
+    for one in loaded:
         played = tactile.load_texture(texture)
         if spend:
             played = tactile.spend(one, played, stroke, gain=factor)
         facts.append(_facts(one, played, stroke, factor))
-    equal = _equal(shown, tactile.load_texture(texture), stroke) if len(shown) > 1 else None
+    equal = _equal(loaded, tactile.load_texture(texture), stroke) if len(loaded) > 1 else None
     emit({"displays": facts, "equal": equal}, as_json, _print)
 
 
@@ -114,12 +114,12 @@ def _equal(
     displays: "list[tactile.Display]", texture: "tactile.Texture", stroke: "tactile.SteadyStroke"
 ) -> dict[str, Any]:
     """Return the gains at which a texture is equally strong on several displays."""
-    found = tactile.equal_gain(displays, texture, stroke)
+    equal = tactile.equal_gain(displays, texture, stroke)
     return {
         "displays": [display.name for display in displays],
-        "gains": [gain.value for gain in found.gains],
-        "level_db_sl": found.level,
-        "weakest": found.weakest,
+        "gains": [gain.value for gain in equal.gains],
+        "level_db_sl": equal.level,
+        "weakest": equal.weakest,
     }
 
 

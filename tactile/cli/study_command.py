@@ -15,7 +15,7 @@ from tactile.cli.options import (
     ReportOption,
     StartDisplay,
     VoltageLimit,
-    check_plot,
+    check_outputs,
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar
@@ -24,7 +24,6 @@ from tactile.study.criteria import CRITERIA, variable
 from tactile.study.findings import Figures, summarize
 from tactile.study.ranges import SHARE, check_share
 from tactile.study.runs import fitting_workers, run_study
-from tactile.study.storing import check_store
 from tactile.study.sweep import RESPONSES, Study
 
 
@@ -130,8 +129,8 @@ def run(
     )
     study = ask(words, None if display is None else start_from(tactile.load_display(display)))
     check_share(within)
-    _check_files(out, plot, report)
-    data = _run(study, out, workers, scheduler, shown=not as_json)
+    check_outputs(out, plot, report)
+    data = _run(study, out, workers, scheduler, visible=not as_json)
     if out is not None and not as_json:
         typer.echo(f"stored: {out}")
     facts = summarize(data, share=within) | {"stored": None if out is None else str(out)}
@@ -140,17 +139,6 @@ def run(
     for path in (plot, report):
         if path is not None and not as_json:
             typer.echo(f"written: {path}")
-
-
-def _check_files(out: Path | None, plot: Path | None, report: Path | None) -> None:
-    """Check that the output files can be written, before anything is computed."""
-    if out is not None:
-        check_store(out)
-    check_plot(plot)
-    if report is not None:
-        from tactile.study.report import check_report
-
-        check_report(report)
 
 
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:
@@ -174,10 +162,10 @@ def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, sh
 
 
 def _run(
-    study: Study, out: Path | None, workers: int | None, scheduler: str | None, *, shown: bool
+    study: Study, out: Path | None, workers: int | None, scheduler: str | None, *, visible: bool
 ) -> Any:
     """Run a study with a progress bar that counts blocks of designs."""
-    with progress_bar(shown=shown) as bar:
+    with progress_bar(visible=visible) as bar:
         task = bar.add_task(f"{study.designs} designs", total=None)
         return run_study(
             study,

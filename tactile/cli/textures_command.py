@@ -42,11 +42,27 @@ def run(
         texture = tactile.load_texture(name)
         emit(_texture_facts(texture), as_json, lambda facts: _print_texture(texture, facts))
     else:
-        emit([_facts(d) for d in _chosen(category, search)], as_json, _print_list)
+        emit([_facts(d) for d in find_textures(category, search)], as_json, _print_list)
 
 
-def _chosen(category: str | None, search: str | None) -> list[Descriptor]:
-    """Return the shipped descriptors of a category that contain the text searched for."""
+def find_textures(category: str | None, search: str | None = None) -> list[Descriptor]:
+    """Return the shipped descriptors of a category that contain the text searched for.
+
+    Parameters
+    ----------
+    category : category of the textures, or None for all
+    search : text to search for, or None
+
+    Returns
+    -------
+    list of Descriptor
+        At least one descriptor.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such category, or no such texture.
+    """
     if category is not None and category not in CATEGORIES:
         raise NotFoundError(f"no category {category!r}; {nearest(category, CATEGORIES)}")
     known = [descriptor.load(known) for known in descriptor.textures()]

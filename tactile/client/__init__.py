@@ -21,7 +21,6 @@ from tactile.client.connection import open_connection as open_connection
 from tactile.client.display import BaseDisplay as BaseDisplay
 from tactile.client.display import RemoteDisplay as RemoteDisplay
 from tactile.client.telemetry import TelemetryStream as TelemetryStream
-from tactile.client.transport import Receiver as Receiver
 from tactile.client.transport import Transport as Transport
 from tactile.client.wire import Appended as Appended
 from tactile.client.wire import DisplayInfo as DisplayInfo

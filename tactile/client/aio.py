@@ -12,7 +12,6 @@ the program as gone, and fades its waveforms.
 
 import functools
 from collections.abc import Callable, Coroutine, Generator
-from types import TracebackType
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from tactile.client.connection import AsyncConnection as AsyncConnection
@@ -31,26 +30,21 @@ class Opening(Generic[C]):
 
     Parameters
     ----------
-    opened : Callable
+    opener : Callable
         Coroutine function that opens it.
     """
 
-    def __init__(self, opened: Callable[[], Coroutine[Any, Any, C]]) -> None:
-        self._opened = opened
+    def __init__(self, opener: Callable[[], Coroutine[Any, Any, C]]) -> None:
+        self._opener = opener
 
     def __await__(self) -> Generator[Any, None, C]:
-        return self._opened().__await__()
+        return self._opener().__await__()
 
     async def __aenter__(self) -> C:
-        self._object = await self._opened()
+        self._object = await self._opener()
         return self._object
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self._object.close()
 
 

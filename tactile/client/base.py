@@ -84,7 +84,7 @@ class BaseConnection(ABC):
         hello = wire.checked(ClientHello(client=client_name, token=token))
         self._session = ClientSession(transport, hello, clock=clock, rearm=rearm)
         self._displays: dict[str, Any] = {}  # those that the program uses, by name
-        self._opened = False
+        self._was_opened = False
 
     @abstractmethod
     async def _wait(self, future: "Future[T]", timeout: float, what: str) -> T:
@@ -96,9 +96,9 @@ class BaseConnection(ABC):
 
     async def _open(self) -> None:
         """Connect, unless this was opened before."""
-        if self._opened:
+        if self._was_opened:
             return
-        self._opened = True
+        self._was_opened = True
         self._session.notify = self._dispatcher.put
         self._transport.open(self._session)
         try:
@@ -120,7 +120,7 @@ class BaseConnection(ABC):
         stops = []
         for name in names:
             with suppress(ClientError):
-                stops.append(self._session.ask(StopPlaying(display=name)))
+                stops.append(self._session.request(StopPlaying(display=name)))
         for stop in stops:
             with suppress(ClientError):
                 await self._wait(stop, max(0.0, deadline - clock.now()), "stop")
@@ -132,7 +132,7 @@ class BaseConnection(ABC):
             await self._wait(self._transport.close(), limit, "close")
         await self._dispatcher.close(limit)
 
-    async def _ask(self, request: Request, kind: type[R], timeout: float | None) -> R:
+    async def _request(self, request: Request, kind: type[R], timeout: float | None) -> R:
         """Send a request and return its reply, which is of a kind.
 
         What makes a display quieter is sent even if the timeout is wrong.
@@ -141,9 +141,10 @@ class BaseConnection(ABC):
             limit = self._limit(request, timeout)
         except InputError:
             if isinstance(request, QUIETER):
-                self._session.ask(request)
+                self._session.request(request)
             raise
-        reply = await self._wait(self._session.ask(wire.checked(request)), limit, kind_of(request))
+        future = self._session.request(wire.checked(request))
+        reply = await self._wait(future, limit, kind_of(request))
         if not isinstance(reply, kind):
             raise ClientError(f"the daemon answered {type(reply).__name__}, not {kind.__name__}")
         return reply

@@ -105,7 +105,7 @@ class AsyncConnection(AsyncClosing, BaseConnection):
         tuple of TextureInfo
             Textures that the daemon has.
         """
-        return (await self._ask(messages.ListTextures(), messages.Textures, timeout)).textures
+        return (await self._request(messages.ListTextures(), messages.Textures, timeout)).textures
 
     async def estop(self: BaseConnection, *, timeout: float | None = None) -> dict[str, int]:
         """Set all displays to 0 V at once, until each is cleared.
@@ -123,7 +123,7 @@ class AsyncConnection(AsyncClosing, BaseConnection):
         dict of str to int
             Number of each e-stop by the name of its display.
         """
-        return (await self._ask(messages.EStop(), messages.Done, timeout)).estops
+        return (await self._request(messages.EStop(), messages.Done, timeout)).estops
 
     async def close(self: BaseConnection) -> None:
         """Stop the displays that were used, and close, within the timeout; idempotent."""

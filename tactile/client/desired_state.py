@@ -1,11 +1,11 @@
-"""State of displays that outlasts a connection: wishes of the program, and e-stops."""
+"""State of displays that outlasts a connection: what the program wants, and e-stops."""
 
 from dataclasses import dataclass
 
 from tactile.messages import (
     Answer,
     ArmDisplay,
-    Command,
+    DisplayRequest,
     Done,
     EStop,
     EventMessage,
@@ -22,7 +22,7 @@ from tactile.messages import (
 
 @dataclass
 class DesiredState:
-    """Wishes of a program for one display, as far as the daemon confirmed them.
+    """State that a program wants one display to have, as far as the daemon confirmed them.
 
     Attributes
     ----------
@@ -44,12 +44,12 @@ class DesiredState:
     armed: ArmDisplay | None = None
     arming: int = 0
 
-    def grant(self, command: Command) -> None:
+    def confirm(self, command: DisplayRequest) -> None:
         """Remember a command that was done, unless it is an `ArmDisplay` that was withdrawn.
 
         Parameters
         ----------
-        command : Command
+        command : DisplayRequest
             Request that the daemon confirmed.
         """
         match command:
@@ -69,7 +69,7 @@ class DesiredState:
         self.armed, self.arming = None, 0
 
     def restored(self, rearm: bool) -> list[Request]:
-        """Return the requests that restore the wishes after a reconnection.
+        """Return the requests that restore the state after a reconnection.
 
         Parameters
         ----------
@@ -81,8 +81,8 @@ class DesiredState:
         list of Request
             Requests, of which the one for high voltage comes last.
         """
-        wishes = [self.gain, self.layers, self.stop, self.armed if rearm else None]
-        return [command for command in wishes if command is not None]
+        commands = [self.gain, self.layers, self.stop, self.armed if rearm else None]
+        return [command for command in commands if command is not None]
 
 
 class EStops:
@@ -145,21 +145,21 @@ class EStops:
                 self.numbers = {info.name: info.estop for info in answer.displays}
             case EventMessage(kind="estopped" | "cleared"):
                 self.numbers[answer.display] = answer.estop if answer.kind == "estopped" else 0
-                self._note(answer.display, answer.estop)
+                self._set_latest(answer.display, answer.estop)
             case StatsReply():
                 self.numbers[answer.display] = answer.estop
-                self._note(answer.display, answer.estop)
+                self._set_latest(answer.display, answer.estop)
             case Done():
                 self.numbers.update(answer.estops)
                 for display, number in answer.estops.items():
-                    self._note(display, number)
+                    self._set_latest(display, number)
         if isinstance(answer, Done | Failure) and answer.id:
-            self._settle(answer)
+            self._resolve(answer)
 
-    def _note(self, display: str, number: int) -> None:
+    def _set_latest(self, display: str, number: int) -> None:
         self._latest[display] = max(number, self._latest.get(display, 0))
 
-    def _settle(self, reply: Done | Failure) -> None:
+    def _resolve(self, reply: Done | Failure) -> None:
         for display, number in list(self._pending.items()):
             if number == reply.id:
                 if isinstance(reply, Done) or reply.code == "unknown_display":

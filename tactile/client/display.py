@@ -47,7 +47,7 @@ class BaseDisplay:
         self.name = name
         self._connection, self._owns = connection, owns
         self._position = (0.0, 0.0)
-        self._turn = 0  # a `play` of an earlier turn sends no more
+        self._generation = 0  # a `play` of an earlier one sends no more
         connection._displays.setdefault(name, self)
 
     @property
@@ -107,7 +107,7 @@ class BaseDisplay:
 
     async def _do(self, request: Request, timeout: float | None) -> None:
         """Send a request that is answered by `Done`."""
-        await self._connection._ask(request, Done, timeout)
+        await self._connection._request(request, Done, timeout)
 
     def _touch(
         self,
@@ -122,7 +122,7 @@ class BaseDisplay:
         contact = wire.to_contact(self.name, position, normal_force, velocity, time_us)
         x, y = contact.position_mm
         self._position = (x * 1e-3, y * 1e-3)
-        session.tell(contact)
+        session.send_contact(contact)
 
 
 class AsyncDisplay(AsyncClosing, BaseDisplay):
@@ -217,7 +217,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         timeout : float, optional
             Longest wait for the answer [s].
         """
-        self._turn += 1
+        self._generation += 1
         await self._do(messages.StopPlaying(display=self.name), timeout)
 
     async def resume(self: BaseDisplay, *, timeout: float | None = None) -> None:
@@ -248,7 +248,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         timeout : float, optional
             Longest wait for the answer [s].
         """
-        self._turn += 1
+        self._generation += 1
         await self._do(messages.DisarmDisplay(display=self.name), timeout)
 
     async def estop(self: BaseDisplay, *, timeout: float | None = None) -> int:
@@ -268,8 +268,8 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         int
             Number of the e-stop, which `clear` takes.
         """
-        self._turn += 1
-        done = await self._connection._ask(messages.EStop(display=self.name), Done, timeout)
+        self._generation += 1
+        done = await self._connection._request(messages.EStop(display=self.name), Done, timeout)
         return done.estops.get(self.name, 0)
 
     async def clear(
@@ -325,7 +325,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         message = waveform.message()
         if message is None:
             return wire.Appended(0, 0.0)
-        reply = await self._connection._ask(message, messages.AppendedReply, timeout)
+        reply = await self._connection._request(message, messages.AppendedReply, timeout)
         return wire.from_message(wire.Appended, reply)
 
     async def play(
@@ -366,14 +366,14 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         waveform = Waveform(
             self.name, samples, sample_rate=sample_rate, amplitude=amplitude, contactors=contactors
         )
-        self._turn = turn = self._turn + 1
+        self._generation = generation = self._generation + 1
         connection = self._connection
         limit, clock = connection._patience(timeout), connection._session.clock
         count, progress = 0, clock.now()
-        while turn == self._turn and (message := waveform.message()) is not None:
-            reply = await connection._ask(message, messages.AppendedReply, timeout)
+        while generation == self._generation and (message := waveform.message()) is not None:
+            reply = await connection._request(message, messages.AppendedReply, timeout)
             appended = wire.from_message(wire.Appended, reply)
-            waveform.taken(appended.samples_consumed)
+            waveform.consume(appended.samples_consumed)
             if appended.samples_consumed:
                 count += appended.samples_consumed
                 progress = clock.now()
@@ -449,7 +449,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             State, link, latency and counters.
         """
         request = messages.GetStats(display=self.name)
-        reply = await self._connection._ask(request, messages.StatsReply, timeout)
+        reply = await self._connection._request(request, messages.StatsReply, timeout)
         return wire.from_message(wire.Stats, reply)
 
     async def textures(
@@ -468,7 +468,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Textures that the daemon has.
         """
         request = messages.ListTextures()
-        return (await self._connection._ask(request, messages.Textures, timeout)).textures
+        return (await self._connection._request(request, messages.Textures, timeout)).textures
 
     def telemetry(
         self, rate: float = 30.0, *, timeout: float | None = None
@@ -494,7 +494,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         if self._owns:
             await self._connection._close()
         else:
-            self._turn += 1
+            self._generation += 1
             await self._connection._stop([self.name])
 
 

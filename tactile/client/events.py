@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from tactile.client.wire import Event, shown
+from tactile.client.wire import Event, excerpt
 from tactile.errors import InputError
 
 logger = logging.getLogger("tactile.client")
@@ -42,7 +42,7 @@ def as_callback(callback: Callback) -> Callback:
         If it cannot be called.
     """
     if not callable(callback):
-        raise InputError(f"callback: {shown(callback)} is not a function")
+        raise InputError(f"callback: {excerpt(callback)} is not a function")
     return callback
 
 

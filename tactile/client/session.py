@@ -36,6 +36,7 @@ from tactile.messages import (
     Command,
     Contact,
     DisarmDisplay,
+    DisplayRequest,
     EStop,
     EventMessage,
     Failure,
@@ -48,6 +49,7 @@ from tactile.messages import (
     Subscribe,
     TelemetryMessage,
     Welcome,
+    id_of,
     kind_of,
 )  # fmt: skip
 
@@ -102,19 +104,19 @@ class ClockOffset:
     round_trip: float = 0.0
     _exchanges: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
 
-    def exchange(self, asked: float, theirs: float, answered: float) -> None:
+    def exchange(self, sent: float, theirs: float, received: float) -> None:
         """Take one exchange.
 
         Parameters
         ----------
-        asked : float
+        sent : float
             Time of the question on our clock [s].
         theirs : float
             Time of the answer on their clock [s].
-        answered : float
+        received : float
             Time at which the answer came on our clock [s].
         """
-        self._exchanges.append((answered - asked, theirs - (asked + answered) / 2))
+        self._exchanges.append((received - sent, theirs - (sent + received) / 2))
         self.round_trip, self.seconds = min(self._exchanges)
 
 
@@ -171,7 +173,7 @@ class ClientSession:
         self._lock = threading.RLock()  # a transport may answer before `send` returns
         self._last_id = 0
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
-        self._wishes: dict[str, DesiredState] = {}
+        self._desired: dict[str, DesiredState] = {}
         self._queues: dict[str, weakref.WeakSet[TelemetryQueue]] = {}
         self._last_refusal = ("", 0.0)
         self.estops = EStops()
@@ -191,11 +193,12 @@ class ClientSession:
 
     # Called by a connection
 
-    def ask(self, command: Request) -> "Future[Any]":
+    def request(self, command: Request) -> "Future[Any]":
         """Send a request.
 
-        `EStop` and `DisarmDisplay` first withdraw the wish to be armed, whatever becomes of them.
-        An `EStop` that cannot be sent, or is not confirmed, is sent first over the next connection.
+        After an `EStop` or a `DisarmDisplay` a display is not armed again, whatever becomes of the
+        request. An `EStop` that cannot be sent, or is not confirmed, is sent first over the next
+        connection.
 
         Parameters
         ----------
@@ -221,17 +224,17 @@ class ClientSession:
                 raise self._disconnected(command, f"not connected: {self.reason}")
             if len(self._waiting) >= MOST_WAITING and not isinstance(command, QUIETER):
                 raise ClientError(f"{MOST_WAITING} requests wait for an answer already")
-            return self._ask(command)
+            return self._send(command)
 
     def _withdraw(self, command: EStop | DisarmDisplay) -> None:
-        """Forget the wish to be armed, and fail requests that would raise voltage: none is sent."""
+        """Arm no more, and fail requests that would raise voltage: none is sent."""
         stopping = isinstance(command, EStop)
         with self._lock:
             if stopping:
                 self.estops.request(command.display)
-            for display, wish in self._wishes.items():
+            for display, desired in self._desired.items():
                 if command.display in (None, display):
-                    wish.disarm()
+                    desired.disarm()
             waiting = list(self._waiting.values())
         for request, future, _ in waiting:
             raising = isinstance(request, RAISING if stopping else ArmDisplay)
@@ -245,7 +248,7 @@ class ClientSession:
             text += "; the e-stop is kept and will be sent first when the daemon is back"
         return DisconnectedError(text)
 
-    def _ask(self, command: Request) -> "Future[Any]":
+    def _send(self, command: Request) -> "Future[Any]":
         """Send a request; under the lock, so that requests go out in the order of the calls."""
         future: Future[Any] = Future()
         with self._lock:
@@ -256,11 +259,11 @@ class ClientSession:
             if isinstance(command, EStop):
                 self.estops.request(command.display, number)
             elif isinstance(command, ArmDisplay):
-                self._of(command.display).arming = number
+                self._desired_state(command.display).arming = number
             self._transport.send(command)  # type: ignore[arg-type]
         return future
 
-    def tell(self, contact: Contact) -> None:
+    def send_contact(self, contact: Contact) -> None:
         """Send a contact, or count it if there is no connection.
 
         Parameters
@@ -273,7 +276,7 @@ class ClientSession:
         else:
             self.dropped(contact.display)
 
-    def wanted(self, command: Command) -> bool:
+    def is_pending(self, command: Command) -> bool:
         """Return whether a message that was handed over is still to be sent.
 
         Parameters
@@ -286,10 +289,10 @@ class ClientSession:
         bool
             False for a request whose answer nobody waits for, unless it makes a display quieter.
         """
-        number = getattr(command, "id", None)
+        number = id_of(command)
         return number is None or number in self._waiting or isinstance(command, QUIETER)
 
-    def listen(self, queue: TelemetryQueue) -> "Future[Any]":
+    def subscribe(self, queue: TelemetryQueue) -> "Future[Any]":
         """Fill a queue with telemetry for as long as the program holds it.
 
         Parameters
@@ -312,15 +315,15 @@ class ClientSession:
         wire.checked(Subscribe(display=queue.display, rate_hz=queue.rate))
         with self._lock:
             self._queues.setdefault(queue.display, weakref.WeakSet()).add(queue)
-        return self.ask(self._subscription(queue.display))
+        return self.request(self._subscription(queue.display))
 
-    def leave(self, queue: TelemetryQueue) -> None:
+    def unsubscribe(self, queue: TelemetryQueue) -> None:
         """Stop filling a queue.
 
         Parameters
         ----------
         queue : TelemetryQueue
-            Queue as given to `listen`.
+            Queue as given to `subscribe`.
         """
         with self._lock:
             self._queues.get(queue.display, weakref.WeakSet()).discard(queue)
@@ -343,7 +346,7 @@ class ClientSession:
         for queue in queues:
             queue.close()
 
-    # Called by a transport, see `Receiver`
+    # Called by a transport, from any thread
 
     def opened(self) -> "Future[Welcome]":
         """Say hello over a new connection.
@@ -353,7 +356,7 @@ class ClientSession:
         Future
             Future that is done when the daemon has answered.
         """
-        future = self._ask(self._hello)
+        future = self._send(self._hello)
         future.add_done_callback(self._set_ready)
         return future
 
@@ -420,7 +423,7 @@ class ClientSession:
         Future
             Future of its answer.
         """
-        return self._ask(Ping(time_us=wire.to_microseconds(self.clock.now())))
+        return self._send(Ping(time_us=wire.to_microseconds(self.clock.now())))
 
     def received(self, answer: Answer) -> None:
         """Take a message of the daemon.
@@ -438,14 +441,14 @@ class ClientSession:
         match answer:
             case EventMessage():
                 if answer.kind in DISARMED_BY:
-                    self._of(answer.display).disarm()
+                    self._desired_state(answer.display).disarm()
                 self.notify(wire.Event(answer.kind, answer.display, answer.detail, answer.estop))
             case _:
                 self._answered(answer)
 
-    def _of(self, display: str) -> DesiredState:
+    def _desired_state(self, display: str) -> DesiredState:
         with self._lock:
-            return self._wishes.setdefault(display, DesiredState())
+            return self._desired.setdefault(display, DesiredState())
 
     def _fill(self, telemetry: TelemetryMessage) -> None:
         with self._lock:
@@ -473,19 +476,19 @@ class ClientSession:
         elif isinstance(reply, Pong):
             self.offset.exchange(sent, reply.server_time_us * 1e-6, self.clock.now())
         elif not isinstance(reply, Failure):
-            self._granted(command)
+            self._confirmed(command)
         elif isinstance(command, ArmDisplay) and reply.code == "estopped":
-            self._of(command.display).disarm()
+            self._desired_state(command.display).disarm()
         with suppress(InvalidStateError):
             if isinstance(reply, Failure):
                 future.set_exception(refusal(reply))
             else:
                 future.set_result(reply)
 
-    def _granted(self, command: Request) -> None:
-        if (display := getattr(command, "display", None)) is not None:
+    def _confirmed(self, command: Request) -> None:
+        if isinstance(command, DisplayRequest):
             with self._lock:
-                self._of(display).grant(command)  # type: ignore[arg-type]
+                self._desired_state(command.display).confirm(command)
 
     def _refuse(self, failure: Failure) -> None:
         """Count a contact that was refused; notify of it once a second, not at its rate."""
@@ -502,28 +505,29 @@ class ClientSession:
         self.offset = ClockOffset()
         self.offset.exchange(sent, welcome.time_us * 1e-6, self.clock.now())
         with self._lock:  # no other request comes between those that restore
-            again = self.welcome is not None
+            reconnected = self.welcome is not None
             self.welcome = welcome
             for estop in self.estops.unsent():
-                self._ask(estop).add_done_callback(self._report)
-            if again:
+                self._send(estop).add_done_callback(self._report)
+            if reconnected:
                 self._restore(welcome)
             self.connected = not self.closed
-            self.counters["reconnections"] += again
-        if again:
+            self.counters["reconnections"] += reconnected
+        if reconnected:
             self.notify(wire.Event("connected", detail=welcome.server))
 
     def _restore(self, welcome: Welcome) -> None:
         for info in welcome.displays:
             if info.estop or info.name in self.estops.missed:
-                self._of(info.name).disarm()
+                self._desired_state(info.name).disarm()
         commands: list[Request] = [self._subscription(display) for display in self._queues]
-        commands += [c for wish in self._wishes.values() for c in wish.restored(self._rearm)]
+        for desired in self._desired.values():
+            commands += desired.restored(self._rearm)
         if not self._rearm:
-            for wish in self._wishes.values():
-                wish.disarm()
+            for desired in self._desired.values():
+                desired.disarm()
         for command in commands:
-            self._ask(command).add_done_callback(self._report)
+            self._send(command).add_done_callback(self._report)
 
     def _report(self, restored: "Future[Any]") -> None:
         """Notify of a request that restores and was refused."""

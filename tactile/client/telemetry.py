@@ -39,7 +39,7 @@ class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Tele
     async def __anext__(self: BaseTelemetryStream) -> Telemetry:
         connection, queue = self._connection, self._queue
         if not self._subscribed:
-            await connection._wait(connection._session.listen(queue), self._timeout, "telemetry")
+            await connection._wait(connection._session.subscribe(queue), self._timeout, "telemetry")
             self._subscribed = True
         patience = self._timeout + 1 / queue.rate
         telemetry = await connection._wait(queue.get(), patience, "telemetry")
@@ -49,7 +49,7 @@ class AsyncTelemetryStream(AsyncClosing, BaseTelemetryStream, AsyncIterator[Tele
 
     async def close(self: BaseTelemetryStream) -> None:
         """End the telemetry; this also happens when nobody holds the stream any more."""
-        self._connection._session.leave(self._queue)
+        self._connection._session.unsubscribe(self._queue)
 
 
 class TelemetryStream(Closing, BaseTelemetryStream, Iterator[Telemetry]):

@@ -112,7 +112,7 @@ class Waveform:
             return None
         return checked(msgspec.structs.replace(self._message, samples=self._rest))
 
-    def taken(self, samples_consumed: int) -> None:
+    def consume(self, samples_consumed: int) -> None:
         """Leave out what the daemon took; the rest plays after it.
 
         Parameters

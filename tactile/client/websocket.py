@@ -22,7 +22,7 @@ from websockets.typing import Subprotocol
 
 from tactile.client.address import UNIX
 from tactile.client.outbox import Outbox
-from tactile.client.transport import Receiver
+from tactile.client.session import ClientSession
 from tactile.client.waiting import suspend
 from tactile.errors import ClientError, ClientTimeoutError, InputError
 from tactile.messages import (
@@ -141,16 +141,16 @@ class WebSocketTransport(ABC):
         self._closed: Future[None] = Future()
         self._closed.set_running_or_notify_cancel()  # a waiter that gives up does not cancel it
 
-    def open(self, receiver: Receiver) -> None:
+    def open(self, session: ClientSession) -> None:
         """Begin to connect.
 
         Parameters
         ----------
-        receiver : Receiver
-            Receiver of the messages of the daemon.
+        session : ClientSession
+            Session that takes the messages of the daemon.
         """
-        self._receiver = receiver
-        self._outbox = Outbox(receiver.dropped)
+        self._session = session
+        self._outbox = Outbox(session.dropped)
         self._launch()
 
     @abstractmethod
@@ -197,7 +197,7 @@ class WebSocketTransport(ABC):
                 await _end(attempt)
                 reason = "closed" if attempt.cancelled() else attempt.result()
                 self._outbox.clear()
-                self._receiver.lost(reason, final=self._closing or not self._reconnect)
+                self._session.lost(reason, final=self._closing or not self._reconnect)
                 if not self._reconnect:
                     break
                 await asyncio.wait({stop}, timeout=self._pause())
@@ -263,7 +263,7 @@ class WebSocketTransport(ABC):
 
     async def _talk(self, connection: ClientConnection) -> None:
         self._outbox.clear()
-        hello = self._receiver.opened()
+        hello = self._session.opened()
         self._more.set()
         tasks = [
             asyncio.create_task(part)
@@ -281,9 +281,9 @@ class WebSocketTransport(ABC):
             try:
                 answer = self._codec.decode(data if isinstance(data, bytes) else data.encode())
             except msgspec.MsgspecError as error:
-                self._receiver.ignored(str(error))
+                self._session.ignored(str(error))
             else:
-                self._receiver.received(answer)
+                self._session.received(answer)
 
     async def _write(self, connection: ClientConnection) -> None:
         loop = asyncio.get_running_loop()
@@ -292,7 +292,7 @@ class WebSocketTransport(ABC):
             self._more.clear()
             while batch := self._outbox.take(contacts=loop.time() >= self._next_contact):
                 for command in batch:
-                    if self._receiver.wanted(command):
+                    if self._session.is_pending(command):
                         self._spend(command, loop.time())
                         await connection.send(self._codec.encode(command), text=self._codec.text)
                 await asyncio.sleep(0)  # sending need not suspend: other tasks must get their turn
@@ -310,7 +310,7 @@ class WebSocketTransport(ABC):
         self._attempts, self._rate = 0, welcome.messages_per_second
         while True:
             await asyncio.sleep(PING_INTERVAL)
-            await self._answer(self._receiver.ping(), SILENCE, "a ping")
+            await self._answer(self._session.ping(), SILENCE, "a ping")
 
     async def _answer(self, future: "Future[Any]", timeout: float, what: str) -> Any:
         try:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tactile.errors import InputError
+from tactile.errors import InputError, locate_mistake, show_field
 from tactile.messages import (
     MOST_LAYERS,
     MOST_POINTS,
@@ -216,22 +216,12 @@ def _read(plain: dict[str, Any], kind: type[M]) -> M:
     try:
         return msgspec.convert(plain, kind)
     except msgspec.ValidationError as error:
-        text, _, path = str(error).partition(" - at `$")
-        path = path.rstrip("`").removeprefix(".")
-        raise InputError(f"{path or plain['type']}: {_value_at(plain, path)}{text}") from None
+        field, problem = locate_mistake(str(error))
+        where = show_field(plain, field) or f"{plain['type']}: "
+        raise InputError(where + problem) from None
 
 
-def _value_at(plain: Any, path: str) -> str:
-    """Return the value at a path such as "layers[0].gain", for an error message."""
-    for part in path.replace("[", ".").replace("]", "").split("."):
-        try:
-            plain = plain[int(part) if part.isdigit() else part]
-        except (IndexError, KeyError, TypeError):
-            return ""
-    return f"{plain!r}: " if isinstance(plain, float | int | str) else ""
-
-
-def shown(value: object) -> str:
+def excerpt(value: object) -> str:
     """Return a value for an error message.
 
     Parameters
@@ -272,7 +262,7 @@ def to_number(value: Any, what: str) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{what}: {shown(value)} is not a finite number")
+        raise InputError(f"{what}: {excerpt(value)} is not a finite number")
     return number
 
 
@@ -301,7 +291,7 @@ def to_items(values: Any, what: str, most: int | None = None) -> Iterator[Any]:
     try:
         return islice(values, None if most is None else most + 1)
     except TypeError:
-        raise InputError(f"{what}: {shown(values)} is not a sequence") from None
+        raise InputError(f"{what}: {excerpt(values)} is not a sequence") from None
 
 
 def to_index(value: Any, what: str) -> int:
@@ -327,7 +317,7 @@ def to_index(value: Any, what: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise InputError(f"{what}: {shown(value)} is not a whole number") from None
+        raise InputError(f"{what}: {excerpt(value)} is not a whole number") from None
 
 
 def to_microseconds(time: float) -> int:
@@ -351,7 +341,7 @@ def to_microseconds(time: float) -> int:
     try:
         return round(time * 1e6)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"time: {shown(time)} s is not a finite time, as 12.5") from None
+        raise InputError(f"time: {excerpt(time)} s is not a finite time, as 12.5") from None
 
 
 def to_contact(
@@ -412,7 +402,7 @@ def _to_pair(values: Any, complaint: str) -> Pair:
         x, y = values
         return float(x * 1.0), float(y * 1.0)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(complaint.format(shown(values))) from None
+        raise InputError(complaint.format(excerpt(values))) from None
 
 
 def to_layers(layers: Layers) -> tuple[Layer, ...]:
@@ -506,14 +496,14 @@ def to_effect(
     )
 
 
-def _to_rows(rows: Any, what: str, names: str, fewest: int = 2) -> Iterator[list[float]]:
+def _to_rows(rows: Any, what: str, names: str) -> Iterator[list[float]]:
     """Yield the values of each point of an effect, which are called by these names."""
     most = names.count(",") + 1
     for index, row in enumerate(to_items(rows, what, MOST_POINTS)):
         where = f"{what}[{index}]"
         values = list(to_items(row, where, most))
-        if not fewest <= len(values) <= most:
-            raise InputError(f"{where}: {shown(row)} is not ({names})")
+        if not 2 <= len(values) <= most:
+            raise InputError(f"{where}: {excerpt(row)} is not ({names})")
         yield [to_number(value, f"{where}[{place}]") for place, value in enumerate(values)]
 
 

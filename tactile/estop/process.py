@@ -145,14 +145,14 @@ class Desk:
                 self._answers.popitem(last=False)
         return answer
 
-    def _carry_out(self, wanted: object, sender: str) -> dict[str, Any]:
-        if wanted is None:
+    def _carry_out(self, target: object, sender: str) -> dict[str, Any]:
+        if target is None:
             chosen = self._latches
-        elif isinstance(wanted, str) and wanted in self._latches:
-            chosen = {wanted: self._latches[wanted]}
+        elif isinstance(target, str) and target in self._latches:
+            chosen = {target: self._latches[target]}
         else:
             names = ", ".join(self._latches)
-            error = f"no display {str(wanted)[:64]!r}; there are {names}"
+            error = f"no display {str(target)[:64]!r}; there are {names}"
             return {"error": error, "unknown": True}
         return {"estops": {name: latch.trip(sender) for name, latch in chosen.items()}}
 

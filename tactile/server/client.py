@@ -27,10 +27,10 @@ from tactile.messages import (
 )
 from tactile.playback import commands
 from tactile.playback.waves import ENDING, Curve
-from tactile.server.decoding import hint
+from tactile.server.decoding import failed, hint
 from tactile.server.playing import Playing
 from tactile.server.shelf import TooManyDrawingsError
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.finger_sample import FingerSample
 
@@ -120,7 +120,7 @@ class Client:
         self._sounds_until = -math.inf
         for playing in self._host.playing.values():
             if self.number in playing.states:
-                self._host.run(partial(playing.ask, commands.EndWaves(self.number)))
+                self._host.run(partial(playing.request, commands.EndWaves(self.number)))
                 self.post(EventMessage(display=playing.config.name, kind="silent", detail=SILENT))
 
     def give_up(self) -> None:
@@ -198,14 +198,14 @@ class Client:
         if isinstance(command, m.EStop):
             return self._estop(command)
         if isinstance(command, m.ClientHello):
-            return Failure(code="malformed", message="hello was said already")
+            return failed("malformed", "hello was said already")
         playing = self._host.playing.get(command.display)
         if playing is None:
             return self._unknown_display(command.display)
         if isinstance(command, Contact):
             return self.contact(command, loop_time()) or m.Done()
         if self._has_left and not isinstance(command, m.DisarmDisplay):
-            return Failure(code="unavailable", message="the connection has ended")
+            return failed("unavailable", "the connection has ended")
         needed = NEEDED.get(type(command))
         if needed is not None and not needed & self.roles:
             return self._refusal(command, needed)
@@ -266,7 +266,7 @@ class Client:
 
     async def _stop(self, playing: Playing, command: m.StopPlaying) -> Answer:
         playing.state_of(self.number).sounds = False
-        await playing.ask(commands.EndWaves(self.number))
+        await playing.request(commands.EndWaves(self.number))
         return await self._apply_state(playing)
 
     async def _gain(self, playing: Playing, command: m.SetGain) -> Answer:
@@ -276,15 +276,13 @@ class Client:
     def _waveform_refusal(self, playing: Playing) -> Failure | None:
         """Return why a display cannot play waveforms now, None if it can."""
         if playing.how.carriers:
-            return Failure(
-                code="unsupported", field="display",
-                message="the link takes spectrum frames, which carry textures and no waveforms",
-            )  # fmt: skip
+            text = "the link takes spectrum frames, which carry textures and no waveforms"
+            return failed("unsupported", text, field="display")
         if playing.latch.holds:
             return self._estop_failure(playing)
         if playing.state == "armed":
             return None
-        return Failure(code="not_armed", message="disarmed; arm it first", field="display")
+        return failed("not_armed", "disarmed; arm it first", field="display")
 
     async def _append(self, playing: Playing, command: m.Append) -> Answer:
         failure = self._waveform_refusal(playing)
@@ -292,26 +290,20 @@ class Client:
             return failure
         contactors = len(playing.display.contactors)
         if max(command.contactors, default=0) >= contactors:
-            return Failure(
-                code="invalid_field", field="contactors",
-                message=f"contactor {max(command.contactors)} is not below {contactors}",
-            )  # fmt: skip
+            text = f"contactor {max(command.contactors)} is not below {contactors}"
+            return failed("invalid_field", text, field="contactors")
         if isinstance(command.samples, bytes):
             whole = len(command.samples) // 4
             samples = np.frombuffer(command.samples[: 4 * whole], "<f4")
             if whole * 4 != len(command.samples) or whole > m.MOST_SAMPLES:
-                return Failure(
-                    code="invalid_field", field="samples",
-                    message=f"needs float32, at most {m.MOST_SAMPLES} of them",
-                )  # fmt: skip
+                text = f"needs float32, at most {m.MOST_SAMPLES} of them"
+                return failed("invalid_field", text, field="samples")
             if not (np.abs(samples) <= 1).all():
-                return Failure(
-                    code="invalid_field", field="samples", message="must be −1 … 1 throughout"
-                )
+                return failed("invalid_field", "must be −1 … 1 throughout", field="samples")
         else:
             samples = np.array(command.samples, np.float32)
         playing.state_of(self.number)
-        consumed, queued = await playing.ask(
+        consumed, queued = await playing.request(
             commands.AppendSamples(
                 self.number, np.float32(command.amplitude_um * 1e-6) * samples,
                 command.sample_rate_hz, command.contactors, command.append,
@@ -334,8 +326,8 @@ class Client:
         )
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
             if np.any(np.diff(rows[:, 0]) < 0):
-                return Failure(code="invalid_field", field=name, message="times must not descend")
-        await playing.ask(commands.BeginEffect(self.number, curve))
+                return failed("invalid_field", "times must not descend", field=name)
+        await playing.request(commands.BeginEffect(self.number, curve))
         self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
         return m.Done()
 
@@ -363,10 +355,8 @@ class Client:
         latch = playing.latch
         if command.estop > latch.number:
             latest = f"the latest of {playing.config.name!r} is {latch.number}"
-            return Failure(
-                code="invalid_field", field="estop",
-                message=f"there has been no e-stop {command.estop}; {latest}",
-            )  # fmt: skip
+            text = f"there has been no e-stop {command.estop}; {latest}"
+            return failed("invalid_field", text, field="estop")
         if latch.holds and command.estop != latch.holds:
             return Failure(
                 code="estopped", field="estop",
@@ -383,7 +373,7 @@ class Client:
             before.cancel()
         if command.rate_hz > 0:
             sending = self._send_telemetry(name, 1 / command.rate_hz)
-            self._telemetry[name] = watched(asyncio.create_task(sending))
+            self._telemetry[name] = start_task(sending)
         return m.Done()
 
     async def _send_telemetry(self, name: str, interval: float) -> None:

@@ -259,9 +259,7 @@ def load_config(path: Path | None) -> DaemonConfig:
         server=structs.replace(
             tables.server,
             token_file=_beside(folder, tables.server.token_file),
-            socket=_beside(folder, tables.server.socket)
-            if tables.server.socket
-            else tables.server.socket,
+            socket=_beside(folder, tables.server.socket),
         ),
         token=tuple(
             structs.replace(token, file=_beside(folder, token.file)) for token in tables.token

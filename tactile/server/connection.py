@@ -28,18 +28,21 @@ from tactile.messages import (
     Pong,
     Role,
     Welcome,
+    id_of,
 )
+from tactile.server.client import Client
 from tactile.server.config import ServerConfig
 from tactile.server.decoding import ENCODINGS, Encoding, failed, read, read_estop
+from tactile.server.host import Host
 from tactile.server.liveness import SignsOfLife
 from tactile.server.metrics import Metrics
 from tactile.server.peers import PeerCredentials, is_local, judge, local_peer
 from tactile.server.places import Places
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import ClientProtocol, HostProtocol, Requests, id_of
+from tactile.server.requests import Requests
 from tactile.server.security import Tokens
 from tactile.server.sockets import BoundedWebSocket
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -111,7 +114,7 @@ class Site:
 
     Parameters
     ----------
-    host : HostProtocol
+    host : Host
         Displays of the daemon.
     config : ServerConfig
         Configuration of the server.
@@ -124,7 +127,7 @@ class Site:
 
     Attributes
     ----------
-    places : Places of ServerConnection
+    places : Places
         Connections of admitted clients.
     ending : bool
         Whether the daemon ends.
@@ -132,7 +135,7 @@ class Site:
 
     def __init__(
         self,
-        host: HostProtocol,
+        host: Host,
         config: ServerConfig,
         metrics: Metrics,
         tokens: Tokens,
@@ -140,13 +143,8 @@ class Site:
     ) -> None:
         self.host, self.config, self.metrics = host, config, metrics
         self.tokens, self.version = tokens, version
-        self.places: Places[ServerConnection] = Places(config.most_clients)
+        self.places = Places(config.most_clients)
         self.ending = False
-
-    @property
-    def clients(self) -> int:
-        """Number of clients."""
-        return len(self.places)
 
     def end(self) -> None:
         """Disconnect all clients because the daemon ends, and admit no more."""
@@ -202,7 +200,7 @@ class ServerConnection:
         self._failures = 0
         self._ended: asyncio.Future[Close] = asyncio.get_running_loop().create_future()
         self._parts: list[asyncio.Task[None]] = []
-        self._client: ClientProtocol
+        self._client: Client
         self._requests: Requests
 
     async def run(self) -> Close:
@@ -266,16 +264,16 @@ class ServerConnection:
                 message = await self._socket.receive()
         except TimeoutError:
             late = failed("hello_first", f"no hello within {HELLO_WITHIN:g} s")
-            return await self._refuse(Close(4408, "no hello"), late)
+            return self._refuse(Close(4408, "no hello"), late)
         if message["type"] != "websocket.receive":
             return GONE
         hello = read(self._data(message), self._encoding)
         if isinstance(hello, Failure):
-            return await self._refuse(Close(4400, "no hello"), hello)
+            return self._refuse(Close(4400, "no hello"), hello)
         if not isinstance(hello, ClientHello):
             first = "the first message must be a hello"
             failure = failed("hello_first", first, field="type", to=id_of(hello))
-            return await self._refuse(Close(4400, "no hello"), failure)
+            return self._refuse(Close(4400, "no hello"), failure)
         return await self._admit(hello)
 
     async def _admit(self, hello: ClientHello) -> Welcomed | Close:
@@ -284,26 +282,26 @@ class ServerConnection:
         if roles is None:
             await asyncio.sleep(PENALTY)
             failure = failed("unauthorized", WRONG_TOKEN, field="token", to=hello.id)
-            return await self._refuse(Close(4401, "unauthorized"), failure)
+            return self._refuse(Close(4401, "unauthorized"), failure)
         if hello.version != API_VERSION:
             text = f"version = {hello.version}: must be {API_VERSION}"
             failure = failed("wrong_version", text, field="version", to=hello.id)
-            return await self._refuse(Close(4406, "wrong version"), failure)
+            return self._refuse(Close(4406, "wrong version"), failure)
         if self._site.ending:
             return ENDING
         if not self._site.places.take(self, loop_time()):
             text = self._full_text()
-            return await self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
+            return self._refuse(FULL, failed("too_many_clients", text, to=hello.id))
         if self._site.places.is_reserved(self):
             roles = frozenset()
         return Welcomed(hello, roles, peer)
 
-    async def _roles(self, said: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
+    async def _roles(self, token: str) -> tuple[frozenset[Role] | None, PeerCredentials | None]:
         """Return what a client may do by its token or user, None if it is refused, and its user."""
         tokens, socket = self._site.tokens, self._link.socket
         local = is_local(socket)
-        if tokens and (said or not local):
-            return tokens.roles(said), local_peer(socket) if local else None
+        if tokens and (token or not local):
+            return tokens.roles(token), local_peer(socket) if local else None
         return await judge(socket)
 
     def _full_text(self) -> str:
@@ -311,7 +309,7 @@ class ServerConnection:
         most = self._site.config.most_clients
         return f"there are {most} clients, as many as server.most_clients allows"
 
-    async def _refuse(self, close: Close, failure: Failure) -> Close:
+    def _refuse(self, close: Close, failure: Failure) -> Close:
         """Queue the failure of a client that is not admitted; return the close reason."""
         self._traffic.failure(failure.code)
         self._queue(failure)
@@ -334,7 +332,7 @@ class ServerConnection:
 
     def _start_part(self, work: Coroutine[Any, Any, Close]) -> None:
         """Start a part of the connection; the part that ends first ends the connection."""
-        self._parts.append(watched(asyncio.create_task(self._run_part(work)), self._fail))
+        self._parts.append(start_task(self._run_part(work), self._fail))
 
     async def _run_part(self, work: Coroutine[Any, Any, Close]) -> None:
         try:
@@ -362,7 +360,7 @@ class ServerConnection:
     def _fail(self, error: BaseException) -> None:
         self.end(BROKEN)
 
-    def look(self, passed: float) -> None:
+    def check(self, passed: float) -> None:
         """Ask for a sign of life when it is due, and act if there was none for too long.
 
         Parameters
@@ -439,7 +437,7 @@ class ServerConnection:
     def _drop_too_fast(self, now: float) -> None:
         """Drop a message of a client that sends too many, and report that once per second."""
         self._traffic.drop("too_fast")
-        if self._bucket.is_to_be_told(now):
+        if self._bucket.report_is_due(now):
             rate = self._site.config.messages_per_second
             text = f"{self._bucket.refused} messages dropped: at most {rate} a second"
             self._traffic.failure("too_fast")

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import msgspec
 
 from tactile.clock import MONOTONIC
+from tactile.errors import locate_mistake, show_field
 from tactile.files import nearest
 from tactile.messages import (
     JSON_PROTOCOL,
@@ -25,9 +26,9 @@ from tactile.server.rates import TokenBucket
 
 LONGEST_TEXT = 200
 """Maximum length of a text in a failure [characters]."""
-PATH = re.compile(r"(?s)(.*?)(?: - at `(?:key` in `)?\$\.?([^`]*)`)?")
-"""Problem and path in an error of msgspec."""
-MISSING = re.compile(r"Object missing required field `(\w+)`")
+LONGEST_VALUE = 60
+"""Maximum length of a value in a failure [characters]."""
+MISSING = re.compile(r"Object missing required field (\w+)")
 """Error of msgspec about a missing field."""
 KINDS = [str(kind.__struct_config__.tag) for kind in get_args(Command)]
 """Types of the messages that a client may send."""
@@ -67,23 +68,17 @@ class Encoding(NamedTuple):
     encode: Callable[[Answer], bytes]
 
 
+def _encoding(name: str, kind: Literal["text", "bytes"], codec: Any) -> Encoding:
+    """Return the encoding of a module of msgspec."""
+    return Encoding(
+        name, kind, codec.Decoder(Command).decode, codec.Decoder(EStop).decode,
+        codec.Decoder().decode, codec.Encoder().encode,
+    )  # fmt: skip
+
+
 ENCODINGS = {
-    JSON_PROTOCOL: Encoding(
-        "JSON",
-        "text",
-        msgspec.json.Decoder(Command).decode,
-        msgspec.json.Decoder(EStop).decode,
-        msgspec.json.Decoder().decode,
-        msgspec.json.Encoder().encode,
-    ),
-    MSGPACK_PROTOCOL: Encoding(
-        "MessagePack",
-        "bytes",
-        msgspec.msgpack.Decoder(Command).decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Decoder(EStop).decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Decoder().decode,  # type: ignore[arg-type]
-        msgspec.msgpack.Encoder().encode,
-    ),
+    JSON_PROTOCOL: _encoding("JSON", "text", msgspec.json),
+    MSGPACK_PROTOCOL: _encoding("MessagePack", "bytes", msgspec.msgpack),
 }
 """Encodings by subprotocol."""
 
@@ -207,8 +202,7 @@ def failed(code: Code, message: str, *, field: str = "", to: int | None = None) 
 
 def _invalid(data: str | bytes, encoding: Encoding, error: str) -> Failure:
     """Return a failure that says, by an error of msgspec, which field and value are invalid."""
-    match = PATH.fullmatch(error)
-    problem, field = (match[1], match[2] or "") if match else (error, "")
+    field, problem = locate_mistake(error)
     if missing := MISSING.match(problem):
         field = f"{field}.{missing[1]}".removeprefix(".")
     try:
@@ -221,20 +215,7 @@ def _invalid(data: str | bytes, encoding: Encoding, error: str) -> Failure:
     good = type(request_id) is int and 0 <= request_id <= 2**53
     code: Code = "unknown_type" if field == "type" and not missing else "invalid_field"
     if code == "unknown_type":
-        said = str(content.get("type"))[:60] if isinstance(content, dict) else ""
-        problem = f"no command; {hint(said, KINDS)}"
-    text = f"{_shown(content, field)}{problem.replace('Expected', 'expected').replace('`', '')}"
+        kind = str(content.get("type"))[:60] if isinstance(content, dict) else ""
+        problem = f"no command; {hint(kind, KINDS)}"
+    text = show_field(content, field, LONGEST_VALUE) + problem
     return failed(code, text, field=field, to=request_id if good else None)
-
-
-def _shown(value: Any, field: str) -> str:
-    """Return "field = value: ", or "field: " if the value is missing or not a plain one."""
-    if not field:
-        return ""
-    for key in re.findall(r"[^.\[\]]+", field):
-        try:
-            value = value[int(key)] if isinstance(value, list) else value[key]
-        except (KeyError, IndexError, TypeError, ValueError):
-            value = None
-    plain = isinstance(value, int | float | str)
-    return f"{field} = {repr(value)[:60]}: " if plain else f"{field}: "

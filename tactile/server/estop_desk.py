@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from tactile.estop.latch import Latch
 from tactile.estop.process import EstopReady, EstopSetup
 from tactile.server.children import Child
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -42,29 +42,26 @@ class EstopDesk:
             Latches by name of the display.
         """
         await self.close()
-        ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._supervisor = watched(asyncio.create_task(self._supervise(dict(latches), ready)))
-        await ready
+        ready = asyncio.Event()
+        self._supervisor = start_task(self._supervise(dict(latches), ready))
+        await ready.wait()
 
-    async def _supervise(self, latches: dict[str, Latch], ready: "asyncio.Future[None]") -> None:
+    async def _supervise(self, latches: dict[str, Latch], ready: asyncio.Event) -> None:
         """Start the process, and start it again whenever it ends."""
         try:
             while True:
                 try:
                     ended = await self._start_process(latches)
-                    if not ready.done():
-                        ready.set_result(None)
+                    ready.set()
                     await ended.wait()
                     log.error("the e-stop process ended; it is started again")
                 except OSError as error:  # no descriptor or memory left, which may change
                     log.error("the e-stop process cannot be started: %s", error)
-                    if not ready.done():
-                        ready.set_result(None)
+                    ready.set()
                 self.address = ""
                 await asyncio.sleep(RETRY)
         finally:
-            if not ready.done():
-                ready.set_result(None)
+            ready.set()
 
     async def _start_process(self, latches: dict[str, Latch]) -> asyncio.Event:
         """Start the process, wait until it listens; return an event that is set when it ends."""

@@ -21,7 +21,7 @@ from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, DisplayConfig, load_config, load_configured
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 from tactile.server.workbench import Workbench
 from tactile.texture import descriptor
 
@@ -120,7 +120,7 @@ class Host:
         """
         self._textures = shipped_textures()
         self._workbench.begin()
-        self._beating = watched(asyncio.create_task(self._beat()))
+        self._beating = start_task(self._beat())
         try:
             for config in self._config.display:
                 load_configured(config)
@@ -151,7 +151,7 @@ class Host:
             now = asyncio.get_running_loop().time()
             for playing in list(self.playing.values()):
                 playing.memory.beat()
-                if playing.notice_estop():
+                if playing.announce_estop():
                     self.run(playing.save_latch)
                 if playing.is_ownerless(now):
                     self.run(playing.take_voltage)
@@ -282,9 +282,7 @@ class Host:
             except BusError as error:  # playback is lost, so that there is nothing left to do
                 log.warning("%s", error)
 
-        task = watched(asyncio.create_task(done()), self.degrade)
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
+        start_task(done(), self.degrade, among=self.tasks)
 
     def degrade(self, error: BaseException) -> None:
         """Disarm all displays after an unexpected failure.

@@ -152,27 +152,15 @@ def bound_sockets(config: ServerConfig, *, guarded: bool) -> Iterator[list[socke
         without a token.
     """
     with ExitStack() as stack:
-        sockets = listen(config, guarded=guarded)
-        for bound in sockets:
-            stack.callback(bound.close)
+        sockets = _bind_addresses(config, stack, guarded=guarded)
         local = stack.enter_context(_listening_locally(config))
         yield sockets if local is None else [*sockets, local]
 
 
-def listen(config: ServerConfig, *, guarded: bool) -> list[socket.socket]:
-    """Bind a socket to each address of the host, all with one port.
-
-    Parameters
-    ----------
-    config : ServerConfig
-        Where to listen.
-    guarded : bool
-        Whether a token is required to connect.
-
-    Returns
-    -------
-    list of socket
-        Bound TCP sockets.
+def _bind_addresses(
+    config: ServerConfig, stack: ExitStack, *, guarded: bool
+) -> list[socket.socket]:
+    """Bind a socket to each address of the host, all with one port; the stack closes them.
 
     Raises
     ------
@@ -190,17 +178,13 @@ def listen(config: ServerConfig, *, guarded: bool) -> list[socket.socket]:
                     "server.token_file must be given, or a [[token]]"
                 )
             bound = socket.socket(family, kind, protocol)  # with its protocol, for TCP_NODELAY
-            sockets.append(bound)
+            sockets.append(stack.enter_context(bound))
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if family == socket.AF_INET6:
                 bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             bound.bind((address[0], port, *address[2:]))
             port = bound.getsockname()[1]
-    except (OSError, InputError) as error:
-        for bound in sockets:
-            bound.close()
-        if isinstance(error, InputError):
-            raise
+    except OSError as error:
         raise InputError(f"server: {config.host!r} port {port}: {error.strerror}") from error
     return sockets
 
@@ -220,13 +204,13 @@ def _listening_locally(config: ServerConfig) -> Iterator[socket.socket | None]:
         log.warning("no Unix socket; TCP only", extra={"fields": {"why": str(error)}})
         yield None
         return
-    made = path.lstat().st_ino
+    inode = path.lstat().st_ino
     try:
         yield local
     finally:
         local.close()
         with suppress(OSError):  # the socket was removed already
-            if path.lstat().st_ino == made:
+            if path.lstat().st_ino == inode:
                 path.unlink()
 
 
@@ -251,24 +235,22 @@ def listen_locally(path: Path, group: str | None = None) -> socket.socket:
         If somebody listens there already, something else is there, or the socket cannot be created.
     """
     field = f"server.socket = {str(path)!r}"
-    local = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _remove_stale(path, field)
-        local.bind(str(path))  # nobody can connect yet: it does not listen
-        path.chmod(0o600)
-        if group is not None:
-            shutil.chown(path, group=group)
-            path.chmod(0o660)
-    except LookupError as error:
-        local.close()
-        raise InputError(f"server.socket_group = {group!r}: there is no such group") from error
-    except OSError as error:
-        local.close()
-        raise InputError(f"{field}: cannot be made: {error.strerror or error}") from error
-    except InputError:
-        local.close()
-        raise
+    with ExitStack() as failing:
+        local = failing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _remove_stale(path, field)
+            local.bind(str(path))  # nobody can connect yet: it does not listen
+            path.chmod(0o600)
+            if group is not None:
+                shutil.chown(path, group=group)
+                path.chmod(0o660)
+        except LookupError as error:
+            text = f"server.socket_group = {group!r}: there is no such group"
+            raise InputError(text) from error
+        except OSError as error:
+            raise InputError(f"{field}: cannot be made: {error.strerror or error}") from error
+        failing.pop_all()
     return local
 
 

@@ -7,10 +7,13 @@ for dead.
 
 import asyncio
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from tactile.clock import loop_time
 from tactile.playback.silence import SilenceTimer
+
+if TYPE_CHECKING:
+    from tactile.server.connection import ServerConnection
 
 TICK = 0.025
 """Interval between checks of all clients [s]."""
@@ -82,21 +85,7 @@ class SignsOfLife:
         )
 
 
-class Watched(Protocol):
-    """Object that is checked in each tick; `tactile.server.connection.ServerConnection` is one."""
-
-    def look(self, passed: float) -> None:
-        """Do what is due after some time; never raise.
-
-        Parameters
-        ----------
-        passed : float
-            Time since the last call [s].
-        """
-        ...
-
-
-async def look_after(clients: Callable[[], Iterable[Watched]]) -> None:
+async def watch_clients(clients: Callable[[], Iterable["ServerConnection"]]) -> None:
     """Check all clients in each tick, until cancelled.
 
     Parameters
@@ -109,5 +98,5 @@ async def look_after(clients: Callable[[], Iterable[Watched]]) -> None:
         await asyncio.sleep(TICK)
         now = loop_time()
         for client in tuple(clients()):
-            client.look(now - before)
+            client.check(now - before)
         before = now

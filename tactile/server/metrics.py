@@ -6,7 +6,6 @@ happens.
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 from prometheus_client import (
     CollectorRegistry,
@@ -20,33 +19,10 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from tactile.messages import Code
+from tactile.server.host import Host
 
 BUCKETS = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.5, 1.0)
 """Buckets of the time that a message takes [s]."""
-
-
-class MetricsSource(Protocol):
-    """Object that knows the state of the displays; `tactile.server.host.Host` is one."""
-
-    def figures(self) -> dict[str, dict[str, float]]:
-        """Return the counters and states of each display.
-
-        Returns
-        -------
-        dict of str to dict of str to float
-            Values by name, for each display.
-        """
-        ...
-
-    def healthy(self) -> bool:
-        """Return whether everything that should play plays.
-
-        Returns
-        -------
-        bool
-            Whether the daemon is healthy.
-        """
-        ...
 
 
 class Displays(Collector):
@@ -54,14 +30,14 @@ class Displays(Collector):
 
     Parameters
     ----------
-    source : MetricsSource
-        State of the displays.
+    host : Host
+        Displays of the daemon.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
     """
 
-    def __init__(self, source: MetricsSource, dropped_logs: Callable[[], float]) -> None:
-        self._source, self._dropped_logs = source, dropped_logs
+    def __init__(self, host: Host, dropped_logs: Callable[[], float]) -> None:
+        self._host, self._dropped_logs = host, dropped_logs
 
     def collect(self) -> Iterator[Metric]:
         """Yield one family for each name; names ending in "_total" are counters, the others gauges.
@@ -75,10 +51,10 @@ class Displays(Collector):
             "tactile_log_dropped", "Log lines not written.", self._dropped_logs()
         )
         yield GaugeMetricFamily(
-            "tactile_healthy", "Whether all that should play plays.", int(self._source.healthy())
+            "tactile_healthy", "Whether all that should play plays.", int(self._host.healthy())
         )
         families: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
-        for display, figures in self._source.figures().items():
+        for display, figures in self._host.figures().items():
             for figure, value in figures.items():
                 name = "tactile_" + re.sub(r"[^a-z0-9_]", "_", figure.lower())
                 if name not in families:
@@ -155,8 +131,8 @@ class Metrics:
 
     Parameters
     ----------
-    source : MetricsSource
-        State of the displays.
+    host : Host
+        Displays of the daemon.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
 
@@ -168,9 +144,7 @@ class Metrics:
         Metrics with the labels of all transports, each described where it is created.
     """
 
-    def __init__(
-        self, source: MetricsSource, dropped_logs: Callable[[], float] = lambda: 0
-    ) -> None:
+    def __init__(self, host: Host, dropped_logs: Callable[[], float] = lambda: 0) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
         registry = self.registry
         self.clients = Gauge(
@@ -202,7 +176,7 @@ class Metrics:
         )  # fmt: skip
         self._traffic: dict[str, Traffic] = {}
         ProcessCollector(registry=self.registry)
-        self.registry.register(Displays(source, dropped_logs))
+        self.registry.register(Displays(host, dropped_logs))
 
     def of(self, transport: str) -> Traffic:
         """Return the counters of a transport.

@@ -18,6 +18,7 @@ import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -35,11 +36,13 @@ from tactile.messages import (
     SetGain,
     StopPlaying,
 )
+from tactile.server.client import Client
 from tactile.server.decoding import failed
+from tactile.server.host import Host
 from tactile.server.metrics import Metrics
 from tactile.server.rates import TokenBucket
-from tactile.server.requests import ClientProtocol, HostProtocol, Requests
-from tactile.server.tasks import watched
+from tactile.server.requests import Requests
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.osc")
 
@@ -239,7 +242,7 @@ class Sender:
 
     Attributes
     ----------
-    client : ClientProtocol
+    client : Client
         Client of the host.
     requests : Requests
         Requests of the client.
@@ -249,7 +252,7 @@ class Sender:
         Time of its latest packet [s].
     """
 
-    client: ClientProtocol
+    client: Client
     requests: Requests
     bucket: TokenBucket
     last_received: float
@@ -262,7 +265,7 @@ class OscProtocol(asyncio.DatagramProtocol):
     ----------
     link : socket
         Socket of the packets, non-blocking.
-    host : HostProtocol
+    host : Host
         Displays of the daemon.
     metrics : Metrics
         Metrics of the daemon.
@@ -271,15 +274,16 @@ class OscProtocol(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, link: socket.socket, host: HostProtocol, metrics: Metrics, messages_per_second: float
+        self, link: socket.socket, host: Host, metrics: Metrics, messages_per_second: float
     ) -> None:
         self._link, self._host, self._rate = link, host, messages_per_second
         self._traffic = metrics.of("osc")
         self._senders: dict[Address, Sender] = {}
-        self._ended: set[asyncio.Task[None]] = set()
-        self._first, self._names, self._ask_again = "", set[str](), 0.0
-        self._stopping = host.connect("osc e-stop", roles=STOPS)
-        self._stops = Requests(self._stopping, self._traffic, self._log_estop_failure)
+        self._finishing: set[asyncio.Task[None]] = set()
+        self._first, self._names, self._names_expire = "", set[str](), 0.0
+        self._estop_client = host.connect("osc e-stop", roles=STOPS)
+        log_answer = partial(self._log_answer, ("e-stop", 0))
+        self._estop_requests = Requests(self._estop_client, self._traffic, log_answer)
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         """Carry out a packet and those that wait behind it, e-stops first.
@@ -300,7 +304,7 @@ class OscProtocol(asyncio.DatagramProtocol):
                     estops = read_estops(packet, self._first_display(now))
                     stops |= {stop.display: stop for stop in estops if self._is_known(stop, now)}
             for stop in stops.values():
-                self._stops.offer(stop)
+                self._estop_requests.offer(stop)
             for packet, sender in packets[:MOST_USED]:
                 self._process(packet, sender, now)
             if len(packets) > MOST_USED:
@@ -308,7 +312,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         except Exception:
             self._traffic.failure("internal")
             log.exception("a packet failed")
-        self._discard_outbox(self._stopping)
+        self._discard_outbox(self._estop_client)
 
     def _waiting(self) -> Iterator[tuple[bytes, Address]]:
         """Read the packets that wait already."""
@@ -368,26 +372,27 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._discard_outbox(sender.client)
 
     @staticmethod
-    def _discard_outbox(client: ClientProtocol) -> None:
+    def _discard_outbox(client: Client) -> None:
         """Discard the messages for a client, because nothing is sent back."""
         while not client.outbox.empty():
             client.outbox.get_nowait()
 
     def _first_display(self, now: float) -> str:
         """Return the name of the first display, which is looked up once per second."""
-        if now >= self._ask_again:
+        if now >= self._names_expire:
             self._refresh_names(now)
         return self._first
 
     def _is_known(self, stop: EStop, now: float) -> bool:
         """Return whether there is such a display; a flood of made-up names costs little."""
-        if stop.display not in self._names and now >= self._ask_again - 1 + FRESH:
+        if stop.display not in self._names and now >= self._names_expire - 1 + FRESH:
             self._refresh_names(now)
         return stop.display in self._names
 
     def _refresh_names(self, now: float) -> None:
         names = [display.name for display in self._host.displays]
-        self._first, self._names, self._ask_again = names[0] if names else "", set(names), now + 1
+        self._first, self._names = names[0] if names else "", set(names)
+        self._names_expire = now + 1
 
     def _sender(self, addr: Address, now: float) -> Sender | None:
         """Return the sender with an address, which is added if there is room."""
@@ -399,21 +404,16 @@ class OscProtocol(asyncio.DatagramProtocol):
                     return None
                 self._forget(oldest)
             client = self._host.connect(f"osc {addr[0]}:{addr[1]}", roles=ROLES)
-
-            def answered(answer: Answer) -> None:
-                if isinstance(answer, Failure):
-                    self._log_failure(answer, addr)
-
-            requests = Requests(client, self._traffic, answered)
+            requests = Requests(client, self._traffic, partial(self._log_answer, addr))
             sender = Sender(client, requests, TokenBucket(self._rate), now)
             self._traffic.clients.inc()
         sender.last_received = now
         self._senders[addr] = sender  # ordered by the time of the latest packet
         return sender
 
-    def _log_estop_failure(self, answer: Answer) -> None:
+    def _log_answer(self, addr: Address, answer: Answer) -> None:
         if isinstance(answer, Failure):
-            self._log_failure(answer, ("e-stop", 0))
+            self._log_failure(answer, addr)
 
     def _log_failure(self, failure: Failure, addr: Address) -> None:
         """Count and log a message that was not used."""
@@ -426,9 +426,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         sender = self._senders.pop(addr)
         self._traffic.clients.dec()
         sender.client.close()
-        task = watched(asyncio.create_task(sender.requests.finish()))
-        self._ended.add(task)
-        task.add_done_callback(self._ended.discard)
+        start_task(sender.requests.finish(), among=self._finishing)
 
     async def forget_silent(self) -> None:
         """Close the clients of senders that have been silent, until cancelled."""
@@ -442,5 +440,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         """Close all clients."""
         for addr in list(self._senders):
             self._forget(addr)
-        self._stopping.close()
-        await asyncio.gather(self._stops.finish(), *self._ended, return_exceptions=True)
+        self._estop_client.close()
+        await asyncio.gather(
+            self._estop_requests.finish(), *self._finishing, return_exceptions=True
+        )

@@ -39,7 +39,7 @@ class Owners:
         finally:
             self._arms_under_way -= 1
 
-    def look(self, now: float, *, running: bool, armed: bool) -> bool:
+    def check(self, now: float, *, running: bool, armed: bool) -> bool:
         """Check whether high voltage has belonged to nobody for too long.
 
         If playback disarmed by itself, the owners lose the high voltage and must arm again.

@@ -4,7 +4,10 @@ A program that only wants to trigger an e-stop is therefore admitted, however ma
 """
 
 from collections.abc import Iterator
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tactile.server.connection import ServerConnection
 
 RESERVED = 4
 """Number of additional places for clients that may only e-stop."""
@@ -12,67 +15,51 @@ CHANCE = 0.2
 """Time that such a client has for its e-stop before a newer one may take its place [s]."""
 
 
-class Guest(Protocol):
-    """Object that takes a place; `tactile.server.connection.ServerConnection` is one."""
-
-    def make_room(self) -> None:
-        """End, because a newer guest takes the place."""
-        ...
-
-
-G = TypeVar("G", bound=Guest)
-
-
-class Places(Generic[G]):
+class Places:
     """Places of a daemon.
 
     Parameters
     ----------
     most : int
         Maximum number of clients besides the reserved places.
-
-    Attributes
-    ----------
-    most : int
-        Maximum number of clients besides the reserved places.
     """
 
     def __init__(self, most: int) -> None:
-        self.most = most
-        self._full: set[G] = set()
-        self._reserved: dict[G, float] = {}
+        self._most = most
+        self._full: set[ServerConnection] = set()
+        self._reserved: dict[ServerConnection, float] = {}
 
     def __len__(self) -> int:
         """Return the number of places that are taken."""
         return len(self._full) + len(self._reserved)
 
-    def __iter__(self) -> Iterator[G]:
-        """Iterate over all guests."""
+    def __iter__(self) -> Iterator["ServerConnection"]:
+        """Iterate over all connections that have a place."""
         yield from self._full
         yield from self._reserved
 
-    def is_reserved(self, guest: G) -> bool:
-        """Check whether a guest has one of the reserved places.
+    def is_reserved(self, connection: "ServerConnection") -> bool:
+        """Check whether a connection has one of the reserved places.
 
         Parameters
         ----------
-        guest : Guest
-            Any guest.
+        connection : ServerConnection
+            Any connection.
 
         Returns
         -------
         bool
-            Whether the guest may only e-stop.
+            Whether it may only e-stop.
         """
-        return guest in self._reserved
+        return connection in self._reserved
 
-    def take(self, guest: G, now: float) -> bool:
-        """Give a guest a place, a reserved one if all others are taken.
+    def take(self, connection: "ServerConnection", now: float) -> bool:
+        """Give a connection a place, a reserved one if all others are taken.
 
         Parameters
         ----------
-        guest : Guest
-            New guest.
+        connection : ServerConnection
+            New connection.
         now : float
             Time [s].
 
@@ -81,8 +68,8 @@ class Places(Generic[G]):
         bool
             Whether there was a place.
         """
-        if len(self._full) < self.most:
-            self._full.add(guest)
+        if len(self._full) < self._most:
+            self._full.add(connection)
             return True
         if len(self._reserved) >= RESERVED:
             oldest = next(iter(self._reserved))
@@ -90,16 +77,16 @@ class Places(Generic[G]):
                 return False
             del self._reserved[oldest]
             oldest.make_room()
-        self._reserved[guest] = now
+        self._reserved[connection] = now
         return True
 
-    def leave(self, guest: G) -> None:
-        """Free the place of a guest; one that has none is ignored.
+    def leave(self, connection: "ServerConnection") -> None:
+        """Free the place of a connection; one that has none is ignored.
 
         Parameters
         ----------
-        guest : Guest
-            Guest that leaves.
+        connection : ServerConnection
+            Connection that ends.
         """
-        self._full.discard(guest)
-        self._reserved.pop(guest, None)
+        self._full.discard(connection)
+        self._reserved.pop(connection, None)

@@ -34,7 +34,7 @@ from tactile.server.description import describe
 from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.shelf import Shelf
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 from tactile.server.workbench import Workbench
 from tactile.tracking.finger_sample import FingerSample
 
@@ -87,7 +87,7 @@ class Playing:
         E-stop latch of the display, which outlives this object.
     workbench : Workbench
         Where textures are prepared.
-    tell : callable
+    post : callable
         Function that is called with each `EventMessage`.
 
     Attributes
@@ -110,6 +110,8 @@ class Playing:
         Owners of the high voltage.
     lost : bool
         Whether playback does not run: its device is not open yet, or its process died.
+    child : Child or None
+        Playback process.
     failure : str
         Reason why playback could not be started again; empty if it runs.
     """
@@ -119,7 +121,7 @@ class Playing:
         config: DisplayConfig,
         latch: Latch,
         workbench: Workbench,
-        tell: Callable[[EventMessage], None],
+        post: Callable[[EventMessage], None],
     ) -> None:
         self.config, self.display = config, load_configured(config)
         self._loop = asyncio.get_running_loop()
@@ -130,11 +132,11 @@ class Playing:
         self.finger = FingerOwnership()
         self.lost = True
         self.failure = ""
-        self._post = tell
-        self._child: Child | None = None
+        self._post = post
+        self.child: Child | None = None
         self._pending: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._number = 0
-        self._opened: asyncio.Future[DeviceOpened] | None = None
+        self._device_opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
         self._shelf = Shelf(
             self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
@@ -168,20 +170,20 @@ class Playing:
 
     def keep_open(self) -> None:
         """Start supervision: from now on, playback is started again whenever it is lost."""
-        self._supervisor = watched(asyncio.create_task(self._supervise()))
+        self._supervisor = start_task(self._supervise())
 
     async def _open(self) -> None:
         """Start a playback process and wait until it has opened the device."""
         config, loop = self.config, asyncio.get_running_loop()
         shared = self.memory.descriptor, self.latch.descriptor
         inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
-        self._opened = loop.create_future()
+        self._device_opened = loop.create_future()
 
         def on_message(what: Any) -> None:
-            if self._child is child:  # ignore a process that was killed
+            if self.child is child:  # ignore a process that was killed
                 self._receive(what)
 
-        child = self._child = Child("tactile.playback.process", on_message, inherited)
+        child = self.child = Child("tactile.playback.process", on_message, inherited)
         child.send(
             Setup(
                 self.display, config.device, config.rearm, config.sample_rate_hz,
@@ -191,7 +193,7 @@ class Playing:
         )  # fmt: skip
         try:
             async with asyncio.timeout(OPENING):
-                self.how = await asyncio.shield(self._opened)
+                self.how = await asyncio.shield(self._device_opened)
         except TimeoutError:
             self.how = DeviceOpened(why_not=f"not open after {OPENING:g} s")
         if self.how.why_not:
@@ -205,8 +207,8 @@ class Playing:
     def _receive(self, what: Any) -> None:
         """Take a message of the process; None means that the process has ended."""
         if isinstance(what, DeviceOpened):
-            if self._opened is not None and not self._opened.done():
-                self._opened.set_result(what)
+            if self._device_opened is not None and not self._device_opened.done():
+                self._device_opened.set_result(what)
         elif isinstance(what, Answer):
             future = self._pending.pop(what.number, None)
             if future is not None and not future.done():
@@ -221,8 +223,8 @@ class Playing:
 
     def _process_ended(self) -> None:
         """Fail everything that waits for the process, and announce that it is lost."""
-        if self._opened is not None and not self._opened.done():
-            self._opened.set_result(
+        if self._device_opened is not None and not self._device_opened.done():
+            self._device_opened.set_result(
                 DeviceOpened(why_not="playback ended while it opened the device")
             )
         for future in self._pending.values():
@@ -244,9 +246,9 @@ class Playing:
         while not self._ended.is_set():
             await asyncio.sleep(0.1)
             reported, now = self.memory.report().time, self._loop.time()
-            if self._child is not None and not self.lost and hangs(now, reported, self._since):
+            if self.child is not None and not self.lost and hangs(now, reported, self._since):
                 log.error("%s: playback hangs", self.config.name)
-                self._child.kill()
+                self.child.kill()
                 self._process_ended()
             if not self.lost:
                 retry = FIRST_RETRY
@@ -266,8 +268,8 @@ class Playing:
 
     async def _restart(self) -> None:
         """Open the device again, restore what clients had, and arm for the owners if allowed."""
-        if self._child is not None:
-            self._child.kill()
+        if self.child is not None:
+            self.child.kill()
         if not self.config.rearm:
             self.owners.clients.clear()
         with self.owners.arm():
@@ -275,7 +277,7 @@ class Playing:
             self.failure = ""
             await self.renew()
             if self.owners.clients and not self.latch.holds:
-                await self.ask(ArmDisplay(display=self.config.name))
+                await self.request(ArmDisplay(display=self.config.name))
             else:
                 self._announce("disarmed", "playback is back, and disarmed")
 
@@ -284,8 +286,8 @@ class Playing:
         self._ended.set()
         if self._supervisor is not None:
             self._supervisor.cancel()
-        if self._child is not None:
-            await self._child.end(ENDING)
+        if self.child is not None:
+            await self.child.end(ENDING)
 
     def close(self) -> None:
         """Release the memory that was shared with the process, after its end."""
@@ -293,15 +295,13 @@ class Playing:
 
     # Orders
 
-    async def ask(self, order: Order, *, within: float = ANSWER) -> tuple[float, ...]:
+    async def request(self, order: Order) -> tuple[float, ...]:
         """Send an order to playback and wait for its answer.
 
         Parameters
         ----------
         order : Order
             What playback is to do.
-        within : float
-            Time to wait for the answer [s].
 
         Returns
         -------
@@ -313,18 +313,18 @@ class Playing:
         BusError
             If the order cannot be carried out, with the reason.
         """
-        if self._child is None or self.lost:
+        if self.child is None or self.lost:
             raise BusError(self.failure or "playback was lost")
         self._number += 1
         number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
         self._pending[number] = future
-        self._child.send((number, order))
+        self.child.send((number, order))
         try:
-            async with asyncio.timeout(within):
+            async with asyncio.timeout(ANSWER):
                 return await future
         except TimeoutError:
-            raise BusError(f"playback did not answer in {within:g} s") from None
+            raise BusError(f"playback did not answer in {ANSWER:g} s") from None
         finally:
             self._pending.pop(number, None)
 
@@ -346,7 +346,7 @@ class Playing:
         self.owners.clients.add(client)
         with self.owners.arm():
             try:
-                await self.ask(ArmDisplay(display=self.config.name))
+                await self.request(ArmDisplay(display=self.config.name))
             except BusError:
                 self.owners.clients.discard(client)
                 raise
@@ -361,7 +361,7 @@ class Playing:
         """
         self.owners.clients.clear()
         if not self.lost:
-            await self.ask(DisarmDisplay(display=self.config.name))
+            await self.request(DisarmDisplay(display=self.config.name))
 
     async def give_up(self, client: int) -> None:
         """Take away a client's share of high voltage; switch it off if nobody else has one.
@@ -397,7 +397,7 @@ class Playing:
         self.owners.clients.clear()
         return self.latch.trip(reason)
 
-    def notice_estop(self) -> bool:
+    def announce_estop(self) -> bool:
         """Announce an e-stop that has not been announced yet.
 
         Returns
@@ -429,7 +429,7 @@ class Playing:
         """
         if not self.latch.holds:
             return
-        await self.ask(ClearEstop(display=self.config.name, estop=estop))
+        await self.request(ClearEstop(display=self.config.name, estop=estop))
         self.latch.clear(estop)
         self._announce("cleared", f"e-stop {estop} was cleared", estop=estop)
 
@@ -447,7 +447,7 @@ class Playing:
             Whether high voltage must be switched off.
         """
         running = self.lost or self.report.running
-        return self.owners.look(now, running=running, armed=self.state == "armed")
+        return self.owners.check(now, running=running, armed=self.state == "armed")
 
     async def take_voltage(self) -> None:
         """Switch off high voltage that belongs to nobody."""
@@ -482,11 +482,12 @@ class Playing:
         with self._shelf.held() as held:
             selection = []
             for layer in layers:
-                number = await self.texture(client, layer.texture, layer.seed)
+                key = layer.texture, layer.seed
+                number = await self._shelf.texture(client, key, self.how)
                 held.add(number)
                 selection.append((number, layer.gain))
             state.layers = tuple(selection)
-        await self.ask(commands.SetState(client, replace(state)))
+        await self.apply_state(client)
 
     def state_of(self, client: int) -> ClientState:
         """Return what a client plays, which is nothing as yet for a new one.
@@ -516,33 +517,7 @@ class Playing:
         BusError
             If playback does not answer.
         """
-        await self.ask(commands.SetState(client, replace(self.state_of(client))))
-
-    async def texture(self, client: int, name: str, seed: int) -> int:
-        """Return the number of a texture, once it is ready.
-
-        Parameters
-        ----------
-        client : int
-            Number of the client that waits.
-        name : str
-            Name of the texture.
-        seed : int
-            Seed of its realization.
-
-        Returns
-        -------
-        int
-            Number of the texture in playback.
-
-        Raises
-        ------
-        TooManyDrawingsError
-            If the client waits for as many textures as it may.
-        BusError
-            If the texture cannot be prepared, or there is no room for it.
-        """
-        return await self._shelf.texture(client, (name, seed), self.how)
+        await self.request(commands.SetState(client, replace(self.state_of(client))))
 
     def cancel_drawings(self, client: int) -> None:
         """Stop preparing textures for a client that has left, unless others wait for them too.
@@ -555,12 +530,12 @@ class Playing:
         self._shelf.leave(client)
 
     def _keep_texture(self, order: bytes) -> None:
-        if self._child is None or self.lost:
+        if self.child is None or self.lost:
             raise BusError("playback was lost")
-        self._child.send(order)
+        self.child.send(order)
 
     async def _drop_texture(self, number: int) -> None:
-        await self.ask(commands.DropTexture(number))
+        await self.request(commands.DropTexture(number))
 
     def _selected(self) -> set[int]:
         return {n for state in self.states.values() for n, _ in state.layers}
@@ -573,7 +548,7 @@ class Playing:
             for key, (n, _) in old.items():
                 if n in selected:
                     try:
-                        numbers[n] = await self.texture(SERVER, *key)
+                        numbers[n] = await self._shelf.texture(SERVER, key, self.how)
                         held.add(numbers[n])
                     except BusError as error:
                         log.error("%s: %s", self.config.name, error)
@@ -615,7 +590,7 @@ class Playing:
         await asyncio.gather(*work)
 
     async def _forget(self, client: int) -> None:
-        await self.ask(commands.ForgetClient(client))
+        await self.request(commands.ForgetClient(client))
 
     # State
 
@@ -634,14 +609,9 @@ class Playing:
     @property
     def alive(self) -> bool:
         """Whether the playback process runs and reports."""
-        if self.lost or self._child is None or not self._child.alive:
+        if self.lost or self.child is None or not self.child.alive:
             return False
         return self._loop.time() - self.report.time < STILL
-
-    @property
-    def child(self) -> Child | None:
-        """Playback process."""
-        return self._child
 
     @property
     def info(self) -> DisplayDescription:

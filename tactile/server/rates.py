@@ -41,7 +41,7 @@ class TokenBucket:
         self._left -= 1
         return True
 
-    def is_to_be_told(self, now: float) -> bool:
+    def report_is_due(self, now: float) -> bool:
         """Decide whether to report now that messages are refused, at most once per second.
 
         Parameters

@@ -3,29 +3,24 @@
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from msgspec import structs
 
 from tactile.clock import loop_time
 from tactile.messages import (
     Answer,
-    ApiMessage,
     Command,
-    Contact,
     DisarmDisplay,
-    DisplayDescription,
     EStop,
-    EventMessage,
     Failure,
     Reply,
-    Role,
-    TelemetryMessage,
+    id_of,
     kind_of,
 )
+from tactile.server.client import Client
 from tactile.server.decoding import failed
-from tactile.server.metrics import MetricsSource, Traffic
-from tactile.server.tasks import watched
+from tactile.server.metrics import Traffic
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -35,178 +30,37 @@ MOST_REQUESTS = 32
 """Maximum number of requests that one client may have queued."""
 
 
-class ClientProtocol(Protocol):
-    """Client as transports use it; `tactile.server.client.Client` is one.
-
-    Attributes
-    ----------
-    outbox : asyncio.Queue of EventMessage or TelemetryMessage
-        Messages for the client that no request asked for.
-    """
-
-    outbox: "asyncio.Queue[EventMessage | TelemetryMessage]"
-
-    @property
-    def sounds(self) -> bool:
-        """Whether the client has waveforms or effects that may still sound."""
-        ...
-
-    @property
-    def holds_voltage(self) -> bool:
-        """Whether the client armed a display whose high voltage is on."""
-        ...
-
-    def contact(self, message: Contact, arrival: float) -> Failure | None:
-        """Take a contact.
-
-        Parameters
-        ----------
-        message : Contact
-            Message of the client.
-        arrival : float
-            Time of arrival on the monotonic clock [s].
-
-        Returns
-        -------
-        Failure or None
-            What is wrong with the contact.
-        """
-        ...
-
-    async def request(self, command: Command) -> Answer:
-        """Carry out a request.
-
-        Parameters
-        ----------
-        command : Command
-            Message of the client.
-
-        Returns
-        -------
-        Answer
-            Answer to the request, a `Failure` if it could not be carried out.
-        """
-        ...
-
-    def quiet(self) -> None:
-        """Fade the client's waveforms and effects, because it gives no sign of life."""
-        ...
-
-    def give_up(self) -> None:
-        """Give up the client's share of high voltage, because it gives no sign of life."""
-        ...
-
-    def close(self) -> None:
-        """Lift the finger and fade what sounds; may be called repeatedly."""
-        ...
-
-
-class HostProtocol(MetricsSource, Protocol):
-    """All displays and their clients, as servers use them; `tactile.server.host.Host` is one."""
-
-    async def start(self) -> None:
-        """Open all displays."""
-        ...
-
-    async def close(self) -> None:
-        """Fade out, disarm and end all displays; may be called repeatedly."""
-        ...
-
-    async def reload(self) -> None:
-        """Read textures and configuration again."""
-        ...
-
-    @property
-    def displays(self) -> tuple[DisplayDescription, ...]:
-        """Displays that can be played on."""
-        ...
-
-    def connect(self, name: str, *, roles: frozenset[Role]) -> ClientProtocol:
-        """Add a client.
-
-        Parameters
-        ----------
-        name : str
-            Name of the client.
-        roles : frozenset of Role
-            What the client may do.
-
-        Returns
-        -------
-        ClientProtocol
-            The new client.
-        """
-        ...
-
-    def beat(self) -> bool:
-        """Return whether playback has made progress since the last call.
-
-        Returns
-        -------
-        bool
-            False if a playback process hangs or has died.
-        """
-        ...
-
-    def degrade(self, error: BaseException) -> None:
-        """Disarm all displays after an unexpected failure.
-
-        Parameters
-        ----------
-        error : BaseException
-            The failure.
-        """
-        ...
-
-
-def id_of(message: ApiMessage) -> int | None:
-    """Return the id of a message.
-
-    Parameters
-    ----------
-    message : ApiMessage
-        Any message.
-
-    Returns
-    -------
-    int or None
-        Id of the request or reply; None without one, as in a `Contact`.
-    """
-    number: int | None = getattr(message, "id", None)
-    return number
-
-
 class Requests:
     """Requests of one client, carried out one after the other, independently of its contacts.
 
     Parameters
     ----------
-    client : ClientProtocol
+    client : Client
         Client that sends the requests.
     traffic : Traffic
         Counters of the transport.
-    answered : callable
+    on_answer : callable
         Function that is called with each answer.
-    broke : callable, optional
+    on_failure : callable, optional
         Function that is called if an exception ends the processing, so that nothing more can be
         done.
     """
 
     def __init__(
         self,
-        client: ClientProtocol,
+        client: Client,
         traffic: Traffic,
-        answered: Callable[[Answer], None],
-        broke: Callable[[BaseException], object] | None = None,
+        on_answer: Callable[[Answer], None],
+        on_failure: Callable[[BaseException], object] | None = None,
     ) -> None:
-        self._client, self._traffic, self._answered = client, traffic, answered
+        self._client, self._traffic, self._on_answer = client, traffic, on_answer
         self._waiting: list[Command] = []
         # The first is the request that is being carried out, the others wait.
         self._arrived = asyncio.Event()
         self._ended = False
-        self._broke = broke
+        self._on_failure = on_failure
         self._urgent: set[asyncio.Task[None]] = set()
-        self._worker = watched(asyncio.create_task(self._work()), broke)
+        self._worker = start_task(self._work(), on_failure)
 
     def offer(self, command: Command) -> Failure | None:
         """Queue a request; an e-stop is carried out at once.
@@ -225,9 +79,7 @@ class Requests:
         if len(queue) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
         if isinstance(command, EStop):
-            task = watched(asyncio.create_task(self._carry_out(command)), self._broke)
-            self._urgent.add(task)
-            task.add_done_callback(self._urgent.discard)
+            start_task(self._carry_out(command), self._on_failure, among=self._urgent)
         else:
             self._waiting.append(command)
             self._arrived.set()
@@ -253,7 +105,7 @@ class Requests:
         self._traffic.message(kind_of(command), loop_time() - started)
         if isinstance(answer, Reply) and answer.id != id_of(command):
             answer = structs.replace(answer, id=id_of(command))
-        self._answered(answer)
+        self._on_answer(answer)
 
     async def finish(self) -> None:
         """End within `FINISH_WITHIN`; each e-stop and each disarm is still carried out.
@@ -265,7 +117,7 @@ class Requests:
         self._worker.cancel()
         self._arrived.set()
         disarms = [command for command in self._waiting if isinstance(command, DisarmDisplay)]
-        tasks = {*self._urgent, watched(asyncio.create_task(self._carry_out_each(disarms)))}
+        tasks = {*self._urgent, start_task(self._carry_out_each(disarms))}
         try:
             await asyncio.wait(tasks, timeout=FINISH_WITHIN)
         finally:

@@ -51,7 +51,7 @@ class Tokens:
         """Return whether there is any token."""
         return bool(self._digests)
 
-    def roles(self, said: str) -> frozenset[Role] | None:
+    def roles(self, token: str) -> frozenset[Role] | None:
         """Return what a token allows.
 
         The time that it takes reveals neither how much of the token is right nor which one it
@@ -59,7 +59,7 @@ class Tokens:
 
         Parameters
         ----------
-        said : str
+        token : str
             Token that a client presents.
 
         Returns
@@ -67,7 +67,7 @@ class Tokens:
         frozenset of Role or None
             Roles of the token; None if it is wrong.
         """
-        digest = hashlib.sha256(said.encode("utf-8", "replace")).digest()
+        digest = hashlib.sha256(token.encode("utf-8", "replace")).digest()
         same = [hmac.compare_digest(digest, known) for known, _ in self._digests]
         return self._digests[same.index(True)][1] if any(same) else None
 

@@ -28,14 +28,14 @@ from tactile.playback.priority import shorten_collections
 from tactile.server import watchdog
 from tactile.server.config import DaemonConfig, read_tokens
 from tactile.server.connection import Site, talk
+from tactile.server.host import Host
 from tactile.server.listening import Listener, bound_sockets
-from tactile.server.liveness import look_after
+from tactile.server.liveness import watch_clients
 from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
-from tactile.server.requests import HostProtocol
 from tactile.server.security import Door, Tokens
-from tactile.server.tasks import watched
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.server")
 
@@ -65,14 +65,9 @@ class Server:
     serving: "asyncio.Task[None]"
 
     @property
-    def host(self) -> HostProtocol:
+    def host(self) -> Host:
         """All displays and their clients."""
         return self.site.host
-
-    @property
-    def metrics(self) -> Metrics:
-        """All metrics of the daemon."""
-        return self.site.metrics
 
 
 def application(site: Site) -> ASGIApp:
@@ -144,19 +139,13 @@ async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
             raise InputError(text) from error
         protocol = OscProtocol(link, site.host, site.metrics, config.server.messages_per_second)
         transport, _ = await loop.create_datagram_endpoint(lambda: protocol, sock=link)
-        watching = watched(asyncio.create_task(protocol.forget_silent()))
+        watching = start_task(protocol.forget_silent())
         try:
             yield
         finally:
             transport.close()
             watching.cancel()
             await protocol.finish()
-
-
-def _host(config: DaemonConfig) -> HostProtocol:
-    from tactile.server.host import Host
-
-    return Host(config)
 
 
 def _version() -> str:
@@ -170,7 +159,7 @@ def _version() -> str:
 async def running(
     config: DaemonConfig,
     *,
-    host: HostProtocol | None = None,
+    host: Host | None = None,
     dropped_logs: Callable[[], float] = lambda: 0,
 ) -> AsyncIterator[Server]:
     """Run the daemon in this event loop; port 0 takes a free one.
@@ -179,7 +168,7 @@ async def running(
     ----------
     config : DaemonConfig
         Configuration, as returned by `load_config`.
-    host : HostProtocol, optional
+    host : Host, optional
         What to serve; by default, the host of the configuration.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
@@ -195,13 +184,13 @@ async def running(
         If the daemon cannot listen.
     """
     tokens = Tokens(read_tokens(config))
-    host = _host(config) if host is None else host
+    host = Host(config) if host is None else host
     with bound_sockets(config.server, guarded=bool(tokens)) as sockets:
         site = Site(host, config.server, Metrics(host, dropped_logs), tokens, _version())
         listener = Listener(application(site), site)
         try:
             await host.start()
-            async with _osc(config, site), _looking_after(site):
+            async with _osc(config, site), _watching_clients(site):
                 serving = asyncio.create_task(listener.serve(sockets))
                 try:
                     while not listener.started and not serving.done():
@@ -217,9 +206,9 @@ async def running(
 
 
 @asynccontextmanager
-async def _looking_after(site: Site) -> AsyncIterator[None]:
+async def _watching_clients(site: Site) -> AsyncIterator[None]:
     """Watch whether the clients are alive; if that fails, all displays are disarmed."""
-    task = watched(asyncio.create_task(look_after(lambda: site.places)), site.host.degrade)
+    task = start_task(watch_clients(lambda: site.places), site.host.degrade)
     try:
         yield
     finally:
@@ -270,7 +259,7 @@ async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], Non
         reloading = Reloading(server.host)
         with suppress(NotImplementedError, AttributeError):
             loop.add_signal_handler(signal.SIGHUP, reloading.begin)
-        beating = watched(asyncio.create_task(watchdog.keep_alive(server.host.beat)))
+        beating = start_task(watchdog.keep_alive(server.host.beat))
         shorten_collections()
         log.info("listening", extra={"fields": {"url": server.url, "osc": config.osc.port}})
         watchdog.notify("READY=1")
@@ -289,7 +278,7 @@ class Reloading:
 
     Parameters
     ----------
-    host : HostProtocol
+    host : Host
         Host to reload.
 
     Attributes
@@ -298,15 +287,13 @@ class Reloading:
         Reloads under way.
     """
 
-    def __init__(self, host: HostProtocol) -> None:
+    def __init__(self, host: Host) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
         self._host, self._lock = host, asyncio.Lock()
 
     def begin(self) -> None:
         """Start a reload in the background."""
-        task = asyncio.create_task(self._reload())
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
+        start_task(self._reload(), among=self.tasks)
 
     async def _reload(self) -> None:
         async with self._lock:

@@ -2,34 +2,43 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 log = logging.getLogger("tactile.server")
 T = TypeVar("T")
 
 
-def watched(
-    task: asyncio.Task[T], on_failure: Callable[[BaseException], object] | None = None
+def start_task(
+    work: Coroutine[Any, Any, T],
+    on_failure: Callable[[BaseException], object] | None = None,
+    *,
+    among: set[asyncio.Task[T]] | None = None,
 ) -> asyncio.Task[T]:
-    """Watch a task, so that an exception that ends it is logged.
+    """Start a task in the background; an exception that ends it is logged.
 
     A cancellation is not a failure.
 
     Parameters
     ----------
-    task : asyncio.Task
-        Task that runs in the background.
+    work : coroutine
+        What the task runs.
     on_failure : callable, optional
         Function that is called once with the exception, after it was logged.
+    among : set of asyncio.Task, optional
+        Set that holds the task until it ends.
 
     Returns
     -------
     asyncio.Task
-        The same task.
+        The task.
     """
+    task = asyncio.create_task(work)
     task.add_done_callback(partial(_report_failure, on_failure))
+    if among is not None:
+        among.add(task)
+        task.add_done_callback(among.discard)
     return task
 
 

@@ -273,6 +273,33 @@ def height_lines(raster: Raster, part: Floats) -> list[Line]:
     return [[Segment("".join(HEIGHTS[k] for k in row))] for row in fill.astype(np.intp).tolist()]
 
 
+def scale_line(end: float, width: int, longest: int, *, color: bool) -> Line:
+    """Draw the scale of colors or heights between its ends.
+
+    Parameters
+    ----------
+    end : float
+        End of the symmetric scale [µm].
+    width : int
+        Largest width with the labels of the ends [characters].
+    longest : int
+        Largest width of the colors or heights [characters].
+    color : bool
+        Whether to draw in color.
+
+    Returns
+    -------
+    Line
+        Scale with its labels.
+    """
+    low, high = f"−{end:g} µm ", f" +{end:g} µm"
+    sweep = np.linspace(0, 1, max(min(width - len(low) - len(high), longest), 0))
+    ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
+    if not color:
+        ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
+    return [Segment(low, LABEL), *ramp, Segment(high, LABEL)]
+
+
 def _bar(part: float, width: int, color: bool) -> Line:
     """Draw a part, 0 … 1, as a bar and a space in ``width`` characters; it is full only at 1."""
     width, part = width - 1, min(part + NEAR, 1.0) if part > 0 else 0.0
@@ -521,15 +548,9 @@ class Frame:
         part = raster.mean(self._state.image_um) / scale
         cells = color_lines(raster, part) if color else height_lines(raster, part)
         margin = Segment(" " * ((width - raster.member.shape[1]) // 2))
-        low, high = f"−{scale:g} µm ", f" +{scale:g} µm"
-        length = max(min(width - len(low) - len(high), raster.member.shape[1]), 0)
-        sweep = np.linspace(0, 1, length)
-        ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
-        if not color:
-            ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
-        before = Segment(" " * ((width - len(low) - len(high) - length) // 2))
-        legend = [before, Segment(low, LABEL), *ramp, Segment(high, LABEL)]
-        return [*([margin, *line] for line in cells), [], legend]
+        legend = scale_line(scale, width, raster.member.shape[1], color=color)
+        before = Segment(" " * ((width - Segment.get_line_length(legend)) // 2))
+        return [*([margin, *line] for line in cells), [], [before, *legend]]
 
     def _side(self, width: int, height: int, color: bool) -> list[Line]:
         """Return the panels of drive and trace, one above the other."""

@@ -18,9 +18,7 @@ from rich.style import Style
 from tactile.arrays import Floats
 from tactile.show.live import (
     BADGE,
-    HEIGHTS,
     LABEL,
-    LEVELS,
     PARTS,
     TITLE,
     VALUE,
@@ -29,7 +27,7 @@ from tactile.show.live import (
     color_lines,
     height_lines,
     nice,
-    palette,
+    scale_line,
 )
 from tactile.show.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
 
@@ -132,13 +130,7 @@ def surface_lines(surface: Floats, columns: int, *, color: bool) -> list[Line]:
         np.zeros((rows, columns), np.intp), 1,
     )  # fmt: skip
     lines = (color_lines if color else height_lines)(raster, micro / end)
-    low, high = f"−{end:g} µm ", f" +{end:g} µm"
-    length = max(columns - len(low) - len(high), 0)
-    sweep = np.linspace(0, 1, length)
-    ramp = [Segment("▀", Style(color=palette()[round(k * (LEVELS - 1))])) for k in sweep]
-    if not color:
-        ramp = [Segment(HEIGHTS[round(k * 7) + 1]) for k in sweep]
-    return [*lines, [Segment(low, LABEL), *ramp, Segment(high, LABEL)]]
+    return [*lines, scale_line(end, columns, columns, color=color)]
 
 
 def spectrum_lines(view: View, width: int) -> list[Line]:
@@ -156,14 +148,14 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     list of Line
         Lines of the picture.
     """
-    s, shown = view.spectrum, shown_bands(view.spectrum)
+    s, bands = view.spectrum, shown_bands(view.spectrum)
     low = BAR_LEVELS[0]
     high = max(BAR_LEVELS[1], nice(float(s.total.max(initial=1e-9)) * 1e6))
     length = int(np.clip(width - NAMED - TOLD, 8, LONGEST_BAR))
     head = f"spectrum at {view.speed * 1e3:g} mm/s, µm peak per third octave"
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
-    for band in shown:
+    for band in bands:
         micro, least = s.total[band] * 1e6, float(just_felt(CENTER[band])) * 1e6
         excess = s.excess_db[band]
         style = FELT if excess >= 0 else HIDDEN
@@ -176,7 +168,7 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
                 Segment(label.replace("-", "−"), VALUE if excess >= 0 else LABEL),
             ]
         )
-    if not len(shown):
+    if not len(bands):
         lines.append([Segment("nothing up to 1 kHz", LABEL)])
     return lines + grating_lines(s.grating_frequency, s.grating_peak * 1e6, width)
 

@@ -18,14 +18,11 @@ from numpy.typing import NDArray
 
 from tactile.arrays import Floats
 from tactile.display.display import Display
-from tactile.errors import InputError
-from tactile.files import nearest
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
 from tactile.rendering.shear import EventField
 from tactile.strength.commanded import law_factor
-from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Events, Periodic
 from tactile.texture.event_power import mean_square, power_below
@@ -241,34 +238,6 @@ class Tile:
     spectrum: StrokeSpectrum
 
 
-def names_of(category: str | None) -> list[str]:
-    """Return the names of the shipped textures of a category.
-
-    Parameters
-    ----------
-    category : str or None
-        Category; None for all textures.
-
-    Returns
-    -------
-    list of str
-        Names of the textures.
-
-    Raises
-    ------
-    InputError
-        If no texture is of that category; the message names the nearest one.
-    """
-    names = descriptors.textures()
-    if category is None:
-        return names
-    known: dict[str, str] = {name: descriptors.load(name).texture.category for name in names}
-    if category not in known.values():
-        listed = sorted(set(known.values()))
-        raise InputError(f"no texture is of category {category!r}; {nearest(category, listed)}")
-    return [name for name in names if known[name] == category]
-
-
 def tile(texture: Texture, *, speed: float) -> Tile:
     """Compute the summary of one texture among many.
 
@@ -315,7 +284,7 @@ def texture_rms(texture: Texture, speed: float, normal_force: float) -> float:
         Displacement [m rms].
     """
     waves = float(np.sum(texture.partials.amplitude**2)) / 2
-    events = sum(mean_square(kind) for kind in _kinds(texture))
+    events = sum(mean_square(kind) for kind in texture.descriptor.events)
     return law_factor(texture, speed, normal_force) * float(np.sqrt(waves + events))
 
 
@@ -356,7 +325,7 @@ def surface_patch(
         field *= np.exp(_waves_on(surface.envelope, place) - mean_square)
     field += _waves_on(gratings, place)
     if len(surface.event_peak):
-        field += _events_on(surface, _kinds(texture), place)
+        field += _events_on(surface, texture.descriptor.events, place)
     return law_factor(texture, speed, normal_force) * field
 
 
@@ -418,17 +387,12 @@ def texture_spectrum(
     sounds = np.abs(drawn.wave_vector[:count, 0]) * speed / (2 * np.pi)
     waves = _by_band(sounds, drawn.amplitude[:count] ** 2)
     events = np.zeros(BANDS)
-    for kind in _kinds(texture):
+    for kind in texture.descriptor.events:
         events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))
     frequency, peak = _gratings(texture, speed)
     return StrokeSpectrum(
         factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak
     )
-
-
-def _kinds(texture: Texture) -> tuple[Events, ...]:
-    """Return the kinds of sparse events of a texture."""
-    return texture.descriptor.events
 
 
 def _by_band(frequency: Floats, power: Floats) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile.arrays import Floats
-from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, check_file, new_figure, plain, save
+from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, new_figure, plain, save
 from tactile.texture.fitting import Fit
 from tactile.texture.judging import Verdict
 
@@ -36,7 +36,6 @@ def plot_fit(path: str | Path, fit: Fit, verdict: Verdict) -> None:
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(fit_figure(fit, verdict), path)
 
 

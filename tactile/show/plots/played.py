@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tactile.arrays import Floats
 from tactile.display.display import Display
@@ -16,7 +15,6 @@ from tactile.show.plots.style import (
     COLORS,
     GRAY,
     RED,
-    check_file,
     new_figure,
     plain,
     save,
@@ -83,49 +81,24 @@ class Played:
             raise InputError(f"{samples} samples: needs at least {2 * SNAPSHOTS}")
 
 
-def plot_played(
-    path: str | Path,
-    *,
-    display: Display,
-    time: ArrayLike,
-    shear_target: ArrayLike,
-    shear_played: ArrayLike,
-    drive: ArrayLike,
-    title: str,
-    position: ArrayLike | None = None,
-) -> None:
+def plot_played(path: str | Path, play: Played, *, title: str) -> None:
     """Draw commanded and played shear and save the figure.
 
     Parameters
     ----------
     path : str or Path
         File to write, a .png, .svg or .pdf.
-    display : Display
-        Display that played.
-    time : (S,) array_like of float
-        Times [s].
-    shear_target : (S, N) array_like of float
-        Commanded shear [m].
-    shear_played : (S, N) array_like of float
-        Shear of the skin [m].
-    drive : (S, N) array_like of float
-        Drive [V].
+    play : Played
+        Data to draw; if the position is known, the snapshots are one pitch apart.
     title : str
         Title of the figure.
-    position : (S, 2) array_like of float, optional
-        Position of the finger [m]; if given, the snapshots are one pitch apart.
 
     Raises
     ------
     InputError
-        If matplotlib is missing, the shapes differ, or the file cannot be written.
+        If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
-    t, target, played, volts = (
-        np.asarray(side, np.float64) for side in (time, shear_target, shear_played, drive)
-    )
-    finger = None if position is None else np.asarray(position, np.float64)
-    save(played_figure(Played(display, t, target, played, volts, finger), title=title), path)
+    save(played_figure(play, title=title), path)
 
 
 def played_figure(play: Played, *, title: str) -> "Figure":

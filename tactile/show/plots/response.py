@@ -11,7 +11,6 @@ from tactile.show.plots.style import (
     COLORS,
     GRAY,
     THRESHOLD_NAME,
-    check_file,
     draw_threshold,
     name_ends,
     new_figure,
@@ -46,7 +45,6 @@ def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltag
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(response_figure(responses, voltage=voltage), path)
 
 
@@ -78,9 +76,9 @@ def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Fi
         if not inside.any():
             raise InputError(f"{name}: has no frequency in {BAND[0]:g} … {BAND[1]:g} Hz")
         micro = np.abs(r.displacement[inside]) * 1e6
-        turn = np.degrees(np.unwrap(np.angle(r.displacement[inside])))
+        degrees = np.degrees(np.unwrap(np.angle(r.displacement[inside])))
         for axes, values, end in zip(
-            (size, phase, reach), (micro, turn, micro * voltage), ends, strict=True
+            (size, phase, reach), (micro, degrees, micro * voltage), ends, strict=True
         ):
             axes.plot(r.frequency[inside], values, color=COLORS[k % len(COLORS)], linewidth=1.8)
             end.append((float(values[-1]), name, COLORS[k % len(COLORS)]))

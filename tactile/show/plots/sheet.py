@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile.show.plots.style import GRAY, axes_at, check_file, new_figure, save
+from tactile.show.plots.style import GRAY, axes_at, new_figure, save
 from tactile.show.plots.texture import DIVERGING, color_end, draw_spectrum
 from tactile.show.views import NORMAL_FORCE, TILE_SIDE, Tile
 
@@ -49,7 +49,6 @@ def plot_sheet(path: str | Path, tiles: Sequence[Tile], *, speed: float) -> None
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(sheet_figure(tiles, speed=speed), path)
 
 
@@ -115,7 +114,7 @@ def category_ends(tiles: Sequence[Tile]) -> dict[str, float]:
 
 
 def _category(
-    figure: "Figure", left: float, top: float, count: int, name: str, end: float, again: bool
+    figure: "Figure", left: float, top: float, count: int, name: str, end: float, continued: bool
 ) -> None:
     """Write a category over its tiles in a row, with the scale of its colors."""
     from matplotlib.lines import Line2D
@@ -125,7 +124,7 @@ def _category(
     y = top - RULE
     line = Line2D([left / across, right / across], [y / up, y / up], color="black", linewidth=1.0)
     figure.add_artist(line)
-    _write(figure, left, y + 0.13, f"{name} …" if again else name, 10, weight="bold")
+    _write(figure, left, y + 0.13, f"{name} …" if continued else name, 10, weight="bold")
     scale = f"± {end * 1e6:.2g} µm"
     _write(figure, right, y + 0.13, scale, 8, ha="right", color=GRAY)
 

@@ -163,7 +163,7 @@ def axes_at(figure: "Figure", left: float, bottom: float, width: float, height: 
 
 
 def check_file(path: str | Path) -> None:
-    """Reject a file that cannot become a figure, before anything is computed for it.
+    """Reject a file that cannot become a figure; `save` does so too, after all is computed.
 
     Parameters
     ----------
@@ -195,8 +195,9 @@ def save(figure: "Figure", path: str | Path) -> None:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file has another suffix or cannot be written.
     """
+    check_file(path)
     try:
         figure.savefig(path, dpi=DPI)
     except OSError as error:

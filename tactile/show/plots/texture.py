@@ -19,7 +19,6 @@ from tactile.show.plots.style import (
     RED,
     THRESHOLD_NAME,
     axes_at,
-    check_file,
     draw_threshold,
     new_figure,
     plain,
@@ -66,7 +65,6 @@ def plot_texture(path: str | Path, view: View) -> None:
     InputError
         If matplotlib is missing, or the file cannot be written.
     """
-    check_file(path)
     save(texture_figure(view), path)
 
 

@@ -9,8 +9,8 @@ from msgspec.structs import replace as changed
 
 from benchmarks.rendering import (
     FINGERS,
-    felt,
     grating_texture,
+    played_shear,
     ratio_db,
     swing,
 )
@@ -44,7 +44,7 @@ def measure_friction() -> Iterator[Figure]:
         display = load_display("reference-24", load=finger())
         for case, path in (("swing", swing()), ("slips", creep)):
             r = render(display, friction_only(STICKY), path)
-            error = felt(display, r.drive) - r.shear
+            error = played_shear(display, r.drive) - r.shear
             lines = np.abs(np.fft.rfft([error[800:, 0], r.shear[800:, 0]])) ** 2
             slow = np.fft.rfftfreq(len(error) - 800, 1 / RATE) <= SLOW
             part = np.sqrt(lines[0, slow].sum() / lines[1, slow].sum())

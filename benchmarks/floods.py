@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from benchmarks.app import RATE, TEXTURE
 from benchmarks.daemon import NAME, PATIENCE, frame, wait_for
 from tactile.messages import JSON_PROTOCOL
 
-RATE = 90.0
-"""Rate at which each program of a crowd touches [Hz]."""
 BATCH = 0.01
 """Interval between batches of a flood [s]."""
 MOST_AT_ONCE = 0.05
@@ -134,7 +133,7 @@ async def _touch_together(load: Burden, url: str, clients: int, seconds: float) 
 
     async def one(number: int) -> None:
         async with aio.connect(url, display=NAME, timeout=PATIENCE) as display:
-            await display.select("wood-oak", timeout=PATIENCE)
+            await display.select(TEXTURE, timeout=PATIENCE)
             begun = time.monotonic() + number / clients / RATE
             for k in range(int(seconds * RATE)):
                 await asyncio.sleep(max(0.0, begun + k / RATE - time.monotonic()))

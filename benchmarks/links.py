@@ -10,6 +10,7 @@ time and tell for how long the machine paused (`tactile.bench.metronome`).
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,24 +22,24 @@ from numpy.typing import NDArray
 from benchmarks.frames import stream_frames
 from benchmarks.virtual import (
     VirtualAmplifier,
-    VirtualSocketCan,
+    bus_figures,
     can_be_built,
+    can_bus,
+    largest_step,
     real_time,
     to_and_fro,
     workshop,
 )
 from firmware_protocol import samples
 from firmware_protocol.host import codes_of
-from firmware_protocol.messages import FULL_SCALE_CODE, State
+from firmware_protocol.messages import State
 from tactile.bench.figures import RATE, Figure, at_most, beside_machine
-from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.budget import Ability, Plan, plan
-from tactile.bus.can_bus import CanWire
+from tactile.bus.base import DriveBlock
+from tactile.bus.budget import Plan
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.stream import LONGEST_LEAD
 from tactile.bus.registry import open_bus
 from tactile.bus.wire_time import Can
-from tactile.clock import MONOTONIC
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -53,8 +54,6 @@ As the path is known beforehand, this takes less than half the work of single bl
 """
 SHORT, LONG = 5.0, 600.0
 """Durations of a stream [s]."""
-CHUNK = 1 << 22
-"""Number of bytes of records that are compared at a time."""
 ALIKE = 0.9
 """Share of samples that agree if the assumed cut into frames is right."""
 
@@ -92,7 +91,7 @@ class Ledger:
         """Compare the amplifier's output so far with codes (S, C), sent from position 0 on."""
         (peer,) = bus.peers
         last = None
-        while len((records := amplifier.take(CHUNK)).codes):
+        for records in amplifier.chunks():
             codes = records.codes.astype(np.int32)
             steps = np.abs(np.diff(codes, axis=0, prepend=codes[:1] if last is None else last))
             self.largest_step, last = max(self.largest_step, int(steps.max())), codes[-1:]
@@ -140,31 +139,20 @@ def _framed(plan: Plan, position: Indices, sent: Codes, cut: int) -> Codes:
 
 
 def _figures(
-    name: str, bus: LinkBus, ledger: Ledger, duration: float, slew_step: float
+    name: str, bus: LinkBus, ledger: Ledger, duration: float, display: Display
 ) -> Iterator[Figure]:
     """Yield the figures of a stream."""
-    c, status = bus.counters, bus.peers[0].host.status
-    blocks = max(c.blocks, 1)
+    status = bus.peers[0].host.status
     yield Figure(f"{name}.seconds", duration, "s")
-    yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
-    yield at_most(f"{name}.lost_blocks", float(c.dropped_samples / BLOCK), "blocks", 0)
-    yield at_most(f"{name}.late_blocks", 1e4 * c.late_blocks / blocks, "of 10 000", 1)
-    yield at_most(f"{name}.disconnects", float(c.disconnects), "", 0)
-    yield Figure(f"{name}.underruns", float(c.underruns), "")
+    yield from bus_figures(name, bus, "blocks", BLOCK)
     if status is not None:
         yield Figure(f"{name}.lost_in_amplifier", float(status.lost_samples), "samples")
     yield Figure(f"{name}.compared", float(ledger.compared), "samples")
     differing = 100 * ledger.differing / max(ledger.compared, 1)
     yield at_most(f"{name}.differing_from_frames", differing, "%", 0)
-    yield at_most(f"{name}.largest_step", ledger.largest_step / slew_step, "of slew", 1)
+    yield largest_step(name, ledger.largest_step, display, bus.wiring.sample_rate)
     ratio = 10 * np.log10(ledger.power / max(ledger.error, 1e-30))
     yield Figure(f"{name}.signal_to_error", float(ratio), "dB")
-
-
-def _slew_step(display: Display, rate: float) -> float:
-    """Return the largest step that the slew limit permits [codes]."""
-    full = display.limits.voltage
-    return min(display.slew / rate / full, 2.0) * FULL_SCALE_CODE
 
 
 def _play(
@@ -197,38 +185,26 @@ def _stream(
     ledger = Ledger()
     sent = np.memmap(path, np.int16, "r").reshape(-1, display.channels)
     ledger.compare(bus, amplifier, sent)
-    yield from _figures(name, bus, ledger, len(sent) / rate, _slew_step(display, rate))
+    yield from _figures(name, bus, ledger, len(sent) / rate, display)
 
 
 def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty")
+    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         url = f"serial://{amplifier.path}?{options}&rearm=true&lead_ms={1e3 * LONGEST_LEAD:g}"
         with open_bus(url, load_display("reference-24")) as bus:
             assert isinstance(bus, LinkBus)
             yield from _stream(name, folder, bus, amplifier, seconds)
-        amplifier.close()
-
-
-def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
-    """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
-    return LinkBus(
-        Wiring.of(display, RATE),
-        lambda: CanWire(VirtualSocketCan(folder, fd=link.data is not None), link, MONOTONIC),
-        lambda caps: plan(link, display.channels, Ability.of(caps)),
-        nodes=[1],
-        rearm=True,
-        lead=LONGEST_LEAD,
-    )
 
 
 def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")
-        with _can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
-            assert isinstance(bus, LinkBus)
-            yield from _stream(name, folder, bus, amplifier, seconds)
-        amplifier.close()
+    display = load_display("reference-24")
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")) as amplifier,
+        can_bus(folder, display, Can(1e6, 5e6), rearm=True) as bus,
+    ):
+        assert isinstance(bus, LinkBus)
+        yield from _stream(name, folder, bus, amplifier, seconds)
 
 
 STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
@@ -248,11 +224,6 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
         yield from beside_machine(name, stream(name, seconds))
 
 
-def measure_streams_long() -> Iterator[Figure]:
-    """Stream over each link for ten minutes."""
-    yield from measure_streams(LONG)
-
-
 def measure_cost() -> Iterator[Figure]:
     """Measure the load of a core by streaming 64 channels at 8 kHz over a pty, in blocks of 16."""
     if not can_be_built():
@@ -260,36 +231,43 @@ def measure_cost() -> Iterator[Figure]:
     display = load_display("reference-64")
     stroke = Trajectory.line(speed=0.08, duration=1.0)
     renderer = Renderer(display, load_texture("wood-oak"))
-    blocks = [display.to_channels(renderer.block(p, f)) for p, f in stroke.blocks(8000.0, BLOCK)]
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty", channels=64)
-        with open_bus(f"serial://{amplifier.path}", display) as bus:
-            bus.start()
-            begun, used = time.monotonic(), time.process_time()
-            for k in range(int(SHORT * 8000 / BLOCK)):
-                bus.write(DriveBlock(k * BLOCK, blocks[k % len(blocks)]))
-            share = (time.process_time() - used) / (time.monotonic() - begun)
-        amplifier.close()
+    blocks = [display.to_channels(renderer.block(p, f)) for p, f in stroke.blocks(RATE, BLOCK)]
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--pty", channels=64)) as amplifier,
+        open_bus(f"serial://{amplifier.path}", display) as bus,
+    ):
+        bus.start()
+        share = _load(lambda k: bus.write(DriveBlock(k * BLOCK, blocks[k % len(blocks)])))
     yield at_most("links.cost.64_channels", 100 * share, "% of a core", 25)
-    yield Figure("links.cost.pyserial_alone", 100 * _pyserial_alone(), "% of a core")
+    yield Figure("links.cost.pyserial_alone", 100 * _pyserial_load(), "% of a core")
 
 
-def _pyserial_alone() -> float:
+def _load(write: Callable[[int], object]) -> float:
+    """Return the share of a core that it takes to write each block by its number."""
+    begun, used = time.monotonic(), time.process_time()
+    for k in range(int(SHORT * RATE / BLOCK)):
+        write(k)
+    return (time.process_time() - used) / (time.monotonic() - begun)
+
+
+def _pyserial_load() -> float:
     """Return the load of a core by pyserial alone, for as many bytes in as many writes."""
     import serial
 
     data = bytes(64 * BLOCK + 64 + 40)
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty")
-        port = serial.Serial(amplifier.path, timeout=0)
-        begun, used = time.monotonic(), time.process_time()
-        for k in range(int(SHORT * 8000 / BLOCK)):
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--pty")) as amplifier,
+        serial.Serial(amplifier.path, timeout=0) as port,
+    ):
+        begun = time.monotonic()
+
+        def write(k: int) -> None:
             port.write(data)
-            time.sleep(max(0.0, begun + (k + 1) * BLOCK / 8000 - time.monotonic()))
-        share = (time.process_time() - used) / (time.monotonic() - begun)
-        port.close()
-        amplifier.close()
-    return share
+            time.sleep(max(0.0, begun + (k + 1) * BLOCK / RATE - time.monotonic()))
+
+        return _load(write)
 
 
 def measure_links() -> Iterator[Figure]:

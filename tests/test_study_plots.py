@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from tactile.errors import InputError
+from tactile.show.plots import save
 from tactile.study import plots
 
 LENGTH = np.arange(2.0, 21.0)
@@ -218,5 +219,5 @@ def test_what_cannot_be_drawn_is_said_in_a_line(draw: object, said: str) -> None
 @pytest.mark.parametrize("suffix", [".png", pytest.param(".pdf", marks=pytest.mark.ci)])
 def test_a_picture_is_written(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"front{suffix}"
-    plots.plot_pareto(path, front(), ("footprint_mm2", SMALLEST))
+    save(plots.pareto_figure(front(), ("footprint_mm2", SMALLEST)), path)
     assert path.read_bytes()[:5] in (b"\x89PNG\r", b"%PDF-")

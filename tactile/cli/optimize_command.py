@@ -271,9 +271,11 @@ def _write_files(
 
         save(front, out)
     if plot is not None:
-        from tactile.study.plots import plot_pareto
+        from tactile.show.plots import save as save_figure
+        from tactile.study.plots import pareto_figure
 
-        plot_pareto(plot, front, front.attrs["objectives"].split(), knee=advice.place)
+        objectives = front.attrs["objectives"].split()
+        save_figure(pareto_figure(front, objectives, knee=advice.place), plot)
     if report is not None:
         from tactile.study.report import front_report, write_report
 

@@ -156,12 +156,14 @@ def _check_files(out: Path | None, plot: Path | None, report: Path | None) -> No
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:
     """Write the plot and the report, if they were asked for."""
     if plot is not None:
-        from tactile.study.plots import plot_criterion, plot_response_phase
+        from tactile.show.plots import save
+        from tactile.study.plots import criterion_figure, response_phase_figure
 
         if study.criteria:
-            plot_criterion(plot, data, variable(study.criteria[0]), share=share)
+            figure = criterion_figure(data, variable(study.criteria[0]), share=share)
         else:
-            plot_response_phase(plot, data, RESPONSES[study.responses[0]].variable)
+            figure = response_phase_figure(data, RESPONSES[study.responses[0]].variable)
+        save(figure, plot)
     if report is not None:
         from tactile.study.report import study_report, write_report
 

@@ -1,11 +1,10 @@
 """Figures of fits: the measurement as dots, the fit with its confidence band, and the start."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile.show.plots.style import BLUE, GRAY, RED, check_file, new_figure, plain, save
+from tactile.show.plots.style import BLUE, GRAY, RED, new_figure, plain
 from tactile.study.adjusted import Comparison
 
 if TYPE_CHECKING:
@@ -21,25 +20,6 @@ SHOWN = {
     "admittance": ("admittance [µS]", 1e6),
 }
 """Axis label of each kind of measurement, and the size of one SI unit in the label's unit."""
-
-
-def plot_adjusted(path: str | Path, comparisons: "Sequence[Comparison]") -> None:
-    """Draw fits next to their measurements, and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
-    comparisons : sequence of Comparison
-        Measurements and fits, one for each column.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    check_file(path)
-    save(adjusted_figure(comparisons), path)
 
 
 def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":

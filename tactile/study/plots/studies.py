@@ -6,14 +6,13 @@ are read from its attributes (`tactile.study.plots.labels`).
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
-from tactile.show.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
+from tactile.show.plots.style import BLUE, GRAY, RED, name_ends, new_figure, plain
 from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
 from tactile.study.plots.labels import (
     CurveSelection,
@@ -22,8 +21,8 @@ from tactile.study.plots.labels import (
     label,
     lines_of,
     over_frequency,
-    told_range,
-    told_share,
+    range_phrase,
+    share_phrase,
     variable_of,
 )
 from tactile.study.ranges import SHARE, Range, overlap, within
@@ -56,37 +55,15 @@ WORST = 4.0
 # Responses
 
 
-def plot_response_phase(path: str | Path, data: "xarray.Dataset", variable: str) -> None:
-    """Draw magnitude and phase of responses over frequency, and save the figure.
+def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
+    """Draw magnitude above phase over frequency, with one line for each design.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study that keeps the response.
     variable : str
         Complex variable of ``data`` over ``frequency_hz``, such as ``displacement_um_per_v``.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, the file cannot be written, there is no such variable, or it has
-        more than six lines.
-    """
-    check_file(path)
-    save(response_phase_figure(data, variable), path)
-
-
-def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
-    """Draw magnitude above phase, with one line for each design; see `plot_response_phase`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study that keeps the response.
-    variable : str
-        Complex variable of ``data`` over ``frequency_hz``.
 
     Returns
     -------
@@ -156,41 +133,6 @@ def _name_lines(axes: "Axes", ends: Ends) -> None:
 # Map over an axis and frequency
 
 
-def plot_length_map(
-    path: str | Path,
-    data: "xarray.Dataset",
-    variable: str = "displacement_um_per_v",
-    *,
-    axis: str | None = None,
-    share: float = SHARE,
-    in_db: bool = True,
-) -> None:
-    """Draw the level over an axis and frequency under each finger, and the good range.
-
-    Parameters
-    ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
-    data : xarray.Dataset
-        Data set of a study that keeps the response.
-    variable : str
-        Variable of ``data`` over ``frequency_hz``.
-    axis : str, optional
-        Axis to draw along; by default the first that has numbers, such as ``length_mm``.
-    share : float
-        Share of the best that is good enough, of the smallest magnitude in the band.
-    in_db : bool
-        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
-
-    Raises
-    ------
-    InputError
-        As of `plot_response_phase`, and if there is no such axis.
-    """
-    check_file(path)
-    save(length_map_figure(data, variable, axis=axis, share=share, in_db=in_db), path)
-
-
 def length_map_figure(
     data: "xarray.Dataset",
     variable: str = "displacement_um_per_v",
@@ -199,7 +141,7 @@ def length_map_figure(
     share: float = SHARE,
     in_db: bool = True,
 ) -> "Figure":
-    """Draw a map for each finger above its smallest magnitude; see `plot_length_map`.
+    """Draw the level over an axis and frequency under each finger, and the good range below.
 
     Parameters
     ----------
@@ -208,7 +150,7 @@ def length_map_figure(
     variable : str
         Variable of ``data`` over ``frequency_hz``.
     axis : str, optional
-        Axis to draw along; by default the first that has numbers.
+        Axis to draw along; by default the first that has numbers, such as ``length_mm``.
     share : float
         Share of the best that is good enough, of the smallest magnitude in the band.
     in_db : bool
@@ -314,49 +256,17 @@ def _mark_range(
 # A criterion along an axis
 
 
-def plot_criterion(
-    path: str | Path,
-    data: "xarray.Dataset",
-    variable: str,
-    *,
-    axis: str | None = None,
-    share: float = SHARE,
-) -> None:
+def criterion_figure(
+    data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
+) -> "Figure":
     """Draw a criterion along an axis under each finger, with good ranges and their overlap.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study.
     variable : str
         Criterion of ``data``, such as ``smallest_displacement_um_per_v``.
-    axis : str, optional
-        Axis to draw along; by default the first that has numbers.
-    share : float
-        Share of the best that is good enough.
-
-    Raises
-    ------
-    InputError
-        As of `plot_length_map`.
-    """
-    check_file(path)
-    save(criterion_figure(data, variable, axis=axis, share=share), path)
-
-
-def criterion_figure(
-    data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
-) -> "Figure":
-    """Draw a line for each finger, shaded where it is good enough; see `plot_criterion`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study.
-    variable : str
-        Criterion of ``data``.
     axis : str, optional
         Axis to draw along; by default the first that has numbers.
     share : float
@@ -384,7 +294,7 @@ def criterion_figure(
         if sign:
             good = range_of(line.values, share)
             ranges.append(good)
-            text = f"{line.name}  {told_range(good, unit)}".strip()
+            text = f"{line.name}  {range_phrase(good, unit)}".strip()
             _shade(axes, x, line, good)
         axes.plot(x, line.values.values, **_line_style(line), label=text)
     _overlap(axes, ranges, unit)
@@ -395,7 +305,7 @@ def criterion_figure(
         axes.set_ylim(0, None if is_open else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
     if axes.get_legend_handles_labels()[1]:
-        title = told_share(share, values) if sign else None
+        title = share_phrase(share, values) if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip
     return figure
@@ -423,39 +333,6 @@ def _overlap(axes: "Axes", ranges: list[Range], unit: str) -> None:
 # Fronts
 
 
-def plot_pareto(
-    path: str | Path,
-    front: "xarray.Dataset",
-    objectives: Sequence[str],
-    *,
-    cloud: "xarray.Dataset | None" = None,
-    knee: int | None = None,
-) -> None:
-    """Draw a Pareto front over two objectives, with a third as color, and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
-    front : xarray.Dataset
-        Designs that no other dominates, along one dimension.
-    objectives : sequence of str
-        Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
-    cloud : xarray.Dataset, optional
-        Other feasible designs, with the same variables.
-    knee : int, optional
-        Position along the front of the design to mark.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, the file cannot be written, a variable is missing, or the
-        objectives are not two or three.
-    """
-    check_file(path)
-    save(pareto_figure(front, objectives, cloud=cloud, knee=knee), path)
-
-
 def pareto_figure(
     front: "xarray.Dataset",
     objectives: Sequence[str],
@@ -463,14 +340,14 @@ def pareto_figure(
     cloud: "xarray.Dataset | None" = None,
     knee: int | None = None,
 ) -> "Figure":
-    """Draw a front over two objectives; see `plot_pareto`.
+    """Draw a Pareto front over two objectives, with a third as color.
 
     Parameters
     ----------
     front : xarray.Dataset
         Designs that no other dominates, along one dimension.
     objectives : sequence of str
-        Two or three variables of ``front``.
+        Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
     cloud : xarray.Dataset, optional
         Other feasible designs, with the same variables.
     knee : int, optional
@@ -530,40 +407,15 @@ def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee:
 # Tolerances
 
 
-def plot_tolerance(
-    path: str | Path, data: "xarray.Dataset", variable: str, *, axis: str | None = None
-) -> None:
+def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
     """Draw the median over scenarios and the band of 90 % of them, along an axis or frequency.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study with scenarios.
     variable : str
         Variable of ``data``. Of a response, the magnitude is drawn over frequency.
-    axis : str, optional
-        Axis to draw a criterion along; by default the first that has numbers.
-
-    Raises
-    ------
-    InputError
-        As of `plot_length_map`, and if the study has no scenarios.
-    """
-    check_file(path)
-    save(tolerance_figure(data, variable, axis=axis), path)
-
-
-def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
-    """Draw the median and the band over scenarios; see `plot_tolerance`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study with scenarios.
-    variable : str
-        Variable of ``data``.
     axis : str, optional
         Axis to draw a criterion along; by default the first that has numbers.
 

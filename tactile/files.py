@@ -226,7 +226,7 @@ def read(
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        raise InputError(_one_line(f"{path}: {_explain(data, str(error))}")) from error
+        raise InputError(_one_line(f"{path}: {explain(data, str(error))}")) from error
 
 
 def _one_line(text: str) -> str:
@@ -270,18 +270,32 @@ def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tupl
             yield from _unknown(value, kind.item_type, f"{field}[{i}]")
 
 
-def _explain(data: Any, message: str) -> str:
-    """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …"."""
+def explain(data: Any, message: str) -> str:
+    """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …".
+
+    Parameters
+    ----------
+    data : object
+        Data that does not fit its Struct.
+    message : str
+        Message of msgspec, or of the Struct's own check.
+
+    Returns
+    -------
+    str
+        Field, value and what is expected.
+    """
     match = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", message)
     assert match is not None
-    problem, field = match[1], match[2] or ""
+    problem, field = match[1], (match[2] or "").replace("[...]", "[…]")
     value = data
     for key in re.findall(r"[^.\[\]]+", field):
         try:
             value = value[int(key)] if isinstance(value, list) else value[key]
-        except (KeyError, IndexError, ValueError):
+        except (KeyError, IndexError, ValueError, TypeError):
             value = None
-    if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # from the Struct's own check
+    # The Struct's own check begins with a field of it.
+    if field and re.match(r"[A-Za-z][\w.\[\]]*(:| =| has) ", problem):
         return f"{field}.{problem}"
     plain = isinstance(value, int | float | str | bool)
     where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""

@@ -144,7 +144,7 @@ def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
     return AmplifierOutput(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE) -> None:
+def wait_for(what: str, happens: Callable[[], object]) -> None:
     """Wait until a condition is true; as long as the daemon refuses what it asks, it is false.
 
     Raises
@@ -152,7 +152,7 @@ def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE)
     TimeoutError
         If it does not become true in time.
     """
-    deadline = time.monotonic() + within
+    deadline = time.monotonic() + PATIENCE
     refusal = None
     while time.monotonic() < deadline:
         try:
@@ -161,7 +161,7 @@ def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE)
         except ClientError as error:
             refusal = error
         time.sleep(POLL)
-    raise TimeoutError(f"{what}: not within {within:g} s") from refusal
+    raise TimeoutError(f"{what}: not within {PATIENCE:g} s") from refusal
 
 
 def send_signal(pid: int, number: signal.Signals) -> None:

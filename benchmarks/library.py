@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from msgspec.structs import replace as changed
 
+from benchmarks.rendering import SKIPPED
 from tactile.arrays import Complex, Floats
 from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import Display, load_display
@@ -43,8 +44,6 @@ ALONG, ACROSS = 2.5e-3, 3.5e-3
 """Distance between contactors along and across the motion: the pitch of reference-24 [m]."""
 SPEEDS = (0.04, 0.08)
 """Speeds of the played strokes [m/s]."""
-SKIPPED = 800
-"""Number of samples until a played stroke has faded in and filters have settled."""
 KURTOSIS, DEPTH, LEVEL, COHERENCE = 0.5, 0.06, 1.0, 0.1
 """Largest permitted differences of descriptor and rendered cuts; the level is in dB."""
 FIDELITY, SIMILARITY = 40.0, 0.99

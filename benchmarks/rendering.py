@@ -21,6 +21,8 @@ FINGERS = {"low": FingerLoad.low, "high": FingerLoad.high}
 """The paper's two finger loads, by name."""
 GRATING = 1e-3
 """Wavelength of the grating that is moved at increasing speed [m]."""
+SKIPPED = 800
+"""Number of samples until a played stroke has faded in and filters have settled."""
 
 
 def played_shear(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
@@ -95,17 +97,17 @@ def measure_grating() -> Iterator[Figure]:
             yield at_most(f"grating.{name}.{case}.phase", worst_deg, "deg", limits[1])
 
 
-def swing(acceleration: float = 1.0, duration: float = 4.0) -> Trajectory:
-    """Return a path that starts, stops and turns: 1 Hz back and forth, 1 m/s² at the peak."""
-    t = np.arange(0, duration, 1e-3)
-    x = acceleration / (2 * np.pi) ** 2 * np.sin(2 * np.pi * t)
+def swing() -> Trajectory:
+    """Return a path of 4 s that starts, stops and turns: 1 Hz, 1 m/s² at the peak."""
+    t = np.arange(0, 4.0, 1e-3)
+    x = np.sin(2 * np.pi * t) / (2 * np.pi) ** 2
     return Trajectory(t, np.column_stack([x, 0 * x]), 0.5)
 
 
-def ratio_db(commanded: Floats, played: Floats, skip: int = 800) -> float:
+def ratio_db(commanded: Floats, played: Floats) -> float:
     """Return the signal-to-error ratio in 20–1000 Hz, without the first 0.1 s [dB]."""
     judge = Fidelity(RATE)
-    judge.add(commanded[skip:], played[skip:])
+    judge.add(commanded[SKIPPED:], played[SKIPPED:])
     return judge.signal_to_error_db
 
 

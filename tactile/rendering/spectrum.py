@@ -53,7 +53,6 @@ from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import FARTHEST, STILL
-from tactile.texture.perception import detection_threshold
 from tactile.texture.surface import Partials, Texture
 
 HIGHEST = 1e3 * 10**0.05
@@ -465,30 +464,3 @@ class SpectrumRenderer:
         omega = math.sqrt(np.sum((slow.amplitude * signed) ** 2) / max(2 * mean_square, 1e-12))
         rise = np.exp(now - mean_square)
         return rise, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
-
-    def sensation_level(self, velocity: ArrayLike, normal_force: float) -> Floats:
-        """Compute how far what each carrier plays is above the detection threshold.
-
-        The power of a sub-band's partials is summed, each relative to the threshold at its own
-        frequency. If a link has room for few envelopes, those below 0 dB are the first to leave
-        out.
-
-        Parameters
-        ----------
-        velocity : (2,) array_like of float
-            Velocity of the finger [m/s].
-        normal_force : float
-            Normal force [N].
-
-        Returns
-        -------
-        (P,) array of float
-            Sensation levels [dB].
-        """
-        v = np.asarray(velocity, np.float64)
-        frequency = np.abs(self._waves.wave_vector @ v) / (2 * np.pi)
-        law = float(self._law(np.array([v @ v]), np.array([normal_force]))[0])
-        relative = law * self._waves.amplitude / detection_threshold(frequency)
-        share = shares(frequency, self.carriers, self._rate)
-        power = (relative * equalizer.roll_off(frequency)) ** 2 @ share**2
-        return np.asarray(10 * np.log10(np.maximum(power, 1e-12)))

@@ -431,11 +431,6 @@ class Gain:
     drive_rms: float
     drive_peak: float
 
-    @property
-    def crest(self) -> float:
-        """Crest factor of the drive, peak over rms."""
-        return self.drive_peak / max(self.drive_rms, 1e-30)
-
 
 @dataclass(frozen=True)
 class Strength:

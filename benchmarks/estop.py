@@ -313,8 +313,8 @@ def _measured_play(name: str, tries: int) -> Iterator[Figure]:
             finally:
                 player.kill()
                 player.wait()
-            again = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
-            times.forgotten += again.returncode == 0
+            second = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
+            times.forgotten += second.returncode == 0
             clear_device(device, display, lambda number, _: number, accept_unsafe_hold=False)
         yield from times.figures(name)
         yield from recorder.figures(name)

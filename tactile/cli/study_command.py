@@ -19,12 +19,12 @@ from tactile.cli.options import (
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar
-from tactile.study.asking import Words, ask, start_from
 from tactile.study.criteria import CRITERIA, variable
 from tactile.study.findings import Figures, summarize
 from tactile.study.ranges import SHARE, check_share
 from tactile.study.runs import fitting_workers, run_study
 from tactile.study.storing import check_store
+from tactile.study.study_request import StudyRequest, requested_study, start_from
 from tactile.study.sweep import RESPONSES, Study
 
 
@@ -115,7 +115,7 @@ def run(
 
     Example: tactile study length_mm=8:30:0.25 load=low,high --report study.html
     """
-    words = Words(
+    request = StudyRequest(
         axes=axes,
         fixed=fix or (),
         frequency=frequency_hz,
@@ -128,7 +128,8 @@ def run(
         current=current_ma,
         amplitude=amplitude_um,
     )
-    study = ask(words, None if display is None else start_from(tactile.load_display(display)))
+    start = None if display is None else start_from(tactile.load_display(display))
+    study = requested_study(request, start)
     check_share(within)
     _check_files(out, plot, report)
     data = _run(study, out, workers, scheduler, shown=not as_json)

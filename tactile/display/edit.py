@@ -105,7 +105,7 @@ def _checked_place(source: str | Path, target: Path, *, force: bool) -> tuple[Pa
     return path, content
 
 
-def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> None:
+def write_map(source: str | Path, target: Path, new_map: Map, *, force: bool) -> None:
     """Write the file of a display with another map.
 
     Parameters
@@ -114,7 +114,7 @@ def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> No
         Name or file of the display.
     target : Path
         File to be written; with ``force`` it may be the source.
-    told : Map
+    new_map : Map
         Channel and polarity of each contactor.
     force : bool
         Whether an existing file may be overwritten.
@@ -129,10 +129,10 @@ def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> No
     contactors = [
         msgspec.structs.replace(c, channel=channel, polarity=1 if polarity > 0 else -1)
         for c, channel, polarity in zip(
-            contactors_of(content), told.channel, told.polarity, strict=True
+            contactors_of(content), new_map.channel, new_map.polarity, strict=True
         )
     ]
-    _write(_mapped(path, contactors), target, force=force, told=told)
+    _write(_mapped(path, contactors), target, force=force, new_map=new_map)
 
 
 def write_tables(
@@ -182,7 +182,7 @@ def write_tables(
     _write(_checked_text(path, document, expected), target, force=force)
 
 
-def _write(text: str, target: Path, *, force: bool, told: Map | None = None) -> None:
+def _write(text: str, target: Path, *, force: bool, new_map: Map | None = None) -> None:
     """Write a file only if it is a valid display and, if a map is given, has that map."""
     handle, name = tempfile.mkstemp(suffix=".toml", prefix=".tactile-", dir=target.parent)
     try:
@@ -192,7 +192,7 @@ def _write(text: str, target: Path, *, force: bool, told: Map | None = None) -> 
             display = load_display(name)
         except InputError as error:
             raise InputError(str(error).replace(name, f"{target}: not written", 1)) from error
-        if told is not None and Map.of(display) != told:
+        if new_map is not None and Map.of(display) != new_map:
             raise InputError(f"{target}: not written: it would not have the map that was told")
         if force:
             os.replace(name, target)
@@ -232,8 +232,8 @@ def _mapped(path: Path, contactors: Sequence[Contactor]) -> str:
     if "contactor" in document:
         entries = zip(document["contactor"], expected["contactor"], contactors, strict=True)
         for entry, row, contactor in entries:
-            told = {"channel": contactor.channel, "polarity": contactor.polarity}
-            changes = {key: value for key, value in told.items() if row.get(key, 1) != value}
+            mapped = {"channel": contactor.channel, "polarity": contactor.polarity}
+            changes = {key: value for key, value in mapped.items() if row.get(key, 1) != value}
             _set(entry, changes)
             row |= changes
     else:

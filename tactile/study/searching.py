@@ -29,7 +29,7 @@ LARGE = 1e30
 """Substitute for values that are infinite or missing, since optimizers need numbers."""
 POPULATION, OFFSPRING, GENERATIONS = 128, 64, 60
 """Size of the population, offspring of a generation, and number of generations for fronts."""
-ASIDE = 1e-3
+OTHERS = 1e-3
 """Weight of the other objectives in the search for an end of the front."""
 BEST_GENERATIONS, BEST_POPULATION = 100, 15
 """Number of generations for one objective, and its population for each number that varies."""
@@ -148,7 +148,7 @@ def first_population(score: Score, low: Floats, high: Floats, seed: int) -> tupl
     span = np.ptp(lowered[feasible], axis=0)
     scale = 1 / np.where(span > 0, span, 1.0)
     for k in range(lowered.shape[1]):
-        weights = scale * np.where(np.arange(len(scale)) == k, 1.0, ASIDE)
+        weights = scale * np.where(np.arange(len(scale)) == k, 1.0, OTHERS)
         best, count = _minimize_weighted(score, weights, points[feasible], low, high)
         points[-1 - k] = best
         evaluations += count

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = {
+VERTICAL_AXES = {
     "displacement": ("tip per volt [µm/V]", 1e6),
     "velocity": ("tip per volt [mm/(s V)]", 1e3),
     "force": ("force per volt [mN/V]", 1e3),
@@ -60,7 +60,7 @@ def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
 def _draw_response(size: "Axes", phase: "Axes", c: Comparison) -> None:
     """Draw magnitude and phase of the start, the fit with its band, and the measurement."""
     frequency = c.measurement.frequency
-    label, scale = SHOWN[c.measurement.kind]
+    label, scale = VERTICAL_AXES[c.measurement.kind]
     lines = (
         (c.started, GRAY, "--", "before"),
         (c.predicted, BLUE, "-", "fit, with its 95 % band"),

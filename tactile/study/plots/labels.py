@@ -106,14 +106,14 @@ def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
     return axis
 
 
-def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelection]:
-    """Return one line for each combination of the axes that are not kept.
+def lines_of(values: "xarray.DataArray", along: Sequence[str]) -> list[CurveSelection]:
+    """Return one line for each combination of the other axes.
 
     Parameters
     ----------
     values : xarray.DataArray
         Values to draw.
-    kept : sequence of str
+    along : sequence of str
         Names of the axes that each line keeps.
 
     Returns
@@ -126,7 +126,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
     InputError
         If there are more lines than colors.
     """
-    others = [str(d) for d in values.dims if d not in kept]
+    others = [str(d) for d in values.dims if d not in along]
     count = int(np.prod([values.sizes[d] for d in others], dtype=int))
     if count > len(COLORS):
         raise InputError(

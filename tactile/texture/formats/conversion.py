@@ -61,7 +61,7 @@ SAVERS: dict[str, Callable[[Effect], Saved]] = {
     ".toml": _saved_toml,
 }
 """Writers of effects by the suffix of a file."""
-UNTOLD = {
+FORMAT_FIELDS = {
     "version", "profile", "level", "date", "unit_exponent", "perception_unit_exponent",
     "sample_count", "block_length",
 }  # fmt: skip
@@ -162,7 +162,7 @@ def _lost_fields(effect: Effect, suffix: str) -> list[str]:
     for perception in effect.perceptions:
         parts += [*perception.reference_devices, *perception.library, *perception.channels]
         parts += [*(b for c in perception.channels for b in c.bands), *segments_of(perception)]
-    names = [k for part in parts for k, v in part.other.items() if v and k not in UNTOLD]
+    names = [k for part in parts for k, v in part.other.items() if v and k not in FORMAT_FIELDS]
     return reading.notes_on(f"{suffix} has no place for", names) + (
         _lost_features(effect, suffix) if suffix != ".hjif" else []
     )

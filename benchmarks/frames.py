@@ -5,15 +5,15 @@ same, except for samples that it faded.
 """
 
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 
+from benchmarks.ledger import Ledger
 from benchmarks.virtual import (
-    Records,
     VirtualAmplifier,
     bus_figures,
     can_bus,
@@ -23,9 +23,8 @@ from benchmarks.virtual import (
 )
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
-from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
-from tactile.bench.figures import RATE, Figure, at_most
+from tactile.bench.figures import RATE, Figure
 from tactile.bus.base import DriveFrame
 from tactile.bus.can_bus import CanChannel, CanWire
 from tactile.bus.link.link_bus import LinkBus
@@ -35,8 +34,8 @@ from tactile.display.display import Display, load_display
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.texture.surface import load_texture
 
-Frames = deque[tuple[int, m.Spectrum]]
-"""Spectrum frames that were sent, by wire position."""
+Frames = list[m.Spectrum]
+"""Spectrum frames in the order in which they were sent."""
 
 
 class RecordingWire(CanWire):
@@ -49,70 +48,35 @@ class RecordingWire(CanWire):
     def send(self, packet: Packet) -> float:
         """Send a packet, and record it if it is a spectrum frame."""
         if packet.type == m.Spectrum.TYPE and (frame := m.Spectrum.unpack(packet.payload)):
-            self._frames.append((frame.position, frame))
+            self._frames.append(frame)
         return super().send(packet)
 
 
-class FrameLedger:
-    """Comparison of the amplifier's output with the reference synthesizer's.
+def synthesized(
+    frames: Frames, increment: spectrum.Increments, channels: int, start: int
+) -> Iterator[bytes]:
+    """Yield the codes (S, C) that the reference synthesizer makes of frames, piece by piece.
 
-    Attributes
-    ----------
-    compared : int
-        Number of compared samples.
-    differing : int
-        Number of samples that differ.
-    largest : int
-        Largest difference [codes].
+    The first piece is from 0 V at a wire position on.
     """
-
-    def __init__(self, bus: LinkBus, increment: spectrum.Increments, channels: int) -> None:
-        (self._peer,) = bus.peers
-        self._increment, self._shape = increment, (channels, len(increment))
-        self._at = self._peer.wire_end(0)
-        zero = np.zeros(self._shape, np.int64)
-        self._last = zero, zero
-        self._output = np.zeros((0, channels), np.int32)
-        self.compared = self.differing = self.largest = 0
-
-    def take(self, records: Records) -> None:
-        """Add the amplifier's output since START."""
-        playing = (records.state == State.RUNNING) & (records.tick >= self._peer.begun)
-        self._output = np.concatenate([self._output, records.codes[playing].astype(np.int32)])
-
-    def play(self, frames: Frames) -> None:
-        """Synthesize up to each complete frame, and compare."""
-        while frames:
-            at = frames[0][0]
-            whole = [frame for position, frame in frames if position == at]
-            if sum(frame.channels for frame in whole) < self._shape[0]:
-                return
-            count = (at - self._at) % 2**32
-            if len(self._output) < count:
-                return
-            codes = np.zeros((*self._shape, 2), np.uint8)
-            for frame in whole:
-                part = np.frombuffer(frame.envelopes, np.uint8)
-                codes[frame.first_channel :][: frame.channels] = part.reshape(
-                    frame.channels, self._shape[1], 2
-                )
-                frames.popleft()
-            after = spectrum.decode(codes)
-            steps = [
-                spectrum.ramp_step(a, b, count) for a, b in zip(self._last, after, strict=True)
-            ]
-            expected = spectrum.synthesize(
-                *self._last, steps[0], steps[1], self._increment, self._at, count
+    zero = np.zeros((channels, len(increment)), np.int64)
+    before = zero, zero
+    for position, frames_there in groupby(frames, lambda frame: frame.position):
+        codes = np.zeros((*zero.shape, 2), np.uint8)
+        for frame in frames_there:
+            part = np.frombuffer(frame.envelopes, np.uint8)
+            codes[frame.first_channel :][: frame.channels] = part.reshape(
+                frame.channels, len(increment), 2
             )
-            off = np.abs(self._output[:count] - expected).max(axis=1)
-            self.compared += count
-            self.differing += int((off > 1).sum())
-            self.largest = max(self.largest, int(off.max()))
-            self._output, self._at, self._last = self._output[count:], at, after
+        after, count = spectrum.decode(codes), (position - start) % 2**32
+        steps = [spectrum.ramp_step(a, b, count) for a, b in zip(before, after, strict=True)]
+        output = spectrum.synthesize(*before, steps[0], steps[1], increment, start, count)
+        yield output.astype(np.int16).tobytes()
+        start, before = position, after
 
 
-def _play(bus: LinkBus, display: Display, seconds: float) -> FrameLedger:
-    """Play a finger's path, and return an empty ledger of it."""
+def _play(bus: LinkBus, display: Display, seconds: float) -> spectrum.Increments:
+    """Play a finger's path, and return the increments of the carriers."""
     assert bus.frames is not None
     renderer = SpectrumRenderer(
         display, load_texture("wood-oak"),
@@ -121,20 +85,19 @@ def _play(bus: LinkBus, display: Display, seconds: float) -> FrameLedger:
     way, spacing = to_and_fro(seconds), renderer.spacing
     bus.tune(renderer.carriers)
     bus.start()
-    ledger = FrameLedger(bus, spectrum.increments(renderer.carriers, RATE), display.channels)
     renderer.sample = spacing
     for k in range(1, int(seconds * RATE / spacing)):
         place, force = way.at(k * spacing / RATE)
         volts = renderer.frame(place, way.velocity(k * spacing / RATE), float(force))
         bus.write_frame(DriveFrame(k * spacing, volts))
     bus.stop()
-    return ledger
+    return spectrum.increments(renderer.carriers, RATE)
 
 
 def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
     """Stream oak as frames to the C amplifier, at the bit time of classic CAN."""
     display = load_display("reference-24")
-    sent: Frames = deque()
+    sent: Frames = []
     with (
         workshop() as folder,
         closing(VirtualAmplifier(folder, "--can", str(folder / "can"))) as amplifier,
@@ -142,13 +105,13 @@ def stream_frames(name: str, seconds: float) -> Iterator[Figure]:
     ):
         assert isinstance(bus, LinkBus)
         with real_time():
-            ledger = _play(bus, display, seconds)
-            time.sleep(0.1)
-            for records in amplifier.chunks():
-                ledger.take(records)
-                ledger.play(sent)
+            increment = _play(bus, display, seconds)
+        time.sleep(0.1)
+        with (folder / "expected").open("wb") as file:
+            start = bus.peers[0].wire_end(0)
+            file.writelines(synthesized(sent, increment, display.channels, start))
+        expected = np.memmap(folder / "expected", np.int16, "r").reshape(-1, display.channels)
+        ledger = Ledger()
+        ledger.compare(bus, amplifier, expected)
         yield from bus_figures(name, bus, "frames", 1)
-    yield Figure(f"{name}.compared", float(ledger.compared), "samples")
-    differing = 100 * ledger.differing / max(ledger.compared, 1)
-    yield at_most(f"{name}.differing_from_synthesizer", differing, "%", 0)
-    yield Figure(f"{name}.largest_difference", float(ledger.largest), "LSB")
+        yield from ledger.figures(name, bus, display)

@@ -139,7 +139,6 @@ def length_map_figure(
     *,
     axis: str | None = None,
     share: float = SHARE,
-    in_db: bool = True,
 ) -> "Figure":
     """Draw the level over an axis and frequency under each finger, and the good range below.
 
@@ -153,8 +152,6 @@ def length_map_figure(
         Axis to draw along; by default the first that has numbers, such as ``length_mm``.
     share : float
         Share of the best that is good enough, of the smallest magnitude in the band.
-    in_db : bool
-        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
 
     Returns
     -------
@@ -174,33 +171,27 @@ def length_map_figure(
     grid = figure.subplots(
         2, len(lines), sharex=True, sharey="row", height_ratios=(5, 3), squeeze=False
     )
-    levels = _levels(np.abs(values.values), in_db)
+    levels = _levels(np.abs(values.values))
     for line, (above, below) in zip(lines, grid.T, strict=True):
         good, smallest = _smallest(data, line, along, share)
-        image = _map(above, line, along, levels, in_db)
+        image = _map(above, line, along, levels)
         above.set_title(line.name, fontsize=11, color=line.color)
         below.plot(values[along].values, smallest, color=line.color, linewidth=WIDTH)
         _mark_range(above, below, good, line, share, str(values[along].attrs.get("units", "")))
         below.set(xlabel=label(values[along]))
         plain(below)
     unit = str(values.attrs.get("units", ""))
-    name = f"level [dB re 1 {unit}]" if in_db else label(values)
     figure.colorbar(
-        image,
-        ax=grid[0].tolist(),
-        label=name,
-        ticks=levels[::2],
-        extend="min" if in_db else "neither",
-    )
+        image, ax=grid[0].tolist(), label=f"level [dB re 1 {unit}]", ticks=levels[::2],
+        extend="min",
+    )  # fmt: skip
     grid[0, 0].set_ylabel("frequency [Hz]")
     grid[1, 0].set(ylabel=f"smallest in\nthe band [{unit}]", ylim=(0, None))
     return figure
 
 
-def _levels(size: Floats, in_db: bool) -> Floats:
-    """Return the contour levels of all maps, ascending; the color scale spans them."""
-    if not in_db:
-        return np.linspace(0.0, float(size.max()), 11)
+def _levels(size: Floats) -> Floats:
+    """Return the contour levels of all maps [dB], ascending; the color scale spans them."""
     top = STEP * np.ceil(20 * np.log10(size.max()) / STEP)
     with np.errstate(divide="ignore"):
         bottom = STEP * np.floor(20 * np.log10(size.min()) / STEP)
@@ -215,19 +206,17 @@ def _smallest(
     return within(line.values[along].values, smallest, share=share), smallest
 
 
-def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats, in_db: bool) -> Any:
+def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats) -> Any:
     """Draw levels over an axis and frequency, with contours."""
     size = np.abs(line.values.transpose(FREQUENCY, along).values)
     with np.errstate(divide="ignore"):
-        levels_shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
+        level = np.maximum(20 * np.log10(size), levels[0] - STEP)
     x, f = line.values[along].values, line.values[FREQUENCY].values
     image = axes.pcolormesh(
-        x, f, levels_shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
+        x, f, level, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
         rasterized=True,
     )  # fmt: skip
-    curves = axes.contour(
-        x, f, levels_shown, levels[1:], colors="white", linewidths=0.6, linestyles="-"
-    )
+    curves = axes.contour(x, f, level, levels[1:], colors="white", linewidths=0.6, linestyles="-")
     axes.clabel(curves, levels[2::2], fmt="%g", fontsize=7)
     _scale_frequency(axes, f)
     axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
@@ -337,7 +326,6 @@ def pareto_figure(
     front: "xarray.Dataset",
     objectives: Sequence[str],
     *,
-    cloud: "xarray.Dataset | None" = None,
     knee: int | None = None,
 ) -> "Figure":
     """Draw a Pareto front over two objectives, with a third as color.
@@ -348,8 +336,6 @@ def pareto_figure(
         Designs that no other dominates, along one dimension.
     objectives : sequence of str
         Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
-    cloud : xarray.Dataset, optional
-        Other feasible designs, with the same variables.
     knee : int, optional
         Position along the front of the design to mark.
 
@@ -368,10 +354,6 @@ def pareto_figure(
     x, y, *third = (variable_of(front, name) for name in objectives)
     figure = new_figure(7.0, 4.8)
     axes = figure.subplots()
-    if cloud is not None:
-        others = [np.ravel(variable_of(cloud, str(v.name)).values) for v in (x, y)]
-        axes.plot(*others, ".", color="#c4c4c4", markersize=3, rasterized=True)
-        axes.plot([], [], ".", color="#c4c4c4", markersize=8, label="feasible")
     if third:
         dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
                             edgecolors="#444444", label="front", zorder=3)  # fmt: skip

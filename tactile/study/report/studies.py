@@ -87,9 +87,7 @@ def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Sectio
     return [s for s in sections if s.content] + provenance_sections(data)
 
 
-def front_report(
-    front: "xarray.Dataset", *, cloud: "xarray.Dataset | None" = None, knee: int | None = None
-) -> list[Section]:
+def front_report(front: "xarray.Dataset", *, knee: int | None = None) -> list[Section]:
     """Return the sections of a report on a front.
 
     Parameters
@@ -97,8 +95,6 @@ def front_report(
     front : xarray.Dataset
         Designs along ``design``. Its attribute ``objectives`` names one to three of its variables,
         separated by spaces.
-    cloud : xarray.Dataset, optional
-        Other feasible designs; see `tactile.study.plots.pareto_figure`.
     knee : int, optional
         Position along the front of the design to mark.
 
@@ -117,7 +113,7 @@ def front_report(
         raise InputError("this data set names no objectives: it is no front of designs")
     content: list[str | Picture | Table] = []
     if len(objectives) > 1:
-        figure = pareto_figure(front, objectives, cloud=cloud, knee=knee)
+        figure = pareto_figure(front, objectives, knee=knee)
         labels = ", ".join(label(front[name]) for name in objectives)
         words = "Designs that no other found beats in every objective"
         content.append(Picture(drawn(figure), f"{words}: {labels}", f"{words}: {labels}."))

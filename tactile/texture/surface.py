@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtri
 
-from tactile.arrays import Floats
+from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
@@ -105,6 +105,22 @@ class Partials:
         """
         phase = place @ self.wave_vector.T + self.phase
         return np.asarray(np.cos(phase) @ self.amplitude)
+
+    def phasors(self, places: Floats) -> Complex:
+        """Compute a exp j(k·x + φ) of each wave at given places.
+
+        Parameters
+        ----------
+        places : (N, 2) array of float
+            Positions x [m].
+
+        Returns
+        -------
+        (M, N) array of complex
+            Phasors, whose real parts add up to the displacement [m].
+        """
+        phase = self.wave_vector @ places.T + self.phase[:, None]
+        return np.asarray(self.amplitude[:, None] * np.exp(1j * phase))
 
     def along(self, step: Floats, count: int) -> Floats:
         """Compute the displacement at evenly spaced places on a straight line from the origin.

@@ -1,4 +1,4 @@
-"""Reading of descriptor and display files, and the places of the shipped ones.
+"""Reading and writing of descriptor and display files, and the places of the shipped ones.
 
 A file is TOML and its shape is a msgspec Struct whose field names carry their units. Whatever does
 not fit the shape is reported in one line: file, field, value, what is allowed, and for a misspelled
@@ -8,9 +8,12 @@ units.
 
 import csv
 import math
+import os
 import re
+import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -393,3 +396,67 @@ def numbers(path: Path, names: tuple[str, ...], rows: list[Row]) -> NDArray[np.f
                     f"{path}: line {row.line}: {name} = {cell!r}: must be a finite number"
                 )
     return table
+
+
+def check_target(path: Path, *, force: bool) -> None:
+    """Check that a file can be written, before the work of computing its content.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    force : bool
+        Whether an existing file may be overwritten.
+
+    Raises
+    ------
+    InputError
+        If its folder does not exist, or it exists already and ``force`` is false.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no folder {path.parent}")
+    if path.exists() and not force:
+        raise InputError(f"{path}: is there already; --force overwrites it")
+
+
+def write_whole(
+    path: Path,
+    content: bytes,
+    *,
+    force: bool,
+    check: Callable[[Path], object] = lambda new: None,
+) -> None:
+    """Write a file completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    content : bytes
+        Content of the file.
+    force : bool
+        Whether an existing file may be overwritten.
+    check : callable
+        Function that raises `InputError` if the file, which stands beside its place under another
+        name, is not as it has to be.
+
+    Raises
+    ------
+    InputError
+        As in `check_target`, or that of the check; nothing is written then.
+    """
+    check_target(path, force=force)
+    handle, name = tempfile.mkstemp(prefix=".tactile-", suffix=path.suffix, dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        try:
+            check(Path(name))
+        except InputError as error:
+            raise InputError(str(error).replace(name, f"{path}: not written", 1)) from error
+        os.chmod(name, 0o644)
+        check_target(path, force=force)
+        os.replace(name, path)
+    finally:
+        with suppress(FileNotFoundError):
+            os.unlink(name)

@@ -1,5 +1,6 @@
 """Bring-up writes what a person tells of the contactors into a display's file, and nothing else."""
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -234,6 +235,15 @@ def test_nothing_is_overwritten_without_force(four: Path, tmp_path: Path) -> Non
     write_map(four, target, told, force=True)
     same(load_display(target), load_display(four))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["four.toml", "new.toml"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs modes of files")
+def test_what_is_overwritten_can_still_be_read_by_others(four: Path, tmp_path: Path) -> None:
+    """As a regression: it had the mode of a temporary file."""
+    target = tmp_path / "new.toml"
+    for force in (False, True):
+        write_map(four, target, Map.of(load_display(four)), force=force)
+        assert target.stat().st_mode & 0o777 == 0o644
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,7 @@ def test_a_model_becomes_a_texture_that_can_be_played(tmp_path: Path) -> None:
 
 def test_a_texture_file_must_have_a_name_that_a_texture_can_have(tmp_path: Path) -> None:
     source = model_set(tmp_path / "x.xml")
-    with pytest.raises(InputError, match=r"My Wood\.toml: texture\.id = 'My Wood'"):
+    with pytest.raises(InputError, match=r"My Wood\.toml: not written: texture\.id = 'My Wood'"):
         convert_file(str(source), tmp_path / "My Wood.toml")
     assert not (tmp_path / "My Wood.toml").exists()
 

@@ -8,12 +8,9 @@ between them, are gathered behind the first one.
 """
 
 import json
-import os
 import re
-import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,10 +92,7 @@ def _checked_place(source: str | Path, target: Path, *, force: bool) -> tuple[Pa
     content = files.read(path, DisplayFile)
     if target.suffix != ".toml":
         raise InputError(f"{target}: must end in .toml")
-    if target.exists() and not force:
-        raise InputError(f"{target}: is there already; --force overwrites it")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: no folder {target.parent}")
+    files.check_target(target, force=force)
     named = content.group or any(c.response is not None for c in content.contactor)
     if named and target.parent.resolve() != path.parent.resolve():
         raise InputError(f"{target}: must be in {path.parent}, where the measured responses are")
@@ -184,24 +178,13 @@ def write_tables(
 
 def _write(text: str, target: Path, *, force: bool, new_map: Map | None = None) -> None:
     """Write a file only if it is a valid display and, if a map is given, has that map."""
-    handle, name = tempfile.mkstemp(suffix=".toml", prefix=".tactile-", dir=target.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        try:
-            display = load_display(name)
-        except InputError as error:
-            raise InputError(str(error).replace(name, f"{target}: not written", 1)) from error
+
+    def check(new: Path) -> None:
+        display = load_display(new)
         if new_map is not None and Map.of(display) != new_map:
-            raise InputError(f"{target}: not written: it would not have the map that was told")
-        if force:
-            os.replace(name, target)
-        else:
-            with target.open("x", encoding="utf-8") as file:
-                file.write(text)
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
+            raise InputError(f"{new}: it would not have the map that was told")
+
+    files.write_whole(target, text.encode(), force=force, check=check)
 
 
 def _parsed(path: Path) -> tuple[tomlkit.TOMLDocument, dict[str, Any]]:

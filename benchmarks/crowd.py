@@ -23,7 +23,7 @@ from benchmarks.daemon import (
     growth,
     observe,
 )
-from benchmarks.floods import burdened, touch_together
+from benchmarks.floods import loaded, touch_together
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, beside_machine
 
@@ -58,7 +58,7 @@ def _measured(crowd: Crowd) -> Iterator[Figure]:
         amplifier_and_folder() as (amplifier, folder),
         closing(Daemon(folder, amplifier.path, server=places)) as daemon,
         connected(daemon) as keeper,
-        burdened(touch_together, daemon.url, crowd.clients, crowd.seconds + PATIENCE) as load,
+        loaded(touch_together, daemon.url, crowd.clients, crowd.seconds + PATIENCE) as load,
     ):
         recorder = OutputRecorder(amplifier)
         busy = subprocess.Popen([sys.executable, "-c", BUSY if crowd.is_disturbed else ""])

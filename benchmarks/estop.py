@@ -35,9 +35,9 @@ from benchmarks.daemon import (
 )
 from benchmarks.deaths import PLAYING, plays
 from benchmarks.floods import (
-    Burden,
-    burdened,
+    Load,
     flood_osc,
+    loaded,
     open_connections,
     send_messages,
     touch_together,
@@ -115,7 +115,7 @@ class EstopRig:
     recorder: OutputRecorder
     display: RemoteDisplay
     osc_port: int
-    load: Burden | None = None
+    load: Load | None = None
 
 
 def _stop_by_command(name: str) -> bool:
@@ -183,7 +183,7 @@ class Condition:
     """
 
     ways: tuple[str, ...] = tuple(WAYS)
-    load: Callable[[EstopRig, float], AbstractContextManager[Burden | None]] = lambda rig, s: (
+    load: Callable[[EstopRig, float], AbstractContextManager[Load | None]] = lambda rig, s: (
         nullcontext()
     )
     at_once: Callable[[EstopRig], AbstractContextManager[None]] = lambda rig: nullcontext()
@@ -191,16 +191,16 @@ class Condition:
 
 CONDITIONS: dict[str, Condition] = {
     "idle": Condition(),
-    "clients": Condition(load=lambda rig, s: burdened(touch_together, rig.daemon.url, CLIENTS, s)),
+    "clients": Condition(load=lambda rig, s: loaded(touch_together, rig.daemon.url, CLIENTS, s)),
     "messages": Condition(
-        load=lambda rig, s: burdened(
+        load=lambda rig, s: loaded(
             send_messages, rig.daemon.port, MESSAGES / SENDERS, s, processes=SENDERS
         )
     ),
     "connections": Condition(
-        load=lambda rig, s: burdened(open_connections, rig.daemon.port, CONNECTIONS, s)
+        load=lambda rig, s: loaded(open_connections, rig.daemon.port, CONNECTIONS, s)
     ),
-    "osc": Condition(load=lambda rig, s: burdened(flood_osc, rig.osc_port, PACKETS, s)),
+    "osc": Condition(load=lambda rig, s: loaded(flood_osc, rig.osc_port, PACKETS, s)),
     "playback_restarting": Condition(at_once=_playback_restarting),
     "server_stopped": Condition(ways=("command",), at_once=_server_stopped),
 }

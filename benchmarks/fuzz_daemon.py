@@ -32,7 +32,7 @@ from benchmarks.daemon import (
     observe,
     send_signal,
 )
-from benchmarks.floods import Burden, burdened, drain, open_websocket
+from benchmarks.floods import Load, drain, loaded, open_websocket
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
 
@@ -105,7 +105,7 @@ def hang_up(link: socket.socket) -> None:
     link.close()
 
 
-def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
+def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
     """Act as a client that sends random messages and hangs up, repeatedly; count the hang-ups."""
     rng, end = random.Random(f"{seed} {time.monotonic_ns()}"), time.monotonic() + seconds
     while time.monotonic() < end:
@@ -156,7 +156,7 @@ def _measured(seconds: float) -> Iterator[Figure]:
             victim = start_app(daemon.url, "stroke", lasts=seconds + PATIENCE)
             with (
                 connected(daemon) as keeper,
-                burdened(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
+                loaded(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
             ):
                 memory = [server for server, _ in observe(daemon, recorder, keeper, seconds)]
                 hang_ups = load.sent.value

@@ -12,10 +12,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -347,28 +348,18 @@ def block_figures(
 
 
 @contextmanager
-def own_folders() -> Iterator[Path]:
-    """Give daemons that are started meanwhile their own folders for state and sockets."""
-    names = {"STATE_DIRECTORY": "state", "RUNTIME_DIRECTORY": "run"}
-    before = {name: os.environ.get(name) for name in names}
-    with TemporaryDirectory(prefix="t-") as folder:
-        os.environ.update({name: str(Path(folder, part)) for name, part in names.items()})
-        try:
-            yield Path(folder)
-        finally:
-            for name, value in before.items():
-                os.environ.pop(name)
-                if value is not None:
-                    os.environ[name] = value
-
-
-@contextmanager
 def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
-    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it."""
-    with ExitStack() as stack:
-        stack.enter_context(own_folders())
-        folder = stack.enter_context(workshop())
-        yield stack.enter_context(closing(VirtualAmplifier(folder, "--pty"))), folder
+    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it.
+
+    Daemons that are started meanwhile have their own folders for state and sockets.
+    """
+    with TemporaryDirectory(prefix="t-") as own, workshop() as folder:
+        folders = {"STATE_DIRECTORY": f"{own}/state", "RUNTIME_DIRECTORY": f"{own}/run"}
+        with (
+            patch.dict(os.environ, folders),
+            closing(VirtualAmplifier(folder, "--pty")) as amplifier,
+        ):
+            yield amplifier, folder
 
 
 def frame(message: object) -> bytes:

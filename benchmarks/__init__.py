@@ -7,13 +7,11 @@ limited to one thread. ``python -m benchmarks`` runs the benchmarks.
 
 from functools import partial
 
+from benchmarks import crowd, deaths, estop, links
 from benchmarks.actuator import measure_matrix, measure_plant, measure_response
 from benchmarks.budgets import measure_budgets
 from benchmarks.clock import measure_clock
 from benchmarks.cluster import measure_dask, measure_million
-from benchmarks.crowd import measure_crowd, measure_crowd_long, measure_hour
-from benchmarks.deaths import measure_deaths, measure_deaths_long
-from benchmarks.estop import measure_estop, measure_estop_long, measure_estop_play
 from benchmarks.faults import measure_faults
 from benchmarks.fit import measure_fit
 from benchmarks.friction import measure_friction
@@ -21,7 +19,6 @@ from benchmarks.fuzz import measure_fuzz
 from benchmarks.fuzz_daemon import measure_fuzz_daemon
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
-from benchmarks.links import measure_links, measure_streams_long
 from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
@@ -52,28 +49,28 @@ BENCHMARKS: dict[str, Benchmark] = {
     "protocol": measure_protocol,
     "faults": measure_faults,
     "budgets": measure_budgets,
-    "links": measure_links,
+    "links": links.measure_links,
     "fit": measure_fit,
     "tracking": measure_tracking,
     "latency": measure_latency,
     "waves": measure_waves,
-    "crowd": measure_crowd,
+    "crowd": crowd.measure_crowd,
     "optimize": measure_optimize,
-    "deaths": measure_deaths,
-    "estop": measure_estop,
+    "deaths": deaths.measure_deaths,
+    "estop": estop.measure_estop,
 }
 """Short benchmarks, by name."""
 LONG: dict[str, Benchmark] = {
     "soak": partial(measure_memory, 600),
     "fuzz": measure_fuzz,
     "fuzz-daemon": measure_fuzz_daemon,
-    "streams": measure_streams_long,
+    "streams": partial(links.measure_streams, links.LONG),
     "latency-long": measure_latency_long,
-    "deaths-long": measure_deaths_long,
-    "estop-long": measure_estop_long,
-    "estop-play": measure_estop_play,
-    "hour": measure_hour,
-    "crowd-long": measure_crowd_long,
+    "deaths-long": partial(deaths.measure_deaths, deaths.LONG),
+    "estop-long": partial(estop.measure_estop, estop.LONG),
+    "estop-play": estop.measure_estop_play,
+    "hour": partial(crowd.measure_crowd, crowd.SOAK),
+    "crowd-long": partial(crowd.measure_crowd, crowd.LONG),
     "library": measure_library,
     "dask": measure_dask,
     "million": measure_million,

@@ -4,14 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 from scipy.signal import dlsim
 
 from tactile.actuator.bimorph import Bimorph, active_segment, transfer_matrix
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
 from tactile.actuator.response import tip_response
-from tactile.arrays import Floats
 from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
 
 
@@ -35,12 +34,11 @@ def measure_matrix() -> Iterator[Figure]:
     worst = 0.0
     for length in (5e-3, 20e-3, 45e-3):
         bimorph = Bimorph(length=length)
-        unit = np.sqrt(float(np.abs(active_segment(bimorph).section.EI)))
         for force in (-5.0, 0.0, 5.0):
             for f in np.geomspace(0.1, 60e3, 25):
                 ours = transfer_matrix(active_segment(bimorph), [f], axial_force=force)[0]
                 A = _first_order(bimorph, 2 * np.pi * f, force) * length
-                scale = _scales(A, unit)
+                _, (scale, _) = matrix_balance(A, permute=False, separate=True)
                 theirs = expm(A / scale[:, None] * scale)
                 keep = [0, 1, 2, 3, 4], [0, 1, 2, 3, 5]
                 theirs = theirs[np.ix_(keep[1], keep[0])]
@@ -54,18 +52,6 @@ def measure_matrix() -> Iterator[Figure]:
         seconds(lambda: expm(generators), 2) / seconds(lambda: transfer_matrix(segment, f)),
         "×",
     )
-
-
-def _scales(A: NDArray[np.complex128], unit: float) -> Floats:
-    """Return scales of the state that balance a matrix: rows and columns of similar size."""
-    scale = np.ones(len(A))
-    size = np.abs(A) + np.abs(A).max() * 1e-300
-    for _ in range(50):
-        rows = (size / scale[:, None] * scale).sum(axis=1)
-        columns = (size / scale[:, None] * scale).sum(axis=0)
-        ok = (rows > 0) & (columns > 0) & (rows > 1e-200) & (columns > 1e-200)
-        scale[ok] *= np.sqrt(rows[ok] / columns[ok])
-    return scale
 
 
 def measure_response() -> Iterator[Figure]:

@@ -11,9 +11,8 @@ from multiprocessing.process import BaseProcess
 
 import tactile.client
 import tactile.client.websocket  # Loaded before the fork, so that programs begin sooner.
-from benchmarks.daemon import NAME, PATIENCE
+from benchmarks.daemon import NAME, PATIENCE, wait_for
 from tactile.client import RemoteDisplay
-from tactile.errors import ClientError
 
 LASTS = 120.0
 """Default time after which a program ends by itself [s]."""
@@ -34,19 +33,17 @@ def get_ready(display: RemoteDisplay, sound: str) -> None:
 
     Raises
     ------
-    ClientError
+    TimeoutError
         If the daemon does not permit it in time.
     """
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        try:
-            if sound == "stroke":
-                display.select(TEXTURE, timeout=PATIENCE)
-            return display.arm()
-        except ClientError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.05)
+
+    def is_ready() -> bool:
+        if sound == "stroke":
+            display.select(TEXTURE, timeout=PATIENCE)
+        display.arm()
+        return True
+
+    wait_for("the daemon permits to play", is_ready)
 
 
 def play_stroke(display: RemoteDisplay, lasts: float) -> None:

@@ -290,11 +290,8 @@ def measure_clock() -> Iterator[Figure]:
         for name, estimator in ESTIMATORS.items():
             errors = trial(delays, estimator)
             error = settled(errors)
-            spread = f"clock.{link}.{name}", float(error.std()), "µs"
-            if name == "error" and link in LIMITS_US:
-                yield at_most(*spread, LIMITS_US[link])
-            else:
-                yield Figure(*spread)
+            limit = LIMITS_US.get(link) if name == "error" else None
+            yield at_most(f"clock.{link}.{name}", float(error.std()), "µs", limit)
             yield Figure(f"clock.{link}.{name}.bias", float(error.mean()), "µs")
             yield Figure(f"clock.{link}.{name}.at_first", _at_first(errors), "µs")
     error = settled(trial(LINKS["usb_in_step"], ESTIMATORS["error"], 0.25))

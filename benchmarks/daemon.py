@@ -5,24 +5,30 @@ was last put out and until when high voltage was on.
 """
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.virtual import VirtualAmplifier, workshop
+import tactile.client
+from benchmarks.virtual import VirtualAmplifier, largest_step, workshop
 from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.bench.figures import Figure, at_most
+from tactile.client import RemoteDisplay
 from tactile.display.display import load_display
+from tactile.errors import ClientError
+from tactile.playback.loop import BLOCK
 
 NAME = "tactile-bench"
 """Name of the display. An e-stop that names it stops no other daemon's display."""
@@ -30,8 +36,8 @@ PATIENCE = 60.0
 """Time within which whatever is waited for must happen [s]."""
 POLL = 0.02
 """Interval between checks of a condition [s]."""
-CHUNK = 1 << 22
-"""Number of bytes of records that are read at a time."""
+SETTLED = 0.2
+"""Share of the time after which memory has grown to what it needs."""
 
 
 class AmplifierOutput(NamedTuple):
@@ -55,6 +61,10 @@ class AmplifierOutput(NamedTuple):
         """Return the output after a moment [s]."""
         first = int(np.searchsorted(self.times, moment, side="right"))
         return AmplifierOutput(self.times[first:], self.is_loud[first:], self.high_voltage[first:])
+
+    def reaches(self, moment: float) -> bool:
+        """Return whether the output goes beyond a moment [s]."""
+        return len(self.times) > 0 and bool(self.times[-1] > moment)
 
 
 def last_after(times: NDArray[np.float64], is_set: NDArray[np.bool_], moment: float) -> float:
@@ -87,7 +97,7 @@ class OutputRecorder:
     def read(self) -> AmplifierOutput:
         """Return the output since the last call."""
         parts = [AmplifierOutput(np.empty(0), np.empty(0, bool), np.empty(0, bool))]
-        while len((records := self._amplifier.take(CHUNK)).codes):
+        for records in self._amplifier.chunks():
             self._measure(records.codes.astype(np.int32))
             parts.append(
                 AmplifierOutput(
@@ -98,6 +108,25 @@ class OutputRecorder:
             )
         return joined(parts)
 
+    def read_until(
+        self, happens: Callable[[AmplifierOutput], bool], what: str, *, span: float = math.inf
+    ) -> AmplifierOutput:
+        """Return the output until a condition of it is true, or the last span of it [s].
+
+        Raises
+        ------
+        TimeoutError
+            If it does not become true in time.
+        """
+        parts: list[AmplifierOutput] = []
+
+        def is_true() -> bool:
+            parts[:] = [joined([*parts, self.read()]).since(time.monotonic() - span)]
+            return happens(parts[0])
+
+        wait_for(what, is_true)
+        return parts[0]
+
     def _measure(self, codes: NDArray[np.int32]) -> None:
         before = np.broadcast_to(self._last, (1, codes.shape[1]))
         steps = np.abs(np.diff(codes, axis=0, prepend=before))
@@ -107,10 +136,8 @@ class OutputRecorder:
 
     def figures(self, name: str) -> Iterator[Figure]:
         """Yield the largest values, relative to their limits."""
-        display = load_display("reference-24")
-        slew = min(display.slew / 8000.0 / display.limits.voltage, 2.0) * FULL_SCALE_CODE
         yield at_most(f"{name}.largest_voltage", self.largest / FULL_SCALE_CODE, "of limit", 1)
-        yield at_most(f"{name}.largest_step", self.largest_step / slew, "of slew", 1)
+        yield largest_step(name, self.largest_step, load_display("reference-24"))
 
 
 def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
@@ -118,19 +145,24 @@ def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
     return AmplifierOutput(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def wait_for(what: str, happens: Callable[[], object], within: float = PATIENCE) -> None:
-    """Wait until a condition is true.
+def wait_for(what: str, happens: Callable[[], object]) -> None:
+    """Wait until a condition is true; as long as the daemon refuses what it asks, it is false.
 
     Raises
     ------
     TimeoutError
         If it does not become true in time.
     """
-    deadline = time.monotonic() + within
-    while not happens():
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"{what}: not within {within:g} s")
+    deadline = time.monotonic() + PATIENCE
+    refusal = None
+    while time.monotonic() < deadline:
+        try:
+            if happens():
+                return
+        except ClientError as error:
+            refusal = error
         time.sleep(POLL)
+    raise TimeoutError(f"{what}: not within {PATIENCE:g} s") from refusal
 
 
 def send_signal(pid: int, number: signal.Signals) -> None:
@@ -248,29 +280,86 @@ class Daemon:
         wait_for("its processes are gone", lambda: not any(map(is_alive, left.values())))
 
 
-@contextmanager
-def own_folders() -> Iterator[Path]:
-    """Give daemons that are started meanwhile their own folders for state and sockets."""
-    names = {"STATE_DIRECTORY": "state", "RUNTIME_DIRECTORY": "run"}
-    before = {name: os.environ.get(name) for name in names}
-    with TemporaryDirectory(prefix="t-") as folder:
-        os.environ.update({name: str(Path(folder, part)) for name, part in names.items()})
-        try:
-            yield Path(folder)
-        finally:
-            for name, value in before.items():
-                os.environ.pop(name)
-                if value is not None:
-                    os.environ[name] = value
+def connected(daemon: Daemon) -> RemoteDisplay:
+    """Return the display of a daemon, as a client that is connected to it."""
+    return tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE)
+
+
+def clear(display: RemoteDisplay) -> bool:
+    """Clear the active e-stop; return whether there was none."""
+    estop = display.stats(timeout=PATIENCE).estop
+    if estop:
+        display.clear(estop=estop, timeout=PATIENCE)
+    return not estop
+
+
+def observe(
+    daemon: Daemon, recorder: OutputRecorder, display: RemoteDisplay, seconds: float
+) -> Iterator[tuple[float, float]]:
+    """Yield the memory of server and playback each second [MiB], and keep the display armed.
+
+    The amplifier's record is read meanwhile.
+    """
+    playback, end = daemon.playback(), time.monotonic() + seconds
+    while time.monotonic() < end:
+        for _ in range(10):
+            time.sleep(0.1)
+            recorder.read()
+            with suppress(ClientError):
+                clear(display)
+                if display.stats(timeout=PATIENCE).state != "armed":
+                    display.arm(timeout=PATIENCE)
+        yield resident(daemon.pid), resident(playback)
+
+
+def resident(pid: int) -> float:
+    """Return the resident memory of a process [MiB]; NaN if it has ended."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+            if line.startswith("VmRSS:"):
+                return int(line.split()[1]) / 1024
+    return math.nan
+
+
+def growth(name: str, memory: list[float]) -> Figure:
+    """Return the figure of the growth of a memory [MiB] after it has settled."""
+    settled = memory[int(SETTLED * len(memory)) :]
+    grown = settled[-1] - settled[0] if settled else math.nan
+    return at_most(f"{name}_growth", grown, "MiB", 2)
+
+
+def counters_of(daemon: Daemon) -> dict[str, int]:
+    """Return the counters of playback."""
+    with connected(daemon) as display:
+        return display.stats(timeout=PATIENCE).counters
+
+
+def block_figures(
+    name: str, before: dict[str, int], after: dict[str, int], limit: float
+) -> Iterator[Figure]:
+    """Yield the losses of playback by its counters before and after; of late blocks a limit."""
+    names = ("blocks", "late_blocks", "skipped_samples", "underruns")
+    change = {each: after.get(each, 0) - before.get(each, 0) for each in names}
+    late = change["late_blocks"] + change["skipped_samples"] / BLOCK
+    yield Figure(f"{name}.blocks", float(change["blocks"]), "")
+    share = 1e4 * late / max(change["blocks"], 1)
+    yield at_most(f"{name}.late_blocks", share, "of 10 000", limit)
+    yield Figure(f"{name}.underruns", float(change["underruns"]), "")
 
 
 @contextmanager
 def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
-    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it."""
-    with ExitStack() as stack:
-        stack.enter_context(own_folders())
-        folder = stack.enter_context(workshop())
-        yield stack.enter_context(closing(VirtualAmplifier(folder, "--pty"))), folder
+    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it.
+
+    Daemons that are started meanwhile have their own folders for state and sockets.
+    """
+    with TemporaryDirectory(prefix="t-") as own, workshop() as folder:
+        folders = {"STATE_DIRECTORY": f"{own}/state", "RUNTIME_DIRECTORY": f"{own}/run"}
+        with (
+            patch.dict(os.environ, folders),
+            closing(VirtualAmplifier(folder, "--pty")) as amplifier,
+        ):
+            yield amplifier, folder
 
 
 def frame(message: object) -> bytes:

@@ -13,7 +13,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count, product
 from multiprocessing.process import BaseProcess
@@ -47,7 +47,7 @@ WATCHED = 1.2
 """Longest time after a fault that is watched [s]."""
 CALM = 0.15
 """Time at 0 V without high voltage after which there is nothing more to watch [s]."""
-HEARD = 0.1
+PLAYING = 0.1
 """Time for which something must have played before a fault [s]."""
 ATTEMPTS = 5
 """Number of attempts to make something play."""
@@ -166,9 +166,9 @@ class Outcomes:
 
 def plays(output: AmplifierOutput) -> bool:
     """Return whether something plays, by the latest output."""
-    if not len(output.times) or output.times[-1] - output.times[0] < HEARD:
+    if not len(output.times) or output.times[-1] - output.times[0] < PLAYING:
         return False
-    last = output.since(output.times[-1] - HEARD)
+    last = output.since(output.times[-1] - PLAYING)
     return bool(last.is_loud.mean() > 0.5 and last.high_voltage.all())
 
 
@@ -205,7 +205,7 @@ class Tries:
             time.sleep(wait)
             before = self._recorder.read()
             with fault(scene) as moment:
-                output = joined([before, self._watched(moment)])
+                output = joined([before, self._watch(moment)])
         finally:
             app.kill()
             app.join()
@@ -217,8 +217,13 @@ class Tries:
         for _ in range(ATTEMPTS):
             app = start_app(self._daemon.url, sound)
             self._recorder.read()
-            if self._is_heard(app):
-                return app
+            with suppress(TimeoutError):
+                output = self._recorder.read_until(
+                    lambda output, app=app: plays(output) or not app.is_alive(),  # type: ignore[misc]
+                    sound, span=5 * PLAYING,
+                )  # fmt: skip
+                if plays(output):
+                    return app
             # An app that ended met playback while that was started again.
             if app.is_alive():
                 self._daemon.close()
@@ -227,29 +232,12 @@ class Tries:
             app.join()
         raise TimeoutError(f"a {sound} did not play in {ATTEMPTS} attempts of {PATIENCE:g} s")
 
-    def _is_heard(self, app: BaseProcess) -> bool:
-        """Return whether an app is heard before it ends or patience does."""
-        deadline = time.monotonic() + PATIENCE
-        output = self._recorder.read()
-        while not plays(output):
-            if time.monotonic() > deadline or not app.is_alive():
-                return False
-            time.sleep(POLL)
-            output = joined([output, self._recorder.read()])
-            output = output.since(time.monotonic() - 5 * HEARD)
-        return True
-
-    def _watched(self, moment: float) -> AmplifierOutput:
+    def _watch(self, moment: float) -> AmplifierOutput:
         """Return the output until all is off, or for as long as is watched."""
-        parts = [self._recorder.read()]
-        while not is_over(output := joined(parts), moment):
-            if len(output.times) and output.times[-1] > moment + WATCHED:
-                break
-            if time.monotonic() > moment + PATIENCE:
-                raise TimeoutError(f"the amplifier recorded nothing for {PATIENCE:g} s")
-            time.sleep(POLL)
-            parts = [output, self._recorder.read()]
-        return output
+        return self._recorder.read_until(
+            lambda output: is_over(output, moment) or output.reaches(moment + WATCHED),
+            "the amplifier's record",
+        )
 
 
 def schedule(faults: list[str], tries: range, rng: random.Random) -> list[tuple[str, str]]:
@@ -288,7 +276,7 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
         share = range(tries)[: tries // 2] if worn else range(tries)[tries // 2 :]
         with _tries(worn=worn, log=log) as (runner, recorder):
             for sound, fault in schedule(list(faults), share, rng):
-                runner.carry_out(sound, faults[fault], outcomes[fault], rng.uniform(0, 2 * HEARD))
+                runner.carry_out(sound, faults[fault], outcomes[fault], rng.uniform(0, 2 * PLAYING))
                 _print_progress(name, next(done), tries * len(outcomes))
         yield from recorder.figures(f"{name}.{'worn' if worn else 'not_worn'}.{Path(log).name}")
     for fault, outcome in outcomes.items():
@@ -312,8 +300,3 @@ def _print_progress(name: str, done: int, of: int) -> None:
     """Print the progress on a terminal."""
     if sys.stderr.isatty():
         print(f"\r{name}: {done} of {of}", end="" if done < of else "\n", file=sys.stderr)
-
-
-def measure_deaths_long() -> Iterator[Figure]:
-    """Measure hundreds of tries of each fault."""
-    yield from measure_deaths(LONG)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-import tactile.client
 from benchmarks.app import TEXTURE, begin_effect
 from benchmarks.daemon import (
     NAME,
@@ -28,16 +27,17 @@ from benchmarks.daemon import (
     Daemon,
     OutputRecorder,
     amplifier_and_folder,
-    joined,
+    clear,
+    connected,
     last_after,
     send_signal,
     wait_for,
 )
-from benchmarks.deaths import HEARD, plays
+from benchmarks.deaths import PLAYING, plays
 from benchmarks.floods import (
-    Burden,
-    burdened,
+    Load,
     flood_osc,
+    loaded,
     open_connections,
     send_messages,
     touch_together,
@@ -115,7 +115,7 @@ class EstopRig:
     recorder: OutputRecorder
     display: RemoteDisplay
     osc_port: int
-    load: Burden | None = None
+    load: Load | None = None
 
 
 def _stop_by_command(name: str) -> bool:
@@ -183,7 +183,7 @@ class Condition:
     """
 
     ways: tuple[str, ...] = tuple(WAYS)
-    load: Callable[[EstopRig, float], AbstractContextManager[Burden | None]] = lambda rig, s: (
+    load: Callable[[EstopRig, float], AbstractContextManager[Load | None]] = lambda rig, s: (
         nullcontext()
     )
     at_once: Callable[[EstopRig], AbstractContextManager[None]] = lambda rig: nullcontext()
@@ -191,16 +191,16 @@ class Condition:
 
 CONDITIONS: dict[str, Condition] = {
     "idle": Condition(),
-    "clients": Condition(load=lambda rig, s: burdened(touch_together, rig.daemon.url, CLIENTS, s)),
+    "clients": Condition(load=lambda rig, s: loaded(touch_together, rig.daemon.url, CLIENTS, s)),
     "messages": Condition(
-        load=lambda rig, s: burdened(
+        load=lambda rig, s: loaded(
             send_messages, rig.daemon.port, MESSAGES / SENDERS, s, processes=SENDERS
         )
     ),
     "connections": Condition(
-        load=lambda rig, s: burdened(open_connections, rig.daemon.port, CONNECTIONS, s)
+        load=lambda rig, s: loaded(open_connections, rig.daemon.port, CONNECTIONS, s)
     ),
-    "osc": Condition(load=lambda rig, s: burdened(flood_osc, rig.osc_port, PACKETS, s)),
+    "osc": Condition(load=lambda rig, s: loaded(flood_osc, rig.osc_port, PACKETS, s)),
     "playback_restarting": Condition(at_once=_playback_restarting),
     "server_stopped": Condition(ways=("command",), at_once=_server_stopped),
 }
@@ -229,7 +229,7 @@ def carry_out(rig: EstopRig, way: str, condition: Condition, times: Times, wait:
         with condition.at_once(rig):
             _stop(times, rig.recorder, lambda: WAYS[way](rig))
     times.forgotten += not is_refused(rig.display)
-    _clear(rig.display)
+    wait_for("no e-stop", lambda: clear(rig.display))
 
 
 def _stop(times: Times, recorder: OutputRecorder, request: Callable[[], bool]) -> None:
@@ -239,37 +239,22 @@ def _stop(times: Times, recorder: OutputRecorder, request: Callable[[], bool]) -
         times.answered.append(time.monotonic() - sent)
     else:
         times.unanswered += 1
-    output = _watched(recorder, sent)
+    output = recorder.read_until(lambda o: o.reaches(sent + WATCHED), "the amplifier's record")
     times.silent.append(last_after(output.times, output.is_loud, sent))
 
 
 def _play(rig: EstopRig) -> None:
     """Arm, and make an effect play."""
-    deadline = time.monotonic() + PATIENCE
-    output = rig.recorder.read()
-    while not plays(output):
-        try:
-            rig.display.arm(timeout=PATIENCE)
-            begin_effect(rig.display)
-        except ClientError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(2 * HEARD)
-        output = joined([output, rig.recorder.read()]).since(time.monotonic() - 5 * HEARD)
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"an effect did not play within {PATIENCE:g} s")
 
+    def does_play(output: AmplifierOutput) -> bool:
+        if plays(output):
+            return True
+        rig.display.arm(timeout=PATIENCE)
+        begin_effect(rig.display)
+        time.sleep(2 * PLAYING)
+        return False
 
-def _watched(recorder: OutputRecorder, sent: float) -> AmplifierOutput:
-    """Return the output from an e-stop on."""
-    parts = [recorder.read()]
-
-    def all_recorded() -> bool:
-        parts.append(recorder.read())
-        return any(len(part.times) and part.times[-1] > sent + WATCHED for part in parts)
-
-    wait_for("the amplifier's record", all_recorded)
-    return joined(parts)
+    rig.recorder.read_until(does_play, "an effect", span=5 * PLAYING)
 
 
 def is_refused(display: RemoteDisplay) -> bool:
@@ -285,21 +270,6 @@ def is_refused(display: RemoteDisplay) -> bool:
             return False
         time.sleep(POLL)
     return False
-
-
-def _clear(display: RemoteDisplay) -> None:
-    """Clear the active e-stop."""
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        try:
-            estop = display.stats(timeout=PATIENCE).estop
-            if not estop:
-                return
-            display.clear(estop=estop, timeout=PATIENCE)
-        except ClientError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(POLL)
 
 
 def measure_estop(tries: int = SHORT) -> Iterator[Figure]:
@@ -343,8 +313,8 @@ def _measured_play(name: str, tries: int) -> Iterator[Figure]:
             finally:
                 player.kill()
                 player.wait()
-            again = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
-            times.forgotten += again.returncode == 0
+            second = subprocess.run([*words, "--seconds", "0.1"], stderr=subprocess.DEVNULL)
+            times.forgotten += second.returncode == 0
             clear_device(device, display, lambda number, _: number, accept_unsafe_hold=False)
         yield from times.figures(name)
         yield from recorder.figures(name)
@@ -353,7 +323,7 @@ def _measured_play(name: str, tries: int) -> Iterator[Figure]:
 def _latest(recorder: OutputRecorder) -> AmplifierOutput:
     """Return the amplifier's output from now on, for as long as `plays` needs."""
     recorder.read()
-    time.sleep(2 * HEARD)
+    time.sleep(2 * PLAYING)
     return recorder.read()
 
 
@@ -365,8 +335,7 @@ def _rig() -> Iterator[EstopRig]:
         port = free_udp_port()
         daemon = Daemon(folder, amplifier.path, osc=port, server=NO_LIMIT)
         stack.enter_context(closing(daemon))
-        display = tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE)
-        stack.enter_context(display)
+        display = stack.enter_context(connected(daemon))
         yield EstopRig(daemon, OutputRecorder(amplifier), display, port)
 
 
@@ -375,8 +344,3 @@ def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
         return int(link.getsockname()[1])
-
-
-def measure_estop_long() -> Iterator[Figure]:
-    """Measure hundreds of e-stops of each kind."""
-    yield from measure_estop(LONG)

@@ -49,13 +49,13 @@ class Account:
     wrong: int = 0
     twice: int = 0
 
-    def add(self, sent: list[Packet], came: list[Packet], errors: int) -> None:
+    def add(self, sent: list[Packet], received: list[Packet], errors: int) -> None:
         """Compare received packets with those that were sent, by content."""
-        known, there = set(map(encode_packet, sent)), set(map(encode_packet, came))
+        known, there = set(map(encode_packet, sent)), set(map(encode_packet, received))
         self.errors += errors
         self.lost += len(known - there)
         self.wrong += len(there - known)
-        self.twice += len(came) - len(there)
+        self.twice += len(received) - len(there)
 
     def figures(self, name: str) -> Iterator[Figure]:
         """Yield the counts per error."""
@@ -145,14 +145,14 @@ def harmed_frames(harm: Harm, errors: int, *, fd: bool, seed: int) -> Account:
     decoder = CanDecoder(from_amplifier=False)
     for start in range(0, errors, 100):
         count = min(100, errors - start)
-        sent, came = packets(APART * count, rng), []
+        sent, received = packets(APART * count, rng), []
         for k in range(0, len(sent), APART):
             frames = [frame for p in sent[k : k + APART] for frame in encoder.frames(p)]
             harm(rng, frames, int(rng.integers(len(frames))))
             for frame in frames:
                 now += FRAME_US
-                came += decoder.feed(*frame, now)
-        account.add(sent, came, count)
+                received += decoder.feed(*frame, now)
+        account.add(sent, received, count)
     return account
 
 

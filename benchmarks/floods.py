@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from benchmarks.app import RATE, TEXTURE
 from benchmarks.daemon import NAME, PATIENCE, frame, wait_for
 from tactile.messages import JSON_PROTOCOL
 
-RATE = 90.0
-"""Rate at which each program of a crowd touches [Hz]."""
 BATCH = 0.01
 """Interval between batches of a flood [s]."""
 MOST_AT_ONCE = 0.05
@@ -31,21 +30,21 @@ HOST = "127.0.0.1"
 """Address of the loopback interface."""
 
 
-class Burden:
+class Load:
     """Processes that put a load on a daemon while they are permitted to.
 
     Attributes
     ----------
     sent : multiprocessing.Value
         Shared number of what they sent.
-    let : multiprocessing.Event
+    permitted : multiprocessing.Event
         Shared event, set while they are to send.
     """
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("forkserver")
         self.sent: Any = context.Value("q")
-        self.let: Any = context.Event()
+        self.permitted: Any = context.Event()
         self._seconds = 0.0
 
     def count(self, number: int) -> None:
@@ -57,12 +56,12 @@ class Burden:
     def on(self) -> Iterator[None]:
         """Permit the processes to send meanwhile; begin when they have."""
         begun, before = time.monotonic(), self.sent.value
-        self.let.set()
+        self.permitted.set()
         try:
             wait_for("a load", lambda: self.sent.value > before)
             yield
         finally:
-            self.let.clear()
+            self.permitted.clear()
             self._seconds += time.monotonic() - begun
 
     def rate(self) -> float:
@@ -71,19 +70,19 @@ class Burden:
 
 
 @contextmanager
-def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -> Iterator[Burden]:
+def loaded(flood: Callable[..., None], *options: object, processes: int = 1) -> Iterator[Load]:
     """Run a flood in processes of its own meanwhile.
 
     Parameters
     ----------
     flood : callable
-        Function that takes the `Burden`, then the options.
+        Function that takes the `Load`, then the options.
     options : object
         Options of the flood.
     processes : int
         Number of processes, each of which sends the whole flood.
     """
-    load = Burden()
+    load = Load()
     context = multiprocessing.get_context("forkserver")
     started = [
         context.Process(target=flood, args=(load, *options), daemon=True) for _ in range(processes)
@@ -98,12 +97,12 @@ def burdened(flood: Callable[..., None], *options: object, processes: int = 1) -
             process.join()
 
 
-def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
+def paced(load: Load, rate: float, seconds: float) -> Iterator[int]:
     """Yield how many to send, repeatedly, while a load is permitted, and count them.
 
     Parameters
     ----------
-    load : Burden
+    load : Load
         Load that permits them to be sent.
     rate : float
         Rate [1/s].
@@ -113,8 +112,8 @@ def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
     end = last = time.monotonic()
     end += seconds
     while (now := time.monotonic()) < end:
-        if not load.let.is_set():
-            load.let.wait(end - now)
+        if not load.permitted.is_set():
+            load.permitted.wait(end - now)
             last = time.monotonic()
             continue
         if due := int(rate * min(now - last, MOST_AT_ONCE)):
@@ -124,27 +123,27 @@ def paced(load: Burden, rate: float, seconds: float) -> Iterator[int]:
         time.sleep(BATCH)
 
 
-def touch_together(load: Burden, url: str, clients: int, seconds: float) -> None:
+def touch_together(load: Load, url: str, clients: int, seconds: float) -> None:
     """Run a number of programs, each of which touches at `RATE`."""
     asyncio.run(_touch_together(load, url, clients, seconds))
 
 
-async def _touch_together(load: Burden, url: str, clients: int, seconds: float) -> None:
+async def _touch_together(load: Load, url: str, clients: int, seconds: float) -> None:
     from tactile.client import aio
 
     async def one(number: int) -> None:
         async with aio.connect(url, display=NAME, timeout=PATIENCE) as display:
-            await display.select("wood-oak", timeout=PATIENCE)
+            await display.select(TEXTURE, timeout=PATIENCE)
             begun = time.monotonic() + number / clients / RATE
             for k in range(int(seconds * RATE)):
                 await asyncio.sleep(max(0.0, begun + k / RATE - time.monotonic()))
                 await display.touch((0.04 * math.sin(2 * k / RATE), 0.0), normal_force=0.5)
-                load.count(load.let.is_set())
+                load.count(load.permitted.is_set())
 
     await asyncio.gather(*(one(number) for number in range(clients)))
 
 
-def send_messages(load: Burden, port: int, rate: float, seconds: float) -> None:
+def send_messages(load: Load, port: int, rate: float, seconds: float) -> None:
     """Send contacts over a WebSocket, and open another one if the server closes it."""
     contact = {"type": "contact", "display": NAME, "position_mm": [1, 0], "normal_force_n": 0.5}
     one = frame(contact)
@@ -187,7 +186,7 @@ def drain(link: socket.socket) -> None:
             raise ConnectionError
 
 
-def open_connections(load: Burden, port: int, rate: float, seconds: float) -> None:
+def open_connections(load: Load, port: int, rate: float, seconds: float) -> None:
     """Open connections that send nothing; only the last few of them stay open."""
     links: deque[socket.socket] = deque()
     at_once = struct.pack("ii", 1, 0)  # Closing by a reset keeps no port in TIME_WAIT.
@@ -209,7 +208,7 @@ def contact_packet() -> bytes:
     return padded + b",fff\0\0\0\0" + struct.pack(">fff", 1.0, 0.0, 0.5)
 
 
-def flood_osc(load: Burden, port: int, rate: float, seconds: float) -> None:
+def flood_osc(load: Load, port: int, rate: float, seconds: float) -> None:
     """Send contacts as OSC packets."""
     packet = contact_packet()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

@@ -9,8 +9,9 @@ from msgspec.structs import replace as changed
 
 from benchmarks.rendering import (
     FINGERS,
-    felt,
+    SKIPPED,
     grating_texture,
+    played_shear,
     ratio_db,
     swing,
 )
@@ -44,9 +45,9 @@ def measure_friction() -> Iterator[Figure]:
         display = load_display("reference-24", load=finger())
         for case, path in (("swing", swing()), ("slips", creep)):
             r = render(display, friction_only(STICKY), path)
-            error = felt(display, r.drive) - r.shear
-            lines = np.abs(np.fft.rfft([error[800:, 0], r.shear[800:, 0]])) ** 2
-            slow = np.fft.rfftfreq(len(error) - 800, 1 / RATE) <= SLOW
+            error = played_shear(display, r.drive) - r.shear
+            lines = np.abs(np.fft.rfft([error[SKIPPED:, 0], r.shear[SKIPPED:, 0]])) ** 2
+            slow = np.fft.rfftfreq(len(error) - SKIPPED, 1 / RATE) <= SLOW
             part = np.sqrt(lines[0, slow].sum() / lines[1, slow].sum())
             yield at_most(f"friction.{name}.{case}.0_to_20_hz", 100 * float(part), "%", 1.0)
             ratio = ratio_db(r.shear, r.shear + error)

@@ -14,26 +14,27 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from typing import Any
 
-import tactile.client
 from benchmarks.app import start_app
-from benchmarks.crowd import resident
 from benchmarks.daemon import (
     NAME,
     PATIENCE,
     Daemon,
     OutputRecorder,
     amplifier_and_folder,
+    block_figures,
+    connected,
+    counters_of,
     frame,
+    growth,
+    observe,
     send_signal,
 )
-from benchmarks.floods import Burden, burdened, drain, open_websocket
+from benchmarks.floods import Load, drain, loaded, open_websocket
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
-from tactile.client import RemoteDisplay
-from tactile.errors import ClientError
 
 SECONDS = 600.0
 """Duration of the random messages [s]."""
@@ -43,8 +44,6 @@ PLACES = 64
 """Number of clients that a daemon accepts by default."""
 HANG_UPS = 2000
 """Smallest permitted number of hang-ups, in all."""
-SETTLED = 0.2
-"""Share of the time after which memory has grown to what it needs."""
 SEED = 14
 ODD: list[Any] = [
     None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 500,
@@ -106,7 +105,7 @@ def hang_up(link: socket.socket) -> None:
     link.close()
 
 
-def disturb(load: Burden, port: int, seed: int, seconds: float) -> None:
+def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
     """Act as a client that sends random messages and hangs up, repeatedly; count the hang-ups."""
     rng, end = random.Random(f"{seed} {time.monotonic_ns()}"), time.monotonic() + seconds
     while time.monotonic() < end:
@@ -143,12 +142,6 @@ def free_places(daemon: Daemon, most: int = PLACES) -> int:
         return sum(b'"welcome"' in link.recv(1 << 16) for link in links)
 
 
-def counters_of(daemon: Daemon) -> dict[str, int]:
-    """Return the counters of playback."""
-    with tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as display:
-        return display.stats(timeout=PATIENCE).counters
-
-
 def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
     """Measure the state of a daemon after a while of random messages."""
     if sys.platform == "linux" and can_be_built():
@@ -162,10 +155,10 @@ def _measured(seconds: float) -> Iterator[Figure]:
             playback, before = daemon.playback(), counters_of(daemon)
             victim = start_app(daemon.url, "stroke", lasts=seconds + PATIENCE)
             with (
-                tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE) as keeper,
-                burdened(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
+                connected(daemon) as keeper,
+                loaded(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
             ):
-                memory = list(_observed(daemon, recorder, keeper, seconds))
+                memory = [server for server, _ in observe(daemon, recorder, keeper, seconds)]
                 hang_ups = load.sent.value
             after = counters_of(daemon)
             send_signal(victim.pid or 0, signal.SIGKILL)
@@ -173,42 +166,8 @@ def _measured(seconds: float) -> Iterator[Figure]:
             yield at_least("fuzz-daemon.hang_ups", float(hang_ups), "", HANG_UPS)
             yield at_most("fuzz-daemon.playback_died", daemon.playback() != playback, "", 0)
             yield from recorder.figures("fuzz-daemon")
-            yield from victim_figures(before, after)
+            yield from block_figures("fuzz-daemon", before, after, 10)
             yield from _leftovers(daemon, memory)
-
-
-def _observed(
-    daemon: Daemon, recorder: OutputRecorder, keeper: RemoteDisplay, seconds: float
-) -> Iterator[float]:
-    """Yield the server's memory each second [MiB]; meanwhile read the record and keep it armed."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        for _ in range(10):
-            time.sleep(0.1)
-            recorder.read()
-            with suppress(ClientError):
-                clear_and_arm(keeper)
-        yield resident(daemon.pid)
-
-
-def clear_and_arm(display: RemoteDisplay) -> None:
-    """Clear and arm a display that random messages stopped."""
-    stats = display.stats(timeout=PATIENCE)
-    if stats.estop:
-        display.clear(estop=stats.estop, timeout=PATIENCE)
-    if stats.state != "armed":
-        display.arm(timeout=PATIENCE)
-
-
-def victim_figures(before: dict[str, int], after: dict[str, int]) -> Iterator[Figure]:
-    """Yield the losses of playback, by its counters before and after."""
-    names = ("blocks", "late_blocks", "skipped_samples", "underruns")
-    change = {name: after.get(name, 0) - before.get(name, 0) for name in names}
-    bad = change["late_blocks"] + change["skipped_samples"] / 16
-    yield Figure("fuzz-daemon.blocks", float(change["blocks"]), "")
-    late = 1e4 * bad / max(change["blocks"], 1)
-    yield at_most("fuzz-daemon.late_blocks", late, "of 10 000", 10)
-    yield Figure("fuzz-daemon.underruns", float(change["underruns"]), "")
 
 
 def _leftovers(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
@@ -218,6 +177,4 @@ def _leftovers(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
         time.sleep(0.1)
     yield at_most("fuzz-daemon.ghosts", ghosts, "", 0)
     yield at_least("fuzz-daemon.free_places", float(free_places(daemon)), "", PLACES)
-    settled = memory[int(SETTLED * len(memory)) :]
-    growth = settled[-1] - settled[0] if settled else 0.0
-    yield at_most("fuzz-daemon.server_growth", growth, "MiB", 2)
+    yield growth("fuzz-daemon.server", memory)

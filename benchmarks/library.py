@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from msgspec.structs import replace as changed
 
+from benchmarks.rendering import SKIPPED
 from tactile.arrays import Complex, Floats
 from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import Display, load_display
@@ -43,8 +44,6 @@ ALONG, ACROSS = 2.5e-3, 3.5e-3
 """Distance between contactors along and across the motion: the pitch of reference-24 [m]."""
 SPEEDS = (0.04, 0.08)
 """Speeds of the played strokes [m/s]."""
-SKIPPED = 800
-"""Number of samples until a played stroke has faded in and filters have settled."""
 KURTOSIS, DEPTH, LEVEL, COHERENCE = 0.5, 0.06, 1.0, 0.1
 """Largest permitted differences of descriptor and rendered cuts; the level is in dB."""
 FIDELITY, SIMILARITY = 40.0, 0.99
@@ -263,19 +262,19 @@ def played(
         file = Path(folder) / "stroke.npz"
         summary = run(display, texture, path, device="sim:", sample_rate=RATE, record=file)
         with np.load(file) as recorded:
-            commanded, felt = recorded["shear_target_m"], recorded["shear_played_m"]
+            commanded, shear = recorded["shear_target_m"], recorded["shear_played_m"]
     judge = Fidelity(RATE)
-    judge.add(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED])
-    levels = [np.sqrt(np.mean(shear[SKIPPED:-SKIPPED] ** 2)) for shear in (felt, commanded)]
+    judge.add(commanded[SKIPPED:-SKIPPED], shear[SKIPPED:-SKIPPED])
+    levels = [np.sqrt(np.mean(side[SKIPPED:-SKIPPED] ** 2)) for side in (shear, commanded)]
     return PlayedStroke(
         judge.signal_to_error_db,
-        similarity(commanded[SKIPPED:-SKIPPED], felt[SKIPPED:-SKIPPED]),
+        similarity(commanded[SKIPPED:-SKIPPED], shear[SKIPPED:-SKIPPED]),
         summary.limited_samples / summary.samples,
         float(20 * np.log10(levels[0] / levels[1])),
     )
 
 
-def similarity(commanded: Floats, felt: Floats) -> float:
+def similarity(commanded: Floats, shear: Floats) -> float:
     """Return the lowest ST-SIM of any contactor (S, N); NaN without ``vibromaf``.
 
     ST-SIM takes 8 kHz and signals within ± 1, so both are scaled alike. For signals that oppose
@@ -285,13 +284,13 @@ def similarity(commanded: Floats, felt: Floats) -> float:
         from vibromaf.metrics.stsim import st_sim
     except ImportError:
         return float("nan")
-    scale = max(np.abs(commanded).max(), np.abs(felt).max())
+    scale = max(np.abs(commanded).max(), np.abs(shear).max())
     with np.errstate(divide="ignore"):
-        scores = [st_sim(f / scale, c / scale) for f, c in zip(felt.T, commanded.T, strict=True)]
+        scores = [st_sim(f / scale, c / scale) for f, c in zip(shear.T, commanded.T, strict=True)]
     return min(0.0 if isinstance(score, complex) else float(score) for score in scores)
 
 
-def told(
+def worst_figures(
     what: str, unit: str, limit: float, values: dict[str, float], *, least: bool = False
 ) -> Iterator[Figure]:
     """Yield the worst value with its goal and its name, and each value beyond the goal.
@@ -321,7 +320,7 @@ def measure_library() -> Iterator[Figure]:
     }
     for side in ("along", "across"):
         worst = {name: float(np.abs(found[side]).max()) for name, found in misses.items()}
-        yield from told(f"coherence_{side}", "", COHERENCE, worst)
+        yield from worst_figures(f"coherence_{side}", "", COHERENCE, worst)
     display = load_display("reference-24")
     for speed in SPEEDS:
         yield from _played_figures(library, display, speed)
@@ -336,9 +335,9 @@ def _statistics_figures(library: dict[str, Texture]) -> Iterator[Figure]:
     kurtosis = {name: abs(s.kurtosis) for name, s in results.items()}
     depth = {name: abs(s.depth) for name, s in results.items()}
     level = {name: float(np.abs(s.level).max()) for name, s in results.items()}
-    yield from told("kurtosis", "", KURTOSIS, kurtosis)
-    yield from told("am_depth", "", DEPTH, depth)
-    yield from told("level", "dB", LEVEL, level)
+    yield from worst_figures("kurtosis", "", KURTOSIS, kurtosis)
+    yield from worst_figures("am_depth", "", DEPTH, depth)
+    yield from worst_figures("level", "dB", LEVEL, level)
     errors = np.array([[s.kurtosis_error, s.depth_error] for s in results.values()])
     for what, error in zip(
         ("kurtosis", "am_depth"), np.sqrt(np.mean(errors**2, axis=0)), strict=True
@@ -354,9 +353,9 @@ def _played_figures(
     at = f"{speed * 1e3:g}_mm_s"
     whole = {name: stroke for name, stroke in strokes.items() if not stroke.limited}
     fidelity = {name: stroke.fidelity for name, stroke in whole.items()}
-    yield from told(f"played.{at}.snr", "dB", FIDELITY, fidelity, least=True)
+    yield from worst_figures(f"played.{at}.snr", "dB", FIDELITY, fidelity, least=True)
     like = {n: s.similarity for n, s in whole.items() if not np.isnan(s.similarity)}
-    yield from told(f"played.{at}.st_sim", "", SIMILARITY, like, least=True)
+    yield from worst_figures(f"played.{at}.st_sim", "", SIMILARITY, like, least=True)
     for name, stroke in strokes.items():
         if stroke.limited:
             yield Figure(f"library.played.{at}.limited.{name}", stroke.loss, "dB")

@@ -10,35 +10,31 @@ time and tell for how long the machine paused (`tactile.bench.metronome`).
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.frames import stream_frames
+from benchmarks.ledger import Ledger
 from benchmarks.virtual import (
     VirtualAmplifier,
-    VirtualSocketCan,
+    bus_figures,
     can_be_built,
+    can_bus,
     real_time,
     to_and_fro,
     workshop,
 )
-from firmware_protocol import samples
 from firmware_protocol.host import codes_of
-from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.bench.figures import RATE, Figure, at_most, beside_machine
-from tactile.bus.base import DriveBlock, Wiring
-from tactile.bus.budget import Ability, Plan, plan
-from tactile.bus.can_bus import CanWire
+from tactile.bus.base import DriveBlock
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.stream import LONGEST_LEAD
 from tactile.bus.registry import open_bus
 from tactile.bus.wire_time import Can
-from tactile.clock import MONOTONIC
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -53,118 +49,18 @@ As the path is known beforehand, this takes less than half the work of single bl
 """
 SHORT, LONG = 5.0, 600.0
 """Durations of a stream [s]."""
-CHUNK = 1 << 22
-"""Number of bytes of records that are compared at a time."""
-ALIKE = 0.9
-"""Share of samples that agree if the assumed cut into frames is right."""
-
-Codes = NDArray[np.int16]
-Indices = NDArray[np.int64] | NDArray[np.int32]
-Marks = NDArray[np.bool_]
-
-
-@dataclass
-class Ledger:
-    """Comparison of the amplifier's output with what was sent.
-
-    Attributes
-    ----------
-    compared : int
-        Number of compared samples.
-    differing : int
-        Number of samples that are not what the frames say.
-    largest_step : int
-        Largest step [codes].
-    error : float
-        Sum of squared differences from the renderer's drive [codes²].
-    power : float
-        Sum of squares of the renderer's drive [codes²].
-    """
-
-    compared: int = 0
-    differing: int = 0
-    largest_step: int = 0
-    error: float = 0.0
-    power: float = 0.0
-    _cut: int = 0
-
-    def compare(self, bus: LinkBus, amplifier: VirtualAmplifier, sent: Codes) -> None:
-        """Compare the amplifier's output so far with codes (S, C), sent from position 0 on."""
-        (peer,) = bus.peers
-        last = None
-        while len((records := amplifier.take(CHUNK)).codes):
-            codes = records.codes.astype(np.int32)
-            steps = np.abs(np.diff(codes, axis=0, prepend=codes[:1] if last is None else last))
-            self.largest_step, last = max(self.largest_step, int(steps.max())), codes[-1:]
-            playing = (records.state == State.RUNNING) & (records.tick >= peer.begun)
-            position = records.position[playing].astype(np.int64) - peer.wire_end(0)
-            inside = (position >= 0) & (position < len(sent))
-            if inside.any():
-                self._compare(bus.plan, position[inside], codes[playing][inside], sent)
-
-    def _compare(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> None:
-        start = int(position[0])
-        drive = np.asarray(sent[start : int(position[-1]) + 1]).astype(np.float64)
-        right = self._right(plan, position, codes, sent)
-        self.compared += len(position)
-        self.differing += int((~right).sum())
-        difference = codes[right] - drive[position - start][right]
-        self.error += float(np.sum(difference**2))
-        self.power += float(np.sum(drive[position - start][right] ** 2))
-
-    def _right(self, plan: Plan, position: Indices, codes: Indices, sent: Codes) -> Marks:
-        """Return which instants (N,) are what the frames say, for the cut that fits best.
-
-        BFP8 rounds the samples of a packet together, and after a lost link packets begin wherever
-        the stroke was then.
-        """
-        agreeing = np.zeros(len(position), bool)
-        for cut in [self._cut, *range(plan.packet_samples)]:
-            right = (codes == _framed(plan, position, sent, cut)).all(axis=1)
-            if right.sum() > agreeing.sum():
-                agreeing, self._cut = right, cut
-            if agreeing.mean() > ALIKE:
-                break
-        return agreeing
-
-
-def _framed(plan: Plan, position: Indices, sent: Codes, cut: int) -> Codes:
-    """Return the samples that frames give at positions, each frame from cut + k S to the next."""
-    kind, size = plan.sample_format, plan.packet_samples
-    assert kind is not None
-    low = int(position[0]) - (int(position[0]) - cut) % size
-    edges = range(low, int(position[-1]) + 1, size)
-    parts = [np.asarray(sent[max(k, 0) : k + size]) for k in edges]
-    decoded = [samples.decode(kind, samples.encode(kind, part), *part.shape) for part in parts]
-    return np.concatenate(decoded)[position - max(low, 0)]
 
 
 def _figures(
-    name: str, bus: LinkBus, ledger: Ledger, duration: float, slew_step: float
+    name: str, bus: LinkBus, ledger: Ledger, duration: float, display: Display
 ) -> Iterator[Figure]:
     """Yield the figures of a stream."""
-    c, status = bus.counters, bus.peers[0].host.status
-    blocks = max(c.blocks, 1)
+    status = bus.peers[0].host.status
     yield Figure(f"{name}.seconds", duration, "s")
-    yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
-    yield at_most(f"{name}.lost_blocks", float(c.dropped_samples / BLOCK), "blocks", 0)
-    yield at_most(f"{name}.late_blocks", 1e4 * c.late_blocks / blocks, "of 10 000", 1)
-    yield at_most(f"{name}.disconnects", float(c.disconnects), "", 0)
-    yield Figure(f"{name}.underruns", float(c.underruns), "")
+    yield from bus_figures(name, bus, "blocks", BLOCK)
     if status is not None:
         yield Figure(f"{name}.lost_in_amplifier", float(status.lost_samples), "samples")
-    yield Figure(f"{name}.compared", float(ledger.compared), "samples")
-    differing = 100 * ledger.differing / max(ledger.compared, 1)
-    yield at_most(f"{name}.differing_from_frames", differing, "%", 0)
-    yield at_most(f"{name}.largest_step", ledger.largest_step / slew_step, "of slew", 1)
-    ratio = 10 * np.log10(ledger.power / max(ledger.error, 1e-30))
-    yield Figure(f"{name}.signal_to_error", float(ratio), "dB")
-
-
-def _slew_step(display: Display, rate: float) -> float:
-    """Return the largest step that the slew limit permits [codes]."""
-    full = display.limits.voltage
-    return min(display.slew / rate / full, 2.0) * FULL_SCALE_CODE
+    yield from ledger.figures(name, bus, display)
 
 
 def _play(
@@ -197,38 +93,26 @@ def _stream(
     ledger = Ledger()
     sent = np.memmap(path, np.int16, "r").reshape(-1, display.channels)
     ledger.compare(bus, amplifier, sent)
-    yield from _figures(name, bus, ledger, len(sent) / rate, _slew_step(display, rate))
+    yield from _figures(name, bus, ledger, len(sent) / rate, display)
 
 
 def _serial(name: str, seconds: float, *, options: str) -> Iterator[Figure]:
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty")
+    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         url = f"serial://{amplifier.path}?{options}&rearm=true&lead_ms={1e3 * LONGEST_LEAD:g}"
         with open_bus(url, load_display("reference-24")) as bus:
             assert isinstance(bus, LinkBus)
             yield from _stream(name, folder, bus, amplifier, seconds)
-        amplifier.close()
-
-
-def _can_bus(folder: Path, display: Display, link: Can) -> LinkBus:
-    """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
-    return LinkBus(
-        Wiring.of(display, RATE),
-        lambda: CanWire(VirtualSocketCan(folder, fd=link.data is not None), link, MONOTONIC),
-        lambda caps: plan(link, display.channels, Ability.of(caps)),
-        nodes=[1],
-        rearm=True,
-        lead=LONGEST_LEAD,
-    )
 
 
 def _can_fd(name: str, seconds: float) -> Iterator[Figure]:
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")
-        with _can_bus(folder, load_display("reference-24"), Can(1e6, 5e6)) as bus:
-            assert isinstance(bus, LinkBus)
-            yield from _stream(name, folder, bus, amplifier, seconds)
-        amplifier.close()
+    display = load_display("reference-24")
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")) as amplifier,
+        can_bus(folder, display, Can(1e6, 5e6), rearm=True) as bus,
+    ):
+        assert isinstance(bus, LinkBus)
+        yield from _stream(name, folder, bus, amplifier, seconds)
 
 
 STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
@@ -248,11 +132,6 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
         yield from beside_machine(name, stream(name, seconds))
 
 
-def measure_streams_long() -> Iterator[Figure]:
-    """Stream over each link for ten minutes."""
-    yield from measure_streams(LONG)
-
-
 def measure_cost() -> Iterator[Figure]:
     """Measure the load of a core by streaming 64 channels at 8 kHz over a pty, in blocks of 16."""
     if not can_be_built():
@@ -260,36 +139,43 @@ def measure_cost() -> Iterator[Figure]:
     display = load_display("reference-64")
     stroke = Trajectory.line(speed=0.08, duration=1.0)
     renderer = Renderer(display, load_texture("wood-oak"))
-    blocks = [display.to_channels(renderer.block(p, f)) for p, f in stroke.blocks(8000.0, BLOCK)]
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty", channels=64)
-        with open_bus(f"serial://{amplifier.path}", display) as bus:
-            bus.start()
-            begun, used = time.monotonic(), time.process_time()
-            for k in range(int(SHORT * 8000 / BLOCK)):
-                bus.write(DriveBlock(k * BLOCK, blocks[k % len(blocks)]))
-            share = (time.process_time() - used) / (time.monotonic() - begun)
-        amplifier.close()
+    blocks = [display.to_channels(renderer.block(p, f)) for p, f in stroke.blocks(RATE, BLOCK)]
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--pty", channels=64)) as amplifier,
+        open_bus(f"serial://{amplifier.path}", display) as bus,
+    ):
+        bus.start()
+        share = _load(lambda k: bus.write(DriveBlock(k * BLOCK, blocks[k % len(blocks)])))
     yield at_most("links.cost.64_channels", 100 * share, "% of a core", 25)
-    yield Figure("links.cost.pyserial_alone", 100 * _pyserial_alone(), "% of a core")
+    yield Figure("links.cost.pyserial_alone", 100 * _pyserial_load(), "% of a core")
 
 
-def _pyserial_alone() -> float:
+def _load(write: Callable[[int], object]) -> float:
+    """Return the share of a core that it takes to write each block by its number."""
+    begun, used = time.monotonic(), time.process_time()
+    for k in range(int(SHORT * RATE / BLOCK)):
+        write(k)
+    return (time.process_time() - used) / (time.monotonic() - begun)
+
+
+def _pyserial_load() -> float:
     """Return the load of a core by pyserial alone, for as many bytes in as many writes."""
     import serial
 
     data = bytes(64 * BLOCK + 64 + 40)
-    with workshop() as folder:
-        amplifier = VirtualAmplifier(folder, "--pty")
-        port = serial.Serial(amplifier.path, timeout=0)
-        begun, used = time.monotonic(), time.process_time()
-        for k in range(int(SHORT * 8000 / BLOCK)):
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--pty")) as amplifier,
+        serial.Serial(amplifier.path, timeout=0) as port,
+    ):
+        begun = time.monotonic()
+
+        def write(k: int) -> None:
             port.write(data)
-            time.sleep(max(0.0, begun + (k + 1) * BLOCK / 8000 - time.monotonic()))
-        share = (time.process_time() - used) / (time.monotonic() - begun)
-        port.close()
-        amplifier.close()
-    return share
+            time.sleep(max(0.0, begun + (k + 1) * BLOCK / RATE - time.monotonic()))
+
+        return _load(write)
 
 
 def measure_links() -> Iterator[Figure]:

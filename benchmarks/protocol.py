@@ -20,6 +20,7 @@ from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.arrays import Floats
 from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, seconds
 from tactile.bus.wire_time import (
+    FdTime,
     Stuffing,
     can_bits,
     can_estimate,
@@ -124,42 +125,7 @@ def _others(packet: bytes, codes: Codes) -> dict[str, Callable[[], object]]:
         from crccheck.crc import Crc32
 
         calls["crc32.crccheck"] = lambda: Crc32.calc(packet)
-    with suppress(ImportError):
-        from crcmod.predefined import mkPredefinedCrcFun
-
-        calculate = mkPredefinedCrcFun("crc-32")
-        calls["crc32.crcmod"] = lambda: calculate(packet)
-    with suppress(ImportError):
-        calls["can_fragments.can-isotp"] = _isotp(packet)
     return calls
-
-
-def _isotp(packet: bytes) -> Callable[[], object]:
-    """Return a transfer by ISO-TP, whose receiver must answer with flow control."""
-    from isotp import Address, CanMessage, TransportLayerLogic
-
-    queues: tuple[list[CanMessage], list[CanMessage]] = ([], [])
-
-    def layer(mine: int) -> TransportLayerLogic:
-        return TransportLayerLogic(
-            rxfn=lambda timeout=0.0: queues[mine].pop(0) if queues[mine] else None,
-            txfn=queues[1 - mine].append,
-            address=Address(rxid=mine, txid=1 - mine),
-            params={"max_frame_size": 4096},
-        )
-
-    sender, receiver = layer(0), layer(1)
-
-    def transfer() -> bytes:
-        sender.send(packet)
-        while not receiver.available():
-            sender.process()
-            receiver.process()
-        data = receiver.recv()
-        assert data == packet
-        return bytes(data)
-
-    return transfer
 
 
 # Links
@@ -178,8 +144,8 @@ def measure_links() -> Iterator[Figure]:
         (message,) = pcm(16 * k, part, session=4711, sample_format=0, packet_limit=4096)
         packets.append(Packet.of(message, node=1, seq=k))
     yield from _uart(packets)
-    yield from _can(packets)
-    yield from _can_fd(packets)
+    yield from _can(packets, fd=False)
+    yield from _can(packets, fd=True)
     yield from _i2c(packets)
 
 
@@ -195,32 +161,27 @@ def _uart(packets: list[Packet]) -> Iterator[Figure]:
     yield Figure("protocol.uart.efficiency.worst", _efficiency(longest, 1), "%")
 
 
-def _can(packets: list[Packet]) -> Iterator[Figure]:
-    encoder = CanEncoder(from_amplifier=False, fd=False)
+def _can(packets: list[Packet], *, fd: bool) -> Iterator[Figure]:
+    """Yield the efficiency of CAN at 1 Mbit/s, or of CAN FD at 5 Mbit/s, in bits of that rate."""
+    encoder = CanEncoder(from_amplifier=False, fd=fd)
     frames = [frame for p in packets for frame in encoder.frames(p)]
 
     def estimate(stuffing: Stuffing) -> float:
-        return sum(can_estimate(len(data), stuffing) for _, data in frames)
+        sizes = [len(data) for _, data in frames]
+        if fd:
+            return sum(_fast_bits(fd_estimate(size, stuffing)) for size in sizes)
+        return sum(can_estimate(size, stuffing) for size in sizes)
 
-    own = sum(can_bits(*frame) for frame in frames)
-    yield at_least("protocol.can.efficiency.unstuffed", _efficiency(estimate("none")), "%", 46)
-    yield Figure("protocol.can.efficiency", _efficiency(own), "%")
-    yield Figure("protocol.can.efficiency.worst", _efficiency(estimate("most")), "%")
+    own = sum(_fast_bits(fd_bits(*frame)) if fd else can_bits(*frame) for frame in frames)
+    name, goal = ("protocol.can_fd", 62) if fd else ("protocol.can", 46)
+    yield at_least(f"{name}.efficiency.unstuffed", _efficiency(estimate("none")), "%", goal)
+    yield Figure(f"{name}.efficiency", _efficiency(own), "%")
+    yield Figure(f"{name}.efficiency.worst", _efficiency(estimate("most")), "%")
 
 
-def _can_fd(packets: list[Packet]) -> Iterator[Figure]:
-    """Yield the efficiency of CAN FD at 5 Mbit/s."""
-    encoder = CanEncoder(from_amplifier=False, fd=True)
-    frames = [frame for p in packets for frame in encoder.frames(p)]
-
-    def estimate(stuffing: Stuffing) -> float:
-        times = (fd_estimate(len(data), stuffing) for _, data in frames)
-        return FAST * sum(time.seconds(NOMINAL, FAST) for time in times)
-
-    own = FAST * sum(fd_bits(*frame).seconds(NOMINAL, FAST) for frame in frames)
-    yield at_least("protocol.can_fd.efficiency.unstuffed", _efficiency(estimate("none")), "%", 62)
-    yield Figure("protocol.can_fd.efficiency", _efficiency(own), "%")
-    yield Figure("protocol.can_fd.efficiency.worst", _efficiency(estimate("most")), "%")
+def _fast_bits(time: FdTime) -> float:
+    """Return the length of a CAN FD frame in bits of the data bit rate."""
+    return FAST * time.seconds(NOMINAL, FAST)
 
 
 def _i2c(packets: list[Packet]) -> Iterator[Figure]:

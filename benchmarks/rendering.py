@@ -4,15 +4,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace as changed
 
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
 from tactile.arrays import Floats
 from tactile.bench.figures import RATE, Figure, at_least, at_most
 from tactile.display.display import Display, load_display
-from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.renderer import Renderer, Rendering, render
+from tactile.rendering.renderer import Renderer, render
 from tactile.sim import Fidelity
 from tactile.texture.descriptor import Descriptor, Laws, Periodic, textures
 from tactile.texture.surface import Texture, band_levels, load_texture, without_friction
@@ -21,9 +21,11 @@ FINGERS = {"low": FingerLoad.low, "high": FingerLoad.high}
 """The paper's two finger loads, by name."""
 GRATING = 1e-3
 """Wavelength of the grating that is moved at increasing speed [m]."""
+SKIPPED = 800
+"""Number of samples until a played stroke has faded in and filters have settled."""
 
 
-def felt(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
+def played_shear(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
     """Return the skin's shear (S, N) for a drive, through the plant, with its delay removed [m]."""
     finger = display.load_at(1.0) if load is None else load
     plant = Plant(display.bimorph, finger, RATE, contactors=drive.shape[1])
@@ -48,12 +50,12 @@ def grating_texture(amplitude_um: float) -> Texture:
     )  # fmt: skip
 
 
-def one_contactor(load: FingerLoad) -> Display:
-    """Return a display of one contactor under a finger."""
-    whole = load_display("reference-24", load=load)
+def first_contactors(display: Display, count: int) -> Display:
+    """Return a display of the first contactors of another one, each with a channel of its own."""
     return replace(
-        whole, contactors=whole.contactors[:1], shear_direction=whole.shear_direction[:1],
-        polarity=whole.polarity[:1], channel=np.zeros(1, np.intp), kind=whole.kind[:1],
+        display, contactors=display.contactors[:count],
+        shear_direction=display.shear_direction[:count], polarity=display.polarity[:count],
+        channel=np.arange(count), kind=display.kind[:count],
     )  # fmt: skip
 
 
@@ -62,7 +64,7 @@ def transfer(display: Display, frequency: float, finger: FingerLoad, *, equalize
     stroke = Trajectory.line(speed=frequency * GRATING, duration=0.3 + 4 / frequency)
     r = render(display, grating_texture(5.0), stroke)
     drive = r.drive if equalize else r.shear / _static(display)
-    played = felt(display, drive, finger)[:, 0]
+    played = played_shear(display, drive, finger)[:, 0]
     late = r.time > r.time[-1] - 3 / frequency
     turn = np.exp(-2j * np.pi * frequency * r.time[late])
     window = np.hanning(late.sum())
@@ -78,7 +80,8 @@ def measure_grating() -> Iterator[Figure]:
     """Measure the transfer of a grating at 10 … 1000 Hz, through the time-domain plant."""
     tones = np.geomspace(10, 1000, 25)
     for name, other in (("low", "high"), ("high", "low")):
-        display, finger = one_contactor(FINGERS[name]()), FINGERS[name]()
+        finger = FINGERS[name]()
+        display = first_contactors(load_display("reference-24", load=finger), 1)
         cases = {
             "equalized": (finger, True),
             "not_equalized": (finger, False),
@@ -89,61 +92,23 @@ def measure_grating() -> Iterator[Figure]:
             ratio = np.array([transfer(display, f, on, equalize=equalize) for f in tones])
             level, angle = 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
             worst_db, worst_deg = float(np.abs(level).max()), float(np.abs(angle).max())
-            if case == "equalized":
-                yield at_most(f"grating.{name}.{case}.level", worst_db, "dB", 0.1)
-                yield at_most(f"grating.{name}.{case}.phase", worst_deg, "deg", 1.0)
-            else:
-                yield Figure(f"grating.{name}.{case}.level", worst_db, "dB")
-                yield Figure(f"grating.{name}.{case}.phase", worst_deg, "deg")
+            limits = (0.1, 1.0) if case == "equalized" else (None, None)
+            yield at_most(f"grating.{name}.{case}.level", worst_db, "dB", limits[0])
+            yield at_most(f"grating.{name}.{case}.phase", worst_deg, "deg", limits[1])
 
 
-def swing(acceleration: float = 1.0, duration: float = 4.0) -> Trajectory:
-    """Return a path that starts, stops and turns: 1 Hz back and forth, 1 m/s² at the peak."""
-    t = np.arange(0, duration, 1e-3)
-    x = acceleration / (2 * np.pi) ** 2 * np.sin(2 * np.pi * t)
+def swing() -> Trajectory:
+    """Return a path of 4 s that starts, stops and turns: 1 Hz, 1 m/s² at the peak."""
+    t = np.arange(0, 4.0, 1e-3)
+    x = np.sin(2 * np.pi * t) / (2 * np.pi) ** 2
     return Trajectory(t, np.column_stack([x, 0 * x]), 0.5)
 
 
-def ratio_db(commanded: Floats, played: Floats, skip: int = 800) -> float:
+def ratio_db(commanded: Floats, played: Floats) -> float:
     """Return the signal-to-error ratio in 20–1000 Hz, without the first 0.1 s [dB]."""
     judge = Fidelity(RATE)
-    judge.add(commanded[skip:], played[skip:])
+    judge.add(commanded[SKIPPED:], played[SKIPPED:])
     return judge.signal_to_error_db
-
-
-def quasi_static(display: Display, texture: Texture, r: Rendering) -> Floats:
-    """Return the drive of an alternative equalizer, which multiplies each partial by its gain.
-
-    This is exact for a steady stroke, but does not commute with laws, envelope and acceleration. It
-    serves as a comparison for the FIR inverse, and only for waves.
-    """
-    surface = texture.realize()
-    p = surface.partials
-    velocity = np.gradient(r.position, 1 / RATE, axis=0)
-    frequency = np.arange(0, equalizer.STOP_BAND + 1)
-    gain = equalizer.inverse(
-        display.responses(frequency, RATE)[0, 0], display.limits.voltage
-    ) * equalizer.roll_off(frequency)
-    signed = velocity @ p.wave_vector.T / (2 * np.pi)
-    table = np.interp(np.abs(signed), frequency, gain.real) + 1j * np.sign(signed) * np.interp(
-        np.abs(signed), frequency, gain.imag
-    )
-    turn = np.exp(1j * (r.position @ p.wave_vector.T)) * table
-    place = p.amplitude[:, None] * np.exp(
-        1j * (p.wave_vector @ display.contactors.T + p.phase[:, None])
-    )
-    waves = (turn @ place).real
-    plain = r.position[:, None] + display.contactors
-    envelope = np.exp(surface.envelope.at(plain) - (surface.envelope.amplitude**2).sum() / 2)
-    return np.asarray(waves * envelope * _law_of(texture, velocity))
-
-
-def _law_of(texture: Texture, velocity: Floats) -> Floats:
-    """Return the gain of a texture's laws along a path of given velocity."""
-    from tactile.rendering.shear import Law
-
-    squares = (velocity**2).sum(axis=1)
-    return Law(texture.descriptor)(squares, np.full(len(squares), 0.5))[:, None]
 
 
 def measure_wood() -> Iterator[Figure]:
@@ -153,25 +118,18 @@ def measure_wood() -> Iterator[Figure]:
         finger = FINGERS[name]()
         display = load_display("reference-24", load=finger)
         r = render(display, texture, path)
-        played = felt(display, r.drive)
+        played = played_shear(display, r.drive)
         yield at_least(f"wood.{name}.equalized", ratio_db(r.shear, played), "dB", 40)
-        plain = felt(display, r.shear / _static(display))
+        plain = played_shear(display, r.shear / _static(display))
         yield Figure(f"wood.{name}.not_equalized", ratio_db(r.shear, plain), "dB")
-        foreign = felt(display, r.drive, FINGERS[other]())
+        foreign = played_shear(display, r.drive, FINGERS[other]())
         yield Figure(f"wood.{name}.on_{other}_finger", ratio_db(r.shear, foreign), "dB")
-        air = felt(display, r.drive, FingerLoad.none())
+        air = played_shear(display, r.drive, FingerLoad.none())
         yield Figure(f"wood.{name}.in_air", ratio_db(r.shear, air), "dB")
-        waves = replace(texture, descriptor=without_events(texture.descriptor))
-        waves = without_friction(waves)
-        r = render(display, waves, path)
-        spectral = felt(display, quasi_static(display, waves, r))
-        yield Figure(f"wood.{name}.quasi_static_inverse_instead", ratio_db(r.shear, spectral), "dB")
 
 
 def without_events(descriptor: Descriptor) -> Descriptor:
     """Return a descriptor whose textures only have waves."""
-    from msgspec.structs import replace as changed
-
     return changed(descriptor, events=())
 
 

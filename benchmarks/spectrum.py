@@ -171,12 +171,9 @@ def _judged(
     mean = coherence.mean(axis=1)
     values = rms(level), np.abs(level).max(), rms(mean), np.abs(mean).max()
     names = "levels.rms", "levels.worst", "coherence.rms", "coherence.worst"
-    for k, (value, unit) in enumerate(zip(values, ("dB", "dB", "", ""), strict=True)):
-        full = f"{name}.{names[k]}"
-        if goal is None:
-            yield Figure(full, float(value), unit)
-        else:
-            yield at_most(full, float(value), unit, goal[k])
+    for part, value, limit in zip(names, values, goal or (None,) * 4, strict=True):
+        unit = "dB" if part.startswith("levels") else ""
+        yield at_most(f"{name}.{part}", float(value), unit, limit)
     yield Figure(f"{name}.coherence_of_single_pairs.rms", rms(coherence), "")
     yield Figure(f"{name}.waveform", -20 * np.log10(max(errors)), "dB")
 

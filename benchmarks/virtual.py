@@ -8,7 +8,7 @@ import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -18,14 +18,25 @@ from numpy.typing import NDArray
 
 import firmware_protocol
 from firmware_protocol.can_link import Frame
-from tactile.bus.can_bus import CanChannel
+from firmware_protocol.messages import FULL_SCALE_CODE
+from tactile.bench.figures import RATE, Figure, at_most
+from tactile.bus.base import Wiring
+from tactile.bus.budget import Ability, plan
+from tactile.bus.can_bus import CanChannel, CanWire
+from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.stream import LONGEST_LEAD
 from tactile.bus.wire import WireError
+from tactile.bus.wire_time import Can
+from tactile.clock import MONOTONIC, Clock
+from tactile.display.display import Display
 from tactile.rendering.contact import Trajectory
 
 CAN_FRAME = struct.Struct("<IBBxx64s")
 """Layout of struct canfd_frame."""
 FD = 0x04
 """Flag of a CAN FD frame."""
+CHUNK = 1 << 22
+"""Number of bytes of records that are read at a time."""
 PRIORITY = 5
 """Real-time priority of the measuring process.
 
@@ -104,10 +115,10 @@ class VirtualAmplifier:
         rows = np.frombuffer(data[:whole], self._kind)
         return Records(rows["tick"], rows["at"], rows["state"], rows["v"], rows["hv"])
 
-    @property
-    def pid(self) -> int:
-        """Identifier of its process."""
-        return self._process.pid
+    def chunks(self) -> Iterator[Records]:
+        """Yield the output since the last call, in parts of bounded size."""
+        while len((records := self.take(CHUNK)).tick):
+            yield records
 
     def close(self) -> None:
         """End the amplifier."""
@@ -226,3 +237,39 @@ class VirtualSocketCan(CanChannel):
         """Close the socket."""
         for each in (self._socket, *self._woken):
             each.close()
+
+
+def can_bus(
+    folder: Path,
+    display: Display,
+    link: Can,
+    wire: Callable[[CanChannel, Can, Clock], CanWire] = CanWire,
+    *,
+    rearm: bool = False,
+) -> LinkBus:
+    """Return a bus to the amplifier that serves CAN frames on a socket in a folder."""
+    return LinkBus(
+        Wiring.of(display, RATE),
+        lambda: wire(VirtualSocketCan(folder, fd=link.data is not None), link, MONOTONIC),
+        lambda caps: plan(link, display.channels, Ability.of(caps)),
+        nodes=[1],
+        rearm=rearm,
+        lead=LONGEST_LEAD,
+    )
+
+
+def bus_figures(name: str, bus: LinkBus, unit: str, size: int) -> Iterator[Figure]:
+    """Yield what a bus counted during a stream of units of a number of samples."""
+    counters = bus.counters
+    late = 1e4 * counters.late_blocks / max(counters.blocks, 1)
+    yield Figure(f"{name}.wire", 100 * bus.plan.use, "%")
+    yield at_most(f"{name}.lost_{unit}", float(counters.dropped_samples / size), unit, 0)
+    yield at_most(f"{name}.late_{unit}", late, "of 10 000", 1)
+    yield at_most(f"{name}.disconnects", float(counters.disconnects), "", 0)
+    yield Figure(f"{name}.underruns", float(counters.underruns), "")
+
+
+def largest_step(name: str, step: int, display: Display, rate: float = RATE) -> Figure:
+    """Return the figure of the largest step of an output [codes], relative to the slew limit."""
+    limit = min(display.slew / rate / display.limits.voltage, 2.0) * FULL_SCALE_CODE
+    return at_most(f"{name}.largest_step", step / limit, "of slew", 1)

@@ -31,9 +31,9 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
 from tactile.bus.simulated.modeled_bus import AmplifierRecord, ModeledBus
-from tactile.show.plots import Played, plot_played
+from tactile.show.plots import Played, plot_played, save
 from tactile.study.paper import FINGERS, over_length
-from tactile.study.plots import plot_length_map
+from tactile.study.plots import length_map_figure
 from tactile.study.sweep import solve_study
 from tactile.texture.surface import without_friction
 from tactile.tracking.clock_map import ClockMap
@@ -100,7 +100,7 @@ def played(path: Path) -> None:
 def length_study(path: Path) -> None:
     """Draw how far benders of 5 to 45 mm shear the skin; 2 Hz apart, so that no notch is missed."""
     study = replace(over_length(*FINGERS), frequency=np.arange(0.0, 1001.0, 2.0))
-    plot_length_map(path, solve_study(study))
+    save(length_map_figure(solve_study(study)), path)
 
 
 # A cable is pulled

@@ -1,4 +1,4 @@
-"""Reading of descriptor and display files, and the places of the shipped ones.
+"""Reading and writing of descriptor and display files, and the places of the shipped ones.
 
 A file is TOML and its shape is a msgspec Struct whose field names carry their units. Whatever does
 not fit the shape is reported in one line: file, field, value, what is allowed, and for a misspelled
@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+from uuid import uuid4
 
 import msgspec
 import numpy as np
@@ -226,7 +227,7 @@ def read(
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        raise InputError(_one_line(f"{path}: {_explain(data, str(error))}")) from error
+        raise InputError(_one_line(f"{path}: {explain(data, str(error))}")) from error
 
 
 def _one_line(text: str) -> str:
@@ -270,10 +271,25 @@ def _unknown(data: Any, kind: msgspec.inspect.Type, field: str) -> Iterator[tupl
             yield from _unknown(value, kind.item_type, f"{field}[{i}]")
 
 
-def _explain(data: Any, message: str) -> str:
-    """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …"."""
+def explain(data: Any, message: str) -> str:
+    """Turn msgspec's "Expected … - at `$.a[0].b`" into "a[0].b = value: expected …".
+
+    Parameters
+    ----------
+    data : object
+        Data that does not fit its Struct.
+    message : str
+        Message of msgspec, or of the Struct's own check.
+
+    Returns
+    -------
+    str
+        Field, value and what is expected.
+    """
     field, problem = locate_mistake(message)
-    if field and re.match(r"[a-z]\w*_\w+ (=|has) ", problem):  # from the Struct's own check
+    field = field.replace("[...]", "[…]")
+    # The Struct's own check begins with a field of it.
+    if field and re.match(r"[A-Za-z][\w.\[\]]*(:| =| has) ", problem):
         return f"{field}.{problem}"
     return show_field(data, field) + problem
 
@@ -369,3 +385,66 @@ def numbers(path: Path, names: tuple[str, ...], rows: list[Row]) -> NDArray[np.f
                     f"{path}: line {row.line}: {name} = {cell!r}: must be a finite number"
                 )
     return table
+
+
+def check_target(path: Path, *, force: bool) -> None:
+    """Check that a file can be written, before the work of computing its content.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    force : bool
+        Whether an existing file may be overwritten.
+
+    Raises
+    ------
+    InputError
+        If its folder does not exist, or it exists already and ``force`` is false.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no folder {path.parent}")
+    if path.exists() and not force:
+        raise InputError(f"{path}: is there already; --force overwrites it")
+
+
+def write_whole(
+    path: Path,
+    content: bytes,
+    *,
+    force: bool,
+    check: Callable[[Path], object] = lambda new: None,
+) -> None:
+    """Write a file completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    content : bytes
+        Content of the file.
+    force : bool
+        Whether an existing file may be overwritten.
+    check : callable
+        Function that raises `InputError` if the file, which stands beside its place under another
+        name, is not as it has to be.
+
+    Raises
+    ------
+    InputError
+        As in `check_target`, or that of the check; nothing is written then.
+    """
+    check_target(path, force=force)
+    target = path.resolve()  # a link stays where it is
+    new = target.with_name(f".tactile-{uuid4()}{path.suffix}")
+    try:
+        with new.open("xb") as file:
+            file.write(content)
+        try:
+            check(new)
+        except InputError as error:
+            raise InputError(str(error).replace(str(new), f"{path}: not written", 1)) from error
+        check_target(path, force=force)
+        new.replace(target)
+    finally:
+        new.unlink(missing_ok=True)

@@ -94,9 +94,9 @@ class MadeAmplifier:
     def __init__(self, *parts: Records) -> None:
         self._parts = list(parts)
 
-    def take(self, most: int) -> Records:
-        assert most > 0
-        return self._parts.pop(0) if self._parts else records([], [])
+    def chunks(self) -> list[Records]:
+        parts, self._parts = self._parts, []
+        return parts
 
 
 def records(ticks: list[int], codes: list[list[int]]) -> Records:

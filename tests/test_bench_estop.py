@@ -40,7 +40,7 @@ class Clock:
 
 class MadeLoad:
     def __init__(self, gate: Gate) -> None:
-        self.let, self.sent = gate, 0
+        self.permitted, self.sent = gate, 0
 
     def count(self, number: int) -> None:
         self.sent += number

@@ -4,7 +4,8 @@ import json
 import random
 from collections import Counter
 
-from benchmarks.fuzz_daemon import LEGAL, random_message, victim_figures
+from benchmarks.daemon import block_figures
+from benchmarks.fuzz_daemon import LEGAL, random_message
 from tactile.messages import JSON_PROTOCOL, Failure
 from tactile.server.decoding import ENCODINGS, read
 
@@ -31,7 +32,7 @@ def test_all_kinds_are_sent_and_about_a_third_is_refused() -> None:
 def test_blocks_are_counted_from_the_beginning_of_the_fuzz() -> None:
     before = {"blocks": 1000, "late_blocks": 7, "skipped_samples": 32, "underruns": 1}
     after = {"blocks": 11_000, "late_blocks": 9, "skipped_samples": 160, "underruns": 1}
-    figures = {figure.name: figure.value for figure in victim_figures(before, after)}
-    assert figures["fuzz-daemon.blocks"] == 10_000
-    assert figures["fuzz-daemon.late_blocks"] == 2 + 128 / 16
-    assert figures["fuzz-daemon.underruns"] == 0
+    figures = {figure.name: figure.value for figure in block_figures("x", before, after, 10)}
+    assert figures["x.blocks"] == 10_000
+    assert figures["x.late_blocks"] == 2 + 128 / 16
+    assert figures["x.underruns"] == 0

@@ -1,5 +1,6 @@
 """Bring-up writes the answers about contactors into a display's file, and nothing else."""
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -234,6 +235,18 @@ def test_nothing_is_overwritten_without_force(four: Path, tmp_path: Path) -> Non
     write_map(four, target, told, force=True)
     same(load_display(target), load_display(four))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["four.toml", "new.toml"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs modes of files")
+def test_what_is_overwritten_can_still_be_read_by_others(four: Path, tmp_path: Path) -> None:
+    """A regression: it had the mode of a temporary file. It stays where a link points to."""
+    ordinary, target, link = tmp_path / "ordinary", tmp_path / "new.toml", tmp_path / "link.toml"
+    ordinary.touch()
+    link.symlink_to(target)
+    for path, force in ((target, False), (target, True), (link, True)):
+        write_map(four, path, Map.of(load_display(four)), force=force)
+        assert target.stat().st_mode == ordinary.stat().st_mode
+    assert link.is_symlink()
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cli_rig import Command, assert_mistake
 
-from tactile.study.asking import parse_values
 from tactile.study.storing import load_study
+from tactile.study.study_request import parse_values
 
 
 @pytest.fixture

@@ -188,15 +188,17 @@ def test_similarity_is_one_of_the_same_and_far_lower_of_another_shear() -> None:
 
 
 def test_the_worst_is_told_by_name_and_all_that_miss_the_goal() -> None:
-    told = list(library.told("snr", "dB", 40.0, {"a": 50.0, "b": 39.0, "c": 12.0}, least=True))
-    assert [(f.name, f.value, f.reached) for f in told] == [
+    figures = list(
+        library.worst_figures("snr", "dB", 40.0, {"a": 50.0, "b": 39.0, "c": 12.0}, least=True)
+    )
+    assert [(f.name, f.value, f.reached) for f in figures] == [
         ("library.snr.worst", 12.0, False),
         ("library.snr.worst_is.c", 12.0, None),
         ("library.snr.beyond.b", 39.0, None),
         ("library.snr.beyond.c", 12.0, None),
     ]
-    told = list(library.told("level", "dB", 1.0, {"a": 0.2, "b": 0.7}))
-    assert [(f.name, f.reached) for f in told] == [
+    figures = list(library.worst_figures("level", "dB", 1.0, {"a": 0.2, "b": 0.7}))
+    assert [(f.name, f.reached) for f in figures] == [
         ("library.level.worst", True),
         ("library.level.worst_is.b", None),
     ]

@@ -317,13 +317,3 @@ def test_an_invalid_finger_is_lifted_and_counted(bad: float) -> None:
 def test_what_no_link_carries_is_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         SpectrumRenderer(load_display("reference-24"), load_texture("wood-oak"), **options)
-
-
-def test_carriers_to_leave_out_first_are_those_that_nobody_feels() -> None:
-    """Oak at 80 mm/s is loudest to the skin around 250 Hz, and has nothing at 1 kHz."""
-    r = SpectrumRenderer(load_display("reference-24"), load_texture("wood-oak"), frame_rate=50.0)
-    level = r.sensation_level((0.08, 0.0), 0.5)
-    assert 150 < r.carriers[np.argmax(level)] < 450
-    assert level[0] < level.max() - 20
-    assert level[-1] < -40
-    assert r.sensation_level((0.08, 0.0), 0.0).max() == -120

@@ -179,113 +179,68 @@ class ShimMaterial:
         require_quality("ShimMaterial", self.quality_factor)
 
 
-PIEZO_3203HD = PiezoMaterial(
-    s11E=16.2e-12,
-    s55E=44e-12,
-    d31=-320e-12,
-    eps33T=3800 * VACUUM_PERMITTIVITY,
-    density=7870.0,
+def _ceramic(
+    *,
+    s11E: float,
+    s55E: float,
+    d31: float,
+    permittivity: float,
+    density: float,
+    quality_factor: float,
+    loss_tangent: float = 0.02,
+    piezo_loss_tangent: float = 0.01,
+) -> PiezoMaterial:
+    """Return a ceramic, by default a soft one, by its permittivity relative to the vacuum's."""
+    return PiezoMaterial(
+        s11E=s11E, s55E=s55E, d31=d31, eps33T=permittivity * VACUUM_PERMITTIVITY, density=density,
+        quality_factor=quality_factor, loss_tangent=loss_tangent,
+        piezo_loss_tangent=piezo_loss_tangent,
+    )  # fmt: skip
+
+
+PIEZO_3203HD = _ceramic(
+    s11E=16.2e-12, s55E=44e-12, d31=-320e-12, permittivity=3800, density=7870.0,
     quality_factor=60.0,
-    loss_tangent=0.02,
-    piezo_loss_tangent=0.01,
-)
+)  # fmt: skip
 """Surrogate of VIBRIT 1100: d31, eps33T, density, s11E (Y11E 62 GPa) and tanδ from the CTS 3203HD
 data sheet; s55E as of PZT-5H; quality factor and tanθ assumed."""
-
-CFRP = ShimMaterial(s11=1 / 110e9, s55=1 / 4.5e9, density=1550.0, quality_factor=30.0)
-"""Carbon-fiber reinforced plastic: E 110 GPa, G 4.5 GPa, 1550 kg/m³, Q 30; assumed typical values.
-"""
-PZT_5A = PiezoMaterial(
-    s11E=16.4e-12,
-    s55E=47.5e-12,
-    d31=-171e-12,
-    eps33T=1700 * VACUUM_PERMITTIVITY,
-    density=7750.0,
-    quality_factor=75.0,
-    loss_tangent=0.02,
-    piezo_loss_tangent=0.01,
-)
-"""Soft ceramic PZT-5A; `MATERIAL_NOTES` has the source of its constants."""
-PZT_5H = PiezoMaterial(
-    s11E=16.5e-12,
-    s55E=43.5e-12,
-    d31=-274e-12,
-    eps33T=3400 * VACUUM_PERMITTIVITY,
-    density=7500.0,
-    quality_factor=65.0,
-    loss_tangent=0.02,
-    piezo_loss_tangent=0.01,
-)
-"""Soft ceramic PZT-5H; `MATERIAL_NOTES` has the source of its constants."""
-PZT_4 = PiezoMaterial(
-    s11E=12.3e-12,
-    s55E=39.0e-12,
-    d31=-123e-12,
-    eps33T=1300 * VACUUM_PERMITTIVITY,
-    density=7500.0,
-    quality_factor=500.0,
-    loss_tangent=0.004,
-    piezo_loss_tangent=0.002,
-)
-"""Hard ceramic PZT-4; `MATERIAL_NOTES` has the source of its constants."""
-PZT_8 = PiezoMaterial(
-    s11E=11.5e-12,
-    s55E=31.9e-12,
-    d31=-97e-12,
-    eps33T=1000 * VACUUM_PERMITTIVITY,
-    density=7600.0,
-    quality_factor=1000.0,
-    loss_tangent=0.004,
-    piezo_loss_tangent=0.002,
-)
-"""Hard ceramic PZT-8; `MATERIAL_NOTES` has the source of its constants."""
-PSI_5A4E = PiezoMaterial(
-    s11E=15.1e-12,
-    s55E=40.0e-12,
-    d31=-190e-12,
-    eps33T=1800 * VACUUM_PERMITTIVITY,
-    density=7800.0,
-    quality_factor=80.0,
-    loss_tangent=0.02,
-    piezo_loss_tangent=0.01,
-)
-"""Soft ceramic of the piezo.com benders; `MATERIAL_NOTES` has the source of its constants."""
-PIC_255 = PiezoMaterial(
-    s11E=16.1e-12,
-    s55E=1 / 21e9,
-    d31=-180e-12,
-    eps33T=1750 * VACUUM_PERMITTIVITY,
-    density=7800.0,
-    quality_factor=80.0,
-    loss_tangent=0.02,
-    piezo_loss_tangent=0.01,
-)
-"""Soft ceramic PIC 255; `MATERIAL_NOTES` has the source of its constants."""
-APC_855 = PiezoMaterial(
-    s11E=1 / 59e9,
-    s55E=43.5e-12,
-    d31=-276e-12,
-    eps33T=3300 * VACUUM_PERMITTIVITY,
-    density=7600.0,
-    quality_factor=65.0,
-    loss_tangent=0.025,
-    piezo_loss_tangent=0.01,
-)
-"""Soft ceramic APC 855; `MATERIAL_NOTES` has the source of its constants."""
-
 PIEZOS = {
     "3203hd": PIEZO_3203HD,
-    "5a4e": PSI_5A4E,
-    "apc-855": APC_855,
-    "pic-255": PIC_255,
-    "pzt-4": PZT_4,
-    "pzt-5a": PZT_5A,
-    "pzt-5h": PZT_5H,
-    "pzt-8": PZT_8,
-}
+    "5a4e": _ceramic(
+        s11E=15.1e-12, s55E=40.0e-12, d31=-190e-12, permittivity=1800, density=7800.0,
+        quality_factor=80.0,
+    ),
+    "apc-855": _ceramic(
+        s11E=1 / 59e9, s55E=43.5e-12, d31=-276e-12, permittivity=3300, density=7600.0,
+        quality_factor=65.0, loss_tangent=0.025,
+    ),
+    "pic-255": _ceramic(
+        s11E=16.1e-12, s55E=1 / 21e9, d31=-180e-12, permittivity=1750, density=7800.0,
+        quality_factor=80.0,
+    ),
+    "pzt-4": _ceramic(
+        s11E=12.3e-12, s55E=39.0e-12, d31=-123e-12, permittivity=1300, density=7500.0,
+        quality_factor=500.0, loss_tangent=0.004, piezo_loss_tangent=0.002,
+    ),
+    "pzt-5a": _ceramic(
+        s11E=16.4e-12, s55E=47.5e-12, d31=-171e-12, permittivity=1700, density=7750.0,
+        quality_factor=75.0,
+    ),
+    "pzt-5h": _ceramic(
+        s11E=16.5e-12, s55E=43.5e-12, d31=-274e-12, permittivity=3400, density=7500.0,
+        quality_factor=65.0,
+    ),
+    "pzt-8": _ceramic(
+        s11E=11.5e-12, s55E=31.9e-12, d31=-97e-12, permittivity=1000, density=7600.0,
+        quality_factor=1000.0, loss_tangent=0.004, piezo_loss_tangent=0.002,
+    ),
+}  # fmt: skip
 """Piezoceramics by name; `MATERIAL_NOTES` has their sources. tanθ is assumed throughout: 0.01 for
 soft ceramics and 0.002 for hard ones. VIBRIT 1100 is not included, because no full set of its
 constants is published; 3203hd stands in for it."""
+CFRP = ShimMaterial(s11=1 / 110e9, s55=1 / 4.5e9, density=1550.0, quality_factor=30.0)
+"""Carbon-fiber reinforced plastic: E 110 GPa, G 4.5 GPa, 1550 kg/m³, Q 30; assumed typical values.
+"""
 
 
 def _isotropic(

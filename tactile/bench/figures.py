@@ -66,7 +66,7 @@ class Figure:
         return asdict(self)
 
 
-def at_most(name: str, value: float, unit: str, limit: float) -> Figure:
+def at_most(name: str, value: float, unit: str, limit: float | None) -> Figure:
     """Create a figure whose goal is not to exceed a limit.
 
     Parameters
@@ -77,18 +77,20 @@ def at_most(name: str, value: float, unit: str, limit: float) -> Figure:
         Measured value.
     unit : str
         Unit of value and limit.
-    limit : float
-        Largest value that reaches the goal.
+    limit : float or None
+        Largest value that reaches the goal; None for a figure without a goal.
 
     Returns
     -------
     Figure
         Figure with its goal.
     """
+    if limit is None:
+        return Figure(name, value, unit)
     return Figure(name, value, unit, f"≤ {limit:g}", bool(value <= limit))
 
 
-def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
+def at_least(name: str, value: float, unit: str, limit: float | None) -> Figure:
     """Create a figure whose goal is to reach a limit.
 
     Parameters
@@ -99,14 +101,16 @@ def at_least(name: str, value: float, unit: str, limit: float) -> Figure:
         Measured value.
     unit : str
         Unit of value and limit.
-    limit : float
-        Smallest value that reaches the goal.
+    limit : float or None
+        Smallest value that reaches the goal; None for a figure without a goal.
 
     Returns
     -------
     Figure
         Figure with its goal.
     """
+    if limit is None:
+        return Figure(name, value, unit)
     return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
 
 

@@ -165,12 +165,12 @@ def peak_memory(command: list[str]) -> int:
     return resident_bytes(usage.ru_maxrss)
 
 
-def resident_bytes(told: int) -> int:
+def resident_bytes(max_rss: int) -> int:
     """Convert ``ru_maxrss`` of a system's accounting to bytes.
 
     Parameters
     ----------
-    told : int
+    max_rss : int
         Value of ``ru_maxrss``, which is in bytes on macOS and in KiB elsewhere.
 
     Returns
@@ -178,4 +178,4 @@ def resident_bytes(told: int) -> int:
     int
         Memory [bytes].
     """
-    return told * (1 if sys.platform == "darwin" else 1024)
+    return max_rss * (1 if sys.platform == "darwin" else 1024)

@@ -86,9 +86,10 @@ def run(
     if out is not None:
         write_tables(display, out, **tables, force=force)
     if plot is not None:
-        from tactile.study.plots import plot_adjusted
+        from tactile.show.plots import save
+        from tactile.study.plots import adjusted_figure
 
-        plot_adjusted(plot, result.comparisons)
+        save(adjusted_figure(result.comparisons), plot)
     emit(_facts(result), as_json, lambda _: _print(result, loaded.name))
     for done, path in (("written", out), ("drawn", plot)):
         if path is not None and not as_json:

@@ -23,9 +23,9 @@ from tactile.cli.options import (
 from tactile.cli.printing import print_table, progress_bar, right
 from tactile.errors import InputError
 from tactile.files import nearest
-from tactile.study.asking import StudyBase, assignments, parse_number, parse_span, start_from
 from tactile.study.criteria import CRITERIA, Conditions
 from tactile.study.parameters import NAMED
+from tactile.study.study_request import StudyBase, assignments, parse_number, parse_span, start_from
 
 if TYPE_CHECKING:
     import xarray
@@ -118,7 +118,7 @@ def run(
     }
     fixed = _fixed(fix, load)
     if drawn is None and not {"load", "firmness"} & (fixed.keys() | spans.keys()):
-        fixed["load"] = start.meant[0]
+        fixed["load"] = start.default_loads[0]
     limits = assignments(limit or [], "drive=60")
     task = Task(
         bounds=spans,
@@ -263,9 +263,11 @@ def _write_files(
 
         save(front, out)
     if plot is not None:
-        from tactile.study.plots import plot_pareto
+        from tactile.show.plots import save as save_figure
+        from tactile.study.plots import pareto_figure
 
-        plot_pareto(plot, front, front.attrs["objectives"].split(), knee=advice.place)
+        objectives = front.attrs["objectives"].split()
+        save_figure(pareto_figure(front, objectives, knee=advice.place), plot)
     if report is not None:
         from tactile.study.report import front_report, write_report
 

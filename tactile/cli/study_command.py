@@ -19,11 +19,11 @@ from tactile.cli.options import (
     emit,
 )
 from tactile.cli.printing import print_table, progress_bar
-from tactile.study.asking import Words, ask, start_from
 from tactile.study.criteria import CRITERIA, variable
 from tactile.study.findings import Figures, summarize
 from tactile.study.ranges import SHARE, check_share
 from tactile.study.runs import fitting_workers, run_study
+from tactile.study.study_request import StudyRequest, requested_study, start_from
 from tactile.study.sweep import RESPONSES, Study
 
 
@@ -114,7 +114,7 @@ def run(
 
     Example: tactile study length_mm=8:30:0.25 load=low,high --report study.html
     """
-    words = Words(
+    request = StudyRequest(
         axes=axes,
         fixed=fix or (),
         frequency=frequency_hz,
@@ -127,7 +127,8 @@ def run(
         current=current_ma,
         amplitude=amplitude_um,
     )
-    study = ask(words, None if display is None else start_from(tactile.load_display(display)))
+    start = None if display is None else start_from(tactile.load_display(display))
+    study = requested_study(request, start)
     check_share(within)
     check_outputs(out, plot, report)
     data = _run(study, out, workers, scheduler, visible=not as_json)
@@ -144,12 +145,14 @@ def run(
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:
     """Write the plot and the report, if they were asked for."""
     if plot is not None:
-        from tactile.study.plots import plot_criterion, plot_response_phase
+        from tactile.show.plots import save
+        from tactile.study.plots import criterion_figure, response_phase_figure
 
         if study.criteria:
-            plot_criterion(plot, data, variable(study.criteria[0]), share=share)
+            figure = criterion_figure(data, variable(study.criteria[0]), share=share)
         else:
-            plot_response_phase(plot, data, RESPONSES[study.responses[0]].variable)
+            figure = response_phase_figure(data, RESPONSES[study.responses[0]].variable)
+        save(figure, plot)
     if report is not None:
         from tactile.study.report import study_report, write_report
 

@@ -8,12 +8,9 @@ between them, are gathered behind the first one.
 """
 
 import json
-import os
 import re
-import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,17 +92,14 @@ def _checked_place(source: str | Path, target: Path, *, force: bool) -> tuple[Pa
     content = files.read(path, DisplayFile)
     if target.suffix != ".toml":
         raise InputError(f"{target}: must end in .toml")
-    if target.exists() and not force:
-        raise InputError(f"{target}: is there already; --force overwrites it")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: no folder {target.parent}")
+    files.check_target(target, force=force)
     named = content.group or any(c.response is not None for c in content.contactor)
     if named and target.parent.resolve() != path.parent.resolve():
         raise InputError(f"{target}: must be in {path.parent}, where the measured responses are")
     return path, content
 
 
-def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> None:
+def write_map(source: str | Path, target: Path, new_map: Map, *, force: bool) -> None:
     """Write the file of a display with another map.
 
     Parameters
@@ -114,7 +108,7 @@ def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> No
         Name or file of the display.
     target : Path
         File to be written; with ``force`` it may be the source.
-    told : Map
+    new_map : Map
         Channel and polarity of each contactor.
     force : bool
         Whether an existing file may be overwritten.
@@ -129,10 +123,10 @@ def write_map(source: str | Path, target: Path, told: Map, *, force: bool) -> No
     contactors = [
         msgspec.structs.replace(c, channel=channel, polarity=1 if polarity > 0 else -1)
         for c, channel, polarity in zip(
-            contactors_of(content), told.channel, told.polarity, strict=True
+            contactors_of(content), new_map.channel, new_map.polarity, strict=True
         )
     ]
-    _write(_mapped(path, contactors), target, force=force, told=told)
+    _write(_mapped(path, contactors), target, force=force, new_map=new_map)
 
 
 def write_tables(
@@ -182,26 +176,15 @@ def write_tables(
     _write(_checked_text(path, document, expected), target, force=force)
 
 
-def _write(text: str, target: Path, *, force: bool, told: Map | None = None) -> None:
+def _write(text: str, target: Path, *, force: bool, new_map: Map | None = None) -> None:
     """Write a file only if it is a valid display and, if a map is given, has that map."""
-    handle, name = tempfile.mkstemp(suffix=".toml", prefix=".tactile-", dir=target.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        try:
-            display = load_display(name)
-        except InputError as error:
-            raise InputError(str(error).replace(name, f"{target}: not written", 1)) from error
-        if told is not None and Map.of(display) != told:
-            raise InputError(f"{target}: not written: it would not have the map that was told")
-        if force:
-            os.replace(name, target)
-        else:
-            with target.open("x", encoding="utf-8") as file:
-                file.write(text)
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
+
+    def check(new: Path) -> None:
+        display = load_display(new)
+        if new_map is not None and Map.of(display) != new_map:
+            raise InputError(f"{new}: it would not have the map that was told")
+
+    files.write_whole(target, text.encode(), force=force, check=check)
 
 
 def _parsed(path: Path) -> tuple[tomlkit.TOMLDocument, dict[str, Any]]:
@@ -232,8 +215,8 @@ def _mapped(path: Path, contactors: Sequence[Contactor]) -> str:
     if "contactor" in document:
         entries = zip(document["contactor"], expected["contactor"], contactors, strict=True)
         for entry, row, contactor in entries:
-            told = {"channel": contactor.channel, "polarity": contactor.polarity}
-            changes = {key: value for key, value in told.items() if row.get(key, 1) != value}
+            mapped = {"channel": contactor.channel, "polarity": contactor.polarity}
+            changes = {key: value for key, value in mapped.items() if row.get(key, 1) != value}
             _set(entry, changes)
             row |= changes
     else:

@@ -23,7 +23,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
-from tactile.texture.surface import Partials, Texture
+from tactile.texture.surface import Texture
 
 PHASORS = 8192
 """Number of phasors in the table, a power of two."""
@@ -43,12 +43,6 @@ def _interleaved(phasor: NDArray[np.complex128]) -> Singles:
     rows = np.empty((2 * len(phasor), phasor.shape[1]), np.float32)
     rows[0::2], rows[1::2] = phasor.real, -phasor.imag
     return rows
-
-
-def _at_contactors(partials: Partials, contactors: Floats) -> NDArray[np.complex128]:
-    """Return a exp j(k·x + φ) of each partial at each contactor, (M, N)."""
-    phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
-    return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
 
 
 class _Waves:
@@ -134,9 +128,9 @@ class RealizedLayer:
         self._waves = _Waves((partials + surface.envelope).wave_vector)
         self._roll_off = _RollOff(partials.wave_vector)
         self._bands = 2 * (len(partials.amplitude) - surface.gratings)
-        self._to_shear = _interleaved(_at_contactors(partials, contactors))
+        self._to_shear = _interleaved(partials.phasors(contactors))
         self._to_shear[: self._bands] *= np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
-        self._to_envelope = _interleaved(_at_contactors(surface.envelope, contactors))
+        self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
         self._axes = display.shear_axes if display.projected else None
         self._events = None
         if len(surface.event_peak):

@@ -136,18 +136,18 @@ class Limiter:
         self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
         return np.asarray(gain)
 
-    def _guard(self, wanted: Floats) -> Floats:
-        """Move from sample to sample by at most the step, in the direction of what is wanted."""
-        change = np.abs(np.diff(wanted, axis=0, prepend=self._last[None]))
+    def _guard(self, target: Floats) -> Floats:
+        """Move from sample to sample by at most the step, towards a target."""
+        change = np.abs(np.diff(target, axis=0, prepend=self._last[None]))
         if change.max(initial=0.0) > self._step:
-            for k, row in enumerate(wanted):
-                move = row - (wanted[k - 1] if k else self._last)
+            for k, row in enumerate(target):
+                move = row - (target[k - 1] if k else self._last)
                 largest = float(np.abs(move).max())
                 if largest > self._step:
                     row += move * (self._step / largest - 1)
                     self.guarded_samples += 1
-        self._last = wanted[-1].copy()
-        return wanted
+        self._last = target[-1].copy()
+        return target
 
 
 def _decaying_maximum(values: Floats, decay: float) -> Floats:

@@ -288,7 +288,7 @@ class Stretch:
         self._axes = -display.shear_axes.T.astype(np.float32)
         self._common = (*self._axes[:, 0].tolist(),) if not np.ptp(self._axes, axis=1).any() else ()
         self._spline = self._cached = spline_weights(self._every, longest)
-        self._asked = 0, 0
+        self._cached_range = 0, 0
         self._line: list[Pair] = [(0.0, 0.0)] * 4
         self._place, self._motion = (0.0, 0.0), (0.0, 0.0)
         self._pressed = False
@@ -320,8 +320,8 @@ class Stretch:
 
     def _weights(self, begin: int, count: int, nodes: int) -> Singles:
         """Return the spline's rows of some samples, cached for a repeated call."""
-        if self._asked != (begin, count):
-            self._asked = begin, count
+        if self._cached_range != (begin, count):
+            self._cached_range = begin, count
             self._cached = np.ascontiguousarray(self._spline[begin : begin + count, :nodes])
         return self._cached
 

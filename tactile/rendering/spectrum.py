@@ -53,8 +53,7 @@ from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import FARTHEST, STILL
-from tactile.texture.perception import detection_threshold
-from tactile.texture.surface import Partials, Texture
+from tactile.texture.surface import Texture
 
 HIGHEST = 1e3 * 10**0.05
 """Upper end of the third octave at 1 kHz and of the last sub-band [Hz]; what is above, rolled off,
@@ -185,12 +184,6 @@ def shares(frequency: Floats, carriers: Floats, frame_rate: float) -> Floats:
     fitted = np.linalg.solve(normal, right[..., None])
     power = ((fitted.transpose(0, 2, 1) @ lines) ** 2).sum(axis=(1, 2))
     return np.asarray(fitted[..., 0] / np.sqrt(power)[:, None])
-
-
-def _phasors(partials: Partials, contactors: Floats) -> Complex:
-    """Return a exp j(k·x + φ) of each partial at each contactor, (M, N)."""
-    phase = partials.wave_vector @ contactors.T + partials.phase[:, None]
-    return np.asarray(partials.amplitude[:, None] * np.exp(1j * phase))
 
 
 def _table(
@@ -338,8 +331,8 @@ class SpectrumRenderer:
         )
         self._increments = np.rint(self.carriers / sample_rate * 2**32).astype(np.uint64)
         self._table = _table(display, self.carriers, rate, sample_rate)
-        self._at = _phasors(self._waves, display.contactors).astype(np.complex64)
-        self._at_envelope = _phasors(self._envelope, display.contactors)
+        self._at = self._waves.phasors(display.contactors).astype(np.complex64)
+        self._at_envelope = self._envelope.phasors(display.contactors)
         self._kinds = [np.flatnonzero(display.kind == c) for c in range(self._table.shape[1])]
         self.limiter = FrameLimiter(display, self.carriers, rate)
         self._last = np.zeros(2)
@@ -465,30 +458,3 @@ class SpectrumRenderer:
         omega = math.sqrt(np.sum((slow.amplitude * signed) ** 2) / max(2 * mean_square, 1e-12))
         rise = np.exp(now - mean_square)
         return rise, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)
-
-    def sensation_level(self, velocity: ArrayLike, normal_force: float) -> Floats:
-        """Compute how far what each carrier plays is above the detection threshold.
-
-        The power of a sub-band's partials is summed, each relative to the threshold at its own
-        frequency. If a link has room for few envelopes, those below 0 dB are the first to leave
-        out.
-
-        Parameters
-        ----------
-        velocity : (2,) array_like of float
-            Velocity of the finger [m/s].
-        normal_force : float
-            Normal force [N].
-
-        Returns
-        -------
-        (P,) array of float
-            Sensation levels [dB].
-        """
-        v = np.asarray(velocity, np.float64)
-        frequency = np.abs(self._waves.wave_vector @ v) / (2 * np.pi)
-        law = float(self._law(np.array([v @ v]), np.array([normal_force]))[0])
-        relative = law * self._waves.amplitude / detection_threshold(frequency)
-        share = shares(frequency, self.carriers, self._rate)
-        power = (relative * equalizer.roll_off(frequency)) ** 2 @ share**2
-        return np.asarray(10 * np.log10(np.maximum(power, 1e-12)))

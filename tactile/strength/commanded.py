@@ -77,7 +77,7 @@ def law_factor(texture: Texture, speed: float, normal_force: float) -> float:
 
 
 def commanded_lines(
-    texture: Texture, *, speed: float, normal_force: float, angle: float = 0.0, seed: int = 0
+    texture: Texture, *, speed: float, normal_force: float, angle: float = 0.0
 ) -> LineSpectrum:
     """Compute the spectrum of the shear that a texture commands in a straight stroke.
 
@@ -91,8 +91,6 @@ def commanded_lines(
         Normal force [N].
     angle : float
         Direction of the stroke, measured from the x axis [rad].
-    seed : int
-        Seed of the surface's realization; it changes only the part of the envelope.
 
     Returns
     -------
@@ -100,7 +98,7 @@ def commanded_lines(
         Lines that `Renderer` commands at every contactor, before the limits of a display and
         without the cosine of a display that projects.
     """
-    surface = texture.realize(seed)
+    surface = texture.realize()
     velocity = speed * np.array([np.cos(angle), np.sin(angle)])
     bands, gratings = surface.split
     waves = _modulated(bands, surface.envelope, velocity), _lines(gratings, velocity)

@@ -43,7 +43,7 @@ from tactile.texture.surface import Texture, band_edges, grating, stroke_directi
 
 DISTANCE_DB = 2.5
 """Amount by which a part that is felt may be lowered relative to the others [dB]: at most the just
-noticeable difference of amplitude (`perception.AMPLITUDE_JND_DB`)."""
+noticeable difference of amplitude, 2.2 … 2.5 dB (Israr & Tan 2006)."""
 NEGLIGIBLE = 0.01
 """Fraction of a felt band's power up to which a part in it may be dropped: 0.04 dB."""
 

@@ -51,8 +51,8 @@ FAINT = 1e-3
 """Gain of a trial."""
 GRID = 5.0
 """Spacing of the frequencies of a display's reach [Hz]."""
-HIGHEST = 4000.0
-"""Highest frequency of a display's reach [Hz]."""
+SAMPLE_RATE = 8000.0
+"""Sample rate of the drive of a reach and of a trial [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Reach:
         return np.asarray(np.interp(frequency, self.frequency, self.attainable.min(axis=0)))
 
 
-def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -> Reach:
+def reach(display: Display, stroke: SteadyStroke) -> Reach:
     """Compute the response of a display to commanded shear in a stroke.
 
     Parameters
@@ -223,24 +223,22 @@ def reach(display: Display, stroke: SteadyStroke, sample_rate: float = 8000.0) -
         Display to play on.
     stroke : SteadyStroke
         Stroke of the finger.
-    sample_rate : float
-        Sample rate of the drive [Hz].
 
     Returns
     -------
     Reach
-        Response at the stroke's normal force, up to `HIGHEST` or half the sample rate.
+        Response at the stroke's normal force, up to half of `SAMPLE_RATE`.
     """
-    frequency = np.arange(0.0, min(HIGHEST, sample_rate / 2) + GRID / 2, GRID)
+    frequency = np.arange(0.0, SAMPLE_RATE / 2 + GRID / 2, GRID)
     loaded = replace(display, load=display.load_at(stroke.normal_force))
-    response = np.abs(loaded.responses(frequency, sample_rate)[0])
-    inverse = Renderer(display, None, sample_rate=sample_rate).filter
+    response = np.abs(loaded.responses(frequency, SAMPLE_RATE)[0])
+    inverse = Renderer(display, None, sample_rate=SAMPLE_RATE).filter
     place = np.interp(stroke.normal_force, display.load_forces, np.arange(len(inverse.taps)))
     weight = np.maximum(1 - np.abs(place - np.arange(len(inverse.taps))), 0)
     taps = inverse.mix @ np.tensordot(weight, inverse.taps, axes=1)
-    turns = np.exp(-2j * np.pi / sample_rate * np.outer(np.arange(taps.shape[1]), frequency))
+    turns = np.exp(-2j * np.pi / SAMPLE_RATE * np.outer(np.arange(taps.shape[1]), frequency))
     gain = np.abs(taps @ turns)
-    steepest = 2 * sample_rate * np.sin(np.pi * np.minimum(frequency / sample_rate, 0.5))
+    steepest = 2 * SAMPLE_RATE * np.sin(np.pi * np.minimum(frequency / SAMPLE_RATE, 0.5))
     volts = np.minimum(display.limits.voltage, display.slew / np.maximum(steepest, 1e-9))
     cosine = np.ones(len(display.kind))
     if display.projected:
@@ -305,15 +303,12 @@ class Trial:
         Display that plays.
     drive : (K, S, N) array of float
         Drive of K strokes, without friction [V].
-    sample_rate : float
-        Sample rate [Hz].
     room : float
         Part of the voltage limit that friction leaves free.
     """
 
     display: Display
     drive: Floats
-    sample_rate: float
     room: float = 1.0
 
     @property
@@ -337,7 +332,7 @@ class Trial:
         limits = self.display.limits
         slewing = "slew" if self.display.slew >= limits.slew else "current"
         by_voltage = self.room * limits.voltage / max(self.peak, 1e-30)
-        by_slew = self.display.slew / self.sample_rate / max(self.step, 1e-30)
+        by_slew = self.display.slew / SAMPLE_RATE / max(self.step, 1e-30)
         return (by_voltage, "voltage") if by_voltage <= by_slew else (by_slew, slewing)
 
     def limited(self, gain: float) -> tuple[float, float]:
@@ -357,10 +352,10 @@ class Trial:
         """
         places, count, channels = self.drive.shape
         limiter = Limiter(
-            self.room * self.display.limits.voltage, self.display.slew / self.sample_rate,
-            sample_rate=self.sample_rate, channels=channels,
+            self.room * self.display.limits.voltage, self.display.slew / SAMPLE_RATE,
+            sample_rate=SAMPLE_RATE, channels=channels,
         )  # fmt: skip
-        from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / self.sample_rate
+        from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / SAMPLE_RATE
         taper = np.sin(np.pi / 2 * np.minimum(from_end / TAPER, 1)) ** 2
         target = gain * (self.drive * taper[:, None]).reshape(-1, channels)
         padding = np.zeros((limiter.delay, channels))
@@ -369,9 +364,7 @@ class Trial:
         return min(limiter.limited_samples / (places * count), 1.0), float(min(remaining, 1.0))
 
 
-def trial(
-    display: Display, texture: Texture, stroke: SteadyStroke, sample_rate: float = 8000.0
-) -> Trial:
+def trial(display: Display, texture: Texture, stroke: SteadyStroke) -> Trial:
     """Render short strokes far below the limits.
 
     Friction, which is bounded to its share of the drive, is left out, and that share is kept free.
@@ -384,8 +377,6 @@ def trial(
         Texture to play.
     stroke : SteadyStroke
         Speed, force and direction of the strokes.
-    sample_rate : float
-        Sample rate of the drive [Hz].
 
     Returns
     -------
@@ -393,15 +384,15 @@ def trial(
         Drive at gain 1.
     """
     faint = amplified(without_friction(texture), FAINT)
-    renderer = Renderer(display, faint, sample_rate=sample_rate)
-    settling, count = round(SETTLING * sample_rate), round(STROKED * sample_rate)
-    along = np.outer(np.arange(settling + count) * stroke.speed / sample_rate, stroke.direction)
+    renderer = Renderer(display, faint, sample_rate=SAMPLE_RATE)
+    settling, count = round(SETTLING * SAMPLE_RATE), round(STROKED * SAMPLE_RATE)
+    along = np.outer(np.arange(settling + count) * stroke.speed / SAMPLE_RATE, stroke.direction)
     start = SPREAD * (np.outer(np.arange(PLACES), [GOLDEN, GOLDEN**0.5]) % 1)
     place = (start[:, None] + along).reshape(-1, 2)
     drive = renderer.block(place, np.full(len(place), stroke.normal_force))
     strokes = drive.reshape(PLACES, settling + count, -1)[:, settling:]
     room = 1.0 if texture.descriptor.friction is None else 1.0 - STROKE_SHARE
-    return Trial(display, strokes / FAINT, sample_rate, room)
+    return Trial(display, strokes / FAINT, room)
 
 
 @dataclass(frozen=True)
@@ -430,11 +421,6 @@ class Gain:
     channel: str
     drive_rms: float
     drive_peak: float
-
-    @property
-    def crest(self) -> float:
-        """Crest factor of the drive, peak over rms."""
-        return self.drive_peak / max(self.drive_rms, 1e-30)
 
 
 @dataclass(frozen=True)

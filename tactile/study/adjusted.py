@@ -169,7 +169,7 @@ def constants_of(
     return tuple(constants)
 
 
-def what_is_unknown(fit: LogFit, constants: Sequence[Constant]) -> list[str]:
+def identifiability_notes(fit: LogFit, constants: Sequence[Constant]) -> list[str]:
     """Return a note for each constant, or combination of constants, that is not identifiable.
 
     A note is given for each principal axis of the covariance along which the 95 % interval is wider
@@ -209,7 +209,7 @@ def _unknown_constant(c: Constant) -> str:
     return f"{c.name} is known to no better than {c.low:.3g} … {c.high:.3g}"
 
 
-def what_is_left(comparison: Comparison) -> list[str]:
+def misfit_notes(comparison: Comparison) -> list[str]:
     """Return notes on a misfit that is large, or that is not noise.
 
     Parameters

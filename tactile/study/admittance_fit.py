@@ -24,8 +24,8 @@ from tactile.study.adjusted import (
     Comparison,
     Constant,
     constants_of,
-    what_is_left,
-    what_is_unknown,
+    identifiability_notes,
+    misfit_notes,
 )
 from tactile.study.log_fit import LogFit, fit_logs, interval, model_slope, response_spread
 from tactile.study.measurement import Measurement
@@ -201,14 +201,14 @@ def fit_bimorph(
     fitted = task.with_logs(fit.logs)
     notes = [
         *_about_task(task, names),
-        *what_is_unknown(fit, constants),
+        *identifiability_notes(fit, constants),
         *_about_bounds(task, fit),
         *(
             line
             for comparison, (_, load) in zip(comparisons, task.measured, strict=True)
             for line in (
                 *_about_resonance(comparison, fitted, load, task.names),
-                *what_is_left(comparison),
+                *misfit_notes(comparison),
             )
         ),
     ]

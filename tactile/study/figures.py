@@ -10,7 +10,7 @@ from tactile.study.parameters import Specimen
 
 BAND = (10.0, 1000.0)
 """Band in which the shear is to be flat [Hz]."""
-TOLD = {
+CRITERION_NAMES = {
     "smallest_um_per_v": "smallest_displacement",
     "shaping_db": "shaping",
     "attainable_um": "attainable",
@@ -51,10 +51,10 @@ def response_figures(
         solved = Solved(
             Specimen(bimorph=bimorph, load=load), tip_response(bimorph, load, band), conditions
         )
-        values = numbers_of(TOLD.values(), solved)
+        values = numbers_of(CRITERION_NAMES.values(), solved)
         figures[name] = {
             "static_um_per_v": float(size[0]) * 1e6,
             "peak_hz": float(frequency[size.argmax()]),
-            **{name: float(values[criterion]) for name, criterion in TOLD.items()},
+            **{name: float(values[criterion]) for name, criterion in CRITERION_NAMES.items()},
         }
     return figures

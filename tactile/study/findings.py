@@ -72,7 +72,7 @@ def summarize(data: "xarray.Dataset", *, share: float = SHARE) -> Figures:
     }
     attained = {name: reached(v) for name, v in judged.items()}
     for values in attained.values():
-        summary["best"] += _best(values)
+        summary["best"] += best_designs(values)
         ranges = list(_ranges(values, share))
         summary["ranges"] += [_range_entry(values, at, one) for at, one in ranges]
         summary["overlaps"] += _overlaps(values, ranges)
@@ -183,8 +183,21 @@ def reached(values: "xarray.DataArray") -> "xarray.DataArray":
     return quantile.drop_vars("quantile")
 
 
-def _best(values: "xarray.DataArray") -> list[Figures]:
-    """Return the best design for each finger, and the one that suits all fingers best."""
+def best_designs(values: "xarray.DataArray") -> list[Figures]:
+    """Return the best design for each finger, and the one that suits all fingers best.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        Values of a criterion.
+
+    Returns
+    -------
+    list of dict
+        ``criterion``, ``unit``, ``value``, ``finger`` (a name, "all", or None where there is no
+        axis of fingers) and ``at`` (value on each axis). None for a criterion that is neither good
+        nor bad, and for a finger under which no value is finite.
+    """
     sign = sign_of(values)
     if not sign or not bool(np.isfinite(values).any()):
         return []
@@ -272,7 +285,7 @@ def _ranges(values: "xarray.DataArray", share: float) -> Iterator[tuple[Figures,
     if len(places) > MOST_RANGES:
         places = [
             {k: v for k, v in b["at"].items() if k != along}
-            for b in _best(values) if b["finger"] != "all"
+            for b in best_designs(values) if b["finger"] != "all"
         ]  # fmt: skip
     for at in places:
         line = values.sel(at)

@@ -24,8 +24,8 @@ from tactile.study.adjusted import (
     Comparison,
     Constant,
     constants_of,
-    what_is_left,
-    what_is_unknown,
+    identifiability_notes,
+    misfit_notes,
 )
 from tactile.study.log_fit import LogFit, Model, fit_logs, response_spread
 from tactile.study.measurement import Kind, Measurement
@@ -263,9 +263,9 @@ def _labeled_fit(tip: _Tip, fit: LogFit, before: FingerLoad) -> LoadFit:
         *response_spread(_model(tip), fit),
     )
     notes = [
-        *what_is_unknown(fit, constants),
+        *identifiability_notes(fit, constants),
         *_about_corners(load, tip.measurement.frequency),
-        *what_is_left(comparison),
+        *misfit_notes(comparison),
     ]
     return LoadFit(load, constants, comparison, tuple(notes), fit.bic)
 

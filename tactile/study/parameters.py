@@ -12,6 +12,7 @@ distribution of φ makes every constant log-normal (assumed; two fingers are all
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -296,7 +297,7 @@ def between(firmness: Real) -> FingerLoad:
     )
 
 
-def gathered(names: NDArray[np.str_], known: Mapping[str, Any], *path: str | int) -> Floats:
+def constant_of(names: NDArray[np.str_], known: Mapping[str, Any], *path: str | int) -> Floats:
     """Return a constant of the object that each name refers to.
 
     Parameters
@@ -327,9 +328,9 @@ def _constants(names: ArrayLike | None, known: Mapping[str, Any]) -> dict[str, F
     """Return all constants of the named materials, by field."""
     if names is None:
         return {}
-    spelled = np.asarray(names).astype(str)
+    material_names = np.asarray(names).astype(str)
     owner = next(iter(known.values()))
-    return {each.name: gathered(spelled, known, each.name) for each in fields(owner)}
+    return {each.name: constant_of(material_names, known, each.name) for each in fields(owner)}
 
 
 def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
@@ -355,12 +356,12 @@ def loads(names: ArrayLike, fingers: Mapping[str, FingerLoad]) -> FingerLoad:
         name: replace(load, branches=load.branches + ((0.0, 0.0),) * (most - len(load.branches)))
         for name, load in fingers.items()
     }
+    constant = partial(constant_of, names, filled)
     return FingerLoad(
-        k0=gathered(names, filled, "k0"),
-        d0=gathered(names, filled, "d0"),
+        k0=constant("k0"),
+        d0=constant("d0"),
         branches=tuple(
-            (gathered(names, filled, "branches", i, 0), gathered(names, filled, "branches", i, 1))
-            for i in range(most)
+            (constant("branches", i, 0), constant("branches", i, 1)) for i in range(most)
         ),
     )
 

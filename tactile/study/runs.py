@@ -48,7 +48,7 @@ class MemoryStore:
     Parameters
     ----------
     study : Study
-        Study whose values are kept.
+        Study whose values are stored.
 
     Raises
     ------
@@ -191,13 +191,13 @@ def run_study(
 
 def _solve(
     study: Study,
-    kept: BlockStore | MemoryStore,
+    store: BlockStore | MemoryStore,
     workers: int,
     scheduler: str | None,
     progress: Progress | None,
 ) -> None:
     """Solve the pending blocks and put them into the store; see `run_study`."""
-    pending, total = list(kept.pending()), len(study_blocks(study))
+    pending, total = list(store.pending()), len(study_blocks(study))
     done = total - len(pending)
     report = progress or (lambda done, total: None)
     report(done, total)
@@ -206,13 +206,13 @@ def _solve(
     crew = _gather(min(workers, len(pending)), scheduler)
     try:
         for block, found in solve_blocks(study, pending, crew):
-            kept.put(block, found)
+            store.put(block, found)
             done += 1
             report(done, total)
     except CrewLostError as error:
         outcome = (
-            f"{done} of {total} blocks are stored in {kept.path}, and the same command goes on"
-            if isinstance(kept, BlockStore)
+            f"{done} of {total} blocks are stored in {store.path}, and the same command goes on"
+            if isinstance(store, BlockStore)
             else "nothing is stored; with --out study.zarr it would be, as it goes"
         )
         raise InputError(f"{error}; {outcome}") from error

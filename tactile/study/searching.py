@@ -29,7 +29,7 @@ LARGE = 1e30
 """Substitute for values that are infinite or missing, since optimizers need numbers."""
 POPULATION, OFFSPRING, GENERATIONS = 128, 64, 60
 """Size of the population, offspring of a generation, and number of generations for fronts."""
-ASIDE = 1e-3
+OTHERS = 1e-3
 """Weight of the other objectives in the search for an end of the front."""
 BEST_GENERATIONS, BEST_POPULATION = 100, 15
 """Number of generations for one objective, and its population for each number that varies."""
@@ -148,31 +148,42 @@ def first_population(score: Score, low: Floats, high: Floats, seed: int) -> tupl
     span = np.ptp(lowered[feasible], axis=0)
     scale = 1 / np.where(span > 0, span, 1.0)
     for k in range(lowered.shape[1]):
-        weights = scale * np.where(np.arange(len(scale)) == k, 1.0, ASIDE)
+        weights = scale * np.where(np.arange(len(scale)) == k, 1.0, OTHERS)
         best, count = _minimize_weighted(score, weights, points[feasible], low, high)
         points[-1 - k] = best
         evaluations += count
     return points, evaluations
 
 
+class _Cost:
+    """Weighted sum of objectives as a function of shares (N, D) of the way from bound to bound."""
+
+    def __init__(self, score: Score, weights: Floats, low: Floats, high: Floats) -> None:
+        self._score, self._weights, self._low, self._high = score, weights, low, high
+        self.evaluations = 0
+
+    def design(self, shares: Floats) -> Floats:
+        """Return the designs at shares (..., D)."""
+        return self._low + shares * (self._high - self._low)
+
+    def __call__(self, shares: Floats) -> Floats:
+        """Return the costs (N,); those of designs that violate constraints are above all others."""
+        f, g = self._score(self.design(np.atleast_2d(shares)))
+        self.evaluations += len(f)
+        violation = np.maximum(g, 0).sum(axis=1)
+        return np.where(violation > 0, LARGE * violation, f @ self._weights)
+
+
 def _minimize_weighted(
     score: Score, weights: Floats, designs: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, int]:
     """Return the design (D,) with the smallest weighted sum, from the best of some designs."""
-    evaluations = 0
-
-    def cost(shares: Floats) -> Floats:
-        nonlocal evaluations
-        f, g = score(low + np.atleast_2d(shares) * (high - low))
-        evaluations += len(f)
-        violation = np.maximum(g, 0).sum(axis=1)
-        return np.where(violation > 0, LARGE * violation, f @ weights)
-
+    cost = _Cost(score, weights, low, high)
     shares = (designs - low) / (high - low)
     costs = cost(shares)
     first = shares[costs.argmin()]
     fine = _simplex(cost, first, float(costs.min()))
-    return low + (fine.x if fine.fun <= costs.min() else first) * (high - low), evaluations
+    return cost.design(fine.x if fine.fun <= costs.min() else first), cost.evaluations
 
 
 def find_best(
@@ -199,14 +210,7 @@ def find_best(
         Best design; its history has one value for each generation.
     """
     history: list[Floats] = []
-    evaluations = 0
-
-    def cost(shares: Floats) -> Floats:
-        nonlocal evaluations
-        f, g = score(low + np.atleast_2d(shares) * (high - low))
-        evaluations += len(f)
-        violation = np.maximum(g, 0).sum(axis=1)
-        return np.where(violation > 0, LARGE * violation, f[:, 0])
+    cost = _Cost(score, np.ones(1), low, high)
 
     def record(intermediate_result: OptimizeResult) -> None:
         history.append(np.array([[float(intermediate_result.fun)]]))
@@ -229,16 +233,11 @@ def find_best(
         rng=seed,
         callback=record,
     )
-    best = _polished(cost, rough)
+    fine = _simplex(cost, rough.x, float(rough.fun))
+    best = fine if fine.fun <= rough.fun else rough
     history.append(np.array([[float(best.fun)]]))
     name = "differential evolution and Nelder-Mead of scipy"
-    return Search((low + best.x * (high - low))[None], history, evaluations, name)
-
-
-def _polished(cost: Callable[[Floats], Floats], rough: OptimizeResult) -> Any:
-    """Return a minimum after polishing by the simplex, or as it was if that is no improvement."""
-    fine = _simplex(cost, rough.x, float(rough.fun))
-    return fine if fine.fun <= rough.fun else rough
+    return Search(cost.design(best.x)[None], history, cost.evaluations, name)
 
 
 def _simplex(cost: Callable[[Floats], Floats], first: Floats, value: float) -> Any:

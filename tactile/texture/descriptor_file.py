@@ -8,7 +8,6 @@ a number comes from. They are given by the path of their subject, such as "stoch
 
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +16,7 @@ from typing import Any
 import msgspec
 import tomlkit
 
+from tactile import files
 from tactile.errors import InputError
 from tactile.texture.descriptor import Descriptor
 
@@ -96,13 +96,8 @@ def write(
         does not exist, or a value is outside its limits.
     """
     check_target(path, descriptor.texture.id, force=force)
-    text = as_toml(descriptor, comments)
-    try:
-        msgspec.convert(tomllib.loads(text), Descriptor)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{path}: not written: {' '.join(str(error).split())}") from error
-    with path.open("w" if force else "x", encoding="utf-8", newline="\n") as file:
-        file.write(text)
+    content = as_toml(descriptor, comments).encode()
+    files.write_whole(path, content, force=force, check=lambda new: files.read(new, Descriptor))
 
 
 def check_target(path: Path, name: str, *, force: bool) -> None:
@@ -127,10 +122,7 @@ def check_target(path: Path, name: str, *, force: bool) -> None:
         raise InputError(f"{path}: must end in .toml")
     if path.stem != name:
         raise InputError(f"{path}: must be named after its texture: {name}.toml")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no folder {path.parent}")
-    if path.exists() and not force:
-        raise InputError(f"{path}: is there already; --force overwrites it")
+    files.check_target(path, force=force)
 
 
 def _tables(descriptor: Descriptor) -> Iterator[tuple[str, str, Any]]:

@@ -3,7 +3,7 @@
 A sinusoid at the detection threshold has the sensation level 0 dB SL, one of ten times that
 amplitude 20 dB SL. The thresholds are those of vibration normal to the skin under a large
 contactor, multiplied by `TANGENTIAL` since these displays shear the skin. Both are uncertain by
-several decibels (`THRESHOLD_SPREAD_DB`, `TANGENTIAL_RANGE`), so that levels compare textures and
+several decibels (`THRESHOLD_SPREAD_DB`, `TANGENTIAL`), so that levels compare textures and
 displays better than they predict what one finger feels.
 
 **Channels.** Four kinds of receptors respond, each in its own range, and the most sensitive one at
@@ -70,16 +70,9 @@ Lamoré, Muijser & Keemink, J. Acoust. Soc. Am. 79:1082, 1986)."""
 THRESHOLD_SPREAD_DB = 5.0
 """Uncertainty (±) of the detection threshold [dB]."""
 TANGENTIAL = 0.45
-"""Ratio of the tangential to the normal threshold at every frequency: the middle of
-`TANGENTIAL_RANGE`, which adds −3.5 … +2.5 dB to the spread. It was measured for slow displacements
-of a 1 mm probe well above threshold (Biggs & Srinivasan 2002). That it holds at threshold and up to
-1 kHz is assumed."""
-TANGENTIAL_RANGE = (0.3, 0.6)
-"""Range of the ratio of the tangential to the normal threshold."""
-AMPLITUDE_JND_DB = (2.2, 2.5)
-"""Range of the just noticeable difference of amplitude (Israr & Tan 2006) [dB]."""
-FREQUENCY_JND = (0.18, 0.25)
-"""Range of the just noticeable relative difference of frequency (Israr & Tan 2006)."""
+"""Ratio of the tangential to the normal threshold at every frequency: the middle of 0.3 … 0.6,
+which adds −3.5 … +2.5 dB to the spread. It was measured for slow displacements of a 1 mm probe well
+above threshold (Biggs & Srinivasan 2002). That it holds at threshold and up to 1 kHz is assumed."""
 MICRO = 1e-6
 """Meters per micrometer."""
 CENTERS = 10 ** (np.arange(32) / 10)

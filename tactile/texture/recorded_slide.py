@@ -167,7 +167,7 @@ def _side(
     path: Path,
     name: str,
     sides: dict[str, Floats],
-    given: float | None,
+    option_value: float | None,
     signal: Floats,
     needed: bool = True,
 ) -> Floats:
@@ -175,13 +175,13 @@ def _side(
     if name in sides:
         return sides[name]
     option = f"--{name.replace('_', '-')}"
-    if given is None:
+    if option_value is None:
         if needed:
             raise InputError(f"{path}: speed is missing; give {option}, or a column {name}")
         return None  # type: ignore[return-value]
-    if not (math.isfinite(given) and given > 0):
-        raise InputError(f"{path}: {option} {given:g}: must be above 0")
-    return np.full(len(signal), given)
+    if not (math.isfinite(option_value) and option_value > 0):
+        raise InputError(f"{path}: {option} {option_value:g}: must be above 0")
+    return np.full(len(signal), option_value)
 
 
 def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:

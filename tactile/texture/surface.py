@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtri
 
-from tactile.arrays import Floats
+from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
@@ -36,7 +36,7 @@ DIRECTIONS = 72
 NEARNESS = 0.05
 """Weight that keeps the power of a wave near that of its ring. The fit of the bands is 0.1 dB worse
 for it, and the powers of a ring stay within ±25 %."""
-KEPT = 0.75
+BURST_KURTOSIS = 0.75
 """Share of the kurtosis of bursts that remains within the bands (measured). They also carry power
 outside of them, mostly below."""
 JITTER_LINES = 5
@@ -105,6 +105,22 @@ class Partials:
         """
         phase = place @ self.wave_vector.T + self.phase
         return np.asarray(np.cos(phase) @ self.amplitude)
+
+    def phasors(self, places: Floats) -> Complex:
+        """Compute a exp j(k·x + φ) of each wave at given places.
+
+        Parameters
+        ----------
+        places : (N, 2) array of float
+            Positions x [m].
+
+        Returns
+        -------
+        (M, N) array of complex
+            Phasors, whose real parts add up to the displacement [m].
+        """
+        phase = self.wave_vector @ places.T + self.phase[:, None]
+        return np.asarray(self.amplitude[:, None] * np.exp(1j * phase))
 
     def along(self, step: Floats, count: int) -> Floats:
         """Compute the displacement at evenly spaced places on a straight line from the origin.
@@ -525,23 +541,23 @@ def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partial
     return total
 
 
-def _variances(stochastic: Stochastic, heard: float) -> tuple[float, float]:
+def _variances(stochastic: Stochastic, low_share: float) -> tuple[float, float]:
     """Return the variances of the slow waves and of the bursts.
 
-    ``heard`` is the share of the bursts that a stroke meets below the AM corner. A log-normal
+    ``low_share`` is the share of the bursts that a stroke meets below the AM corner. A log-normal
     envelope with var(g) = s has the depth std/mean = √(exp(s) − 1) and gives the product with a
     normal process the excess kurtosis 3 (exp(4s) − 1). So s below the corner must give the depth,
     and s in total the kurtosis. A sum of n waves has less of a tail than a normal g. The next term
-    of ln I₀ compensates for that, s (1 + 7s/2n), as `KEPT` does for the band limits. A depth alone
-    brings the kurtosis 3 ((1 + d²)⁴ − 1); where less is stated, the depth prevails.
+    of ln I₀ compensates for that, s (1 + 7s/2n), as `BURST_KURTOSIS` does for the band limits. A
+    depth alone brings the kurtosis 3 ((1 + d²)⁴ − 1); where less is stated, the depth prevails.
     """
     below = float(np.log(1 + stochastic.am_depth**2))
     total = float(np.log(1 + stochastic.excess_kurtosis / 3)) / 4
     total *= 1 + 3.5 * total / ENVELOPE_WAVES
     if total <= below:
         return below, 0.0
-    burst = min((total - below) / (KEPT - heard), total / KEPT)
-    return max(below - heard * burst, 0.0), burst
+    burst = min((total - below) / (BURST_KURTOSIS - low_share), total / BURST_KURTOSIS)
+    return max(below - low_share * burst, 0.0), burst
 
 
 def scatter(

@@ -1,11 +1,10 @@
 """Figures of fits: the measurement as dots, the fit with its confidence band, and the start."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile.show.plots.style import BLUE, GRAY, RED, check_file, new_figure, plain, save
+from tactile.show.plots.style import BLUE, GRAY, RED, new_figure, plain
 from tactile.study.adjusted import Comparison
 
 if TYPE_CHECKING:
@@ -14,32 +13,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = {
+VERTICAL_AXES = {
     "displacement": ("tip per volt [µm/V]", 1e6),
     "velocity": ("tip per volt [mm/(s V)]", 1e3),
     "force": ("force per volt [mN/V]", 1e3),
     "admittance": ("admittance [µS]", 1e6),
 }
 """Axis label of each kind of measurement, and the size of one SI unit in the label's unit."""
-
-
-def plot_adjusted(path: str | Path, comparisons: "Sequence[Comparison]") -> None:
-    """Draw fits next to their measurements, and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
-    comparisons : sequence of Comparison
-        Measurements and fits, one for each column.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    check_file(path)
-    save(adjusted_figure(comparisons), path)
 
 
 def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
@@ -80,7 +60,7 @@ def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
 def _draw_response(size: "Axes", phase: "Axes", c: Comparison) -> None:
     """Draw magnitude and phase of the start, the fit with its band, and the measurement."""
     frequency = c.measurement.frequency
-    label, scale = SHOWN[c.measurement.kind]
+    label, scale = VERTICAL_AXES[c.measurement.kind]
     lines = (
         (c.started, GRAY, "--", "before"),
         (c.predicted, BLUE, "-", "fit, with its 95 % band"),

@@ -106,14 +106,14 @@ def axis_of(values: "xarray.DataArray", axis: str | None) -> str:
     return axis
 
 
-def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelection]:
-    """Return one line for each combination of the axes that are not kept.
+def lines_of(values: "xarray.DataArray", along: Sequence[str]) -> list[CurveSelection]:
+    """Return one line for each combination of the other axes.
 
     Parameters
     ----------
     values : xarray.DataArray
         Values to draw.
-    kept : sequence of str
+    along : sequence of str
         Names of the axes that each line keeps.
 
     Returns
@@ -126,7 +126,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
     InputError
         If there are more lines than colors.
     """
-    others = [str(d) for d in values.dims if d not in kept]
+    others = [str(d) for d in values.dims if d not in along]
     count = int(np.prod([values.sizes[d] for d in others], dtype=int))
     if count > len(COLORS):
         raise InputError(
@@ -136,7 +136,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
     parts, names = [], []
     for places in product(*(range(values.sizes[d]) for d in others)):
         parts.append(values.isel(dict(zip(others, places, strict=True))))
-        labels = [told_of(values[d], at) for d, at in zip(others, places, strict=True)]
+        labels = [position_name(values[d], at) for d, at in zip(others, places, strict=True)]
         names.append(", ".join(words for words in labels if words))
     is_paper = set(names) <= set(FINGER_LOOK)
     looks = [FINGER_LOOK[name] for name in names] if is_paper else range(count)
@@ -146,7 +146,7 @@ def lines_of(values: "xarray.DataArray", kept: Sequence[str]) -> list[CurveSelec
     ]
 
 
-def told_of(axis: "xarray.DataArray", at: int) -> str:
+def position_name(axis: "xarray.DataArray", at: int) -> str:
     """Return the name of a position on an axis.
 
     Parameters
@@ -164,7 +164,7 @@ def told_of(axis: "xarray.DataArray", at: int) -> str:
     """
     value = axis.values[at]
     if axis.name == FINGER:
-        return "in air" if str(value) == "none" else f"{value} finger"
+        return finger_name(str(value))
     if axis.size == 1:
         return ""
     if axis.dtype.kind not in "fiu":
@@ -172,6 +172,24 @@ def told_of(axis: "xarray.DataArray", at: int) -> str:
     unit = str(axis.attrs.get("units", ""))
     name = str(axis.attrs.get("long_name", axis.name))
     return f"{name} {value:g} {'' if unit == '1' else unit}".rstrip()
+
+
+def finger_name(load: str | None) -> str:
+    """Return the name of a finger in figures and reports.
+
+    Parameters
+    ----------
+    load : str or None
+        Name of the finger load.
+
+    Returns
+    -------
+    str
+        Name, such as "low finger" or "in air"; empty for None.
+    """
+    if load is None:
+        return ""
+    return "in air" if load == "none" else f"{load} finger"
 
 
 def label(values: "xarray.DataArray") -> str:
@@ -240,7 +258,7 @@ def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
     return values
 
 
-def told_share(share: float, values: "xarray.DataArray") -> str:
+def share_phrase(share: float, values: "xarray.DataArray") -> str:
     """Return in words which values of a criterion are good enough.
 
     Parameters
@@ -262,7 +280,7 @@ def told_share(share: float, values: "xarray.DataArray") -> str:
     return f"at least {100 * share:.4g} % of the best"
 
 
-def told_range(good: Range, unit: str) -> str:
+def range_phrase(good: Range, unit: str) -> str:
     """Return a range in words, with its best value.
 
     Parameters

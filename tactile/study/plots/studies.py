@@ -6,14 +6,13 @@ are read from its attributes (`tactile.study.plots.labels`).
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
-from tactile.show.plots.style import BLUE, GRAY, RED, check_file, name_ends, new_figure, plain, save
+from tactile.show.plots.style import BLUE, GRAY, RED, name_ends, new_figure, plain
 from tactile.study.findings import FREQUENCY, SCENARIO, in_decibels, range_of, sign_of
 from tactile.study.plots.labels import (
     CurveSelection,
@@ -22,8 +21,8 @@ from tactile.study.plots.labels import (
     label,
     lines_of,
     over_frequency,
-    told_range,
-    told_share,
+    range_phrase,
+    share_phrase,
     variable_of,
 )
 from tactile.study.ranges import SHARE, Range, overlap, within
@@ -56,37 +55,15 @@ WORST = 4.0
 # Responses
 
 
-def plot_response_phase(path: str | Path, data: "xarray.Dataset", variable: str) -> None:
-    """Draw magnitude and phase of responses over frequency, and save the figure.
+def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
+    """Draw magnitude above phase over frequency, with one line for each design.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study that keeps the response.
     variable : str
         Complex variable of ``data`` over ``frequency_hz``, such as ``displacement_um_per_v``.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, the file cannot be written, there is no such variable, or it has
-        more than six lines.
-    """
-    check_file(path)
-    save(response_phase_figure(data, variable), path)
-
-
-def response_phase_figure(data: "xarray.Dataset", variable: str) -> "Figure":
-    """Draw magnitude above phase, with one line for each design; see `plot_response_phase`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study that keeps the response.
-    variable : str
-        Complex variable of ``data`` over ``frequency_hz``.
 
     Returns
     -------
@@ -156,21 +133,17 @@ def _name_lines(axes: "Axes", ends: Ends) -> None:
 # Map over an axis and frequency
 
 
-def plot_length_map(
-    path: str | Path,
+def length_map_figure(
     data: "xarray.Dataset",
     variable: str = "displacement_um_per_v",
     *,
     axis: str | None = None,
     share: float = SHARE,
-    in_db: bool = True,
-) -> None:
-    """Draw the level over an axis and frequency under each finger, and the good range.
+) -> "Figure":
+    """Draw the level over an axis and frequency under each finger, and the good range below.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study that keeps the response.
     variable : str
@@ -179,40 +152,6 @@ def plot_length_map(
         Axis to draw along; by default the first that has numbers, such as ``length_mm``.
     share : float
         Share of the best that is good enough, of the smallest magnitude in the band.
-    in_db : bool
-        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
-
-    Raises
-    ------
-    InputError
-        As of `plot_response_phase`, and if there is no such axis.
-    """
-    check_file(path)
-    save(length_map_figure(data, variable, axis=axis, share=share, in_db=in_db), path)
-
-
-def length_map_figure(
-    data: "xarray.Dataset",
-    variable: str = "displacement_um_per_v",
-    *,
-    axis: str | None = None,
-    share: float = SHARE,
-    in_db: bool = True,
-) -> "Figure":
-    """Draw a map for each finger above its smallest magnitude; see `plot_length_map`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study that keeps the response.
-    variable : str
-        Variable of ``data`` over ``frequency_hz``.
-    axis : str, optional
-        Axis to draw along; by default the first that has numbers.
-    share : float
-        Share of the best that is good enough, of the smallest magnitude in the band.
-    in_db : bool
-        Whether to draw the level in dB re one unit, instead of the magnitude in the unit.
 
     Returns
     -------
@@ -232,33 +171,27 @@ def length_map_figure(
     grid = figure.subplots(
         2, len(lines), sharex=True, sharey="row", height_ratios=(5, 3), squeeze=False
     )
-    levels = _levels(np.abs(values.values), in_db)
+    levels = _levels(np.abs(values.values))
     for line, (above, below) in zip(lines, grid.T, strict=True):
         good, smallest = _smallest(data, line, along, share)
-        image = _map(above, line, along, levels, in_db)
+        image = _map(above, line, along, levels)
         above.set_title(line.name, fontsize=11, color=line.color)
         below.plot(values[along].values, smallest, color=line.color, linewidth=WIDTH)
         _mark_range(above, below, good, line, share, str(values[along].attrs.get("units", "")))
         below.set(xlabel=label(values[along]))
         plain(below)
     unit = str(values.attrs.get("units", ""))
-    name = f"level [dB re 1 {unit}]" if in_db else label(values)
     figure.colorbar(
-        image,
-        ax=grid[0].tolist(),
-        label=name,
-        ticks=levels[::2],
-        extend="min" if in_db else "neither",
-    )
+        image, ax=grid[0].tolist(), label=f"level [dB re 1 {unit}]", ticks=levels[::2],
+        extend="min",
+    )  # fmt: skip
     grid[0, 0].set_ylabel("frequency [Hz]")
     grid[1, 0].set(ylabel=f"smallest in\nthe band [{unit}]", ylim=(0, None))
     return figure
 
 
-def _levels(size: Floats, in_db: bool) -> Floats:
-    """Return the contour levels of all maps, ascending; the color scale spans them."""
-    if not in_db:
-        return np.linspace(0.0, float(size.max()), 11)
+def _levels(size: Floats) -> Floats:
+    """Return the contour levels of all maps [dB], ascending; the color scale spans them."""
     top = STEP * np.ceil(20 * np.log10(size.max()) / STEP)
     with np.errstate(divide="ignore"):
         bottom = STEP * np.floor(20 * np.log10(size.min()) / STEP)
@@ -273,19 +206,17 @@ def _smallest(
     return within(line.values[along].values, smallest, share=share), smallest
 
 
-def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats, in_db: bool) -> Any:
+def _map(axes: "Axes", line: CurveSelection, along: str, levels: Floats) -> Any:
     """Draw levels over an axis and frequency, with contours."""
     size = np.abs(line.values.transpose(FREQUENCY, along).values)
     with np.errstate(divide="ignore"):
-        levels_shown = np.maximum(20 * np.log10(size), levels[0] - STEP) if in_db else size
+        level = np.maximum(20 * np.log10(size), levels[0] - STEP)
     x, f = line.values[along].values, line.values[FREQUENCY].values
     image = axes.pcolormesh(
-        x, f, levels_shown, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
+        x, f, level, cmap=MAP_COLORS, vmin=levels[0], vmax=levels[-1], shading="gouraud",
         rasterized=True,
     )  # fmt: skip
-    curves = axes.contour(
-        x, f, levels_shown, levels[1:], colors="white", linewidths=0.6, linestyles="-"
-    )
+    curves = axes.contour(x, f, level, levels[1:], colors="white", linewidths=0.6, linestyles="-")
     axes.clabel(curves, levels[2::2], fmt="%g", fontsize=7)
     _scale_frequency(axes, f)
     axes.set(xlim=(x[0], x[-1]), ylim=(f[0], f[-1]), xlabel="")
@@ -314,49 +245,17 @@ def _mark_range(
 # A criterion along an axis
 
 
-def plot_criterion(
-    path: str | Path,
-    data: "xarray.Dataset",
-    variable: str,
-    *,
-    axis: str | None = None,
-    share: float = SHARE,
-) -> None:
+def criterion_figure(
+    data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
+) -> "Figure":
     """Draw a criterion along an axis under each finger, with good ranges and their overlap.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study.
     variable : str
         Criterion of ``data``, such as ``smallest_displacement_um_per_v``.
-    axis : str, optional
-        Axis to draw along; by default the first that has numbers.
-    share : float
-        Share of the best that is good enough.
-
-    Raises
-    ------
-    InputError
-        As of `plot_length_map`.
-    """
-    check_file(path)
-    save(criterion_figure(data, variable, axis=axis, share=share), path)
-
-
-def criterion_figure(
-    data: "xarray.Dataset", variable: str, *, axis: str | None = None, share: float = SHARE
-) -> "Figure":
-    """Draw a line for each finger, shaded where it is good enough; see `plot_criterion`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study.
-    variable : str
-        Criterion of ``data``.
     axis : str, optional
         Axis to draw along; by default the first that has numbers.
     share : float
@@ -384,7 +283,7 @@ def criterion_figure(
         if sign:
             good = range_of(line.values, share)
             ranges.append(good)
-            text = f"{line.name}  {told_range(good, unit)}".strip()
+            text = f"{line.name}  {range_phrase(good, unit)}".strip()
             _shade(axes, x, line, good)
         axes.plot(x, line.values.values, **_line_style(line), label=text)
     _overlap(axes, ranges, unit)
@@ -395,7 +294,7 @@ def criterion_figure(
         axes.set_ylim(0, None if is_open else min(axes.get_ylim()[1], WORST * best))
     plain(axes)
     if axes.get_legend_handles_labels()[1]:
-        title = told_share(share, values) if sign else None
+        title = share_phrase(share, values) if sign else None
         figure.legend(loc="outside upper left", frameon=False, fontsize=9, title=title,
                       alignment="left", title_fontsize=9)  # fmt: skip
     return figure
@@ -423,56 +322,20 @@ def _overlap(axes: "Axes", ranges: list[Range], unit: str) -> None:
 # Fronts
 
 
-def plot_pareto(
-    path: str | Path,
-    front: "xarray.Dataset",
-    objectives: Sequence[str],
-    *,
-    cloud: "xarray.Dataset | None" = None,
-    knee: int | None = None,
-) -> None:
-    """Draw a Pareto front over two objectives, with a third as color, and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
-    front : xarray.Dataset
-        Designs that no other dominates, along one dimension.
-    objectives : sequence of str
-        Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
-    cloud : xarray.Dataset, optional
-        Other feasible designs, with the same variables.
-    knee : int, optional
-        Position along the front of the design to mark.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, the file cannot be written, a variable is missing, or the
-        objectives are not two or three.
-    """
-    check_file(path)
-    save(pareto_figure(front, objectives, cloud=cloud, knee=knee), path)
-
-
 def pareto_figure(
     front: "xarray.Dataset",
     objectives: Sequence[str],
     *,
-    cloud: "xarray.Dataset | None" = None,
     knee: int | None = None,
 ) -> "Figure":
-    """Draw a front over two objectives; see `plot_pareto`.
+    """Draw a Pareto front over two objectives, with a third as color.
 
     Parameters
     ----------
     front : xarray.Dataset
         Designs that no other dominates, along one dimension.
     objectives : sequence of str
-        Two or three variables of ``front``.
-    cloud : xarray.Dataset, optional
-        Other feasible designs, with the same variables.
+        Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
     knee : int, optional
         Position along the front of the design to mark.
 
@@ -491,10 +354,6 @@ def pareto_figure(
     x, y, *third = (variable_of(front, name) for name in objectives)
     figure = new_figure(7.0, 4.8)
     axes = figure.subplots()
-    if cloud is not None:
-        others = [np.ravel(variable_of(cloud, str(v.name)).values) for v in (x, y)]
-        axes.plot(*others, ".", color="#c4c4c4", markersize=3, rasterized=True)
-        axes.plot([], [], ".", color="#c4c4c4", markersize=8, label="feasible")
     if third:
         dots = axes.scatter(x, y, c=third[0].values, cmap=MAP_COLORS, s=42, linewidths=0.5,
                             edgecolors="#444444", label="front", zorder=3)  # fmt: skip
@@ -530,40 +389,15 @@ def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee:
 # Tolerances
 
 
-def plot_tolerance(
-    path: str | Path, data: "xarray.Dataset", variable: str, *, axis: str | None = None
-) -> None:
+def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
     """Draw the median over scenarios and the band of 90 % of them, along an axis or frequency.
 
     Parameters
     ----------
-    path : str or Path
-        Path of a .png, .svg or .pdf file.
     data : xarray.Dataset
         Data set of a study with scenarios.
     variable : str
         Variable of ``data``. Of a response, the magnitude is drawn over frequency.
-    axis : str, optional
-        Axis to draw a criterion along; by default the first that has numbers.
-
-    Raises
-    ------
-    InputError
-        As of `plot_length_map`, and if the study has no scenarios.
-    """
-    check_file(path)
-    save(tolerance_figure(data, variable, axis=axis), path)
-
-
-def tolerance_figure(data: "xarray.Dataset", variable: str, *, axis: str | None = None) -> "Figure":
-    """Draw the median and the band over scenarios; see `plot_tolerance`.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study with scenarios.
-    variable : str
-        Variable of ``data``.
     axis : str, optional
         Axis to draw a criterion along; by default the first that has numbers.
 

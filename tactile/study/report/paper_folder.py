@@ -17,6 +17,7 @@ from tactile.study.paper import FIGURES, KINDS, REFERENCE, SMALLEST, Claim, Pape
 from tactile.study.plots import length_map_figure, response_phase_figure
 from tactile.study.report.page import Picture, Section, Table, write_report
 from tactile.study.report.studies import provenance_sections
+from tactile.study.storing import save as save_study
 from tactile.study.sweep import solve_study
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _write_figure(folder: Path, entry: PaperFigure, data: "xarray.Dataset") -> S
     image = drawn(figure)
     _write(folder / f"{entry.name}.svg", image)
     _write(folder / f"{entry.name}.csv", _table_of(entry, data))
-    _write(folder / f"{entry.name}.nc", bytes(in_real_numbers(data).to_netcdf(engine="scipy")))
+    save_study(data, folder / f"{entry.name}.nc")
     picture = Picture(image, entry.title, entry.caption)
     files = f"Files: {entry.name}.png, .svg, .csv and .nc."
     return Section(entry.title, (picture, files))
@@ -135,29 +136,6 @@ def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
         }
     rows = zip(*([f"{x:.9g}" for x in column] for column in columns.values()), strict=True)
     return _csv([list(columns), *map(list, rows)])
-
-
-def in_real_numbers(data: "xarray.Dataset") -> "xarray.Dataset":
-    """Return a data set whose complex variables are split for NetCDF.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Data set of a study.
-
-    Returns
-    -------
-    xarray.Dataset
-        Data set in which each complex variable is replaced by ``…_real`` and ``…_imaginary``.
-    """
-    result = data
-    for name, values in data.data_vars.items():
-        if values.dtype.kind == "c":
-            parts = {f"{name}_real": values.real, f"{name}_imaginary": values.imag}
-            result = result.drop_vars(str(name)).assign(
-                {key: part.assign_attrs(values.attrs) for key, part in parts.items()}
-            )
-    return result
 
 
 HEADINGS = ("claim", "unit", "stated", "found", "difference", "within", "met", "stated by", "kind")

@@ -19,6 +19,7 @@ from tactile.study.findings import (
     SCENARIO,
     WORST,
     agreed,
+    best_designs,
     number_axes,
     range_of,
     reached,
@@ -32,11 +33,12 @@ from tactile.study.plots import (
     tolerance_figure,
 )
 from tactile.study.plots.labels import (
+    finger_name,
     label,
     lines_of,
-    told_of,
-    told_range,
-    told_share,
+    position_name,
+    range_phrase,
+    share_phrase,
 )
 from tactile.study.ranges import SHARE, overlap
 from tactile.study.report.page import Picture, Section, Table
@@ -85,9 +87,7 @@ def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Sectio
     return [s for s in sections if s.content] + provenance_sections(data)
 
 
-def front_report(
-    front: "xarray.Dataset", *, cloud: "xarray.Dataset | None" = None, knee: int | None = None
-) -> list[Section]:
+def front_report(front: "xarray.Dataset", *, knee: int | None = None) -> list[Section]:
     """Return the sections of a report on a front.
 
     Parameters
@@ -95,8 +95,6 @@ def front_report(
     front : xarray.Dataset
         Designs along ``design``. Its attribute ``objectives`` names one to three of its variables,
         separated by spaces.
-    cloud : xarray.Dataset, optional
-        Other feasible designs; see `tactile.study.plots.plot_pareto`.
     knee : int, optional
         Position along the front of the design to mark.
 
@@ -115,7 +113,7 @@ def front_report(
         raise InputError("this data set names no objectives: it is no front of designs")
     content: list[str | Picture | Table] = []
     if len(objectives) > 1:
-        figure = pareto_figure(front, objectives, cloud=cloud, knee=knee)
+        figure = pareto_figure(front, objectives, knee=knee)
         labels = ", ".join(label(front[name]) for name in objectives)
         words = "Designs that no other found beats in every objective"
         content.append(Picture(drawn(figure), f"{words}: {labels}", f"{words}: {labels}."))
@@ -145,18 +143,12 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
     """Return a table of the best of each criterion under each finger, and of its design."""
     rows = []
     for name in names:
-        values = reached(data[name])
-        for finger in lines_of(values, [str(d) for d in values.dims if d != FINGER]):
-            rest = finger.values * sign_of(values)
-            if not bool(np.isfinite(rest).any()):
+        for best in best_designs(reached(data[name])):
+            if best["finger"] == "all":
                 continue
-            place = rest.argmax(list(finger.values.dims))
-            best = finger.values.isel(place)
-            design = ", ".join(f"{d} = {_cell(best[d].item())}" for d in finger.values.dims)
-            unit = str(values.attrs.get("units", ""))
-            rows.append(
-                (label(values).split(" [")[0], finger.name, f"{best.item():.4g} {unit}", design)
-            )
+            design = ", ".join(f"{d} = {_cell(x)}" for d, x in best["at"].items() if d != FINGER)
+            words = label(data[name]).split(" [")[0], finger_name(best["finger"])
+            rows.append((*words, f"{best['value']:.4g} {best['unit']}", design))
     robust = (
         f"With scenarios: what {1 - WORST:.0%} of them attain." if SCENARIO in data.dims else ""
     )
@@ -166,7 +158,7 @@ def _best(data: "xarray.Dataset", names: list[str]) -> Table:
 def _agreed_sentence(data: "xarray.Dataset") -> str:
     """Return a sentence on the design that suits all fingers best."""
     place = chosen_design(data)
-    design = ", ".join(told_of(data[d], k) for d, k in place.items())
+    design = ", ".join(position_name(data[d], k) for d, k in place.items())
     return f"By the first criterion this suits the fingers best: {design}." if design else ""
 
 
@@ -245,14 +237,14 @@ def _ranges(profile: "xarray.DataArray", axis: str, share: float, *, is_all: boo
     lines = lines_of(profile, (axis,))
     ranges = [range_of(line.values, share) for line in lines]
     rows = [
-        (line.name or "all", told_range(r, unit)) for line, r in zip(lines, ranges, strict=True)
+        (line.name or "all", range_phrase(r, unit)) for line, r in zip(lines, ranges, strict=True)
     ]
     if len(ranges) > 1 and is_all:
         shared = overlap(ranges)
         text = "nothing" if shared is None else f"{shared[0]:.3g} … {shared[1]:.3g} {unit}"
         rows.append(("shared by all", text))
     text = profile[axis].attrs.get("long_name", axis)
-    heads = ("finger", f"{text}, {told_share(share, profile)}")
+    heads = ("finger", f"{text}, {share_phrase(share, profile)}")
     return Table(heads, tuple(rows))
 
 
@@ -281,7 +273,7 @@ def _slice(data: "xarray.Dataset", name: str, axis: str = "") -> tuple["xarray.D
     values = data[name]
     place = {d: k for d, k in chosen_design(data).items() if d in values.dims and d != axis}
     place = {d: k for d, k in place.items() if values.sizes[d] > 1}
-    position = ", ".join(told_of(values[d], k) for d, k in place.items())
+    position = ", ".join(position_name(values[d], k) for d, k in place.items())
     return data[[name]].isel(place), f", at {position}" if position else ""
 
 

@@ -11,7 +11,6 @@ from the beginning of the pattern: a curve whose first point has the time of the
 not 0, is read in this way.
 """
 
-import itertools
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,7 +29,9 @@ from tactile.texture.formats.document import (
     EffectChannel,
     Keyframe,
     KeyframeSegment,
+    Seconds,
     channels_of,
+    check_ascending,
     hertz,
     sharpness_of,
     single,
@@ -49,8 +50,6 @@ KINDS = ("Event", "Parameter", "ParameterCurve")
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 """Number of limited magnitude, −1e6 to 1e6."""
-Seconds = Annotated[float, Meta(ge=0, le=3600)]
-"""Time, 0 to 3600 [s]."""
 
 
 class EventParameter(Struct, frozen=True, rename="pascal"):
@@ -263,7 +262,7 @@ def _events(kind: str, events: list[AhapEvent], limited: list[str]) -> Band:
                 segments=tuple(segments))  # fmt: skip
 
 
-def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str]) -> Band:
+def _controls(path: Path, pattern: Pattern, notes: list[str], limited: list[str]) -> Band:
     """Return parameters and curves as a band with a segment each."""
     segments = []
     for i, entry in enumerate(pattern.pattern):
@@ -277,7 +276,7 @@ def _controls(path: Path, pattern: Pattern, told: list[str], limited: list[str])
         if curve is None:
             continue
         if curve.parameter_id not in ("HapticIntensityControl", "HapticSharpnessControl"):
-            told.append(f"left out: {reading.one_line(curve.parameter_id)}")
+            notes.append(f"left out: {reading.one_line(curve.parameter_id)}")
             continue
         where = f"{path}: Pattern[{i}].ParameterCurve.ParameterCurveControlPoints"
         segments.append(_control(where, curve, limited))
@@ -289,17 +288,12 @@ def _control(where: str, curve: ParameterCurve, limited: list[str]) -> KeyframeS
     points = curve.parameter_curve_control_points
     if not points:
         raise InputError(f"{where}: is empty; needs a point")
+    check_ascending(where, "Time", (p.time for p in points))
     offset = curve.time if points[0].time == curve.time else 0.0
-    times = [p.time - offset for p in points]
-    for k, (before, after) in enumerate(itertools.pairwise(times)):
-        if after < before:
-            raise InputError(
-                f"{where}[{k + 1}].Time = {points[k + 1].time:g}: comes after {points[k].time:g}; "
-                "times must ascend"
-            )
     intensity = curve.parameter_id == "HapticIntensityControl"
     low, keyframes = 0.0 if intensity else -1.0, []
-    for time, point in zip(times, points, strict=True):
+    for point in points:
+        time = point.time - offset
         value = _limit(curve.parameter_id, point.parameter_value, low, limited)
         shift = value * (HIGHEST - LOWEST)
         keyframes.append(

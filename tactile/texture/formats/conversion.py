@@ -6,10 +6,7 @@ at a stated speed. A .hjif becomes a texture where its target is ``.toml`` and a
 Without a speed it stays an effect, in a ``.toml`` with ``[effect]``.
 """
 
-import os
-import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,8 +17,8 @@ import tomli_w
 from tactile import files
 from tactile.errors import InputError, NotFoundError
 from tactile.texture import descriptor as descriptors
+from tactile.texture import descriptor_file
 from tactile.texture.descriptor import Descriptor
-from tactile.texture.descriptor_file import as_toml
 from tactile.texture.formats import ahap, haptic_clip, hatt, hjif, pcm, reading, surface_effect
 from tactile.texture.formats.document import Effect, EffectFile, channels_of, segments_of
 from tactile.texture.formats.synthesis import duration
@@ -61,7 +58,7 @@ SAVERS: dict[str, Callable[[Effect], Saved]] = {
     ".toml": _saved_toml,
 }
 """Writers of effects by the suffix of a file."""
-UNTOLD = {
+FORMAT_FIELDS = {
     "version", "profile", "level", "date", "unit_exponent", "perception_unit_exponent",
     "sample_count", "block_length",
 }  # fmt: skip
@@ -150,7 +147,7 @@ def save_effect(effect: Effect, path: str | Path, *, force: bool = False) -> lis
         content, lost = SAVERS[path.suffix.lower()](effect)
     except (OverflowError, TypeError, UnicodeEncodeError) as error:
         raise InputError(reading.one_line(f"{path}: cannot be written: {error}")) from error
-    _write(path, content, force=force)
+    files.write_whole(path, content, force=force)
     return _lost_fields(effect, path.suffix.lower()) + lost
 
 
@@ -162,7 +159,7 @@ def _lost_fields(effect: Effect, suffix: str) -> list[str]:
     for perception in effect.perceptions:
         parts += [*perception.reference_devices, *perception.library, *perception.channels]
         parts += [*(b for c in perception.channels for b in c.bands), *segments_of(perception)]
-    names = [k for part in parts for k, v in part.other.items() if v and k not in UNTOLD]
+    names = [k for part in parts for k, v in part.other.items() if v and k not in FORMAT_FIELDS]
     return reading.notes_on(f"{suffix} has no place for", names) + (
         _lost_features(effect, suffix) if suffix != ".hjif" else []
     )
@@ -225,7 +222,9 @@ def convert_file(
         texture, further_notes = surface_effect.texture_from(effect, speed, target.stem, path.name)
         notes += further_notes
     if target.suffix == ".toml":
-        _save_texture(texture, target, force=force)
+        identity = msgspec.structs.replace(texture.texture, id=target.stem)
+        texture = msgspec.structs.replace(texture, texture=identity)
+        descriptor_file.write(texture, target, force=force)
         return Conversion("texture", tuple(notes))
     if speed is None:
         raise InputError(
@@ -271,24 +270,7 @@ def _checked_target(path: Path, *, force: bool) -> None:
     """Raise `InputError` if a file cannot be written."""
     if path.suffix.lower() not in SAVERS:
         raise InputError(f"{path}: cannot be written; {files.nearest(path.suffix, list(SAVERS))}")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no folder {path.parent}")
-    if path.exists() and not force:
-        raise InputError(f"{path}: is there already; --force overwrites it")
-
-
-def _save_texture(texture: Descriptor, target: Path, *, force: bool) -> None:
-    """Write a texture under the name of its file, after a check that it can be read back."""
-    identity = msgspec.structs.replace(texture.texture, id=target.stem)
-    content = as_toml(msgspec.structs.replace(texture, texture=identity)).encode()
-    with tempfile.TemporaryDirectory() as folder:
-        trial = Path(folder) / target.name
-        trial.write_bytes(content)
-        try:
-            descriptors.load(trial)
-        except InputError as error:
-            raise InputError(str(error).replace(str(trial), str(target))) from error
-    _write(target, content, force=force)
+    files.check_target(path, force=force)
 
 
 def _without_none(value: Any) -> Any:
@@ -296,18 +278,3 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _without_none(v) for k, v in value.items() if v is not None}
     return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-def _write(path: Path, content: bytes, *, force: bool) -> None:
-    """Write a file completely or not at all."""
-    handle, name = tempfile.mkstemp(prefix=".tactile-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(name, 0o644)
-        if path.exists() and not force:
-            raise InputError(f"{path}: is there already; --force overwrites it")
-        os.replace(name, path)
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(name)

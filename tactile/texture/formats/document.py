@@ -18,9 +18,12 @@ file, a document is TOML with the table ``[effect]``; a texture is one with ``[t
 """
 
 import itertools
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
+
+from tactile.errors import InputError
 
 LOWEST, HIGHEST = 65.0, 300.0
 """Frequencies that a sharpness (AHAP) or frequency (.haptic) of 0 and 1 stand for [Hz], from the
@@ -116,12 +119,7 @@ class KeyframeSegment(FileTable, frozen=True, kw_only=True):
     other: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
-        times = [keyframe.time_s for keyframe in self.keyframes]
-        for i, (before, after) in enumerate(itertools.pairwise(times)):
-            if after < before:
-                raise ValueError(
-                    f"keyframes[{i + 1}] at {after:g} s comes after {before:g} s: must ascend"
-                )
+        check_ascending("keyframes", "time_s", (keyframe.time_s for keyframe in self.keyframes))
         if len(self.samples) % 4:
             raise ValueError(f"samples has {len(self.samples)} bytes: must be 4 for each")
 
@@ -308,6 +306,30 @@ class EffectFile(FileTable, frozen=True, kw_only=True):
     """
 
     effect: Effect
+
+
+def check_ascending(points: str, field: str, times: Iterable[float]) -> None:
+    """Check that times ascend.
+
+    Parameters
+    ----------
+    points : str
+        Field of the list of points in the file.
+    field : str
+        Field of the time in a point.
+    times : iterable of float
+        Times in the order of the file.
+
+    Raises
+    ------
+    InputError
+        If a time is before that of its predecessor.
+    """
+    for i, (before, after) in enumerate(itertools.pairwise(times), 1):
+        if after < before:
+            raise InputError(
+                f"{points}[{i}].{field} = {after:.10g}: comes after {before:.10g}; must ascend"
+            )
 
 
 def segments_of(perception: Perception) -> list[KeyframeSegment]:

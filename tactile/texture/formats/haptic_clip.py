@@ -23,6 +23,8 @@ from tactile.texture.formats.document import (
     Effect,
     Keyframe,
     KeyframeSegment,
+    Seconds,
+    check_ascending,
     hertz,
     sharpness_of,
     single,
@@ -30,8 +32,6 @@ from tactile.texture.formats.document import (
 
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 """Fraction, 0 to 1."""
-Seconds = Annotated[float, Meta(ge=0, le=3600)]
-"""Time, 0 to 3600 [s]."""
 FINE = 48_000
 """Resolution of a document whose times were given in seconds, for formats that count ticks [1/s].
 It is the highest that MPEG allows."""
@@ -144,6 +144,18 @@ class Envelopes(Struct, frozen=True, omit_defaults=True):
     amplitude: tuple[AmplitudePoint, ...]
     frequency: tuple[ClipFrequencyPoint, ...] | None = None
 
+    def __post_init__(self) -> None:
+        if not self.amplitude:
+            raise ValueError("amplitude: is empty; needs a breakpoint")
+        check_ascending("amplitude", "time", (p.time for p in self.amplitude))
+        check_ascending("frequency", "time", (p.time for p in self.frequency or ()))
+        for i, p in enumerate(self.amplitude):
+            if p.emphasis and p.emphasis.amplitude < p.amplitude:
+                raise ValueError(
+                    f"amplitude[{i}].emphasis.amplitude = {p.emphasis.amplitude:g}: must be at "
+                    f"least the envelope's {p.amplitude:g}"
+                )
+
 
 class Continuous(Struct, frozen=True):
     """Object ``continuous``: the signal of the clip.
@@ -218,7 +230,6 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
         ))  # fmt: skip
     clip = reading.fitted(path, data, Clip)
     envelopes = clip.signals.continuous.envelopes
-    _check(path, envelopes)
     ignored = reading.notes_on("ignored:", reading.unknown(data, msgspec.inspect.type_info(Clip)))
     bands = [outline.wave_band(
         [(p.time, p.amplitude) for p in envelopes.amplitude],
@@ -237,28 +248,6 @@ def load_clip(path: Path) -> tuple[Effect, list[str]]:
     effect = single(tuple(bands), origin="haptic", ticks_per_s=FINE, other=other,
                     description=clip.metadata.description)  # fmt: skip
     return effect, ignored
-
-
-def _check(path: Path, envelopes: Envelopes) -> None:
-    """Check what types cannot express: order, and that an emphasis is not below its envelope."""
-    where = "signals.continuous.envelopes"
-    if not envelopes.amplitude:
-        raise InputError(f"{path}: {where}.amplitude: is empty; needs a breakpoint")
-    for name in ("amplitude", "frequency"):
-        before = 0.0
-        for i, point in enumerate(getattr(envelopes, name) or ()):
-            if point.time < before:
-                raise InputError(
-                    f"{path}: {where}.{name}[{i}].time = {point.time:g}: comes after {before:g}; "
-                    "times must ascend"
-                )
-            before = point.time
-    for i, p in enumerate(envelopes.amplitude):
-        if p.emphasis and p.emphasis.amplitude < p.amplitude:
-            raise InputError(
-                f"{path}: {where}.amplitude[{i}].emphasis.amplitude = {p.emphasis.amplitude:g}: "
-                f"must be at least the envelope's {p.amplitude:g}"
-            )
 
 
 def saved_clip(effect: Effect) -> tuple[bytes, list[str]]:

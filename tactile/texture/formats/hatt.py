@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import freqz, lfilter
+from scipy.signal import freqz
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
@@ -45,8 +45,6 @@ TOP = 1000.0
 """Highest frequency of a texture [Hz]."""
 MOST_MODELS, MOST_COEFFICIENTS = 1000, 64
 """Largest number of models, and of coefficients of a model."""
-SETTLE = 4096
-"""Number of samples of noise that pass through the filter before the first sample that is used."""
 CATEGORIES = {
     "wood": "wood", "mdf": "wood", "cork": "wood", "leather": "leather", "plastic": "plastic",
     "acrylic": "plastic", "foam": "foam", "styrofoam": "foam", "metal": "metal",
@@ -174,29 +172,6 @@ class ModelSet:
         _, response = freqz(b, a, worN=2 * np.pi * frequency / self.sample_rate)
         density = 2 * variance * np.abs(response) ** 2 / self.sample_rate
         return np.asarray(np.where(frequency <= self.sample_rate / 2, density, 0.0))
-
-    def acceleration(self, count: int, speed: float, normal_force: float, seed: int = 0) -> Floats:
-        """Synthesize acceleration at the sample rate of the models.
-
-        Parameters
-        ----------
-        count : int
-            Number of samples.
-        speed : float
-            Speed, of either sign [m/s].
-        normal_force : float
-            Normal force [N].
-        seed : int
-            Seed of the noise.
-
-        Returns
-        -------
-        (count,) array of float
-            Acceleration of the tool [m/s²].
-        """
-        b, a, variance = self.filter_at(speed, normal_force)
-        noise = np.random.default_rng(seed).standard_normal(count + SETTLE)
-        return np.asarray(lfilter(b, a, math.sqrt(variance) * noise)[SETTLE:])
 
 
 def polynomial(lsf: Floats) -> Floats:

@@ -8,7 +8,7 @@ read.
 """
 
 import datetime
-import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,11 +27,14 @@ from tactile.texture.formats.document import (
     Effect,
     EffectChannel,
     EffectType,
+    Gain,
     Keyframe,
     KeyframeSegment,
     Perception,
     ReferenceDevice,
+    Whole,
     channels_of,
+    check_ascending,
 )
 from tactile.texture.formats.synthesis import without_control
 
@@ -41,13 +44,13 @@ KINDS = {
 """Kind of a band in the effect document by its ``band_type``."""
 BANDS_AT_LEVEL_1, CHANNELS_AT_LEVEL_1 = 7, 128
 """Largest numbers of bands of a channel and of channels of a perception at level 1."""
+LONGEST = 3600
+"""Longest time that an effect may end at [s]."""
 SCHEME = "effect_semantic_scheme"
 """Field that is left out when writing."""
 
-Ticks = Annotated[int, Meta(ge=0, le=2**32 - 1)]
-"""Time in ticks, or another unsigned integer of 32 bits."""
-Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
-"""Number of limited magnitude, −1e6 to 1e6."""
+Limit = Annotated[float, Meta(ge=0, le=1e6)]
+"""Limit of a device or of a band, 0 to 1e6."""
 Name = Annotated[str, Meta(max_length=10_000)]
 """Text of at most 10000 characters."""
 
@@ -65,7 +68,7 @@ class HjifKeyframe(Struct, frozen=True):
         Frequency, 0 to 24000 [Hz].
     """
 
-    relative_position: Ticks
+    relative_position: Whole
     amplitude_modulation: Annotated[float, Meta(ge=-1, le=1)] | None = None
     frequency_modulation: Annotated[float, Meta(ge=0, le=24_000)] | None = None
 
@@ -92,12 +95,16 @@ class HjifEffect(Struct, frozen=True):
     """
 
     effect_type: EffectType
-    position: Ticks = 0
+    position: Whole = 0
     id: int | None = None
     phase: Annotated[float, Meta(ge=-1e3, le=1e3)] | None = None
     base_signal: BaseSignal | None = None
     semantic_keywords: Name | None = None
     keyframes: tuple[HjifKeyframe, ...] = ()
+
+    def __post_init__(self) -> None:
+        positions = (keyframe.relative_position for keyframe in self.keyframes)
+        check_ascending("keyframes", "relative_position", positions)
 
 
 class HjifBand(Struct, frozen=True):
@@ -118,10 +125,14 @@ class HjifBand(Struct, frozen=True):
     """
 
     band_type: str
-    lower_frequency_limit: Annotated[float, Meta(ge=0, le=1e6)]
-    upper_frequency_limit: Annotated[float, Meta(ge=0, le=1e6)]
+    lower_frequency_limit: Limit
+    upper_frequency_limit: Limit
     effects: tuple[HjifEffect, ...]
     curve_type: CurveType | None = None
+
+    def __post_init__(self) -> None:
+        if self.band_type not in KINDS:
+            raise ValueError(f"band_type = {self.band_type!r}: must be one of {', '.join(KINDS)}")
 
 
 class HjifChannel(Struct, frozen=True):
@@ -147,9 +158,9 @@ class HjifChannel(Struct, frozen=True):
 
     id: int
     description: Name
-    gain: Annotated[float, Meta(ge=-1000, le=1000)]
-    mixing_coefficient: Annotated[float, Meta(ge=-1000, le=1000)]
-    body_part_mask: Ticks
+    gain: Gain
+    mixing_coefficient: Gain
+    body_part_mask: Whole
     bands: tuple[HjifBand, ...]
     reference_device_id: int | None = None
 
@@ -180,11 +191,11 @@ class HjifDevice(Struct, frozen=True):
     id: int
     name: Name
     type: DeviceType = "Unknown"
-    minimum_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
-    maximum_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
-    resonance_frequency: Annotated[float, Meta(ge=0, le=1e6)] | None = None
-    maximum_voltage: Annotated[float, Meta(ge=0, le=1e6)] | None = None
-    maximum_displacement: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    minimum_frequency: Limit | None = None
+    maximum_frequency: Limit | None = None
+    resonance_frequency: Limit | None = None
+    maximum_voltage: Limit | None = None
+    maximum_displacement: Limit | None = None
 
 
 class HjifPerception(Struct, frozen=True):
@@ -255,6 +266,23 @@ class HjifFile(Struct, frozen=True):
     perceptions: tuple[HjifPerception, ...]
     syncs: tuple[dict[str, Any], ...]
 
+    def __post_init__(self) -> None:
+        for place, effect in _placed_effects(self.perceptions):
+            last = max((k.relative_position for k in effect.keyframes), default=0)
+            if (effect.position + last) / self.timescale > LONGEST:
+                raise ValueError(f"{place}: ends after more than an hour")
+
+
+def _placed_effects(perceptions: tuple[HjifPerception, ...]) -> Iterator[tuple[str, HjifEffect]]:
+    """Yield all effects, each with its place in the file."""
+    for i, p in enumerate(perceptions):
+        for k, effect in enumerate(p.effect_library):
+            yield f"perceptions[{i}].effect_library[{k}]", effect
+        for j, c in enumerate(p.channels):
+            for b, band in enumerate(c.bands):
+                for k, effect in enumerate(band.effects):
+                    yield f"perceptions[{i}].channels[{j}].bands[{b}].effects[{k}]", effect
+
 
 def load_hjif(path: Path) -> tuple[Effect, list[str]]:
     """Read a .hjif file.
@@ -280,15 +308,17 @@ def load_hjif(path: Path) -> tuple[Effect, list[str]]:
     """
     data = reading.parsed_json(path, null=False)
     file = reading.fitted(path, data, HjifFile)
-    perceptions = tuple(
-        _perception(path, p, raw, f"perceptions[{i}]", file.timescale)
-        for i, (p, raw) in enumerate(zip(file.perceptions, data["perceptions"], strict=True))
-    )
     other_fields = {k: v for k, v in data.items()
             if k not in ("description", "timescale", "perceptions")}  # fmt: skip
     try:
-        effect = Effect(description=file.description, origin="hjif", ticks_per_s=file.timescale,
-                        perceptions=perceptions, other=other_fields)  # fmt: skip
+        effect = Effect(
+            description=file.description, origin="hjif", ticks_per_s=file.timescale,
+            perceptions=tuple(
+                _perception(p, raw, file.timescale)
+                for p, raw in zip(file.perceptions, data["perceptions"], strict=True)
+            ),
+            other=other_fields,
+        )  # fmt: skip
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
     return effect, []
@@ -299,26 +329,17 @@ def _other(raw: dict[str, Any], shape: type[Struct], *unsaid: str) -> dict[str, 
     return {k: v for k, v in raw.items() if k not in shape.__struct_encode_fields__ or k in unsaid}
 
 
-def _perception(
-    path: Path, p: HjifPerception, raw: dict[str, Any], where: str, timescale: int
-) -> Perception:
+def _perception(p: HjifPerception, raw: dict[str, Any], timescale: int) -> Perception:
     """Return a perception of a file as one of the document."""
     millimeters = 10.0 ** (p.unit_exponent + 3)
+    devices = zip(p.reference_devices, raw.get("reference_devices", ()), strict=True)
     return Perception(
         id=p.id, avatar_id=p.avatar_id, description=p.description, modality=p.perception_modality,
-        reference_devices=tuple(
-            _device(d, raw_device, millimeters)
-            for d, raw_device in zip(
-                p.reference_devices, raw.get("reference_devices", ()), strict=True)
-        ),
-        library=tuple(
-            _segment(path, e, raw_effect, f"{where}.effect_library[{i}]", timescale)
-            for i, (e, raw_effect) in enumerate(
-                zip(p.effect_library, raw["effect_library"], strict=True))
-        ),
+        reference_devices=tuple(_device(d, raw_device, millimeters) for d, raw_device in devices),
+        library=_segments(p.effect_library, raw["effect_library"], timescale),
         channels=tuple(
-            _channel(path, c, raw_channel, f"{where}.channels[{i}]", timescale)
-            for i, (c, raw_channel) in enumerate(zip(p.channels, raw["channels"], strict=True))
+            _channel(c, raw_channel, timescale)
+            for c, raw_channel in zip(p.channels, raw["channels"], strict=True)
         ),
         other=_other(raw, HjifPerception, "unit_exponent"),
     )  # fmt: skip
@@ -336,54 +357,40 @@ def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> Reference
     )  # fmt: skip
 
 
-def _channel(
-    path: Path, c: HjifChannel, raw: dict[str, Any], where: str, timescale: int
-) -> EffectChannel:
+def _channel(c: HjifChannel, raw: dict[str, Any], timescale: int) -> EffectChannel:
     """Return a channel of a file as one of the document."""
-    bands = []
-    for i, (band, raw_band) in enumerate(zip(c.bands, raw["bands"], strict=True)):
-        field = f"{where}.bands[{i}]"
-        if band.band_type not in KINDS:
-            raise InputError(reading.one_line(
-                f"{path}: {field}.band_type = {band.band_type!r}: must be one of {', '.join(KINDS)}"
-            ))  # fmt: skip
-        segments = [
-            _segment(path, e, raw_effect, f"{field}.effects[{k}]", timescale)
-            for k, (e, raw_effect) in enumerate(zip(band.effects, raw_band["effects"], strict=True))
-        ]
-        bands.append(Band(
-            kind=KINDS[band.band_type], curve_type=band.curve_type, segments=tuple(segments),  # type: ignore[arg-type]
+    bands = tuple(
+        Band(
+            kind=KINDS[band.band_type], curve_type=band.curve_type,  # type: ignore[arg-type]
+            segments=_segments(band.effects, raw_band["effects"], timescale),
             lower_frequency_hz=band.lower_frequency_limit,
             upper_frequency_hz=band.upper_frequency_limit, other=_other(raw_band, HjifBand),
-        ))  # fmt: skip
+        )
+        for band, raw_band in zip(c.bands, raw["bands"], strict=True)
+    )  # fmt: skip
     return EffectChannel(
         id=c.id, description=c.description, gain=c.gain, mixing_coefficient=c.mixing_coefficient,
         body_part_mask=c.body_part_mask, reference_device_id=c.reference_device_id,
-        bands=tuple(bands), other=_other(raw, HjifChannel),
+        bands=bands, other=_other(raw, HjifChannel),
     )  # fmt: skip
 
 
-def _segment(
-    path: Path, e: HjifEffect, raw: dict[str, Any], where: str, timescale: int
-) -> KeyframeSegment:
-    """Return an effect of a file as a segment of the document."""
-    positions = [k.relative_position for k in e.keyframes]
-    for i, (before, after) in enumerate(itertools.pairwise(positions)):
-        if after < before:
-            raise InputError(
-                f"{path}: {where}.keyframes[{i + 1}].relative_position = {after}: comes after "
-                f"{before}; must ascend"
-            )
-    if (e.position + max(positions, default=0)) / timescale > 3600:
-        raise InputError(f"{path}: {where}: ends after more than an hour")
-    return KeyframeSegment(
-        start_s=e.position / timescale, type=e.effect_type, id=e.id, phase_rad=e.phase,
-        base_signal=e.base_signal, keywords=e.semantic_keywords, other=_other(raw, HjifEffect),
-        keyframes=tuple(
-            Keyframe(time_s=k.relative_position / timescale, amplitude=k.amplitude_modulation,
-                     frequency_hz=k.frequency_modulation)
-            for k in e.keyframes
-        ),
+def _segments(
+    effects: tuple[HjifEffect, ...], raw: list[dict[str, Any]], timescale: int
+) -> tuple[KeyframeSegment, ...]:
+    """Return effects of a file as segments of the document."""
+    return tuple(
+        KeyframeSegment(
+            start_s=e.position / timescale, type=e.effect_type, id=e.id, phase_rad=e.phase,
+            base_signal=e.base_signal, keywords=e.semantic_keywords,
+            other=_other(raw_effect, HjifEffect),
+            keyframes=tuple(
+                Keyframe(time_s=k.relative_position / timescale, amplitude=k.amplitude_modulation,
+                         frequency_hz=k.frequency_modulation)
+                for k in e.keyframes
+            ),
+        )
+        for e, raw_effect in zip(effects, raw, strict=True)
     )  # fmt: skip
 
 

@@ -213,11 +213,11 @@ def saved_openxr(effect: Effect) -> tuple[bytes, list[str]]:
     return msgspec.json.encode(content), lost
 
 
-def _flattened(effect: Effect, said: str) -> list[str]:
+def _flattened(effect: Effect, name: str) -> list[str]:
     """Return what is lost if only samples are left of an effect."""
     lost = unplayed(effect)
     if any(b.kind != "samples" for _, c in channels_of(effect) for b in c.bands):
-        lost.append(f"{said} has samples only: keyframes are rendered at {rate_of(effect):g} Hz")
+        lost.append(f"{name} has samples only: keyframes are rendered at {rate_of(effect):g} Hz")
     pitches = [k.frequency_hz or 0.0 for p in effect.perceptions
                for s in [*p.library, *segments_of(p)] for k in s.keyframes]  # fmt: skip
     if max(pitches, default=0.0) > rate_of(effect) / 2:

@@ -181,24 +181,7 @@ def fitted(path: Path, data: Any, shape: type[Shape]) -> Shape:
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        match = re.fullmatch(r"(?s)(.*?)(?: - at `\$\.?(.*?)`)?", str(error))
-        assert match is not None
-        field = (match[2] or "").replace("[...]", "[…]")
-        value = _value_at(data, field)
-        plain = isinstance(value, int | float | str)
-        where = f"{field} = {value!r}: " if plain else f"{field}: " if field else ""
-        problem = match[1].replace("Expected", "expected").replace("`", "")
-        raise InputError(one_line(f"{path}: {where}{problem}")) from error
-
-
-def _value_at(data: Any, field: str) -> Any:
-    """Return the value of a field of nested data by its path, or None if there is none."""
-    for key in re.findall(r"[^.\[\]]+", field):
-        try:
-            data = data[int(key)] if isinstance(data, list) else data[key]
-        except (KeyError, IndexError, ValueError, TypeError):
-            return None
-    return data
+        raise InputError(one_line(f"{path}: {files.explain(data, str(error))}")) from error
 
 
 def unknown(data: Any, kind: msgspec.inspect.Type) -> Iterator[str]:

@@ -35,7 +35,7 @@ DIGITS = 9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Words:
+class StudyRequest:
     """A study as it is requested in text.
 
     Attributes
@@ -80,7 +80,7 @@ class Words:
 
 @dataclass(frozen=True)
 class StudyBase:
-    """Defaults of a study: a bender, the available fingers, those meant by default, and limits.
+    """Defaults of a study: a bender, the available fingers, default loads, and limits.
 
     Attributes
     ----------
@@ -88,8 +88,8 @@ class StudyBase:
         Design that supplies everything that is neither varied nor fixed.
     fingers : dict of str to FingerLoad
         Finger loads by name.
-    meant : tuple of str
-        Names of the loads that are meant if none is given.
+    default_loads : tuple of str
+        Names of the loads if none is given.
     voltage : float
         Limit of the drive [V].
     current : float
@@ -98,14 +98,14 @@ class StudyBase:
 
     base: Bimorph = field(default_factory=Bimorph)
     fingers: dict[str, FingerLoad] = field(default_factory=lambda: dict(FINGERS))
-    meant: tuple[str, ...] = ("low", "high")
+    default_loads: tuple[str, ...] = ("low", "high")
     voltage: float = 100.0
     current: float = math.inf
 
     @property
     def is_measured(self) -> bool:
         """Whether the default load is that of a display, rather than the paper's two fingers."""
-        return self.meant == ("display",)
+        return self.default_loads == ("display",)
 
 
 def start_from(display: Display) -> StudyBase:
@@ -130,12 +130,12 @@ def start_from(display: Display) -> StudyBase:
     )
 
 
-def ask(words: Words, start: StudyBase | None = None) -> Study:
+def requested_study(request: StudyRequest, start: StudyBase | None = None) -> Study:
     """Return the study that a request describes.
 
     Parameters
     ----------
-    words : Words
+    request : StudyRequest
         Request.
     start : StudyBase, optional
         Defaults of what the request leaves out.
@@ -151,33 +151,33 @@ def ask(words: Words, start: StudyBase | None = None) -> Study:
         If a text cannot be read, or the study is not possible; see `Study`.
     """
     start = start or StudyBase()
-    axes = _parse_assignments(words.axes, start)
+    axes = _parse_assignments(request.axes, start)
     fixed = {
         name: _single(name, values)
-        for name, values in _parse_assignments(words.fixed, start).items()
+        for name, values in _parse_assignments(request.fixed, start).items()
     }
     scenarios = None
     has_finger = bool({"load", "firmness"} & (set(axes) | set(fixed)))
-    if not has_finger and (start.is_measured or not words.scenarios):
-        axes["load"], has_finger = np.array(start.meant), True
-    if words.scenarios:
-        scenarios = draw_scenarios(words.scenarios, seed=words.seed)
+    if not has_finger and (start.is_measured or not request.scenarios):
+        axes["load"], has_finger = np.array(start.default_loads), True
+    if request.scenarios:
+        scenarios = draw_scenarios(request.scenarios, seed=request.seed)
         if has_finger:
             scenarios = replace(scenarios, values={})
-    is_paper = not words.criteria and not (words.keep and words.frequency)
-    band = _band(words, is_paper=is_paper)
+    is_paper = not request.criteria and not (request.keep and request.frequency)
+    band = _band(request, is_paper=is_paper)
     limits = Conditions(
         band=band,
-        voltage=start.voltage if words.voltage is None else words.voltage,
-        current=start.current if words.current is None else words.current * 1e-3,
-        amplitude=words.amplitude * 1e-6,
+        voltage=start.voltage if request.voltage is None else request.voltage,
+        current=start.current if request.current is None else request.current * 1e-3,
+        amplitude=request.amplitude * 1e-6,
     )
     return Study(
         axes=axes,
         fixed=fixed,
-        frequency=_frequency(words, band),
-        criteria=(CRITERION,) if is_paper else words.criteria,
-        responses=words.keep,
+        frequency=_frequency(request, band),
+        criteria=(CRITERION,) if is_paper else request.criteria,
+        responses=request.keep,
         scenarios=scenarios,
         conditions=limits,
         fingers=start.fingers,
@@ -232,17 +232,17 @@ def _single(name: str, values: NDArray[Any]) -> Any:
     return values.item()
 
 
-def _band(words: Words, *, is_paper: bool) -> tuple[float, float] | None:
+def _band(request: StudyRequest, *, is_paper: bool) -> tuple[float, float] | None:
     """Return the band of a request, or None."""
-    if words.band is None:
-        return BAND if is_paper and words.frequency is None else None
-    return parse_span("band", words.band, "in Hz, for example 10:1000")
+    if request.band is None:
+        return BAND if is_paper and request.frequency is None else None
+    return parse_span("band", request.band, "in Hz, for example 10:1000")
 
 
-def _frequency(words: Words, band: tuple[float, float] | None) -> NDArray[np.float64]:
+def _frequency(request: StudyRequest, band: tuple[float, float] | None) -> NDArray[np.float64]:
     """Return the frequencies of a request, with the ends of the band added."""
-    if words.frequency is not None:
-        frequencies = np.asarray(parse_values("frequency_hz", words.frequency, is_named=False))
+    if request.frequency is not None:
+        frequencies = np.asarray(parse_values("frequency_hz", request.frequency, is_named=False))
         if band is None or np.sum((frequencies >= band[0]) & (frequencies <= band[1])) < 2:
             return frequencies
         return np.union1d(frequencies, band)

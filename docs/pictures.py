@@ -31,7 +31,7 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from tactile.arrays import Floats
 from tactile.bus.simulated.modeled_bus import AmplifierRecord, ModeledBus
-from tactile.show.plots import Played, plot_played, save
+from tactile.show.plots import Played, played_figure, save
 from tactile.study.paper import FINGERS, over_length
 from tactile.study.plots import length_map_figure
 from tactile.study.sweep import solve_study
@@ -94,7 +94,8 @@ def played(path: Path) -> None:
     rest = np.zeros((plant.delay, 24))
     shear, _ = plant.step(np.concatenate([made.drive, rest]))
     play = Played(display, made.time, made.shear, shear[plant.delay :], made.drive, made.position)
-    plot_played(path, play, title="wood-oak on reference-24: 80 mm/s, 0.5 N, friction left out")
+    title = "wood-oak on reference-24: 80 mm/s, 0.5 N, friction left out"
+    save(played_figure(play, title=title), path)
 
 
 def length_study(path: Path) -> None:

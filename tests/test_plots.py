@@ -250,11 +250,11 @@ def test_too_few_samples_are_refused() -> None:
 
 
 def save_response(path: Path) -> None:
-    plots.plot_response(path, FINGERS, voltage=100.0)
+    plots.save(plots.response_figure(FINGERS, voltage=100.0), path)
 
 
 def save_played(path: Path) -> None:
-    plots.plot_played(path, played(), title="a wave")
+    plots.save(plots.played_figure(played(), title="a wave"), path)
 
 
 @pytest.mark.ci

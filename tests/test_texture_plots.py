@@ -15,7 +15,7 @@ from tactile.arrays import Floats
 from tactile.display.display import load_display
 from tactile.errors import InputError
 from tactile.show import views
-from tactile.show.plots import plot_sheet, plot_texture, sheet_figure, texture_figure
+from tactile.show.plots import save, sheet_figure, texture_figure
 from tactile.show.views import Tile, View, view_texture
 from tactile.strength.commanded import commanded_lines
 from tactile.texture.perception import band_sensation, detection_threshold
@@ -451,10 +451,10 @@ def test_a_sheet_of_45_keeps_all_apart_and_on_the_page() -> None:
 
 @pytest.mark.ci
 def test_pictures_are_written(tmp_path: Path) -> None:
-    plot_texture(tmp_path / "one.png", seen("wood-oak"))
+    save(texture_figure(seen("wood-oak")), tmp_path / "one.png")
     picture = imread(tmp_path / "one.png")
     assert picture.shape[:2] == (1410, 1500), "9.4 × 10 inches of 150 dots"
-    plot_sheet(tmp_path / "all.svg", tiles()[:1], speed=0.08)
+    save(sheet_figure(tiles()[:1], speed=0.08), tmp_path / "all.svg")
     assert (tmp_path / "all.svg").read_bytes().startswith(b"<?xml")
 
 
@@ -464,6 +464,4 @@ def test_pictures_are_written(tmp_path: Path) -> None:
 )
 def test_a_file_that_cannot_be_is_refused(file: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        plot_texture(tmp_path / file, seen("wood-oak"))
-    with pytest.raises(InputError, match=message):
-        plot_sheet(tmp_path / file, tiles(), speed=0.08)
+        save(sheet_figure(tiles()[:1], speed=0.08), tmp_path / file)

@@ -115,9 +115,9 @@ def run(
         )  # fmt: skip
     write(fit.descriptor, out, _comments(fit), force=force)
     if plot is not None:
-        from tactile.show.plots import plot_fit
+        from tactile.show.plots import fit_figure, save
 
-        plot_fit(plot, fit, verdict)
+        save(fit_figure(fit, verdict), plot)
     emit(_facts(fit, verdict), as_json, lambda _: _print_report(fit, verdict))
     if not as_json:
         typer.echo(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))

@@ -35,14 +35,14 @@ def run(
     loads = {f.value: getattr(tactile.FingerLoad, f.value)() for f in load or list(Finger)}
     figures = response_figures(loaded.bimorph, loads, loaded.limits.voltage)
     if plot is not None:
-        from tactile.show.plots import plot_response
+        from tactile.show.plots import response_figure, save
 
         frequency = np.geomspace(1, 2000, 2000)
         curves = {
             name: tactile.tip_response(loaded.bimorph, finger, frequency)
             for name, finger in loads.items()
         }
-        plot_response(plot, curves, voltage=loaded.limits.voltage)
+        save(response_figure(curves, voltage=loaded.limits.voltage), plot)
     emit(figures, as_json, partial(_print, loaded.name))
     if plot is not None and not as_json:
         typer.echo(f"drawn: {plot}")

@@ -25,7 +25,7 @@ def run(
 
     Example: tactile sheet textures.png --category wood
     """
-    from tactile.show.plots import plot_sheet
+    from tactile.show.plots import save, sheet_figure
     from tactile.show.views import tile
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
@@ -34,5 +34,5 @@ def run(
     with progress_bar(visible=True) as bar:
         watched = bar.track(names, description="textures")
         tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
-    plot_sheet(plot, tiles, speed=speed)
+    save(sheet_figure(tiles, speed=speed), plot)
     typer.echo(f"drawn: {plot}, {len(tiles)} textures")

@@ -41,9 +41,9 @@ def run(
     loaded = tactile.load_display(display)
     view = view_texture(tactile.load_texture(texture), loaded, speed=speed)
     if plot is not None:
-        from tactile.show.plots import plot_texture
+        from tactile.show.plots import save, texture_figure
 
-        plot_texture(plot, view)
+        save(texture_figure(view), plot)
         emit(view_figures(view), as_json, lambda _: typer.echo(f"drawn: {plot}"))
     else:
         emit(view_figures(view), as_json, lambda _: plain_console().print(TextureScreen(view)))

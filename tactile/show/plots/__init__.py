@@ -1,20 +1,14 @@
 """Figures for files, drawn with matplotlib: bimorphs, strokes, textures and their fits.
 
-Functions ``…_figure`` draw a figure, and ``plot_…`` also save it. `tactile.study.plots` has the
-figures of design studies.
+`save` writes a figure to a file. `tactile.study.plots` has the figures of design studies.
 """
 
 from tactile.show.plots.fit import fit_figure as fit_figure
-from tactile.show.plots.fit import plot_fit as plot_fit
 from tactile.show.plots.played import Played as Played
 from tactile.show.plots.played import played_figure as played_figure
-from tactile.show.plots.played import plot_played as plot_played
-from tactile.show.plots.response import plot_response as plot_response
 from tactile.show.plots.response import response_figure as response_figure
-from tactile.show.plots.sheet import plot_sheet as plot_sheet
 from tactile.show.plots.sheet import sheet_figure as sheet_figure
 from tactile.show.plots.style import check_file as check_file
 from tactile.show.plots.style import drawn as drawn
 from tactile.show.plots.style import save as save
-from tactile.show.plots.texture import plot_texture as plot_texture
 from tactile.show.plots.texture import texture_figure as texture_figure

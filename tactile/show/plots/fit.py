@@ -1,13 +1,12 @@
 """Figure of a texture's fit: recordings, the texture fitted to them, and its error on others."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile.arrays import Floats
-from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, new_figure, plain, save
+from tactile.show.plots.style import BLUE, COLORS, GRAY, RED, new_figure, plain
 from tactile.texture.fitting import Fit
 from tactile.texture.judging import Verdict
 
@@ -17,26 +16,6 @@ HERTZ = (10, 20, 50, 100, 200, 500, 1000)
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-def plot_fit(path: str | Path, fit: Fit, verdict: Verdict) -> None:
-    """Draw a fit and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, a .png, .svg or .pdf.
-    fit : Fit
-        Fit from `tactile.texture.judging.fit_texture`.
-    verdict : Verdict
-        Its verdict from the same function.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    save(fit_figure(fit, verdict), path)
 
 
 def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,6 @@ from tactile.show.plots.style import (
     RED,
     new_figure,
     plain,
-    save,
     tag,
 )
 
@@ -79,26 +77,6 @@ class Played:
                 raise InputError(f"{name} is {getattr(self, name).shape}: must be {shape}")
         if samples < 2 * SNAPSHOTS:
             raise InputError(f"{samples} samples: needs at least {2 * SNAPSHOTS}")
-
-
-def plot_played(path: str | Path, play: Played, *, title: str) -> None:
-    """Draw commanded and played shear and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, a .png, .svg or .pdf.
-    play : Played
-        Data to draw; if the position is known, the snapshots are one pitch apart.
-    title : str
-        Title of the figure.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    save(played_figure(play, title=title), path)
 
 
 def played_figure(play: Played, *, title: str) -> "Figure":

@@ -1,6 +1,5 @@
 """Figure of a bimorph: its response under fingers, and its reach against the threshold."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,6 @@ from tactile.show.plots.style import (
     name_ends,
     new_figure,
     plain,
-    save,
 )
 
 if TYPE_CHECKING:
@@ -26,26 +24,6 @@ BAND = (1.0, 2000.0)
 """Range of frequencies that is drawn [Hz]."""
 NAMED_AT = 1.0
 """Height of the threshold's label, below its low end [µm]."""
-
-
-def plot_response(path: str | Path, responses: dict[str, TipResponse], *, voltage: float) -> None:
-    """Draw the tip's response per volt and its reach, and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, a .png, .svg or .pdf.
-    responses : dict of str to TipResponse
-        Response (F,) for each finger, by its name.
-    voltage : float
-        Voltage limit of the drive [V].
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    save(response_figure(responses, voltage=voltage), path)
 
 
 def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Figure":

@@ -6,10 +6,9 @@ strong texture looks strong beside others of its kind; the strips share one scal
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile.show.plots.style import GRAY, axes_at, new_figure, save
+from tactile.show.plots.style import GRAY, axes_at, new_figure
 from tactile.show.plots.texture import DIVERGING, color_end, draw_spectrum
 from tactile.show.views import NORMAL_FORCE, TILE_SIDE, Tile
 
@@ -30,26 +29,6 @@ BAND = (10.0, 1000.0)
 """Range of frequencies of a strip [Hz]."""
 LEVELS = (0.01, 100.0)
 """Range of levels of a strip [µm]."""
-
-
-def plot_sheet(path: str | Path, tiles: Sequence[Tile], *, speed: float) -> None:
-    """Draw a sheet of textures and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, a .png, .svg or .pdf.
-    tiles : sequence of Tile
-        Tiles from `tactile.show.views.tile`, in any order.
-    speed : float
-        Speed for which the tiles were computed [m/s].
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    save(sheet_figure(tiles, speed=speed), path)
 
 
 def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":

@@ -5,7 +5,6 @@ skin, and whether it is felt.
 """
 
 import textwrap
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,6 @@ from tactile.show.plots.style import (
     draw_threshold,
     new_figure,
     plain,
-    save,
 )
 from tactile.show.views import BANDS, CENTER, EDGES, SIDE, StrokeSpectrum, Sweep, View, facts
 
@@ -48,24 +46,6 @@ MOST_NAMED = 12
 """Largest number of contactors of a row whose places are labeled."""
 SIZE = (10.0, 9.4)
 """Width and height of the figure [inch]."""
-
-
-def plot_texture(path: str | Path, view: View) -> None:
-    """Draw a texture on a display and save the figure.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write, a .png, .svg or .pdf.
-    view : View
-        View to draw.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
-    """
-    save(texture_figure(view), path)
 
 
 def texture_figure(view: View) -> "Figure":

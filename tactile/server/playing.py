@@ -10,7 +10,7 @@ written to the latch, which playback watches, and waits for nothing.
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -519,16 +519,6 @@ class Playing:
         """
         await self.request(commands.SetState(client, replace(self.state_of(client))))
 
-    def cancel_drawings(self, client: int) -> None:
-        """Stop preparing textures for a client that has left, unless others wait for them too.
-
-        Parameters
-        ----------
-        client : int
-            Number of the client.
-        """
-        self._shelf.leave(client)
-
     def _keep_texture(self, order: bytes) -> None:
         if self.child is None or self.lost:
             raise BusError("playback was lost")
@@ -580,17 +570,14 @@ class Playing:
         client : int
             Number of the client.
         """
-        self.cancel_drawings(client)
+        self._shelf.leave(client)
         lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
             self.add_sample(client, lifted)
-        work = [self.give_up(client)]
+        work: list[Awaitable[object]] = [self.give_up(client)]
         if self.states.pop(client, None) is not None and not self.lost:
-            work.append(self._forget(client))
+            work.append(self.request(commands.ForgetClient(client)))
         await asyncio.gather(*work)
-
-    async def _forget(self, client: int) -> None:
-        await self.request(commands.ForgetClient(client))
 
     # State
 

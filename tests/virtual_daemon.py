@@ -330,7 +330,7 @@ class World:
         if name not in self.models:
             wiring = Wiring.of(rig, sample_rate or RATE)
             model = self.models[name] = model_of(address.options, wiring, self.clock)
-            vars(model)["listen"] = lambda: self._listen(address, model)
+            vars(model)["report_output"] = lambda: self._listen(address, model)
             self._go_on(model)
         bus = open_modeled(address.options, rig, sample_rate, self.models[name])
         vars(bus)["_turn"] = self._in_turn(bus._turn)
@@ -371,10 +371,10 @@ class World:
         return SimpleNamespace(Lock=once, RLock=again, Condition=again, Event=threading.Event)
 
     def child(
-        self, module: str, heard: Callable[[Any], None], inherited: tuple[int, ...] = ()
+        self, module: str, on_answer: Callable[[Any], None], inherited: tuple[int, ...] = ()
     ) -> Process:
         """Start a process."""
-        return KINDS[module](self, module, heard, inherited)
+        return KINDS[module](self, module, on_answer, inherited)
 
     @property
     def desk(self) -> Desk | None:

@@ -16,8 +16,8 @@ PROJECT = HERE.parents[1]
 RECORD = HERE / "tested.sha256"
 CODE = {".py", ".c", ".h", ".sh"}
 BESIDES = (
-    "tactile/clock.py", "tests/chip_models.py", "firmware_protocol/c/Makefile",
-    "tests/conftest.py", "pyproject.toml",
+    "tactile/clock.py", "tactile/processes.py", "firmware_protocol/c/Makefile",
+    "tests/chip_models.py", "tests/conftest.py", "pyproject.toml",
 )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
 """Messages that are valid without a session."""
 STREAMED = (m.Pcm, m.Spectrum)
 """Messages that carry streamed drive."""
-SETTLED = (State.IDLE, State.SAFE)
+SETTLED_STATES = (State.IDLE, State.SAFE)
 """States in which the node address may be changed."""
 
 
@@ -279,7 +279,7 @@ class ReferenceAmplifier(Machine):
             return Refusal(NakCode.READ_ONLY, key)
         if key not in self._settings:
             return Refusal(NakCode.PARAMETER, key)
-        if key == Parameter.NODE and (self.state not in SETTLED or not self._addressed):
+        if key == Parameter.NODE and (self.state not in SETTLED_STATES or not self._addressed):
             return Refusal(NakCode.STATE, 0)
         low, high = SETTING_RANGES[Parameter(key)]
         if not low <= setting.value <= high:

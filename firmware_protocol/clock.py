@@ -76,7 +76,7 @@ class Exchange:
     t3: int
     t4: float
 
-    def taken(self, tick_hz: float) -> int:
+    def receipt_tick(self, tick_hz: float) -> int:
         """Return the first tick that is certain to be after `t1`: `t2`, or a much later `t3`.
 
         An amplifier that was held up may report as reception the time at which it found the packet.
@@ -106,7 +106,7 @@ class Exchange:
         float
             Sum of the delays in both directions [s].
         """
-        return self.t4 - self.t1 - (self.t3 - self.taken(tick_hz)) / tick_hz
+        return self.t4 - self.t1 - (self.t3 - self.receipt_tick(tick_hz)) / tick_hz
 
     def is_possible(self, tick_hz: float) -> bool:
         """Test whether the timestamps are in order and span no more than the memory.
@@ -147,8 +147,8 @@ class Exchange:
         if not last.t1 < self.t1 <= last.t4 + SILENCE:
             return False
         least, most = self.t1 - last.t4, self.t4 - last.t1
-        from_answer = (self.taken(tick_hz) - last.t3 + 1) / tick_hz
-        to_answer = (self.t3 - last.taken(tick_hz) - 1) / tick_hz
+        from_answer = (self.receipt_tick(tick_hz) - last.t3 + 1) / tick_hz
+        to_answer = (self.t3 - last.receipt_tick(tick_hz) - 1) / tick_hz
         not_behind = from_answer >= least - DRIFT_LIMIT * abs(least)
         return not_behind and to_answer <= most + DRIFT_LIMIT * most
 
@@ -285,8 +285,8 @@ class ClockEstimator:
 
     def _feed(self) -> None:
         """Feed the middle between the tightest bounds of the window into the regression."""
-        sent = [(e.t1, e.taken(self.tick_hz)) for e in self._window]
-        below = [(self._seconds(taken), t1 - self._origin) for t1, taken in sent]
+        sent = [(e.t1, e.receipt_tick(self.tick_hz)) for e in self._window]
+        below = [(self._seconds(receipt), t1 - self._origin) for t1, receipt in sent]
         above = [(self._seconds(e.t3), e.t4 - self._origin) for e in self._window]
         lead = (
             max(host - x - self._lead(x) for x, host in below)

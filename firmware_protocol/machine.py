@@ -340,7 +340,7 @@ class Machine:
         self.state = state
         if state != State.RUNNING:
             self._start_tick = None
-            self._player.still()
+            self._player.go_to_rest()
         if state in POWERED:
             self.high_voltage = True
         elif self._player.silent:

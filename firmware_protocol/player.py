@@ -102,7 +102,7 @@ class SamplePlayer:
             self.phase = Phase.STILL
         self._quick |= quick
 
-    def still(self) -> None:
+    def go_to_rest(self) -> None:
         """Go to 0 V at the slew limit and stay there."""
         self.phase, self.ramping = Phase.STILL, False
 
@@ -231,16 +231,16 @@ class SamplePlayer:
             return within
         return truncated(within * np.maximum(gains, 0)[:, None], self.fade)
 
-    def _last_stage(self, wanted: Ints) -> Ints:
+    def _last_stage(self, targets: Ints) -> Ints:
         """Return the codes to put out, within the limit and with no step larger than allowed."""
-        out = np.clip(wanted, -self.limit, self.limit)
+        out = np.clip(targets, -self.limit, self.limit)
         steps = np.diff(out, axis=0, prepend=self.output[None])
         if max(steps.max(initial=0), -steps.min(initial=0)) > self.step:
             last = self.output
             for k, target in enumerate(out):
                 last = out[k] = last + np.clip(target - last, -self.step, self.step)
         if self.phase != Phase.STILL or self.ramping:
-            self.limited_samples += int(np.count_nonzero((out != wanted) | self._exceeded))
+            self.limited_samples += int(np.count_nonzero((out != targets) | self._exceeded))
         self._exceeded = NOT_OVER
         self.output = out[-1].copy()
         return out

@@ -107,7 +107,7 @@ class LocalTransport:
         traffic = Traffic(Metrics(self._host), "local")
         self._requests = Requests(self._client, traffic, self._session.received)
         self._forwarding = start_task(self._forward_outbox(self._client))
-        self._session.opened()
+        self._session.say_hello()
 
     async def _forward_outbox(self, client: Client) -> None:
         while True:

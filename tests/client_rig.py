@@ -288,7 +288,7 @@ def opened_session() -> tuple[ClientSession, list[Any]]:
         send = staticmethod(kept.append)
 
     session = ClientSession(Nowhere(), m.ClientHello(client="test"), clock=MONOTONIC)
-    session.opened()
+    session.say_hello()
     session.received(Script().answer(kept.pop()))  # type: ignore[arg-type]
     return session, kept
 

@@ -76,7 +76,7 @@ class Schedule(RuleBasedStateMachine):
         self.sent: list[Any] = []
         self.due: set[str | None] = set()
         self.first: set[str | None] = set()
-        self.session.opened()
+        self.session.say_hello()
 
     @precondition(lambda self: self.linked)
     @rule()

@@ -23,7 +23,7 @@ class LocalTransport:
 
     def open(self, session: ClientSession) -> None:
         self._session = session
-        session.opened()
+        session.say_hello()
 
     def send(self, command: m.Command) -> None:
         self.heard.append(command)

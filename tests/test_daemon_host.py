@@ -37,7 +37,7 @@ def _patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         program = processes.PROGRAM.replace("main()", PATIENT)
         patch.setattr(processes, "PROGRAM", program)
-        patch.setattr(playing_module, "STILL", 600.0)
+        patch.setattr(playing_module, "PLAYBACK_SILENCE", 600.0)
         patch.setattr(playing_module, "ANSWER", PATIENCE)
         yield
 

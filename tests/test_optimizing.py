@@ -15,7 +15,7 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.study.criteria import Conditions
 from tactile.study.optimizing import Task, attained, find_designs, judge
-from tactile.study.parameters import between
+from tactile.study.parameters import load_of_firmness
 from tactile.study.recommending import recommend
 from tactile.study.scenarios import TOLERANCES, draw_scenarios
 from tactile.study.sweep import Study, solve_study
@@ -255,7 +255,7 @@ def test_a_robust_figure_is_that_of_random_fingers_and_parts() -> None:
         ),
         shim=replace(b.shim, s11=b.shim.s11 / random["shim_modulus_gpa"]),
     )
-    finger = between(rng.normal(0.5, 0.5, draws))
+    finger = load_of_firmness(rng.normal(0.5, 0.5, draws))
     size = np.abs(tip_response(bender, finger, np.linspace(10, 1000, 32)).displacement)
     attainable = 100e6 * size.min(axis=-1)
     theirs = float(np.quantile(attainable, 0.1))

@@ -173,7 +173,7 @@ def test_no_way_of_a_finger_stretches_beyond_the_share(
     motion, most = Motion(RATE), static_shear(DISPLAY)
     stretch, rubbing = Stretch(DISPLAY, np.array([most]), RATE, 64), Bristles(friction_law)
     for k in range(0, 600, 50):
-        moved = motion(motion.taken(place[k : k + 50], force[k : k + 50]))
+        moved = motion(motion.rows(place[k : k + 50], force[k : k + 50]))
         assert moved is not None
         found = stretch(moved, [(rubbing, Ramp(0.01, 3.0))])
         assert found is not None

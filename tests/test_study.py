@@ -30,8 +30,8 @@ from tactile.study.criteria import CRITERIA, Conditions, variable
 from tactile.study.parameters import (
     FINGERS,
     PARAMETERS,
-    between,
     check_value,
+    load_of_firmness,
     specimen,
     standard_value,
 )
@@ -241,14 +241,14 @@ def test_standard_values_are_the_default_design() -> None:
 
 @pytest.mark.parametrize(("firmness", "name"), [(0.0, "low"), (1.0, "high")])
 def test_firmness_is_the_papers_fingers_at_its_ends(firmness: float, name: str) -> None:
-    mixed, finger = between(firmness), FINGERS[name]
+    mixed, finger = load_of_firmness(firmness), FINGERS[name]
     assert (mixed.k0, mixed.d0) == pytest.approx((finger.k0, finger.d0))
     assert mixed.branches[0] == pytest.approx(finger.branches[0])
 
 
 def test_firmness_is_the_geometric_mean_halfway() -> None:
-    assert between(0.5).k0 == pytest.approx((1000 * 4300) ** 0.5)
-    assert between(0.5).branches[0][1] == pytest.approx((0.33 * 2) ** 0.5)
+    assert load_of_firmness(0.5).k0 == pytest.approx((1000 * 4300) ** 0.5)
+    assert load_of_firmness(0.5).branches[0][1] == pytest.approx((0.33 * 2) ** 0.5)
 
 
 def test_named_fingers_with_unequal_branches_are_each_themselves() -> None:
@@ -375,7 +375,7 @@ def test_however_it_is_cut_the_answer_is_the_same(monkeypatch: pytest.MonkeyPatc
 
 def test_scenarios_are_log_normal_fingers_and_parts_within_tolerance() -> None:
     drawn = draw_scenarios(4096)
-    stiffness = np.log(np.asarray(between(drawn.values["firmness"]).k0))
+    stiffness = np.log(np.asarray(load_of_firmness(drawn.values["firmness"]).k0))
     low, high = np.log(1000.0), np.log(4300.0)
     assert stiffness.mean() == pytest.approx((low + high) / 2, abs=0.01)
     assert stiffness.std() == pytest.approx((high - low) / 2, rel=0.02)

@@ -27,8 +27,8 @@ from tactile.study.block_store import BlockStore, question, study_blocks
 from tactile.study.crews import (
     ClusterCrew,
     CrewLostError,
-    Found,
     OwnCrew,
+    PartValues,
     PoolCrew,
     part_of,
     solve_part,
@@ -107,7 +107,7 @@ def test_a_run_goes_on_where_it_ended(
 
 
 def counted(submit: object, solved: list[int]) -> object:
-    def count(self: OwnCrew, part: Study) -> "Future[Found]":
+    def count(self: OwnCrew, part: Study) -> "Future[PartValues]":
         solved.append(part.designs)
         return submit(self, part)  # type: ignore[operator, no-any-return]
 
@@ -256,18 +256,18 @@ class LazyCrew:
     size = 3
 
     def __init__(self) -> None:
-        self.flying: list[tuple[Future[Found], Study]] = []
+        self.flying: list[tuple[Future[PartValues], Study]] = []
         self.most = 0
 
-    def submit(self, part: Study) -> "Future[Found]":
-        future: Future[Found] = Future()
+    def submit(self, part: Study) -> "Future[PartValues]":
+        future: Future[PartValues] = Future()
         self.flying.append((future, part))
         self.most = max(self.most, len(self.flying))
         return future
 
     def succeed(self) -> None: ...
 
-    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+    def explain(self, future: "Future[PartValues]", error: BaseException) -> None:
         raise error
 
     def watch(self) -> None:
@@ -299,8 +299,8 @@ class FrailCrew(PoolCrew):
 
     asked = 0
 
-    def submit(self, part: Study) -> "Future[Found]":
-        future: Future[Found] = Future()
+    def submit(self, part: Study) -> "Future[PartValues]":
+        future: Future[PartValues] = Future()
         self._origin[future] = self._pool
         self.asked += 1
         if self.asked % 2:

@@ -155,7 +155,7 @@ class PlaybackProcess(Process):
     def _play(self, setup: Setup) -> None:
         self.clock.sleep(OPENING)
         try:
-            bus, how = playback_process.opened(setup)
+            bus, how = playback_process.open_device(setup)
         except TactileError as error:
             self.answer(DeviceOpened(why_not=str(error)))
             self.clock.sleep(PIPE)

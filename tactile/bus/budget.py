@@ -346,12 +346,12 @@ def _most(link: Link, ability: Ability, coding: Coding) -> int:
     board = ability.channels[-1] if ability.channels else BOARD_CHANNELS
     longest, highest, top = coding.packet_samples[-1], MOST_BOARDS * board, 1
 
-    def taken(channels: int) -> float:
+    def load(channels: int) -> float:
         return use(link, channels, ability, coding, longest)
 
-    while top < highest and taken(top) <= link.cap:
+    while top < highest and load(top) <= link.cap:
         top = min(2 * top, highest)
-    return bisect_right(range(1, top + 1), link.cap, key=taken)
+    return bisect_right(range(1, top + 1), link.cap, key=load)
 
 
 # Choice of a coding

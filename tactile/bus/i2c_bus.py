@@ -195,7 +195,7 @@ class I2cWire(Wire):
             raise
         except OSError as error:
             self.counters.malformed += 1
-            if error.errno in GONE or self._clock.now() - self._last_success > STALL:
+            if error.errno in DISCONNECTED or self._clock.now() - self._last_success > STALL:
                 raise WireError(_failure(error)) from error
             return None
         self._last_success = self._clock.now()
@@ -258,13 +258,13 @@ class I2cWire(Wire):
         self._adapter.close()
 
 
-GONE = (errno.ENODEV, errno.EBADF)
+DISCONNECTED = (errno.ENODEV, errno.EBADF)
 """Error numbers of an adapter that is gone."""
 
 
 def _failure(error: OSError) -> str:
     """Return a description of why transfers fail."""
-    if error.errno in GONE:
+    if error.errno in DISCONNECTED:
         return "the adapter is gone"
     return f"nothing acknowledges ({error.strerror or error})"
 

@@ -155,13 +155,13 @@ def parse(url: str) -> Address[Any]:
             f"device {url!r}: no such kind; {nearest(scheme + ':', [f'{k}:' for k in _drivers])}"
         )
     try:
-        given = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        query = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError as error:
         raise InputError(f"device {url!r}: {error}; options are name=value") from error
     driver, path = _drivers[scheme], parts.netloc + parts.path
     if path and not driver.takes_path:
         raise InputError(f"{scheme}: takes no path; what does {path!r} mean?")
-    return Address(scheme, path, decode(scheme, dict(given), driver.options))
+    return Address(scheme, path, decode(scheme, dict(query), driver.options))
 
 
 def with_default_option(url: str, name: str, value: str) -> str:

@@ -193,11 +193,11 @@ class SerialWire(Wire):
     def _flush(self) -> None:
         """Write what is queued, as far as the kernel takes it; the lock is held."""
         queue = self._queue
-        taken = self._line.write(queue)
-        if taken:
+        written = self._line.write(queue)
+        if written:
             if self._queue is queue:  # no e-stop of a signal handler took its place meanwhile
-                self._queue, self._since = queue[taken:], self._clock.now()
-            self._written += taken
+                self._queue, self._since = queue[written:], self._clock.now()
+            self._written += written
             self._times.append((self._written, self._since))
 
     def waited(self) -> float:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tactile.study.optimizing import Task
     from tactile.study.recommending import Recommendation
 
-SHOWN = 10
+PRINTED = 10
 """Number of designs along the front that are printed."""
 SCENARIOS = 64
 """Number of scenarios for ``--robust`` if none is given."""
@@ -230,7 +230,9 @@ def _columns(front: "xarray.Dataset") -> list[str]:
 def _print(front: "xarray.Dataset", advice: "Recommendation") -> None:
     """Print designs along the front, the recommended one and how reliable they are."""
     count = front.sizes["design"]
-    places = sorted({*np.linspace(0, count - 1, SHOWN).round().astype(int).tolist(), advice.place})
+    places = sorted(
+        {*np.linspace(0, count - 1, PRINTED).round().astype(int).tolist(), advice.place}
+    )
     along = _columns(front)
     names = [name for name in along if f"robust_{name}" not in along]
     rows = (

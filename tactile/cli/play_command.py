@@ -115,9 +115,11 @@ def run(
 def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.Trajectory":
     """Return the path of a file, or the straight stroke that the options describe."""
     if path is not None:
-        given = [name for name, value in stroke.items() if value is not None]
-        if given:
-            raise InputError(f"{given[0]} cannot be used with --path, which gives the whole stroke")
+        others = [name for name, value in stroke.items() if value is not None]
+        if others:
+            raise InputError(
+                f"{others[0]} cannot be used with --path, which gives the whole stroke"
+            )
         return tactile.Trajectory.from_csv(path)
     speed, seconds, angle, force = (
         within(name, stroke[name], *bounds) for name, bounds in STROKE.items()

@@ -30,7 +30,7 @@ def run(
 
     speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
     check_plot(plot)
-    names = [found.texture.id for found in find_textures(category)]
+    names = [descriptor.texture.id for descriptor in find_textures(category)]
     with progress_bar(visible=True) as bar:
         watched = bar.track(names, description="textures")
         tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]

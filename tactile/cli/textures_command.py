@@ -67,12 +67,12 @@ def find_textures(category: str | None, search: str | None = None) -> list[Descr
         raise NotFoundError(f"no category {category!r}; {nearest(category, CATEGORIES)}")
     known = [descriptor.load(known) for known in descriptor.textures()]
     of_category = [d for d in known if category in (None, d.texture.category)]
-    found = [d for d in of_category if search is None or _has(d, search)]
-    if not found:
+    matches = [d for d in of_category if search is None or _has(d, search)]
+    if not matches:
         where = f" of category {category!r}" if category else ""
         what = f" has {search!r} in its name, description or source" if search else " is shipped"
         raise NotFoundError(f"no texture{where}{what}")
-    return found
+    return matches
 
 
 def _has(d: Descriptor, words: str) -> bool:

@@ -348,7 +348,7 @@ class ClientSession:
 
     # Called by a transport, from any thread
 
-    def opened(self) -> "Future[Welcome]":
+    def say_hello(self) -> "Future[Welcome]":
         """Say hello over a new connection.
 
         Returns

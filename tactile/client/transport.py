@@ -6,7 +6,7 @@ A display in the same process needs only this::
     class LocalTransport:
         def open(self, session: ClientSession) -> None:
             self._session = session
-            session.opened()
+            session.say_hello()
 
         def send(self, command: Command) -> None:
             for answer in self._daemon.handle(command):
@@ -31,7 +31,7 @@ class Transport(Protocol):
     """
 
     def open(self, session: "ClientSession") -> None:
-        """Begin to connect; `ClientSession.opened` or `ClientSession.lost` is called then.
+        """Begin to connect; `ClientSession.say_hello` or `ClientSession.lost` is called then.
 
         Parameters
         ----------

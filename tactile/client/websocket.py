@@ -263,7 +263,7 @@ class WebSocketTransport(ABC):
 
     async def _talk(self, connection: ClientConnection) -> None:
         self._outbox.clear()
-        hello = self._session.opened()
+        hello = self._session.say_hello()
         self._more.set()
         tasks = [
             asyncio.create_task(part)

@@ -177,7 +177,7 @@ class SamplePlayback:
         """
         if isinstance(texture, RealizedLayer):
             motion = Motion(self._bus.wiring.sample_rate)
-            stroke = motion(motion.taken(np.zeros((BLOCK, 2)), np.zeros(BLOCK)))
+            stroke = motion(motion.rows(np.zeros((BLOCK, 2)), np.zeros(BLOCK)))
             assert stroke is not None
             texture(stroke)
 

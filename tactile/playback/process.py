@@ -341,7 +341,7 @@ class Pipe:
         joining.join(seconds)
 
 
-def opened(setup: Setup) -> tuple[Bus, DeviceOpened]:
+def open_device(setup: Setup) -> tuple[Bus, DeviceOpened]:
     """Open the bus of a display.
 
     Parameters
@@ -384,7 +384,7 @@ def main() -> None:
     if setup is None:
         sys.exit(1)
     try:
-        bus, how = opened(setup)
+        bus, how = open_device(setup)
     except TactileError as error:
         send(outward, DeviceOpened(why_not=str(error)))
         sys.exit(1)

@@ -22,7 +22,7 @@ from tactile.display.display import Display
 from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
-from tactile.rendering.stroke import HISTORY, NODE, STILL, Stroke
+from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
 from tactile.texture.surface import Texture
 
 PHASORS = 8192
@@ -159,6 +159,6 @@ class RealizedLayer:
         """Return the factor of the laws per sample, (S, 1), or (S, N) where shear is projected."""
         factor = self._law(squares, normal_force)[:, None]
         if self._axes is not None:
-            unit = velocity / np.sqrt(squares + STILL**2)
+            unit = velocity / np.sqrt(squares + RESTING_SPEED**2)
             factor = (self._axes @ unit).T * factor
         return factor.astype(np.float32)

@@ -107,8 +107,8 @@ class Limiter:
 
     def _rest(self) -> None:
         """Note whether gain and guard have recovered, so that the drive may pass unchanged."""
-        settled = self._own.min() == 1 and self._held.min() > 1 - 1e-6
-        if settled and np.array_equal(self._last, self._waiting[0]):
+        at_rest = self._own.min() == 1 and self._held.min() > 1 - 1e-6
+        if at_rest and np.array_equal(self._last, self._waiting[0]):
             self._held[:] = 1.0
             self._idle = True
         else:

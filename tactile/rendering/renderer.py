@@ -288,7 +288,7 @@ class Renderer:
         shear : (S, N) array of float
             Shear displacement that this drive commands, equally late [m]. Only on request.
         """
-        touch = self._motion.taken(position, normal_force)
+        touch = self._motion.rows(position, normal_force)
         count = touch.shape[1]
         added = self._nothing if waveform is None else self._added(waveform, count)
         if count <= CHUNK:

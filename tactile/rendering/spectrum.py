@@ -52,7 +52,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
-from tactile.rendering.stroke import FARTHEST, STILL
+from tactile.rendering.stroke import FARTHEST, RESTING_SPEED
 from tactile.texture.surface import Texture
 
 HIGHEST = 1e3 * 10**0.05
@@ -435,7 +435,7 @@ class SpectrumRenderer:
         law = self._law(np.array([velocity @ velocity]), np.array([force]))
         factor = law * self._display.polarity
         if self._display.projected:
-            factor *= self._display.shear_axes @ velocity / math.hypot(*velocity, STILL)
+            factor *= self._display.shear_axes @ velocity / math.hypot(*velocity, RESTING_SPEED)
         return np.asarray(factor)
 
     def _rise(self, place: Floats, velocity: Floats) -> tuple[Floats, Floats, Complex, float]:

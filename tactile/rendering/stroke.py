@@ -16,7 +16,7 @@ NODE = 8
 velocity."""
 HISTORY = 2 * NODE
 """Samples that a stroke keeps of the velocity before its first sample."""
-STILL = 1e-4
+RESTING_SPEED = 1e-4
 """Speed below which the direction of a projected display fades out [m/s]."""
 FARTHEST = 1e3
 """Magnitude from which on a sample is taken as invalid [m] and [N]."""
@@ -69,7 +69,7 @@ class Motion:
         self._past, self._pending = np.zeros((6, HISTORY)), np.zeros((6, 0))
         self._count = self.invalid_samples = 0
 
-    def taken(self, position: ArrayLike, normal_force: ArrayLike) -> Floats:
+    def rows(self, position: ArrayLike, normal_force: ArrayLike) -> Floats:
         """Arrange positions and forces as rows for the next stroke, and repair invalid samples.
 
         Parameters
@@ -84,31 +84,31 @@ class Motion:
         (6, S) array of float
             Rows x and y [m], 1, force [N], and two rows for the velocity.
         """
-        touch = np.zeros((6, len(np.asarray(position))))
-        touch[:2], touch[2], touch[3] = np.transpose(position), 1.0, normal_force
-        if not np.abs(touch).max(initial=0.0) < FARTHEST:
-            touch = self._mended(touch)
-        return touch
+        rows = np.zeros((6, len(np.asarray(position))))
+        rows[:2], rows[2], rows[3] = np.transpose(position), 1.0, normal_force
+        if not np.abs(rows).max(initial=0.0) < FARTHEST:
+            rows = self._repaired(rows)
+        return rows
 
-    def __call__(self, touch: Floats) -> Stroke | None:
-        """Return the stroke of the rows from `taken`; None until the first 9 samples are complete.
+    def __call__(self, rows: Floats) -> Stroke | None:
+        """Return the stroke of such `rows`; None until the first 9 samples are complete.
 
         The first stroke consists of all samples so far.
         """
         begun = self._count > NODE
-        self._count += touch.shape[1]
+        self._count += rows.shape[1]
         if not begun:
-            touch = self._pending = np.concatenate([self._pending, touch], axis=1)
+            rows = self._pending = np.concatenate([self._pending, rows], axis=1)
             if self._count <= NODE:
                 return None
         past = self._past if begun else np.zeros((6, HISTORY))
-        line = np.concatenate([past, touch], axis=1)
+        line = np.concatenate([past, rows], axis=1)
         self._past = line[:, -HISTORY:]
-        line[4:, HISTORY:] = line[:2] @ self._slope(touch.shape[1], begun)
+        line[4:, HISTORY:] = line[:2] @ self._slope(rows.shape[1], begun)
         squares = line[4:] * line[4:]
         return Stroke(
-            line[:3, HISTORY:], line[4:], squares[0] + squares[1], touch[3],
-            self._count - touch.shape[1],
+            line[:3, HISTORY:], line[4:], squares[0] + squares[1], rows[3],
+            self._count - rows.shape[1],
         )  # fmt: skip
 
     def _slope(self, count: int, begun: bool) -> Floats:
@@ -127,12 +127,12 @@ class Motion:
             self._slopes[count, begun] = slope
         return self._slopes[count, begun]
 
-    def _mended(self, touch: Floats) -> Floats:
+    def _repaired(self, rows: Floats) -> Floats:
         """Hold the last valid position, and lift the finger, where a sample is invalid."""
-        touch, last = touch.copy(), self._past[:, -1]
-        for sample in touch.T:
+        rows, last = rows.copy(), self._past[:, -1]
+        for sample in rows.T:
             if not (np.abs(sample) < FARTHEST).all():
                 sample[:4] = last[0], last[1], 1.0, 0.0
                 self.invalid_samples += 1
             last = sample
-        return touch
+        return rows

@@ -64,19 +64,19 @@ async def _latches(
         If a latch cannot be opened; those that were opened before it are closed again.
     """
     folder = state_folder()
-    opened, handed = dict[DisplayConfig, Latch](), dict[DisplayConfig, Latch]()
+    latches, handed = dict[DisplayConfig, Latch](), dict[DisplayConfig, Latch]()
     try:
         for config in configs:
             if config.device in left:
                 handed[config] = left.pop(config.device)
             else:
                 open_latch = partial(Latch.open, config.device, folder, clock=clock)
-                opened[config] = await asyncio.to_thread(open_latch)
+                latches[config] = await asyncio.to_thread(open_latch)
     except BaseException:
-        for latch in opened.values():
+        for latch in latches.values():
             latch.close()
         raise
-    return opened | handed
+    return latches | handed
 
 
 class Host:

@@ -48,14 +48,14 @@ ENDING = 1.0
 """Maximum time for fading and disarming [s]."""
 FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
 """Shortest and longest pause before playback is started again [s]."""
-STILL = 4.0
+PLAYBACK_SILENCE = 4.0
 """Time without a report after which playback is considered to hang [s]."""
 SERVER = 0
 """Number of the client in whose place the server itself has textures prepared anew."""
 
 
-def hangs(now: float, reported: float, opened: float) -> bool:
-    """Decide whether a playback process hangs: neither opened nor heard of for longer than `STILL`.
+def hangs(now: float, reported: float, open_time: float) -> bool:
+    """Decide whether a playback process hangs: it was silent for longer than `PLAYBACK_SILENCE`.
 
     A process that has just opened its device may not have reported yet.
 
@@ -65,7 +65,7 @@ def hangs(now: float, reported: float, opened: float) -> bool:
         Present time [s].
     reported : float
         Time of the latest report [s].
-    opened : float
+    open_time : float
         Time at which the device was opened [s].
 
     Returns
@@ -73,7 +73,7 @@ def hangs(now: float, reported: float, opened: float) -> bool:
     bool
         Whether the process hangs.
     """
-    return now - max(reported, opened) > STILL
+    return now - max(reported, open_time) > PLAYBACK_SILENCE
 
 
 class Playing:
@@ -598,7 +598,7 @@ class Playing:
         """Whether the playback process runs and reports."""
         if self.lost or self.child is None or not self.child.alive:
             return False
-        return self._loop.time() - self.report.time < STILL
+        return self._loop.time() - self.report.time < PLAYBACK_SILENCE
 
     @property
     def info(self) -> DisplayDescription:

@@ -38,13 +38,13 @@ BESIDE = 84
 """Width from which the spectrum stands beside the surface [characters]."""
 BAR_LEVELS = (0.01, 100.0)
 """Ends of a bar [µm], unless something is stronger."""
-NAMED, TOLD = 7, 20
+NAME_WIDTH, VALUE_WIDTH = 7, 20
 """Widths before and behind a bar [characters]."""
 LONGEST_BAR = 60
 """Largest width of a bar [characters]."""
 MARK = "│"
 """Character that marks the threshold on a bar."""
-FELT, HIDDEN = Style.parse("#2bb5a0"), Style.parse("#7a8ca5")
+PERCEIVED, HIDDEN = Style.parse("#2bb5a0"), Style.parse("#7a8ca5")
 """Styles of the bar of a third octave that is felt, and of one that is not."""
 
 
@@ -151,14 +151,14 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     s, bands = view.spectrum, shown_bands(view.spectrum)
     low = BAR_LEVELS[0]
     high = max(BAR_LEVELS[1], nice(float(s.total.max(initial=1e-9)) * 1e6))
-    length = int(np.clip(width - NAMED - TOLD, 8, LONGEST_BAR))
+    length = int(np.clip(width - NAME_WIDTH - VALUE_WIDTH, 8, LONGEST_BAR))
     head = f"spectrum at {view.speed * 1e3:g} mm/s, µm peak per third octave"
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
     for band in bands:
         micro, least = s.total[band] * 1e6, float(just_felt(CENTER[band])) * 1e6
         excess = s.excess_db[band]
-        style = FELT if excess >= 0 else HIDDEN
+        style = PERCEIVED if excess >= 0 else HIDDEN
         part, mark = (math.log(max(v / low, 1.0)) / math.log(high / low) for v in (micro, least))
         label = f" {micro:7.2f} µm " + (f"{excess:+4.0f} dB" if excess > -100 else "")
         lines.append(

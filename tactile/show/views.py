@@ -48,7 +48,7 @@ SAMPLE_RATE = 8000.0
 """Sample rate of strokes [Hz]."""
 COLUMNS = 3000
 """Largest number of instants of a stroke that are kept."""
-SETTLED = 16
+SETTLING = 16
 """Samples at the start of a stroke that are left out, until the finger's velocity is known."""
 SLOWEST = 0.1
 """Frequency below which a grating is taken as followed, not crossed [Hz]."""
@@ -427,14 +427,14 @@ def _sweep(renderer: Renderer, display: Display, speed: float, normal_force: flo
     x = display.contactors[row, 0]
     way = max(SWEPT * float(np.ptp(x)), SIDE)
     trajectory = Trajectory.line(
-        speed=speed, duration=way / speed + SETTLED / SAMPLE_RATE, normal_force=normal_force
+        speed=speed, duration=way / speed + SETTLING / SAMPLE_RATE, normal_force=normal_force
     )
     blocks = trajectory.blocks(SAMPLE_RATE, BLOCK, extra=renderer.delay)
     shear = np.concatenate([renderer.block(*block, shear=True)[1][:, row] for block in blocks])
-    shear = shear[renderer.delay + SETTLED :]
+    shear = shear[renderer.delay + SETTLING :]
     step = -(-len(shear) // COLUMNS)
     time = np.arange(len(shear))[::step] / SAMPLE_RATE
-    position = speed * (time + SETTLED / SAMPLE_RATE)
+    position = speed * (time + SETTLING / SAMPLE_RATE)
     return Sweep(time, position, row, display.contactors[row], shear[::step].T)
 
 

@@ -1,4 +1,4 @@
-"""Allocation of a limited drive to what is felt: which parts of a texture to lower first.
+"""Allocation of a limited drive to what is perceived: which parts of a texture to lower first.
 
 If full strength needs more drive than there is, lowering all of a texture alike is not the best
 choice: slow, large displacement takes most of the voltage and may lie below the threshold of touch.
@@ -57,14 +57,14 @@ class Parts:
     power : (D, P, B + 1) array of float
         Mean square shear per direction, part and third octave; the last column is for what is
         outside all third octaves [m²].
-    felt : (P,) array of float
+    perceived : (P,) array of float
         Power relative to the threshold of one channel, in its bands above threshold.
     cost : (P,) array of float
         Mean square drive [V²].
     """
 
     power: Floats
-    felt: Floats
+    perceived: Floats
     cost: Floats
 
     @property
@@ -86,12 +86,12 @@ def _felt_bands(power: Floats, channel: TouchChannel | None = None) -> NDArray[n
     return np.asarray(2 * power > threshold(inside).min(axis=0) ** 2)
 
 
-def weights(felt: Floats, cost: Floats, least: Floats, budget: float) -> Floats:
+def weights(perceived: Floats, cost: Floats, least: Floats, budget: float) -> Floats:
     """Compute the weights on power that make best use of a budget, before a common gain.
 
     Parameters
     ----------
-    felt : (P,) array of float
+    perceived : (P,) array of float
         Perceptual value of each part at weight 1.
     cost : (P,) array of float
         Cost of each part at weight 1.
@@ -106,11 +106,11 @@ def weights(felt: Floats, cost: Floats, least: Floats, budget: float) -> Floats:
         Weights, all 1 if the budget suffices. They either keep within the budget or have the shape
         that gives most per cost, to be scaled down to the budget.
     """
-    result = np.ones(len(felt))
-    worth = felt / np.maximum(cost, 1e-300)
+    result = np.ones(len(perceived))
+    worth = perceived / np.maximum(cost, 1e-300)
     for part in np.argsort(worth, kind="stable"):
         excess = float(result @ cost) - budget
-        if excess <= 0 or worth[part] * (result @ cost) >= result @ felt:
+        if excess <= 0 or worth[part] * (result @ cost) >= result @ perceived:
             break
         result[part] = max(least[part], 1 - excess / max(cost[part], 1e-300))
     return result
@@ -155,7 +155,7 @@ def spend(
         return texture
     least = np.where(parts.silent, 0.0, 10 ** (-DISTANCE_DB / 10))
     budget = float(parts.cost.sum()) * (allowed.value / gain) ** 2
-    candidate = weighted(texture, np.sqrt(weights(parts.felt, parts.cost, least, budget)))
+    candidate = weighted(texture, np.sqrt(weights(parts.perceived, parts.cost, least, budget)))
     drive = able.drive_rms(stroke.lines(texture).times(allowed.value))
     before, after = (level_at_drive(one, stroke, able, drive) for one in (texture, candidate))
     return candidate if after > before else texture
@@ -210,7 +210,7 @@ def parts_of(texture: Texture, stroke: SteadyStroke, able: Reach, channel: Touch
     amplitude = amplitude * law_factor(texture, stroke.speed, stroke.normal_force)
     count = int(part.max(initial=-1)) + 1
     power = np.zeros((0, count, len(CENTERS) + 1))
-    felt, cost = np.zeros(count), np.zeros(count)
+    perceived, cost = np.zeros(count), np.zeros(count)
     directions = _directions(texture, stroke)
     for angle in directions:
         along = stroke.speed / (2 * np.pi) * np.array([np.cos(angle), np.sin(angle)])
@@ -222,10 +222,10 @@ def parts_of(texture: Texture, stroke: SteadyStroke, able: Reach, channel: Touch
         audible = np.append(_felt_bands(by_band.sum(axis=0)[:-1], channel), False)[band]
         delivered = able.delivered(lines).power * audible
         share = delivered * 2 / channel.threshold(frequency) ** 2
-        felt += np.bincount(part, share, count) / len(directions)
+        perceived += np.bincount(part, share, count) / len(directions)
         cost += np.bincount(part, able.cost(frequency) * lines.power, count) / len(directions)
         power = np.concatenate([power, by_band[None]])
-    return Parts(power, felt, cost)
+    return Parts(power, perceived, cost)
 
 
 def _directions(texture: Texture, stroke: SteadyStroke) -> Floats:

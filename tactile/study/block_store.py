@@ -166,17 +166,17 @@ class BlockStore:
         marks = self._marks[...].ravel()
         yield from (b for b, is_stored in zip(self._blocks, marks, strict=True) if not is_stored)
 
-    def put(self, block: Block, found: dict[str, NDArray[Any]]) -> None:
+    def put(self, block: Block, arrays: dict[str, NDArray[Any]]) -> None:
         """Store the values of a block, then mark it as stored.
 
         Parameters
         ----------
         block : Block
             Slices of each axis.
-        found : dict of str to ndarray
+        arrays : dict of str to ndarray
             Values of the block by variable.
         """
-        for name, values in found.items():
+        for name, values in arrays.items():
             self._group[name][block] = values
         place = tuple(
             b.start // first.stop for b, first in zip(block, self._blocks[0], strict=True)

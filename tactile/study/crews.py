@@ -34,7 +34,7 @@ from tactile.study.extras import study_extra
 from tactile.study.scenarios import Scenarios
 from tactile.study.sweep import Block, Study, solve_block
 
-Found = dict[str, NDArray[Any]]
+PartValues = dict[str, NDArray[Any]]
 """Values of a part by variable."""
 
 PACKAGE = "tactile-display"
@@ -84,7 +84,7 @@ def part_of(study: Study, block: Block) -> Study:
     return replace(study, axes=axes, scenarios=drawn)
 
 
-def solve_part(part: Study) -> Found:
+def solve_part(part: Study) -> PartValues:
     """Solve a whole study on one thread.
 
     Parameters
@@ -106,7 +106,7 @@ class OwnCrew:
 
     size = 1
 
-    def submit(self, part: Study) -> "Future[Found]":
+    def submit(self, part: Study) -> "Future[PartValues]":
         """Solve a part at once.
 
         Parameters
@@ -119,14 +119,14 @@ class OwnCrew:
         Future
             Finished future of the values.
         """
-        future: Future[Found] = Future()
+        future: Future[PartValues] = Future()
         future.set_result(solve_part(part))
         return future
 
     def succeed(self) -> None:
         """Note that a part is solved."""
 
-    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+    def explain(self, future: "Future[PartValues]", error: BaseException) -> None:
         """Raise the error of a part.
 
         Parameters
@@ -162,13 +162,13 @@ class PoolCrew:
     def __init__(self, workers: int) -> None:
         self.size = workers
         self._restarts = 0
-        self._origin: WeakKeyDictionary[Future[Found], ProcessPoolExecutor] = WeakKeyDictionary()
+        self._origin = WeakKeyDictionary[Future[PartValues], ProcessPoolExecutor]()
         self._pool = self._start()
 
     def _start(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(self.size, get_context("spawn"), _begin_worker)
 
-    def submit(self, part: Study) -> "Future[Found]":
+    def submit(self, part: Study) -> "Future[PartValues]":
         """Queue a part for the pool.
 
         Parameters
@@ -198,7 +198,7 @@ class PoolCrew:
         """Note that a part is solved, so that new pools may be started again."""
         self._restarts = 0
 
-    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+    def explain(self, future: "Future[PartValues]", error: BaseException) -> None:
         """Start a new pool if a worker died; raise any other error.
 
         Parameters
@@ -301,7 +301,7 @@ class ClusterCrew:
             self._count()
         return max(1, self._threads)
 
-    def submit(self, part: Study) -> "Future[Found]":
+    def submit(self, part: Study) -> "Future[PartValues]":
         """Send a part to the cluster.
 
         The executor of `distributed` is not used, because it gives a part up, with an error of its
@@ -325,7 +325,7 @@ class ClusterCrew:
         """Note that a part is solved, so that there are workers."""
         self._missed = None
 
-    def explain(self, future: "Future[Found]", error: BaseException) -> None:
+    def explain(self, future: "Future[PartValues]", error: BaseException) -> None:
         """Raise CrewLostError if the cluster failed, and any other error as it is.
 
         Parameters

@@ -269,7 +269,7 @@ def standard_value(name: str, bimorph: Bimorph) -> Floats:
     return parameter.from_si(getattr(owner, parameter.constant))
 
 
-def between(firmness: Real) -> FingerLoad:
+def load_of_firmness(firmness: Real) -> FingerLoad:
     """Return the finger load of a given firmness; see the module's docstring.
 
     Parameters
@@ -450,7 +450,7 @@ def specimen(
         )
     _check_buckling(bimorph, remaining.get("axial_force", np.zeros(())))
     load = (
-        between(remaining["firmness"])
+        load_of_firmness(remaining["firmness"])
         if "firmness" in remaining
         else loads(values.get("load", "none"), fingers)
     )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import InputError
 from tactile.study.block_store import BlockStore, study_blocks
-from tactile.study.crews import ClusterCrew, CrewLostError, Found, OwnCrew, PoolCrew, part_of
+from tactile.study.crews import ClusterCrew, CrewLostError, OwnCrew, PartValues, PoolCrew, part_of
 from tactile.study.extras import study_extra
 from tactile.study.storing import check_store, load_study, save
 from tactile.study.sweep import Block, Study, check_memory, labeled, variables
@@ -64,7 +64,7 @@ class MemoryStore:
                 "many to lose; store it as it goes (--out study.zarr), which can be resumed"
             )
         self._blocks = study_blocks(study)
-        self._values: Found = {}
+        self._values: PartValues = {}
         for name, (dimensions, _, kind) in variables(study).items():
             last = (np.size(study.frequency),) * (len(dimensions) - len(study.shape))
             self._values[name] = np.empty((*study.shape, *last), kind)
@@ -80,17 +80,17 @@ class MemoryStore:
         """
         yield from self._blocks
 
-    def put(self, block: Block, found: dict[str, NDArray[Any]]) -> None:
+    def put(self, block: Block, arrays: dict[str, NDArray[Any]]) -> None:
         """Keep the values of a block.
 
         Parameters
         ----------
         block : Block
             Slices of each axis.
-        found : dict of str to ndarray
+        arrays : dict of str to ndarray
             Values of the block by variable.
         """
-        for name, values in found.items():
+        for name, values in arrays.items():
             self._values[name][block] = values
 
     def data(self) -> "xarray.Dataset":
@@ -205,8 +205,8 @@ def _solve(
         return
     crew = _gather(min(workers, len(pending)), scheduler)
     try:
-        for block, found in solve_blocks(study, pending, crew):
-            store.put(block, found)
+        for block, values in solve_blocks(study, pending, crew):
+            store.put(block, values)
             done += 1
             report(done, total)
     except CrewLostError as error:
@@ -229,7 +229,7 @@ def _gather(workers: int, scheduler: str | None) -> Crew:
 
 def solve_blocks(
     study: Study, pending: Iterable[Block], crew: Crew
-) -> Iterator[tuple[Block, Found]]:
+) -> Iterator[tuple[Block, PartValues]]:
     """Yield each block with its values as it is solved, with `WINDOW` blocks per worker under way.
 
     Parameters
@@ -254,7 +254,7 @@ def solve_blocks(
         If no worker is left.
     """
     waiting = iter(pending)
-    in_flight: dict[Future[Found], Block] = {}
+    in_flight: dict[Future[PartValues], Block] = {}
     retries: list[Block] = []
     while True:
         window = 1 if isinstance(crew, OwnCrew) else WINDOW * crew.size

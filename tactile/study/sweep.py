@@ -392,12 +392,12 @@ def _response_in_band(study: Study, response: TipResponse | None) -> TipResponse
 
 def _kept_responses(study: Study, response: TipResponse, axes: int) -> dict[str, NDArray[Any]]:
     """Return the responses to keep, in their units and with all axes."""
-    found = {}
+    arrays = {}
     for name in study.responses:
         curve = RESPONSES[name]
         values = np.asarray(getattr(response, name)) * curve.scale
-        found[curve.variable] = values.reshape((1,) * (axes + 1 - values.ndim) + values.shape)
-    return found
+        arrays[curve.variable] = values.reshape((1,) * (axes + 1 - values.ndim) + values.shape)
+    return arrays
 
 
 def frame(study: Study) -> "xarray.Dataset":

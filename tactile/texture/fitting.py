@@ -285,8 +285,8 @@ def _level(slide: Slide, step: float, center: Floats, noise: Recorded | None) ->
     """Return the levels (16,) of one recording, NaN where it does not cover a band."""
     power = mean_power(slide.bare, step, center)
     if noise is not None:
-        still = changed(noise, speed=np.full(len(noise.signal), slide.speed))
-        own = mean_power(strokes_of(still, step, measures.SHORTEST / center[0]), step, center)
+        standing = changed(noise, speed=np.full(len(noise.signal), slide.speed))
+        own = mean_power(strokes_of(standing, step, measures.SHORTEST / center[0]), step, center)
         power = np.maximum(power - own, BURIED * power)
     edges = third_octaves(center) * slide.speed
     covered = (edges[:-1] >= 0.9 * LOWEST) & (edges[1:] <= 0.4 * slide.recorded.sample_rate)
@@ -352,13 +352,13 @@ def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floa
 
 
 def describe(
-    found: RecordingMeasures, about: About, progress: Callable[[str], None] = lambda step: None
+    measured: RecordingMeasures, about: About, progress: Callable[[str], None] = lambda step: None
 ) -> Fit:
     """Make a texture of measurements.
 
     Parameters
     ----------
-    found : RecordingMeasures
+    measured : RecordingMeasures
         Measurements by `measure_slides`.
     about : About
         Identity and provenance for the descriptor.
@@ -376,39 +376,39 @@ def describe(
         If the recordings have no band in common, or the forces do not give a coefficient of
         friction.
     """
-    mean = _over_common_bands(found.level)
-    exponent, error = exponents(found.speed, found.force, mean)
-    pressed = float(np.exp(np.log(found.force).mean()))
-    law = 20 * exponent[0] * np.log10(found.speed / found.reference)
-    law += 20 * exponent[1] * np.log10(found.force / pressed)
-    bands, spread = _bands(found.level - law[:, None], found.center)
-    calibrated = found.slides[0].recorded.calibrated
-    anchor = 0.0 if calibrated else _anchor(bands, found.center)
-    gain = np.repeat(10 ** ((anchor - law) / 20), [len(s.strokes) for s in found.slides])
+    mean = _over_common_bands(measured.level)
+    exponent, error = exponents(measured.speed, measured.force, mean)
+    pressed = float(np.exp(np.log(measured.force).mean()))
+    law = 20 * exponent[0] * np.log10(measured.speed / measured.reference)
+    law += 20 * exponent[1] * np.log10(measured.force / pressed)
+    bands, spread = _bands(measured.level - law[:, None], measured.center)
+    calibrated = measured.slides[0].recorded.calibrated
+    anchor = 0.0 if calibrated else _anchor(bands, measured.center)
+    gain = np.repeat(10 ** ((anchor - law) / 20), [len(s.strokes) for s in measured.slides])
     progress("statistics")
-    stochastic = _stochastic(found, bands + anchor, spread)
+    stochastic = _stochastic(measured, bands + anchor, spread)
     progress("surface")
     stochastic, loss = _with_direction(stochastic)
     descriptor = Descriptor(
         texture=about,
         reference=Reference(
-            speed_mm_s=_digits(found.reference * 1e3), normal_force_n=_digits(pressed)
+            speed_mm_s=_digits(measured.reference * 1e3), normal_force_n=_digits(pressed)
         ),
         stochastic=stochastic,
-        periodic=tuple(_periodic(g, gain) for g in found.gratings),
-        laws=_laws(found.speed, found.force, exponent),
-        friction=_friction(found.slides, pressed),
+        periodic=tuple(_periodic(g, gain) for g in measured.gratings),
+        laws=_laws(measured.speed, measured.force, exponent),
+        friction=_friction(measured.slides, pressed),
     )
     return Fit(
         descriptor=descriptor,
-        names=tuple(s.recorded.name for s in found.slides),
-        speed=found.speed,
-        center=found.center,
-        level=found.level,
-        gratings=tuple(found.gratings),
+        names=tuple(s.recorded.name for s in measured.slides),
+        speed=measured.speed,
+        center=measured.center,
+        level=measured.level,
+        gratings=tuple(measured.gratings),
         exponent_error=(float(error[0]), float(error[1])),
         isotropic_loss=loss,
-        notes=tuple(_notes(found)),
+        notes=tuple(_notes(measured)),
     )
 
 
@@ -447,10 +447,10 @@ def _anchor(bands: Floats, center: Floats) -> float:
     return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
 
 
-def _stochastic(found: RecordingMeasures, bands: Floats, spread: Floats) -> Stochastic:
+def _stochastic(measured: RecordingMeasures, bands: Floats, spread: Floats) -> Stochastic:
     """Return the random part. Its kurtosis is at least that of its modulation alone."""
-    strokes = [u for slide in found.slides for u in slide.bare]
-    lengths, step, center = [len(u) for u in strokes], found.step, found.center
+    strokes = [u for slide in measured.slides for u in slide.bare]
+    lengths, step, center = [len(u) for u in strokes], measured.step, measured.center
     corners = [measures.am_corner(u, step, center=center) for u in strokes]
     corner = float(np.clip(np.nanmedian([*corners, USUAL_CORNER]), 10.0, 1000.0))
     depths = [measures.am_depth(u, step, corner, center=center) for u in strokes]
@@ -461,7 +461,7 @@ def _stochastic(found: RecordingMeasures, bands: Floats, spread: Floats) -> Stoc
     return Stochastic(
         frequency_per_mm=tuple(_digits(c * 1e-3) for c in center),
         level_db=tuple(np.round(bands, 1).tolist()),
-        level_sd_db=tuple(np.round(spread, 1).tolist()) if len(found.slides) > 2 else (),
+        level_sd_db=tuple(np.round(spread, 1).tolist()) if len(measured.slides) > 2 else (),
         excess_kurtosis=round(float(np.clip(kurtosis, alone, 30)), 2),
         am_depth=round(depth, 2),
         am_corner_per_mm=round(corner * 1e-3, 3),
@@ -520,27 +520,27 @@ def _friction(slides: list[Slide], pressed: float) -> Friction | None:
     return fit_friction(with_forces, pressed) if with_forces else None
 
 
-def _notes(found: RecordingMeasures) -> Iterator[str]:
+def _notes(measured: RecordingMeasures) -> Iterator[str]:
     """Yield what a reader of the descriptor must know."""
-    first, speed, force = found.slides[0].recorded, found.speed, found.force
+    first, speed, force = measured.slides[0].recorded, measured.speed, measured.force
     if not first.calibrated:
         yield f"uncalibrated: its level is assumed, {ANCHOR:g} µm rms; give --full-scale"
     if first.quantity == "force":
         yield "from force through 1 N/mm of skin: too strong above 100 Hz"
     if speed.max() < SPEEDS_APART * speed.min():
         yield f"one speed: the speed exponent is assumed, {SPEED_PRIOR[0]:g}"
-        if found.gratings:
+        if measured.gratings:
             yield "one speed: a line may be a hum; record a second speed"
     if first.normal_force is None:
         yield f"normal force not told: {DEFAULT_FORCE:g} N assumed"
     elif force.max() < SPEEDS_APART * force.min():
         yield f"one force: the force exponent is assumed, {FORCE_PRIOR[0]:g}"
-    unknown = ~np.isfinite(found.level).any(axis=0)
+    unknown = ~np.isfinite(measured.level).any(axis=0)
     if unknown.any():
-        bands = ", ".join(f"{c * 1e-3:.3g}" for c in found.center[unknown])
+        bands = ", ".join(f"{c * 1e-3:.3g}" for c in measured.center[unknown])
         yield f"bands at {bands} cycles/mm were not recorded: they go on straight"
-    total = sum(s.recorded.duration for s in found.slides)
+    total = sum(s.recorded.duration for s in measured.slides)
     if total < 3.0:
         yield f"{total:.1f} s in all: bands want 3 s or more"
-    if len(found.slides) < 3:
-        yield f"{len(found.slides)} recordings: three or more tell how bands spread"
+    if len(measured.slides) < 3:
+        yield f"{len(measured.slides)} recordings: three or more tell how bands spread"

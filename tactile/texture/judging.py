@@ -181,12 +181,12 @@ def fit_texture(
     return fit, judge(measured, about)
 
 
-def judge(found: RecordingMeasures, about: About) -> Verdict:
+def judge(measured: RecordingMeasures, about: About) -> Verdict:
     """Fit every other recording and compare with the rest.
 
     Parameters
     ----------
-    found : RecordingMeasures
+    measured : RecordingMeasures
         Measurements of two or more recordings.
     about : About
         Identity and provenance of the texture.
@@ -201,8 +201,8 @@ def judge(found: RecordingMeasures, about: About) -> Verdict:
     InputError
         If no texture can be made of the recordings, as in `describe`.
     """
-    rows = range(len(found.slides))
-    return predict(found.part(rows[::2]), found.part(rows[1::2]), about)
+    rows = range(len(measured.slides))
+    return predict(measured.part(rows[::2]), measured.part(rows[1::2]), about)
 
 
 def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) -> Verdict:

@@ -53,7 +53,7 @@ class HarmonicLines:
         stroke does not cover the fundamental.
     phases : (H,) array of float
         Phases of the harmonics, relative to a phase of 0 of the first of them [rad].
-    found : int
+    count : int
         Number of strokes in which the fundamental was found.
     """
 
@@ -61,7 +61,7 @@ class HarmonicLines:
     orders: tuple[int, ...]
     heights: Floats
     phases: Floats
-    found: int
+    count: int
 
 
 def peaks(stroke: Floats, step: float, low: float, high: float, prominence: float) -> Floats:
@@ -239,7 +239,7 @@ def _fitted_stroke(
     return float(np.linspace(*ends, PLACES)[best]), 2 * around[:, best] / window.sum()
 
 
-def without(stroke: Floats, step: float, found: Sequence[HarmonicLines]) -> Floats:
+def without(stroke: Floats, step: float, gratings: Sequence[HarmonicLines]) -> Floats:
     """Subtract gratings from a stroke, each at the spatial frequency that fits this stroke best.
 
     Parameters
@@ -248,7 +248,7 @@ def without(stroke: Floats, step: float, found: Sequence[HarmonicLines]) -> Floa
         Displacement at even steps of place.
     step : float
         Distance between samples [m].
-    found : sequence of HarmonicLines
+    gratings : sequence of HarmonicLines
         Gratings to subtract.
 
     Returns
@@ -257,7 +257,7 @@ def without(stroke: Floats, step: float, found: Sequence[HarmonicLines]) -> Floa
         Displacement without the gratings, in the unit of ``stroke``.
     """
     rest = stroke
-    for grating in found:
+    for grating in gratings:
         base, waves = _fitted_stroke(rest, step, grating.frequency, grating.orders)
         place = step * np.arange(len(stroke))
         turn = np.exp(2j * np.pi * base * np.outer(grating.orders, place))

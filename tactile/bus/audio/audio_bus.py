@@ -53,7 +53,7 @@ FRESH = 20e-3
 """Longest time for which the player's reported state is extrapolated [s]."""
 RETRY = 1.0
 """Interval between attempts to reopen a card that was lost [s]."""
-HEARD = 20.0
+BAND_START = 20.0
 """Lower limit of a display's frequency band [Hz]."""
 MISSING = (
     "audio: the display file lacks [amplifier] audio_full_scale_v: play a 100 Hz sine at digital "
@@ -155,11 +155,12 @@ class AudioBus(Bus):
         """Return a remark on AC coupling, empty for DC-coupled outputs."""
         if not self._coupling:
             return ""
-        loss = 10 * math.log10(1 + (self._coupling / HEARD) ** 2)
+        loss = 10 * math.log10(1 + (self._coupling / BAND_START) ** 2)
         settling = 3 / (2 * math.pi * self._coupling)
         return (
-            f"AC coupled at {self._coupling:g} Hz, not equalized: {HEARD:g} Hz is {loss:.1f} dB "
-            f"weak, and after the drive, also in an e-stop, electrodes take {settling:.2g} s to 5 %"
+            f"AC coupled at {self._coupling:g} Hz, not equalized: {BAND_START:g} Hz is "
+            f"{loss:.1f} dB weak, and after the drive, also in an e-stop, electrodes take "
+            f"{settling:.2g} s to 5 %"
         )
 
     def _count(self, report: PlayerStatus | None) -> None:
@@ -306,8 +307,8 @@ class AudioBus(Bus):
         if player is None:
             raise BusError(f"clear: the link is down: {self._problem}")
         player.send("clear")
-        taken, report = player.wait_for_card(ANSWER), player.status
-        if not taken or report is None or report.refused:
+        cleared, report = player.wait_for_card(ANSWER), player.status
+        if not cleared or report is None or report.refused:
             why = report.refused if report is not None and report.refused else "no answer"
             raise BusError(f"clear: {why}; it stays e-stopped")
 

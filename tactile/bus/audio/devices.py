@@ -63,14 +63,14 @@ def outputs(sd: Any) -> list[Device]:
     ]
 
 
-def choose(found: list[Device], name: str, default: int) -> Device:
+def choose(devices: list[Device], name: str, default: int) -> Device:
     """Select an output device by its name or number.
 
     Names are compared without regard to case. A full name takes precedence over a part of a name.
 
     Parameters
     ----------
-    found : list of Device
+    devices : list of Device
         Available devices.
     name : str
         Name, part of a name or number of the device; empty for the default device.
@@ -91,17 +91,17 @@ def choose(found: list[Device], name: str, default: int) -> Device:
     InputError
         If several devices match.
     """
-    if not found:
+    if not devices:
         raise BusError("audio: no output device; plug one in or start its sound server, as JACK")
     if name.isdecimal() or not name:
         number = int(name) if name else default
-        matches = [d for d in found if d.number == number]
+        matches = [d for d in devices if d.number == number]
     else:
-        full = [(f"{d.name}, {d.api}".casefold(), d) for d in found]
+        full = [(f"{d.name}, {d.api}".casefold(), d) for d in devices]
         key = name.casefold()
         matches = [d for text, d in full if key in (text, d.name.casefold())]
         matches = matches or [d for text, d in full if key in text]
-    names = [d.name for d in found]
+    names = [d.name for d in devices]
     if not matches:
         problem = f"no output device {name!r}" if name else "no default output device"
         raise NotFoundError(f"audio: {problem}; {nearest(name, names)}")

@@ -470,10 +470,10 @@ class LinkBus(Bus):
             Amplifiers and their readings, the newest `SENSES` of each amplifier at most.
         """
         with self._changed:
-            taken = [(peer, sense) for peer in self.peers for sense in peer.queries.senses]
+            senses = [(peer, sense) for peer in self.peers for sense in peer.queries.senses]
             for peer in self.peers:
                 peer.queries.senses.clear()
-        return taken
+        return senses
 
     def _wake(self) -> None:
         """Wake the thread if something is due before the time up to which it waits."""

@@ -49,7 +49,7 @@ MOVING = (State.RUNNING, State.RAMPDOWN)
 """States in which an amplifier plays or ramps to 0 V."""
 
 
-AGAIN: dict[int, SessionPhase] = {
+RETRY_PHASES: dict[int, SessionPhase] = {
     NakCode.TIME: SessionPhase.START,
     NakCode.NOT_ARMED: SessionPhase.ARM,
 }
@@ -130,7 +130,7 @@ class LinkSession:
         self.tripped = False
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
-        self._found: dict[int, m.Caps] = {}
+        self._caps: dict[int, m.Caps] = {}
         """Capabilities of the amplifiers that answered in SEARCH, by their nodes."""
         # Host times: of the next step of the phase; at which the wire will have sent what it was
         # given; and at which all amplifiers of a link that was lost were last known to play.
@@ -168,7 +168,7 @@ class LinkSession:
             Host time [s].
         """
         self._wire_free = now
-        self._found.clear()
+        self._caps.clear()
         for peer in self.peers:
             peer.reconnected()
         self._enter(SessionPhase.GREET if self.peers else SessionPhase.SEARCH, now)
@@ -344,7 +344,7 @@ class LinkSession:
             elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
                 caps = m.Caps.unpack(packet.payload)
                 if caps is not None:
-                    self._found[packet.node] = caps
+                    self._caps[packet.node] = caps
         if self.stream is not None:
             self.stream.control(now, running=self.phase is SessionPhase.RUN)
         reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
@@ -503,8 +503,8 @@ class LinkSession:
         while previous is not self.phase:
             previous = self.phase
             if self.phase is SessionPhase.SEARCH:
-                if self._found and now >= self._until:
-                    self.peers = [Peer(self.token, node) for node in sorted(self._found)]
+                if self._caps and now >= self._until:
+                    self.peers = [Peer(self.token, node) for node in sorted(self._caps)]
                     self._enter(SessionPhase.GREET, now)
             elif any(peer.lost for peer in self.peers):
                 return  # `lost` reports it, and the owner closes the wire
@@ -524,8 +524,8 @@ class LinkSession:
         if self.phase is SessionPhase.GREET and nak.code == NakCode.BUSY:
             self.trouble = "another host holds the amplifier"
             self._wait(SessionPhase.GREET, now)
-        elif self.phase is SessionPhase.START and nak.code in AGAIN:
-            self._enter(AGAIN[nak.code], now)
+        elif self.phase is SessionPhase.START and nak.code in RETRY_PHASES:
+            self._enter(RETRY_PHASES[nak.code], now)
         elif self.phase is SessionPhase.CLEAR and nak.code == NakCode.STATE:
             self._wait(SessionPhase.TRIPS, now)
         else:

@@ -523,10 +523,10 @@ class SerialModel(Model, SerialLine):
             Number of bytes that were taken.
         """
         self.check_connected()
-        taken = data[: max(KERNEL - self.waiting(), 0)]
-        if taken:
-            self.out.put(taken, len(taken) * self._byte_seconds, self.clock.now())
-        return len(taken)
+        accepted = data[: max(KERNEL - self.waiting(), 0)]
+        if accepted:
+            self.out.put(accepted, len(accepted) * self._byte_seconds, self.clock.now())
+        return len(accepted)
 
     def read(self) -> bytes:
         """Return what has arrived.

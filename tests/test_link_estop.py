@@ -261,10 +261,10 @@ def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
     assert (rig.bus.status.state, rig.bus.status.detail) == ("estopped", "")
 
 
-def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
+def test_an_amplifier_of_version_1_0_is_played_on_with_a_warning(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Amplifiers of version 1.0 have no input; this host plays on them all the same."""
+    """It has other messages, and no e-stop input although it exceeds 60 V."""
     with caplog.at_level("WARNING", "tactile.bus"):
         linked("serial")
         assert caplog.messages == []
@@ -273,7 +273,11 @@ def test_an_amplifier_above_60_volts_without_an_input_is_warned_of(
             m.Caps, "pack", lambda c: pack(replace(c, minor=0, schema=1, features=0))
         )
         rig = linked("serial")
-    assert caplog.messages == ["node 1 can put out 100 V and has no e-stop input (SPEC.md, 6.3)"]
+    assert caplog.messages == [
+        "node 1 can put out 100 V and has no e-stop input (SPEC.md, 6.3)",
+        "node 1 has the messages of version 1.0 (schema 0x00000001), this host those of 1.1 "
+        "(0x1DCE5A8D); a field that either lacks reads as 0",
+    ]
     rig.begin(0.2)
     assert rig.bus.status.state == "running"
 

@@ -144,6 +144,13 @@ class LinkBus(Bus):
                     "node %d can put out %g V and has no e-stop input (SPEC.md, 6.3)",
                     peer.host.node, peer.caps.full_scale_uv * 1e-6,
                 )  # fmt: skip
+            if peer.caps.schema != m.SCHEMA_CRC:
+                logger.warning(
+                    "node %d has the messages of version %d.%d (schema 0x%08X), this host those of "
+                    "%d.%d (0x%08X); a field that either lacks reads as 0",
+                    peer.host.node, peer.caps.major, peer.caps.minor, peer.caps.schema,
+                    m.MAJOR, m.MINOR, m.SCHEMA_CRC,
+                )  # fmt: skip
         self.plan = session.plan
         self.wiring = session.wiring
         if self.plan.carriers:

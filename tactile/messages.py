@@ -278,7 +278,7 @@ class Contact(ApiMessage, frozen=True, kw_only=True, tag="contact"):
     velocity_mm_s: tuple[Speed, Speed] | None = None
 
 
-class Play(DisplayRequest, frozen=True, kw_only=True, tag="play"):
+class Resume(DisplayRequest, frozen=True, kw_only=True, tag="play"):
     """Resume this client's textures after `StopPlaying`; requires the role "play".
 
     The textures of a new client sound without it.
@@ -288,7 +288,7 @@ class Play(DisplayRequest, frozen=True, kw_only=True, tag="play"):
 class StopPlaying(DisplayRequest, frozen=True, kw_only=True, tag="stop"):
     """Fade out everything that this client plays; requires the role "play".
 
-    Its textures are silent until `Play`. Its waveforms and effects are discarded.
+    Its textures are silent until `Resume`. Its waveforms and effects are discarded.
     """
 
 
@@ -764,7 +764,7 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
 
 
 Command = (
-    ClientHello | ListTextures | Select | Contact | Play | StopPlaying | SetGain | Append
+    ClientHello | ListTextures | Select | Contact | Resume | StopPlaying | SetGain | Append
     | PlayEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop | Subscribe | GetStats | Ping
 )  # fmt: skip
 """Any message of a client."""

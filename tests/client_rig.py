@@ -343,7 +343,7 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
     (lambda d: d.select(()), m.Select(display="left", layers=())),
     (lambda d: d.gain(0.5), m.SetGain(display="left", gain=0.5)),
     (lambda d: d.stop(), m.StopPlaying(display="left")),
-    (lambda d: d.resume(), m.Play(display="left")),
+    (lambda d: d.resume(), m.Resume(display="left")),
     (lambda d: d.arm(), m.ArmDisplay(display="left")),
     (lambda d: d.disarm(), m.DisarmDisplay(display="left")),
     (lambda d: d.estop(), m.EStop(display="left")),

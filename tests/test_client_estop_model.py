@@ -175,7 +175,7 @@ class Schedule(RuleBasedStateMachine):
         if not self.ask(m.ArmDisplay(display=display)):
             self.unarmed = before
 
-    @rule(display=displays, kind=st.sampled_from((m.Play, m.StopPlaying)))
+    @rule(display=displays, kind=st.sampled_from((m.Resume, m.StopPlaying)))
     def play(self, display: str, kind: Any) -> None:
         self.ask(kind(display=display))
 
@@ -190,7 +190,7 @@ class Schedule(RuleBasedStateMachine):
 
     @rule(display=all_or_one)
     def estop(self, display: str | None) -> None:
-        self.withdraw(of(display), m.ArmDisplay | m.ClearEstop | m.Play)
+        self.withdraw(of(display), m.ArmDisplay | m.ClearEstop | m.Resume)
         self.owed[display] = len(self.handed)
         assert self.ask(m.EStop(display=display)) == self.session.connected
 

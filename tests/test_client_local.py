@@ -86,7 +86,7 @@ def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:
         m.Contact(display=name, position_mm=(x, 0.0), normal_force_n=0.5)
         for name, x in (("left", 1.0), ("right", 2.0), ("left", 3.0))
     ]
-    gain, play, estop = m.SetGain(display="left", gain=1.0), m.Play(display="left"), m.EStop()
+    gain, play, estop = m.SetGain(display="left", gain=1.0), m.Resume(display="left"), m.EStop()
     commands: list[m.Command] = [gain, play, *contacts, estop]
     assert [outbox.put(c) for c in commands] == [True, *[False] * 5]
     assert outbox.take() == [estop, contacts[2], contacts[1], gain]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import pytest
 
@@ -243,6 +243,40 @@ def test_who_may_not_arm_may_stop(runner: Loop, host: Host, program: Program) ->
     osc.ask(m.EStop())
     program.ask(m.ClearEstop(display=NAME, estop=program.stats().estop))
     osc.close()
+
+
+PERMISSIONS: dict[Any, set[str]] = {
+    m.ListTextures(): set(),
+    m.Ping(time_us=0): set(),
+    m.EStop(): set(),
+    m.Subscribe(display=NAME, rate_hz=0.0): set(),
+    m.GetStats(display=NAME): set(),
+    m.Contact(display=NAME, position_mm=(0.0, 0.0), normal_force_n=0.0): {"play"},
+    m.Select(display=NAME, layers=()): {"play"},
+    m.Resume(display=NAME): {"play"},
+    m.StopPlaying(display=NAME): {"play"},
+    m.SetGain(display=NAME, gain=1.0): {"play"},
+    m.Append(display=NAME, sample_rate_hz=1000.0, amplitude_um=1.0, samples=(0.0,)): {"play"},
+    m.PlayEffect(display=NAME, amplitude_um=1.0): {"play"},
+    m.DisarmDisplay(display=NAME): {"arm", "stop"},
+    m.ArmDisplay(display=NAME): {"arm"},
+    m.ClearEstop(display=NAME, estop=1): {"arm"},
+}
+"""Roles of which one allows a command; none if every client may give it."""
+
+
+def test_each_command_needs_its_role(runner: Loop, host: Host, program: Program) -> None:
+    """There is no command that needs none because nobody thought of it."""
+    said = {type(command) for command in PERMISSIONS} | {m.ClientHello}
+    assert said == set(get_args(m.Command))
+    for role in (None, *get_args(m.Role)):
+        client = Program(runner, host, roles=frozenset({role} - {None}))
+        for command, roles in PERMISSIONS.items():
+            (answer,) = client.ask(command)
+            refused = isinstance(answer, m.Failure) and answer.code == "unauthorized"
+            assert refused == bool(roles and role not in roles), (role, command)
+        client.close()
+    program.ask(m.ClearEstop(display=NAME, estop=program.stats().estop))
 
 
 def test_the_finger_is_who_touches_first_until_it_lifts_or_is_silent(

@@ -204,8 +204,8 @@ async def test_what_is_sent_reaches_the_display_by_a_client_that_may_not_arm() -
         link.send(bundle(packet("/tactile/gain", 0.5), packet("/tactile/estop")))
         await until(lambda: len(hands.log) == 4)
         stopping, hand = hands.clients
-        assert stopping.roles == {"stop"}
-        assert "arm" not in hand.roles
+        assert stopping.roles == set()
+        assert hand.roles == {"play"}
         assert [c.display for c in hand.contacts] == ["right", "left"]
         assert [type(c) for c in hand.commands] == [SetGain]
         assert stopping.commands == [EStop(display="right")]

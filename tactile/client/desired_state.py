@@ -10,8 +10,8 @@ from tactile.messages import (
     EStop,
     EventMessage,
     Failure,
-    Play,
     Request,
+    Resume,
     Select,
     SetGain,
     StatsReply,
@@ -59,7 +59,7 @@ class DesiredState:
                 self.gain = command
             case StopPlaying():
                 self.stop = command
-            case Play():
+            case Resume():
                 self.stop = None
             case ArmDisplay() if command.id == self.arming:
                 self.armed = command

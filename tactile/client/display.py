@@ -228,7 +228,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         timeout : float, optional
             Longest wait for the answer [s].
         """
-        await self._do(messages.Play(display=self.name), timeout)
+        await self._do(messages.Resume(display=self.name), timeout)
 
     async def arm(self: BaseDisplay, *, timeout: float | None = None) -> None:
         """Switch high voltage on. A person should know of it.

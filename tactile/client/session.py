@@ -41,10 +41,10 @@ from tactile.messages import (
     EventMessage,
     Failure,
     Ping,
-    Play,
     Pong,
     Reply,
     Request,
+    Resume,
     StopPlaying,
     Subscribe,
     TelemetryMessage,
@@ -57,7 +57,7 @@ MOST_WAITING = 256
 """Maximum number of requests that wait for an answer at a time."""
 QUIETER = StopPlaying | DisarmDisplay | EStop
 """Requests that are never too many, and are sent even if nobody waits for the answer any more."""
-RAISING = ArmDisplay | ClearEstop | Play
+RAISING = ArmDisplay | ClearEstop | Resume
 """Requests that an e-stop withdraws while they wait; disarming withdraws only `ArmDisplay`."""
 DISARMED_BY = {"disarmed", "estopped", "lost"}
 """Kinds of events after which a display is not armed."""

@@ -45,12 +45,10 @@ PLAY: frozenset[m.Role] = frozenset({"play"})
 """Roles that allow playing."""
 ARM: frozenset[m.Role] = frozenset({"arm"})
 """Roles that allow arming and clearing an e-stop."""
-NEEDED: dict[type, frozenset[m.Role]] = {
-    **dict.fromkeys((m.Select, m.Play, m.StopPlaying, m.SetGain, m.Append, m.PlayEffect), PLAY),
-    **dict.fromkeys((m.ArmDisplay, m.ClearEstop), ARM),
-    m.DisarmDisplay: ARM | {"stop"},
-}
-"""Roles of which a client needs one for a command; all other commands are open to every client."""
+STOP: frozenset[m.Role] = ARM | {"stop"}
+"""Roles that allow disarming."""
+OPEN: frozenset[m.Role] = frozenset()
+"""No roles: the command is open to every client."""
 
 
 class Client:
@@ -206,10 +204,10 @@ class Client:
             return self.contact(command, loop_time()) or m.Done()
         if self._has_left and not isinstance(command, m.DisarmDisplay):
             return failed("unavailable", "the connection has ended")
-        needed = NEEDED.get(type(command))
-        if needed is not None and not needed & self.roles:
+        needed, action = self._ACTIONS[type(command)]
+        if needed and not needed & self.roles:
             return self._refusal(command, needed)
-        return await self._ACTIONS[type(command)](self, playing, command)
+        return await action(self, playing, command)
 
     def _unknown_display(self, name: str) -> Failure:
         known = hint(name, list(self._host.playing))
@@ -260,7 +258,7 @@ class Client:
         await playing.apply_state(self.number)
         return m.Done()
 
-    async def _play(self, playing: Playing, command: m.Play) -> Answer:
+    async def _resume(self, playing: Playing, command: m.Resume) -> Answer:
         playing.state_of(self.number).sounds = True
         return await self._apply_state(playing)
 
@@ -395,11 +393,20 @@ class Client:
             estop=latch.holds,
         )
 
-    _ACTIONS: dict[type, Callable[..., Awaitable[Answer]]] = {  # noqa: RUF012
-        m.Select: _select, m.Play: _play, m.StopPlaying: _stop, m.SetGain: _gain, m.Append: _append,
-        m.PlayEffect: _effect, m.ArmDisplay: _arm, m.DisarmDisplay: _disarm, m.ClearEstop: _clear,
-        m.Subscribe: _subscribe, m.GetStats: _stats,
-    }  # fmt: skip
+    _ACTIONS: dict[type, tuple[frozenset[m.Role], Callable[..., Awaitable[Answer]]]] = {  # noqa: RUF012
+        m.Select: (PLAY, _select),
+        m.Resume: (PLAY, _resume),
+        m.StopPlaying: (PLAY, _stop),
+        m.SetGain: (PLAY, _gain),
+        m.Append: (PLAY, _append),
+        m.PlayEffect: (PLAY, _effect),
+        m.ArmDisplay: (ARM, _arm),
+        m.ClearEstop: (ARM, _clear),
+        m.DisarmDisplay: (STOP, _disarm),
+        m.Subscribe: (OPEN, _subscribe),
+        m.GetStats: (OPEN, _stats),
+    }
+    """Roles of which a client needs one for a command, and the method that carries it out."""
 
 
 def _point_rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float64]:

@@ -56,10 +56,8 @@ WRONG = (ValueError, struct.error)
 """Exceptions that parsing raises if a packet is not OSC."""
 BUNDLE, BUNDLE_HEAD = b"#bundle\0", 16
 """Beginning of a bundle, and size of its header [bytes]."""
-ROLES: frozenset[Role] = frozenset({"play", "stop"})
+ROLES: frozenset[Role] = frozenset({"play"})
 """Roles of every sender."""
-STOPS: frozenset[Role] = frozenset({"stop"})
-"""Roles of the client that carries out the e-stops of all senders."""
 ROOM = 2**22
 """Size of the receive buffer of the socket [bytes]."""
 MOST_READ, MOST_USED = 512, 32
@@ -281,7 +279,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self._senders: dict[Address, Sender] = {}
         self._finishing: set[asyncio.Task[None]] = set()
         self._first, self._names, self._names_expire = "", set[str](), 0.0
-        self._estop_client = host.connect("osc e-stop", roles=STOPS)
+        self._estop_client = host.connect("osc e-stop", roles=frozenset())
         log_answer = partial(self._log_answer, ("e-stop", 0))
         self._estop_requests = Requests(self._estop_client, self._traffic, log_answer)
 

@@ -15,7 +15,8 @@ from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import load_display
 from tactile.playback.loop import BLOCK, PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
-from tactile.playback.waves import BLOCK_WORK, Curve, Voice
+from tactile.playback.voice import Voice
+from tactile.playback.waves import BLOCK_WORK, Curve
 
 CLIENTS = 60
 """Number of clients of a crowd."""

@@ -11,7 +11,7 @@ from tactile.bus.base import DriveBlock
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
-from tactile.playback.offline import PlayedBlock, play
+from tactile.playback.trajectory_playback import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture

@@ -19,7 +19,8 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.shared_memory import PlaybackMemory
-from tactile.playback.waves import Curve, Voice
+from tactile.playback.voice import Voice
+from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import render

@@ -16,7 +16,7 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback import process as playback_process
-from tactile.playback.commands import Setup
+from tactile.playback.commands import PlaybackSetup
 from tactile.server import shelf
 from tactile.server.client import Client
 from tactile.server.config import DaemonConfig, DisplayConfig
@@ -286,7 +286,7 @@ def test_a_device_that_stays_away_is_opened_less_and_less_often(
     serve()
     tries: list[float] = []
 
-    def open_nothing(setup: Setup) -> Any:
+    def open_nothing(setup: PlaybackSetup) -> Any:
         tries.append(world.clock.now())
         raise BusError("it is not plugged in")
 

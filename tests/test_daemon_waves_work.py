@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.playback.waves import Curve, EffectPlayer, Voice, WaveformQueue, affordable
+from tactile.playback.voice import Voice
+from tactile.playback.waves import Curve, EffectPlayer, WaveformQueue, affordable
 
 RATE = 8000.0
 N = 3

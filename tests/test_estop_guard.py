@@ -33,7 +33,7 @@ from tactile.estop.request import request_estop
 from tactile.paths import estop_sockets, state_folder
 from tactile.playback import estop_guard, runs
 from tactile.playback.estop_guard import clear_device, guarded
-from tactile.playback.offline import PlayedBlock
+from tactile.playback.trajectory_playback import PlayedBlock
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
 

@@ -264,7 +264,7 @@ def test_an_input_that_is_open_under_an_estop_of_this_host_is_told(
 def test_an_amplifier_of_version_1_0_is_played_on_with_a_warning(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It has other messages, and no e-stop input although it exceeds 60 V."""
+    """The amplifier has other messages, and no e-stop input although it exceeds 60 V."""
     with caplog.at_level("WARNING", "tactile.bus"):
         linked("serial")
         assert caplog.messages == []

@@ -9,7 +9,7 @@ from playback_rig import FADE, RATE, SINGLE, TRAJECTORIES, Played, played, strok
 from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
-from tactile.playback.offline import PlayedBlock, play
+from tactile.playback.trajectory_playback import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
 from tactile.texture.surface import Texture

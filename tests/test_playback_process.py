@@ -19,7 +19,7 @@ from tactile.clock import ModelClock
 from tactile.display.display import Display
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.playback import commands
-from tactile.playback.commands import Answer, News, Order
+from tactile.playback.commands import News, Order, OrderAnswer
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
@@ -46,15 +46,15 @@ class Stage:
     bus: MockBus
     memory: PlaybackMemory
     latch: Latch
-    said: list[Answer | News]
+    said: list[OrderAnswer | News]
     _number: int = 0
 
-    def order(self, order: Order) -> Answer:
+    def order(self, order: Order) -> OrderAnswer:
         """Have an order obeyed, and return the answer."""
         self._number += 1
         self.program.take(*pickle.loads(pickle.dumps((self._number, order))))
         self.program.turn()
-        answers = [what for what in self.said if isinstance(what, Answer)]
+        answers = [what for what in self.said if isinstance(what, OrderAnswer)]
         assert answers[-1].number == self._number
         return answers[-1]
 
@@ -90,7 +90,7 @@ def stage(display: Display) -> Iterator[Stage]:
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
     shared = PlaybackMemory(memory.handle, len(display.contactors))
     player = PlaybackLoop(display, bus, shared, worn=True, clock=clock)
-    said: list[Answer | News] = []
+    said: list[OrderAnswer | News] = []
     program = Program(player, Latch(latch.handle, LatchWriter.PLAYBACK), said.append)
     yield Stage(program, player, bus, memory, latch, said)
     bus.close()
@@ -161,7 +161,7 @@ def test_a_clear_must_name_the_e_stop_that_holds(playing: Stage) -> None:
     playing.latch.trip("second")
     playing.play(0.05)
     assert "e-stop 2 holds, not 1" in playing.order(m.ClearEstop(display=NAME, estop=1)).failure
-    assert playing.order(m.ClearEstop(display=NAME, estop=2)) == Answer(playing._number)
+    assert playing.order(m.ClearEstop(display=NAME, estop=2)) == OrderAnswer(playing._number)
     assert "e-stop 2 holds" in playing.order(ARM).failure, "the server has not said so"
     playing.latch.clear(2)
     assert not playing.order(ARM).failure

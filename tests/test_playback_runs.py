@@ -25,8 +25,8 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError, TactileError
 from tactile.playback import runs
-from tactile.playback.offline import PlayedBlock
 from tactile.playback.runs import Summary, run
+from tactile.playback.trajectory_playback import PlayedBlock
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.texture.surface import Texture

@@ -53,7 +53,7 @@ from tactile.estop.latch import Latch, LatchWriter
 from tactile.estop.process import Desk, EstopReady, EstopSetup
 from tactile.playback import commands
 from tactile.playback import process as playback_process
-from tactile.playback.commands import DeviceOpened, Setup
+from tactile.playback.commands import DeviceOpened, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
@@ -106,7 +106,7 @@ class DrawingProcess(Process):
         self.clock.after(DRAWING, lambda: self.answer(made))
 
 
-DRAWN: dict[bytes, commands.Texture] = {}
+DRAWN: dict[bytes, commands.PreparedTexture] = {}
 """Textures that were drawn, by the pickles of requests but for their numbers."""
 
 
@@ -122,7 +122,7 @@ class Stored:
         return _drawn, (self._key,)
 
 
-def _drawn(key: bytes) -> commands.Texture:
+def _drawn(key: bytes) -> commands.PreparedTexture:
     return DRAWN[key]
 
 
@@ -137,7 +137,7 @@ class PlaybackProcess(Process):
     threads: tuple[Thread, ...] = ()
 
     def receive(self, order: Any) -> None:
-        if isinstance(order, Setup):
+        if isinstance(order, PlaybackSetup):
             self._start(lambda: self._play(order))
         elif self.program is not None:
             self.program.take(*order)
@@ -152,7 +152,7 @@ class PlaybackProcess(Process):
 
         self.threads += (self.clock.start(run),)
 
-    def _play(self, setup: Setup) -> None:
+    def _play(self, setup: PlaybackSetup) -> None:
         self.clock.sleep(OPENING)
         try:
             bus, how = playback_process.open_device(setup)

@@ -158,7 +158,7 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
     """Return a live picture for the terminal, and the function that updates it with a block."""
     from rich.live import Live
 
-    from tactile.playback.offline import PlayedBlock
+    from tactile.playback.trajectory_playback import PlayedBlock
     from tactile.show.live import LivePicture
 
     picture = LivePicture(display, texture=texture, sample_rate=sample_rate)

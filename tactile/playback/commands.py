@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from tactile.display.display import Display
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
-from tactile.playback.waves import ClientState, Curve
+from tactile.playback.voice import ClientState
+from tactile.playback.waves import Curve
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 
-Texture = RealizedLayer | SpectrumRenderer
+PreparedTexture = RealizedLayer | SpectrumRenderer
 """Texture realized for a display, on a link that takes samples or one that takes frames."""
 
 
 @dataclass(frozen=True)
-class Setup:
+class PlaybackSetup:
     """First message to a playback process: the display to play, and on which device.
 
     Attributes
@@ -59,7 +60,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class DeviceOpened:
-    """Reply to `Setup`: how the device plays, or why it could not be opened.
+    """Reply to `PlaybackSetup`: how the device plays, or why it could not be opened.
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class DeviceOpened:
         Number of carriers; 0 for a link that takes samples.
     frame_rate : float
         Frame rate; 0 for a link that takes samples [Hz].
-    latency : float
+    ahead : float
         Time before it is due at which the bus wants a block [s].
     real_time : tuple of str
         Real-time privileges that the system refused.
@@ -80,7 +81,7 @@ class DeviceOpened:
     sample_rate: float = 0.0
     carriers: int = 0
     frame_rate: float = 0.0
-    latency: float = 0.0
+    ahead: float = 0.0
     real_time: tuple[str, ...] = ()
     why_not: str = ""
 
@@ -98,7 +99,7 @@ class KeepTexture:
     """
 
     number: int
-    texture: Texture
+    texture: PreparedTexture
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ class ForgetClient:
 
 
 @dataclass(frozen=True)
-class Answer:
+class OrderAnswer:
     """Answer to the order with the same number.
 
     Attributes

@@ -26,7 +26,8 @@ from tactile.playback.shared_memory import (
     PlaybackReport,
     State,
 )
-from tactile.playback.waves import TURN, ClientState, Voice, affordable
+from tactile.playback.voice import ClientState, Voice
+from tactile.playback.waves import TURN, affordable
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Ramp, Renderer

@@ -27,7 +27,7 @@ from tactile.errors import BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import commands, priority
-from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
+from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop, state_of
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
@@ -63,7 +63,7 @@ class Program:
     """
 
     def __init__(
-        self, player: PlaybackLoop, latch: Latch, say: Callable[[Answer | News], None]
+        self, player: PlaybackLoop, latch: Latch, say: Callable[[OrderAnswer | News], None]
     ) -> None:
         self._player, self._latch, self._send = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
@@ -180,12 +180,12 @@ class Program:
         try:
             value = self._execute(order)
         except (TactileError, ValueError) as error:
-            self._send(Answer(number, failure=str(error)))
+            self._send(OrderAnswer(number, failure=str(error)))
         except Exception as error:  # playback continues, whatever was wrong with an order
             traceback.print_exc()
-            self._send(Answer(number, failure=f"playback failed: {error!r}"))
+            self._send(OrderAnswer(number, failure=f"playback failed: {error!r}"))
         else:
-            self._send(Answer(number, value))
+            self._send(OrderAnswer(number, value))
 
     def _execute(self, order: Order) -> tuple[float, ...]:
         """Execute an order; return its result."""
@@ -284,14 +284,14 @@ class Pipe:
 
     def __init__(self, orders: BinaryIO, answers: BinaryIO) -> None:
         self._orders, self._answers = orders, answers
-        self._waiting: queue.Queue[Answer | News] = queue.Queue(WAITING)
+        self._waiting: queue.Queue[OrderAnswer | News] = queue.Queue(WAITING)
 
-    def say(self, what: Answer | News) -> None:
+    def say(self, what: OrderAnswer | News) -> None:
         """Queue a message to be written; it is dropped if nobody reads.
 
         Parameters
         ----------
-        what : Answer or News
+        what : OrderAnswer or News
             Message to write.
         """
         with suppress(queue.Full):
@@ -341,12 +341,12 @@ class Pipe:
         joining.join(seconds)
 
 
-def open_device(setup: Setup) -> tuple[Bus, DeviceOpened]:
+def open_device(setup: PlaybackSetup) -> tuple[Bus, DeviceOpened]:
     """Open the bus of a display.
 
     Parameters
     ----------
-    setup : Setup
+    setup : PlaybackSetup
         Device and display, as the server describes them.
 
     Returns
@@ -380,7 +380,7 @@ def open_device(setup: Setup) -> tuple[Bus, DeviceOpened]:
 def main() -> None:
     """Play as the server orders on standard input."""
     inward, outward = pipes_of_parent()
-    setup: Setup | None = next(received(inward), None)
+    setup: PlaybackSetup | None = next(received(inward), None)
     if setup is None:
         sys.exit(1)
     try:
@@ -408,4 +408,4 @@ def main() -> None:
 
 def _fields(how: DeviceOpened) -> tuple[float, int, float, float]:
     """Return the fields of a reply without the refused privileges."""
-    return how.sample_rate, how.carriers, how.frame_rate, how.latency
+    return how.sample_rate, how.carriers, how.frame_rate, how.ahead

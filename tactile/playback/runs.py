@@ -15,8 +15,8 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.playback.estop_guard import guarded
-from tactile.playback.offline import PlayedBlock, play, play_frames
 from tactile.playback.recording import Recorder
+from tactile.playback.trajectory_playback import PlayedBlock, play, play_frames
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer

@@ -1,4 +1,4 @@
-"""Offline playback: a trajectory rendered block by block onto a bus.
+"""Playback without a server: a trajectory rendered block by block onto a bus.
 
 The stream fades in at its beginning and out at its end. What is passed to the listener is aligned:
 the renderer's delay is removed, so that drive, shear, position and time of a sample belong

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
-from tactile.playback.commands import KeepTexture, Texture
+from tactile.playback.commands import KeepTexture, PreparedTexture
 from tactile.processes import pipes_of_parent, received, send
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
@@ -61,7 +61,7 @@ class DrawnTexture:
     number : int
         Number of the request.
     order : bytes
-        Pickle of (number, `Keep`); empty after a failure.
+        Pickle of (number, `KeepTexture`); empty after a failure.
     failure : str
         Reason why there is no texture; empty if there is one.
     """
@@ -71,7 +71,7 @@ class DrawnTexture:
     failure: str = ""
 
 
-def make(request: DrawingRequest) -> Texture:
+def make(request: DrawingRequest) -> PreparedTexture:
     """Prepare a texture.
 
     Parameters
@@ -81,7 +81,7 @@ def make(request: DrawingRequest) -> Texture:
 
     Returns
     -------
-    Texture
+    PreparedTexture
         Texture for a link that takes samples, or for one that takes spectrum frames.
 
     Raises

@@ -25,9 +25,9 @@ from tactile.messages import (
     Layer,
 )
 from tactile.playback import commands
-from tactile.playback.commands import Answer, DeviceOpened, News, Order, Setup
+from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
 from tactile.playback.shared_memory import PlaybackMemory, PlaybackReport
-from tactile.playback.waves import ClientState
+from tactile.playback.voice import ClientState
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, load_configured
 from tactile.server.description import describe
@@ -185,7 +185,7 @@ class Playing:
 
         child = self.child = Child("tactile.playback.process", on_message, inherited)
         child.send(
-            Setup(
+            PlaybackSetup(
                 self.display, config.device, config.rearm, config.sample_rate_hz,
                 config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
                 self.latch.handle,
@@ -209,7 +209,7 @@ class Playing:
         if isinstance(what, DeviceOpened):
             if self._device_opened is not None and not self._device_opened.done():
                 self._device_opened.set_result(what)
-        elif isinstance(what, Answer):
+        elif isinstance(what, OrderAnswer):
             future = self._pending.pop(what.number, None)
             if future is not None and not future.done():
                 if what.failure:
@@ -604,5 +604,5 @@ class Playing:
     def info(self) -> DisplayDescription:
         """Description of the display for clients."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
-        latency = self.report.latency or self.how.latency + renders
+        latency = self.report.latency or self.how.ahead + renders
         return describe(self.config.name, self.display, self.how, latency=latency, latch=self.latch)

@@ -246,7 +246,7 @@ class Lane:
         return self._under_way[0].arrives if self._under_way else math.inf
 
 
-class Setup(NamedTuple):
+class ModelSetup(NamedTuple):
     """Amplifiers of a link, with their clocks and faults.
 
     Attributes
@@ -275,7 +275,7 @@ class Model(ABC):
 
     Parameters
     ----------
-    setup : Setup
+    setup : ModelSetup
         Amplifiers, clocks and faults.
 
     Attributes
@@ -285,7 +285,7 @@ class Model(ABC):
     resent : bool
         Whether damaged units are sent again.
     configs, faults, clock, drift
-        Attributes of the `Setup`.
+        Attributes of the `ModelSetup`.
     random : numpy.random.Generator
         Generator from which the faults are drawn.
     out, back : Lane
@@ -301,7 +301,7 @@ class Model(ABC):
     shared = False
     resent = False
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: ModelSetup) -> None:
         self.configs, self.faults, self.clock, self.drift, seed = setup
         faults = self.faults
         self.random = np.random.default_rng(seed)
@@ -484,11 +484,11 @@ class SerialModel(Model, SerialLine):
     ----------
     link : Link
         Link that determines the time on the wire; none is taken unless it is a `Uart`.
-    setup : Setup
+    setup : ModelSetup
         Amplifier, clock and faults.
     """
 
-    def __init__(self, link: Link, setup: Setup) -> None:
+    def __init__(self, link: Link, setup: ModelSetup) -> None:
         rate = link.bit_rate if isinstance(link, Uart) else math.inf
         self._byte_seconds = uart_bits(1) / rate
         super().__init__(setup)
@@ -581,13 +581,13 @@ class CanModel(Model, CanChannel):
     ----------
     link : Can
         Link that determines the time on the wire.
-    setup : Setup
+    setup : ModelSetup
         Amplifiers, clocks and faults.
     """
 
     shared = resent = True
 
-    def __init__(self, link: Can, setup: Setup) -> None:
+    def __init__(self, link: Can, setup: ModelSetup) -> None:
         self._link = link
         super().__init__(setup)
 
@@ -681,11 +681,11 @@ class I2cModel(Model, SmbusAdapter):
         Link that determines the time on the wire.
     first : int
         Address of the first amplifier, such as 0x42.
-    setup : Setup
+    setup : ModelSetup
         Amplifiers, clocks and faults.
     """
 
-    def __init__(self, link: I2c, first: int, setup: Setup) -> None:
+    def __init__(self, link: I2c, first: int, setup: ModelSetup) -> None:
         self._link, self._first = link, first
         super().__init__(setup)
 

@@ -26,7 +26,14 @@ from tactile.bus.link.session import MOVING
 from tactile.bus.options import Keep
 from tactile.bus.output import OutputRecord
 from tactile.bus.serial_bus import SerialWire
-from tactile.bus.simulated.line_model import CanModel, Faults, I2cModel, Model, SerialModel, Setup
+from tactile.bus.simulated.line_model import (
+    CanModel,
+    Faults,
+    I2cModel,
+    Model,
+    ModelSetup,
+    SerialModel,
+)
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited
 from tactile.clock import Clock, ModelClock
@@ -312,7 +319,7 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
         config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms)
         for node in range(1, boards + 1)
     ]
-    setup = Setup(
+    setup = ModelSetup(
         configs, _faults(options), clock,
         drift=[drift * k for k in range(1, boards + 1)],
         seed=options.seed,

@@ -52,6 +52,7 @@ ROOMS = {
     "strength": "Strength",
     "actuator": "Actuator and finger",
     "devices": "Devices",
+    "playback": "Devices",
     "bus": "Devices",
     "client": "Programs on a server",
     "local": "Programs on a server",

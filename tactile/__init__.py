@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from tactile.errors import RequestError as RequestError
     from tactile.errors import TactileError as TactileError
     from tactile.local import open_display as open_display
+    from tactile.playback.estop_guard import guarded as guarded
     from tactile.rendering.contact import Trajectory as Trajectory
     from tactile.rendering.renderer import Renderer as Renderer
     from tactile.rendering.renderer import Rendering as Rendering
@@ -98,6 +99,7 @@ _HOMES = {
         "TactileError",
     ),
     "local": ("open_display",),
+    "playback.estop_guard": ("guarded",),
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),

@@ -51,6 +51,14 @@ def guarded(bus: Bus, device: str) -> Iterator[None]:
         If an e-stop holds or came while the bus was in use, or if another program has the latch.
     InputError
         If the file of the latch cannot be opened.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> display = tactile.load_display("reference-24")
+    >>> with tactile.open_bus("mock:", display) as bus, tactile.guarded(bus, "mock:"):
+    ...     bus.start()
+    ...     bus.stop()
     """
     if device.startswith(UNSAVED):
         yield

@@ -1,10 +1,10 @@
-"""A frame loop as in OpenXR: locate the hand, meet a surface, say where it is touched.
+"""Frame loop as in OpenXR: locate the hand, detect contact with a table, send the contact.
 
     python examples/hand_tracking.py [my-hand.csv]    # time_s,x_m,y_m,z_m of an index finger's tip
 
-The table is the plane y = 0.75 m, as OpenXR has y upwards. Where your runtime gives the finger's
-pose (xrLocateHandJointsEXT), put it in place of `locate`; the rest stays. XrTime in seconds is the
-time that `touch` takes.
+The table is the plane y = 0.75 m; in OpenXR the y axis points upward. To use your own runtime,
+replace `locate` by a function that returns the position of the finger (xrLocateHandJointsEXT). Pass
+XrTime, converted to seconds, as the time of `touch`.
 """
 
 import argparse
@@ -18,21 +18,21 @@ import tactile.client
 
 FRAME_RATE = 90.0  # Hz, of the headset
 TABLE = 0.75  # m above the floor
-STIFFNESS = 250.0  # N/m: 2 mm into the table are 0.5 N; assumed
+STIFFNESS = 250.0  # N/m: a finger 2 mm deep in the table presses with 0.5 N (assumed)
 STRONGEST = 2.0  # N
 
 Point = Sequence[float]
 
 
 def synthetic(t: float) -> Point:
-    """Return where a finger is that circles on the table and lifts every third second [m]."""
+    """Return the position of a finger that circles on the table and lifts every 3 s [m]."""
     angle = 2 * math.pi * 0.5 * t
     height = 0.01 if t % 3.0 > 2.5 else -0.002
     return 0.03 * math.cos(angle), TABLE + height, 0.03 * math.sin(angle)
 
 
 class Recorded:
-    """A recorded path, between whose lines it is straight; it begins anew at its end."""
+    """Recorded path, interpolated linearly between its rows, that repeats when it ends."""
 
     def __init__(self, path: Path) -> None:
         with path.open(newline="") as lines:
@@ -40,7 +40,7 @@ class Recorded:
         self.times, self.points = [row[0] for row in rows], [row[1:4] for row in rows]
 
     def __call__(self, t: float) -> Point:
-        """Return where the finger is at a time [m]."""
+        """Return the position of the finger at a time [m]."""
         t = self.times[0] + t % (self.times[-1] - self.times[0])
         i = next(i for i in range(1, len(self.times)) if self.times[i] >= t)
         part = (t - self.times[i - 1]) / (self.times[i] - self.times[i - 1])
@@ -51,15 +51,15 @@ class Recorded:
 def run(
     display: tactile.client.RemoteDisplay, locate: Callable[[float], Point], seconds: float
 ) -> tuple[int, int]:
-    """Be the frame loop; return how many frames there were, and in how many it touched."""
+    """Run the frame loop; return the number of frames, and of those with contact."""
     frames = touches = 0
-    before: Point | None = None  # on the table, in the last frame
+    before: Point | None = None  # position on the table in the last frame, None without contact
     begun = time.monotonic()
     while (now := time.monotonic()) - begun < seconds:
         x, y, z = locate(now - begun)
         depth = TABLE - y
         if depth > 0:
-            here = (x, -z)  # on the surface, seen from above
+            here = (x, -z)  # position on the surface, seen from above
             velocity = None
             if before is not None:
                 velocity = [(a - b) * FRAME_RATE for a, b in zip(here, before, strict=True)]
@@ -80,8 +80,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", nargs="?", type=Path, help="CSV: time_s,x_m,y_m,z_m")
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
-    parser.add_argument("--display", help="which, where there are several")
+    parser.add_argument("--url", help="URL of the server; by default that of this machine")
+    parser.add_argument("--display", help="name of the display, if there are several")
     parser.add_argument("--texture", default="wood-oak")
     options = parser.parse_args()
     locate = Recorded(options.path) if options.path else synthetic

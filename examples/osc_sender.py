@@ -1,9 +1,11 @@
-"""Stroke a texture over OSC, as from Max, Pure Data, Unity or TouchDesigner.
+"""Stroke a texture over OSC, as Max, Pure Data, Unity or TouchDesigner would.
 
     python examples/osc_sender.py --seconds 10 --texture wood-oak
 
-The daemon listens on UDP 127.0.0.1:7412. OSC can neither arm nor disarm a display: do that with
-`tactile` or the SDK. ``/tactile/<display>/contact`` and so on name one of several displays.
+The server must listen to OSC on 127.0.0.1:7412 (``[osc] port = 7412`` in its configuration). OSC
+can neither arm nor disarm a display; a program does that with `tactile.connect`, or the
+configuration with ``arm_on_start``. If there are several displays, ``/tactile/<display>/contact``
+names one.
 """
 
 import argparse
@@ -13,7 +15,7 @@ import time
 from pythonosc.udp_client import SimpleUDPClient
 
 RATE = 90.0  # Hz
-STROKE_MM, FREQUENCY = 20.0, 0.5  # to either side, and how often a second
+STROKE_MM, FREQUENCY = 20.0, 0.5  # amplitude, and strokes to and fro per second [Hz]
 NORMAL_FORCE_N = 0.5
 
 
@@ -21,7 +23,9 @@ def main() -> None:
     """Stroke to and fro for some seconds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", default="osc.udp://127.0.0.1:7412", help="host and port")
+    parser.add_argument(
+        "--url", default="osc.udp://127.0.0.1:7412", help="host and port of the server"
+    )
     parser.add_argument("--texture", default="wood-oak")
     options = parser.parse_args()
     host, _, port = options.url.removeprefix("osc.udp://").strip("/").rpartition(":")

@@ -1,8 +1,8 @@
-"""Two fingers with asyncio: each its own display and path, both on one connection.
+"""Two fingers with asyncio, each with its own display and path, on one connection.
 
     python examples/two_fingers.py --displays left right --seconds 10
 
-Where the daemon has only one display, one finger is all there is: a display has one finger on it.
+If the server has only one display, only one finger is played, because a display has one finger.
 """
 
 import argparse
@@ -16,7 +16,7 @@ RATE = 120.0  # Hz, of the tracker
 
 
 async def stroke(display: aio.AsyncDisplay, texture: str, frequency: float, seconds: float) -> int:
-    """Stroke to and fro, and return how often the place was told."""
+    """Stroke to and fro, and return the number of contacts that were sent."""
     await display.select((texture, 0.8))
     await display.arm()
     omega, amplitude = 2 * math.pi * frequency, 0.02  # rad/s, m
@@ -34,7 +34,7 @@ async def stroke(display: aio.AsyncDisplay, texture: str, frequency: float, seco
 
 
 async def play(options: argparse.Namespace) -> None:
-    """Connect, stroke with each finger, and tell how it went."""
+    """Connect, stroke with each finger, and print the number of contacts."""
     async with aio.open_connection(options.url) as connection:
         connection.on_event(lambda event: print(f"{event.display}: {event.kind} {event.detail}"))
         names = options.displays or list(connection.displays)[:2]
@@ -51,8 +51,10 @@ def main() -> None:
     """Read the command line, and play."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
-    parser.add_argument("--displays", nargs="+", help="one or two; default the first two there are")
+    parser.add_argument("--url", help="URL of the server; by default that of this machine")
+    parser.add_argument(
+        "--displays", nargs="+", help="names of one or two displays; by default the first two"
+    )
     parser.add_argument("--textures", nargs=2, default=["wood-oak", "leather-calf"])
     asyncio.run(play(parser.parse_args()))
 

@@ -1,10 +1,10 @@
-"""Stream a waveform, as XR_FB_haptic_pcm: each call tells how many samples were taken.
+"""Stream a waveform as with XR_FB_haptic_pcm, where each call reports the samples it consumed.
 
     python examples/waveform_streamer.py                   # a sweep from 20 Hz to 500 Hz
-    python examples/waveform_streamer.py knock.wav         # 16 bit, its first channel
+    python examples/waveform_streamer.py knock.wav         # first channel of a 16-bit file
 
-`display.play` does all of this in one call; here it is by hand, for programs that have a frame loop
-and must not wait.
+`display.play` does all of this in one call. This example uses `display.append`, for programs that
+have a frame loop and must not wait.
 """
 
 import argparse
@@ -20,11 +20,11 @@ import tactile.client
 
 SWEEP_RATE = 8000.0  # Hz
 LOWEST, HIGHEST = 20.0, 500.0  # Hz
-FRAME_RATE = 90.0  # Hz; a frame loop would do its frame where this example holds the finger
+FRAME_RATE = 90.0  # Hz; a frame loop would draw its frame instead of holding the finger
 
 
 def sweep(seconds: float) -> list[float]:
-    """Return an exponential sweep, −1 … 1."""
+    """Return the samples of an exponential sweep, −1 … 1."""
     ratio = math.log(HIGHEST / LOWEST)
     times = (n / SWEEP_RATE for n in range(int(seconds * SWEEP_RATE)))
     return [
@@ -48,7 +48,7 @@ def recorded(path: Path, seconds: float) -> tuple[list[float], float]:
 def stream(
     display: tactile.client.RemoteDisplay, samples: Sequence[float], rate: float, amplitude: float
 ) -> int:
-    """Hand over all samples, as there is room for them; return how many messages it took."""
+    """Send all samples as the server has room for them; return the number of messages."""
     sent = calls = 0
     while sent < len(samples):
         taken = display.append(samples[sent : sent + 4000], sample_rate=rate, amplitude=amplitude)
@@ -59,7 +59,7 @@ def stream(
 
 
 def hold(display: tactile.client.RemoteDisplay, seconds: float) -> None:
-    """Say for a while that the finger rests there: in air, waveforms play 34 dB down."""
+    """Report a resting finger for some time: without contact, waveforms play 34 dB lower."""
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         display.touch((0.0, 0.0), velocity=(0.0, 0.0))
@@ -69,10 +69,10 @@ def hold(display: tactile.client.RemoteDisplay, seconds: float) -> None:
 def main() -> None:
     """Play a file or a sweep."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("file", nargs="?", type=Path, help="WAV, 16 bit")
+    parser.add_argument("file", nargs="?", type=Path, help="16-bit WAV file")
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
-    parser.add_argument("--display", help="which, where there are several")
+    parser.add_argument("--url", help="URL of the server; by default that of this machine")
+    parser.add_argument("--display", help="name of the display, if there are several")
     parser.add_argument("--amplitude-um", type=float, default=5.0, help="shear at full scale")
     options = parser.parse_args()
     samples, rate = sweep(options.seconds), SWEEP_RATE

@@ -216,7 +216,7 @@ def read(
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: no valid TOML: {_one_line(str(error))}") from error
+        raise InputError(f"{path}: not valid TOML: {_one_line(str(error))}") from error
     if adapt is not None:
         adapt(data)
     for field, value in _leaves(data):
@@ -405,7 +405,7 @@ def check_target(path: Path, *, force: bool) -> None:
     if not path.parent.is_dir():
         raise InputError(f"{path}: no folder {path.parent}")
     if path.exists() and not force:
-        raise InputError(f"{path}: is there already; --force overwrites it")
+        raise InputError(f"{path}: already exists; --force overwrites it")
 
 
 def write_whole(

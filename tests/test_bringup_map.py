@@ -227,9 +227,9 @@ def test_contactors_in_line_stay_in_line(four: Path) -> None:
 def test_nothing_is_overwritten_without_force(four: Path, tmp_path: Path) -> None:
     target, told = tmp_path / "new.toml", Map.of(load_display(four))
     target.write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match="is there already; --force overwrites it"):
+    with pytest.raises(InputError, match="already exists; --force overwrites it"):
         write_map(four, target, told, force=False)
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="already exists"):
         bring_up("nothing:", four, ask=lambda question: "", write=target)
     assert target.read_text("utf-8") == "mine"
     write_map(four, target, told, force=True)

@@ -98,5 +98,5 @@ def test_a_file_that_is_there_is_kept_unless_told_otherwise(fit: Command, tmp_pa
     (tmp_path / "a.toml").write_text("mine")
     code, _, err = fit(*TOLD, "-o", "a.toml")
     assert code == 2
-    assert "is there already; --force overwrites it" in err
+    assert "already exists; --force overwrites it" in err
     assert (tmp_path / "a.toml").read_text() == "mine"

@@ -124,7 +124,7 @@ DISPLAYS = {
     "unknown-key-of-two-lines.toml": "unknown key",
     "high-voltage.toml": "limits.voltage_v = 150",
     "overlap.toml": "overlap",
-    "no-toml.toml": "no valid TOML",
+    "no-toml.toml": "not valid TOML",
 }
 RECORDS = {
     "missing folder": ("missing/r.npz", "missing/r.npz: cannot be written"),

@@ -134,7 +134,7 @@ def test_ranges_have_their_stop_and_no_noise() -> None:
         (["length_mm"], "'length_mm': must be name=value, for example length_mm=8:30:0.5"),
         (["length_mm=8", "length_mm=9"], "length_mm: is given twice"),
         (["length_mm=8", "--fix", "length_mm=9"], "length_mm: given twice"),
-        (["length_mm=8", "--fix", "width_mm=2,3"], "width_mm: is fixed to one value, not 2"),
+        (["length_mm=8", "--fix", "width_mm=2,3"], "width_mm: a fixed parameter has one value"),
         (["length_mm=0:8:1"], "length_mm = 0: must be 0.5 … 200 mm"),
         (["lenght_mm=8"], "no parameter 'lenght_mm'; did you mean 'length_mm'?"),
         (["load=lo"], "load = 'lo': no such name; did you mean 'low'?"),

@@ -169,7 +169,7 @@ def test_a_file_of_another_name_or_already_there_is_refused(tmp_path: Path) -> N
             write(CALF, tmp_path / name)
     target = tmp_path / "leather-calf.toml"
     target.write_text("mine")
-    with pytest.raises(InputError, match="is there already; --force overwrites it"):
+    with pytest.raises(InputError, match="already exists; --force overwrites it"):
         write(CALF, target)
     assert target.read_text() == "mine"
     write(CALF, target, force=True)

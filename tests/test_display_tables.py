@@ -243,6 +243,6 @@ def test_a_key_that_is_added_stands_above_the_comment_of_the_next_table(path: Pa
 
 
 def test_nothing_is_overwritten_without_force(path: Path) -> None:
-    with pytest.raises(InputError, match="is there already; --force overwrites it"):
+    with pytest.raises(InputError, match="already exists; --force overwrites it"):
         write_tables(path, path, bimorph=FITTED, force=False)
     assert path.read_text("utf-8") == TEXT

@@ -296,9 +296,9 @@ def test_a_number_that_is_not_finite_is_refused_anywhere(
     ("text", "words"),
     [
         (b"\xff\xfe[texture]", ("cannot be read", "byte 0xff")),
-        ("[texture\n", ("no valid TOML", "line 1")),
-        ("[texture]\nid = leather\n", ("no valid TOML", "line 2")),
-        ("[texture]\nid = 'a'\nid = 'b'\n", ("no valid TOML", "line 3")),
+        ("[texture\n", ("not valid TOML", "line 1")),
+        ("[texture]\nid = leather\n", ("not valid TOML", "line 2")),
+        ("[texture]\nid = 'a'\nid = 'b'\n", ("not valid TOML", "line 3")),
         ("", ("missing required field texture",)),
     ],
 )

@@ -467,7 +467,7 @@ def test_channels_are_limited_to_one_then_scaled_and_references_played() -> None
 
 def test_a_reference_that_leads_nowhere_is_an_error() -> None:
     lost = Band(kind="wave", segments=(KeyframeSegment(type="Reference", id=3),))
-    with pytest.raises(InputError, match="effect 3 is referred to, and not in the library"):
+    with pytest.raises(InputError, match="effect 3 is referenced, but not in the library"):
         synthesize(single((lost,)), 8000)
 
 

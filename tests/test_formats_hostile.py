@@ -46,30 +46,30 @@ def refused(tmp_path: Path, text: str | bytes, name: str = "x.haptic") -> str:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "no valid JSON"),
+        ("", "not valid JSON"),
         ("[]", "must be a JSON object"),
-        (CLIP % POINT[:-3], "no valid JSON"),
+        (CLIP % POINT[:-3], "not valid JSON"),
         ("[" * 100_000, "levels deep"),
         ('{"a":' * 900 + "1" + "}" * 900, "more than 32 levels deep"),
         ('{"a":' * 40 + "1" + "}" * 40, "more than 32 levels deep"),
         (CLIP % '{"time":NaN,"amplitude":1}', "amplitude[0].time = nan: must be a finite number"),
         (CLIP % '{"time":0,"amplitude":-Infinity}', "amplitude = -inf: must be a finite number"),
         (CLIP % '{"time":1e999,"amplitude":1}', "time = inf: must be a finite number"),
-        (CLIP % ('{"time":1' + "0" * 5000 + ',"amplitude":1}'), "no valid JSON"),
+        (CLIP % ('{"time":1' + "0" * 5000 + ',"amplitude":1}'), "not valid JSON"),
         (CLIP % ('{"time":1' + "0" * 400 + ',"amplitude":1}'), "is larger than 2^53"),
         (CLIP % '{"time":0,"amplitude":1.5}', "amplitude[0].amplitude = 1.5: expected float <= 1"),
         (CLIP % '{"time":-1,"amplitude":1}', "amplitude[0].time = -1: expected float >= 0"),
         (CLIP % '{"time":"0","amplitude":1}', "amplitude[0].time = '0': expected float, got str"),
         (CLIP % '{"time":true,"amplitude":1}', "time = True: expected float, got bool"),
         (CLIP % '{"time":0}', "amplitude[0]: Object missing required field amplitude"),
-        (CLIP % '{"time":0,"time":1,"amplitude":1}', "field 'time' is there twice"),
+        (CLIP % '{"time":0,"time":1,"amplitude":1}', "field 'time' occurs twice"),
         (CLIP % "", "amplitude: is empty"),
         (CLIP % POINT.replace("}", ',"emphasis":{"amplitude":0.1,"frequency":0}}'),
          "emphasis.amplitude = 0.1: must be at least the envelope's 0.5"),
         ('{"version":{"major":true}}', "version.major = True: must be 1"),
         ('{"version":1}', "version.major = None: must be 1"),
         ('{"a":"\\ud800"}', "a: is no valid text"),
-        (b'\xff\xfe{"a":1}', "no valid JSON"),
+        (b'\xff\xfe{"a":1}', "not valid JSON"),
     ],
 )  # fmt: skip
 def test_json_that_is_none_is_refused_in_a_line(
@@ -209,7 +209,7 @@ def test_a_wav_of_what_is_no_number_is_refused(tmp_path: Path) -> None:
     floats = np.array([0.5, np.nan], "<f4").tobytes()
     head = sound(floats, width=4)
     assert head[20:22] == b"\x01\x00"
-    assert "no finite number" in refused(tmp_path, head[:20] + b"\x03\x00" + head[22:], "x.wav")
+    assert "not finite numbers" in refused(tmp_path, head[:20] + b"\x03\x00" + head[22:], "x.wav")
 
 
 def test_an_effect_of_ours_that_does_not_fit_is_refused_in_a_line(tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_an_xml_with_entities_is_refused_unexpanded(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="has a document type: must be plain XML"):
             load_model(path)
         path.write_bytes(text.encode("utf-16"))
-        with pytest.raises(InputError, match="no valid XML"):
+        with pytest.raises(InputError, match="not valid XML"):
             load_model(path)
 
 

@@ -180,7 +180,7 @@ def test_a_model_set_with_a_fault_is_refused_in_a_line(
 
 
 def test_a_speed_that_was_not_recorded_or_does_not_sound_is_refused(model: ModelSet) -> None:
-    with pytest.raises(InputError, match="300 mm/s: recorded are up to 200"):
+    with pytest.raises(InputError, match="300 mm/s: was recorded up to 200"):
         texture_from(model, 0.3)
 
 
@@ -313,9 +313,9 @@ def test_what_has_no_texture_in_it_cannot_become_one(tmp_path: Path) -> None:
 
 
 def test_a_texture_needs_a_speed_and_an_effect_has_no_use_for_one(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a texture lives in space: --speed-mm-s says how fast"):
+    with pytest.raises(InputError, match="--speed-mm-s must give the speed"):
         convert_file("wood-oak", tmp_path / "x.hjif")
-    with pytest.raises(InputError, match="has no use where an effect stays an effect"):
+    with pytest.raises(InputError, match="cannot be used to convert an effect to an effect"):
         convert_file(str(sample("ahap/valid_fields.ahap")), tmp_path / "x.hjif", speed=0.1)
     with pytest.raises(
         NotFoundError, match="neither a file nor a texture; did you mean 'wood-oak'"
@@ -364,7 +364,7 @@ def test_the_command_overwrites_only_when_told_to(command: Command, tmp_path: Pa
     target.write_text("mine")
     said = command("convert", source, target)
     assert said.code == 2
-    assert said.err == f"tactile: {target}: is there already; --force overwrites it\n"
+    assert said.err == f"tactile: {target}: already exists; --force overwrites it\n"
     assert target.read_text() == "mine"
     for bad, reason in (
         (tmp_path / "x.mp3", "cannot be written; there is: .haptic, .ahap"),

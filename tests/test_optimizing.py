@@ -349,7 +349,7 @@ BAD: dict[str, dict[str, Any]] = {
     "length_mm = 40:8: bounds must be finite and ascend": {"bounds": {"length_mm": (40.0, 8.0)}},
     "length_mm = 8:inf: bounds must be finite": {"bounds": {"length_mm": (8.0, np.inf)}},
     "length_mm = 300: must be 0.5 … 200 mm": {"bounds": {"length_mm": (8.0, 300.0)}},
-    "no number 'lenght_mm' to bound; did you mean 'length_mm'": {"bounds": {"lenght_mm": (8, 9)}},
+    "no numerical parameter 'lenght_mm'; did you mean": {"bounds": {"lenght_mm": (8, 9)}},
     "nothing may vary": {"bounds": {}},
     "length_mm: is fixed and has bounds": {"fixed": {"length_mm": 20.0}},
     "no criterion 'footprnt' as objective; did you mean 'footprint'": {"objectives": ("footprnt",)},

@@ -125,17 +125,17 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "clipping": (
         lambda p: wav(p / "a.wav", np.clip(4 * TONE, -1, 1)),
-        r"% of its samples are at 1, the most there is: clipped; record with less gain",
+        r"% of its samples are at 1, the largest value: clipped; record with less gain",
     ),
     "a slow rate": (lambda p: wav(p / "a.wav", rate=1000), "1000 samples per second: .* 2000"),
     "stereo": (
         lambda p: wav(p / "a.wav", np.ones((RATE, 2), np.int16)),
-        "has 2 channels; a recording has one",
+        "has 2 channels; must have one",
     ),
-    "a cut off WAV": (lambda p: truncated(p / "a.wav"), "is cut off; copy it again"),
-    "no WAV": (lambda p: csv(p / "a.wav", "hello"), "no WAV that can be read"),
-    "an empty WAV": (lambda p: csv(p / "a.wav", ""), "no WAV that can be read"),
-    "another file": (lambda p: csv(p / "a.mp3", "hello"), "a .wav, .csv or .npz is"),
+    "a cut off WAV": (lambda p: truncated(p / "a.wav"), "is truncated; copy it again"),
+    "no WAV": (lambda p: csv(p / "a.wav", "hello"), "not a readable WAV file"),
+    "an empty WAV": (lambda p: csv(p / "a.wav", ""), "not a readable WAV file"),
+    "another file": (lambda p: csv(p / "a.mp3", "hello"), "must be a .wav, .csv or .npz"),
     "no signal": (lambda p: csv(p / "a.csv", "time_s,speed\n0,1\n"), "no signal; needs one of"),
     "two signals": (
         lambda p: csv(p / "a.csv", "time_s,force_n,velocity_mm_s\n0,1,1\n"),
@@ -144,7 +144,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "one row": (lambda p: csv(p / "a.csv", "time_s,force_n\n0,1\n"), "has 1 rows"),
     "an uneven time": (
         lambda p: csv(p / "a.csv", "time_s,force_n\n0,1\n0.0001,2\n0.0002,1\n0.0009,2\n"),
-        r"line 5: time_s goes on by 0.0007 s, elsewhere by 0.0001 s",
+        r"line 5: time_s increases by 0.0007 s, elsewhere by 0.0001 s",
     ),
     "a word": (
         lambda p: csv(p / "a.csv", "time_s,force_n\n0,1\n0.0001,much\n"),
@@ -152,7 +152,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "no number": (
         lambda p: npz(p / "a.npz", force_n=flawed(7, np.nan), sample_rate_hz=RATE),
-        r"sample 7 \(0.001 s\) is nan: must be finite; 1 such",
+        r"sample 7 \(0.001 s\) is nan: must be finite; invalid samples: 1",
     ),
     "no rate": (lambda p: npz(p / "a.npz", force_n=TONE), "no array 'sample_rate_hz'"),
     "two columns": (
@@ -165,13 +165,13 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "objects": (
         lambda p: npz(p / "a.npz", force_n=np.array([{}] * 9), sample_rate_hz=RATE),
-        "no NPZ that can be read",
+        "not a readable NPZ file",
     ),
     "sides of two lengths": (
         lambda p: npz(p / "a.npz", force_n=TONE, speed_mm_s=np.ones(9), sample_rate_hz=RATE),
         "speed_mm_s has 9 values for 10000 samples",
     ),
-    "no NPZ": (lambda p: csv(p / "a.npz", "hello"), "no NPZ that can be read"),
+    "no NPZ": (lambda p: csv(p / "a.npz", "hello"), "not a readable NPZ file"),
 }
 
 
@@ -193,7 +193,7 @@ def test_a_header_that_claims_4_gb_takes_no_memory(tmp_path: Path) -> None:
     path.write_bytes(raw)
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match="is cut off"):
+        with pytest.raises(InputError, match="is truncated"):
             load_recorded(path, speed=0.04)
         assert tracemalloc.get_traced_memory()[1] < 2**26
     finally:

@@ -82,10 +82,10 @@ def transparent(path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda p: p.write_bytes(b""), "no PNG; export"),
-        (lambda p: p.write_bytes(b"GIF89a, but called a PNG"), "no PNG; export"),
+        (lambda p: p.write_bytes(b""), "not a PNG; export"),
+        (lambda p: p.write_bytes(b"GIF89a, but called a PNG"), "not a PNG; export"),
         (lambda p: p.write_bytes(b"\x89PNG\r\n\x1a\n" + b"\0" * 40), "cannot be read"),
-        (lambda p: save(p, RAMP.astype(np.uint8), format="JPEG"), "no PNG"),
+        (lambda p: save(p, RAMP.astype(np.uint8), format="JPEG"), "not a PNG"),
         (truncated, "cannot be read: .*truncated"),
         (animated, "is animated: must be one picture"),
         (transparent, "has transparent pixels"),
@@ -160,7 +160,7 @@ def test_the_command_writes_a_texture_that_can_be_played_and_tells_what_it_found
     assert written.texture.provenance == "fitted"
     for word in ("board.png", "0.01 µm per gray level", "0.0535 mm", "factor of 2", "Assumed"):
         assert word in written.texture.source
-    with pytest.raises(InputError, match="is there already; --force overwrites it"):
+    with pytest.raises(InputError, match="already exists; --force overwrites it"):
         relief_command(picture, "-o", output, *scales)
     relief_command(picture, "-o", output, *scales, "--force")
     told = capsys.readouterr().out

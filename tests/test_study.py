@@ -308,7 +308,7 @@ def test_what_cannot_be_asked_is_said_in_one_line(changes: dict[str, Any], said:
         (lambda: Conditions(voltage=0.0), "voltage = 0: must be above 0"),
         (lambda: draw_scenarios(0), "scenarios = 0: must be 1 … 1048576"),
         (lambda: draw_scenarios(4, tolerances={"d31_pm_per_v": 2.0}), "tolerance of d31_pm_per_v"),
-        (lambda: Scenarios(), "need one, of at least 1"),
+        (lambda: Scenarios(), "must be one length of at least 1"),
         (lambda: Scenarios(values={"length": np.ones(3)}), "no parameter 'length'"),
         (lambda: solve_study(study(fixed={"measuring_point_mm": 15.0})), "lies beyond the tip"),
         (

@@ -93,7 +93,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         "s.csv": r"s.csv: must end in \.nc or \.zarr",
         "no/s.nc": "no/s.nc: cannot be written: No such file or directory",
         "no/s.zarr": "no/s.zarr: cannot be written: No such file or directory",
-        "full.zarr": "full.zarr: is there and is no Zarr store",
+        "full.zarr": "full.zarr: exists and is not a Zarr store",
         "dir.nc": "dir.nc: is a folder",
     }.items():
         with pytest.raises(InputError, match=words) as caught:

@@ -61,7 +61,7 @@ def test_the_equalizer_is_given_the_measured_response(tmp_path: Path) -> None:
     display, frequency = coil_display(tmp_path), np.linspace(20, 1000, 300)
     assert display.responses(frequency, RATE)[0, 0] == pytest.approx(exact(frequency), rel=2e-3)
     assert display.slew == display.limits.slew, "no capacitance is charged"
-    with pytest.raises(InputError, match="its actuators are no bimorphs"):
+    with pytest.raises(InputError, match="its actuators are not bimorphs"):
         _ = display.bimorph
 
 

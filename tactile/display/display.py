@@ -211,7 +211,7 @@ class Display:
             If the display has actuators of another kind.
         """
         if not isinstance(self.actuator, BimorphActuator):
-            raise InputError(f"display {self.name!r}: its actuators are no bimorphs")
+            raise InputError(f"display {self.name!r}: its actuators are not bimorphs")
         return self.actuator.bimorph
 
     @property

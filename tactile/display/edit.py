@@ -182,7 +182,7 @@ def _write(text: str, target: Path, *, force: bool, new_map: Map | None = None) 
     def check(new: Path) -> None:
         display = load_display(new)
         if new_map is not None and Map.of(display) != new_map:
-            raise InputError(f"{new}: it would not have the map that was told")
+            raise InputError(f"{new}: its channels and polarities would differ from the given map")
 
     files.write_whole(target, text.encode(), force=force, check=check)
 

@@ -596,7 +596,7 @@ def automatic_gain(
     delivered = reach(display, stroke).delivered(stroke.lines(texture))
     gain = _largest(trial(display, texture, stroke), delivered, level)
     if gain is None:
-        raise InputError(f"{texture.name}: gives {display.name} nothing to play in this stroke")
+        raise InputError(f"{texture.name}: leaves {display.name} nothing to play in this stroke")
     return gain
 
 

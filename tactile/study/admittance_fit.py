@@ -245,7 +245,7 @@ def _checked(
     electrical = any(m.kind == "admittance" for m, _ in measured)
     fitted = tuple(name for name in dict.fromkeys(names) if electrical or name not in ELECTRICAL)
     if not fitted:
-        raise InputError(f"{', '.join(names)}: only an electrical admittance tells of them")
+        raise InputError(f"{', '.join(names)}: only an electrical admittance determines them")
     points = sum(len(m.frequency) for m, _ in measured)
     if points <= len(fitted):
         files = ", ".join(m.name for m, _ in measured)
@@ -275,7 +275,7 @@ def _searched(task: _Task) -> Floats:
     for (m, _), group in zip(task.measured, task.groups, strict=True):
         if np.degrees(np.median(np.abs(ratio[best, group].imag))) > TURNED:
             raise InputError(
-                f"{m.name}: is reversed against the bimorph, or all beyond another resonance; "
+                f"{m.name}: is reversed against the bimorph, or lies beyond another resonance; "
                 "swap the polarity, or add 180 to phase_deg"
             )
     return np.asarray(starts[best])

@@ -199,10 +199,10 @@ def _check_question(study: Study, path: Path) -> None:
     if known.get("question") == question(study):
         return
     if "question" not in known or "source" not in known:
-        raise InputError(f"{path}: holds something else; name another file, or remove it")
+        raise InputError(f"{path}: is not a stored study; name another file, or remove it")
     if known["source"] != source:
         raise InputError(
-            f"{path}: begun by {known['source']}, this is {source}; finish it with that, "
+            f"{path}: was begun by {known['source']}, this is {source}; finish it with that one, "
             "name another file, or remove it"
         )
     raise InputError(

@@ -350,7 +350,7 @@ class ClusterCrew:
         if isinstance(error, CancelledError | CommClosedError):
             raise CrewLostError(f"the scheduler at {self.address} is gone") from error
         if isinstance(error, ImportError | AttributeError):
-            raise CrewLostError(f"a worker has another tactile: {error}") from error
+            raise CrewLostError(f"a worker has another version of tactile: {error}") from error
         raise error
 
     def watch(self) -> None:

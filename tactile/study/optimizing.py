@@ -147,7 +147,7 @@ def _check_bounds(task: Task) -> None:
         if name in task.fixed:
             raise InputError(f"{name}: is fixed and has bounds; give one of them")
         if name not in PARAMETERS:
-            raise InputError(f"no number {name!r} to bound; {nearest(name, list(PARAMETERS))}")
+            raise InputError(f"no numerical parameter {name!r}; {nearest(name, list(PARAMETERS))}")
         if not -math.inf < low < high < math.inf:
             raise InputError(f"{name} = {low:g}:{high:g}: bounds must be finite and ascend")
     for name, value in task.fixed.items():
@@ -155,7 +155,7 @@ def _check_bounds(task: Task) -> None:
             raise InputError(f"{name}: {np.size(value)} values are fixed; give one, or bounds")
     drawn = {} if task.scenarios is None else task.scenarios.values
     if task.unseen is not None and drawn.keys() != task.unseen.values.keys():
-        raise InputError("unseen: must draw what the scenarios of the search do")
+        raise InputError("unseen: must vary the same parameters as the scenarios of the search")
     if "load" in task.fixed and "firmness" in drawn:
         raise InputError(
             f"load = {task.fixed['load']!r}: the scenarios draw the finger; leave out one of them"
@@ -359,7 +359,7 @@ def find_designs(task: Task, progress: Progress = lambda done, total: None) -> "
         raise InputError(_unmet_message(task, search.designs[0], missed[0]))
     finite = np.all(np.abs(lowered) < LARGE, axis=1)
     if not finite.any():
-        raise InputError(f"{task.objectives[0]}: has no finite value found within the bounds")
+        raise InputError(f"{task.objectives[0]}: no finite value was found within the bounds")
     designs, lowered = search.designs[finite], lowered[finite]
     order = np.lexsort(lowered.T[::-1])
     return _labeled(task, search, designs[order], lowered[order])

@@ -264,7 +264,7 @@ def standard_value(name: str, bimorph: Bimorph) -> Floats:
     """
     parameter = PARAMETERS[name]
     if not parameter.part:
-        raise InputError(f"{name}: belongs to no bimorph and has no standard value")
+        raise InputError(f"{name}: is not a parameter of the bimorph; give its value")
     owner = bimorph if parameter.part == "bimorph" else getattr(bimorph, parameter.part)
     return parameter.from_si(getattr(owner, parameter.constant))
 

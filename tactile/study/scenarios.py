@@ -66,7 +66,9 @@ class Scenarios:
                 raise InputError(f"no parameter {name!r}; {nearest(name, list(PARAMETERS))}")
         lengths = {np.size(array) for array in (*self.values.values(), *self.factors.values())}
         if len(lengths) != 1 or lengths == {0}:
-            raise InputError(f"scenarios: lengths {sorted(lengths)}: need one, of at least 1")
+            raise InputError(
+                f"scenarios: lengths {sorted(lengths)}: must be one length of at least 1"
+            )
 
     @property
     def count(self) -> int:

@@ -66,7 +66,7 @@ def check_store(path: str | Path) -> Path:
         else:
             import zarr  # noqa: F401
     if path.suffix == ".zarr" and path.exists() and not (path / "zarr.json").is_file():
-        raise InputError(f"{path}: is there and is no Zarr store; name another, or remove it")
+        raise InputError(f"{path}: exists and is not a Zarr store; name another, or remove it")
     if path.suffix == ".nc" and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     try:

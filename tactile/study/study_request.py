@@ -228,7 +228,9 @@ def _parse_assignments(texts: Iterable[str], start: StudyBase) -> dict[str, NDAr
 def _single(name: str, values: NDArray[Any]) -> Any:
     """Return the only value of an array, or raise InputError."""
     if values.size != 1:
-        raise InputError(f"{name}: is fixed to one value, not {values.size}; or make it an axis")
+        raise InputError(
+            f"{name}: a fixed parameter has one value, not {values.size}; make it an axis"
+        )
     return values.item()
 
 

@@ -181,7 +181,7 @@ def check_study(study: Study) -> None:
     for first, second in itertools.combinations((set(study.axes), set(study.fixed), drawn), 2):
         if first & second:
             raise InputError(
-                f"{min(first & second)}: given twice; an axis, fixed or drawn, but once"
+                f"{min(first & second)}: given twice; a parameter is an axis, fixed, or drawn"
             )
     if {"load", "firmness"} <= set(study.axes) | set(study.fixed) | drawn:
         raise InputError("load and firmness: both are the finger; give one of them")

@@ -153,7 +153,7 @@ def _open_png(path: Path) -> "Image":
             warnings.catch_warnings(action="ignore", category=images.DecompressionBombWarning),
         ):
             if file.read(len(SIGNATURE)) != SIGNATURE:
-                raise InputError(f"{path}: no PNG; export it as an 8- or 16-bit gray PNG")
+                raise InputError(f"{path}: not a PNG; export it as an 8- or 16-bit gray PNG")
             image: Image = images.open(file, formats=["PNG"])
             _check_size(path, image.size)
             if getattr(image, "is_animated", False):

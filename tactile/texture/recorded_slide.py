@@ -143,7 +143,7 @@ def load_recorded(
         raise InputError(f"quantity {quantity!r}; {files.nearest(quantity, list(UNITS))}")
     readers = {".wav": _wav, ".csv": _csv, ".npz": _npz}
     if path.suffix.lower() not in readers:
-        raise InputError(f"{path}: is no recording; a .wav, .csv or .npz is")
+        raise InputError(f"{path}: is not a recording; must be a .wav, .csv or .npz file")
     columns, rate = readers[path.suffix.lower()](path, quantity)
     name, column = next((n, c) for n, c in COLUMNS.items() if n in columns)
     signal = columns[name] * column[1]
@@ -192,11 +192,11 @@ def _wav(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
         try:
             rate, data = wavfile.read(io.BytesIO(raw))
         except Exception as error:  # scipy raises many types, struct.error among them
-            raise InputError(f"{path}: no WAV that can be read: {_line(error)}") from error
+            raise InputError(f"{path}: not a readable WAV file: {_line(error)}") from error
     if any("EOF" in str(warning.message) for warning in warnings_raised):
-        raise InputError(f"{path}: is cut off; copy it again")
+        raise InputError(f"{path}: is truncated; copy it again")
     if data.ndim != 1:
-        raise InputError(f"{path}: has {data.shape[1]} channels; a recording has one")
+        raise InputError(f"{path}: has {data.shape[1]} channels; must have one")
     zero = 128 if data.dtype == np.uint8 else 0
     full = -float(np.iinfo(data.dtype).min) if data.dtype.kind == "i" else 1.0
     full = 128.0 if data.dtype == np.uint8 else full
@@ -212,13 +212,13 @@ def _csv(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
     names = ("time_s", signal, *(side for side in SIDES if side in header))
     table = files.numbers(path, names, files.read_columns(path, names))
     if len(table) < 2:
-        raise InputError(f"{path}: has {len(table)} rows; a recording has seconds")
+        raise InputError(f"{path}: has {len(table)} rows; must have at least 2")
     step = np.diff(table[:, 0])
     median_step = float(np.median(step))
     worst = int(np.argmax(np.abs(step - median_step)))
     if median_step <= 0 or abs(step[worst] - median_step) > JITTER * median_step + 1e-6:
         raise InputError(
-            f"{path}: line {worst + 3}: time_s goes on by {step[worst]:g} s, elsewhere by "
+            f"{path}: line {worst + 3}: time_s increases by {step[worst]:g} s, elsewhere by "
             f"{median_step:g} s; must be even"
         )
     rate = (len(table) - 1) / float(table[-1, 0] - table[0, 0])
@@ -237,7 +237,7 @@ def _npz(path: Path, quantity: Quantity) -> tuple[dict[str, Floats], float]:
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: no NPZ that can be read: {_line(error)}") from error
+        raise InputError(f"{path}: not a readable NPZ file: {_line(error)}") from error
     for n, array in arrays.items():
         if array.dtype.kind not in "iuf" or array.ndim > 1 or (n == name and array.ndim != 1):
             raise InputError(f"{path}: {n} is {array.dtype} {array.shape}: must be numbers (S,)")
@@ -268,8 +268,8 @@ def _check(path: Path, signal: Floats, rate: float) -> None:
     """Raise `InputError` if a signal cannot be fitted."""
     if not (math.isfinite(rate) and rate >= LOWEST_RATE):
         raise InputError(
-            f"{path}: {rate:g} samples per second: must be at least {LOWEST_RATE:g}, for what a "
-            "finger feels goes to 1 kHz; record faster"
+            f"{path}: {rate:g} samples per second: must be at least {LOWEST_RATE:g}, because a "
+            "finger feels up to 1 kHz; record faster"
         )
     if len(signal) > LONGEST:
         raise InputError(f"{path}: {len(signal)} samples: at most {LONGEST}; cut it")
@@ -277,7 +277,7 @@ def _check(path: Path, signal: Floats, rate: float) -> None:
     if len(bad):
         raise InputError(
             f"{path}: sample {bad[0]} ({bad[0] / rate:.3f} s) is {signal[bad[0]]}: must be finite; "
-            f"{len(bad)} such"
+            f"invalid samples: {len(bad)}"
         )
     steps = np.abs(np.diff(signal))
     if np.std(signal) <= QUIETEST * steps[steps > 0].min(initial=np.inf):
@@ -286,8 +286,8 @@ def _check(path: Path, signal: Floats, rate: float) -> None:
         )
     if share := _clipped(signal):
         raise InputError(
-            f"{path}: {share:.2%} of its samples are at {np.abs(signal).max():.3g}, the most "
-            "there is: clipped; record with less gain"
+            f"{path}: {share:.2%} of its samples are at {np.abs(signal).max():.3g}, the "
+            "largest value: clipped; record with less gain"
         )
 
 

@@ -254,7 +254,7 @@ def over_frequency(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
     """
     values = variable_of(data, name)
     if FREQUENCY not in values.dims:
-        raise InputError(f"{name}: is no response over frequency; keep one in the study")
+        raise InputError(f"{name}: is not a response over frequency; keep one in the study")
     return values
 
 

@@ -216,7 +216,7 @@ def convert_file(
         effect, notes = _loaded(path)
         if speed is None or target.suffix != ".toml":
             if speed is not None:
-                raise InputError("--speed-mm-s: has no use where an effect stays an effect")
+                raise InputError("--speed-mm-s: cannot be used to convert an effect to an effect")
             lost = notes + save_effect(effect, target, force=force)
             return _effect_conversion(effect, lost)
         texture, further_notes = surface_effect.texture_from(effect, speed, target.stem, path.name)
@@ -228,7 +228,7 @@ def convert_file(
         return Conversion("texture", tuple(notes))
     if speed is None:
         raise InputError(
-            f"{target}: a texture lives in space: --speed-mm-s says how fast the finger moves"
+            f"{target}: --speed-mm-s must give the speed of the finger over the texture"
         )
     effect, further_notes = surface_effect.effect_of(texture, speed)
     return _effect_conversion(

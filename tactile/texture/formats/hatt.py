@@ -262,7 +262,7 @@ def _parsed(path: Path) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(raw.decode("utf-8-sig"))
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(reading.one_line(f"{path}: no valid XML: {error}")) from error
+        raise InputError(reading.one_line(f"{path}: not valid XML: {error}")) from error
     if root.tag != "modelSet":
         raise InputError(reading.one_line(f"{path}: is <{root.tag}>: must be <modelSet>"))
     return root
@@ -353,7 +353,7 @@ def texture_from(
     force = min(normal_force, float(largest[1]))
     if not 0.001 <= speed <= largest[0]:
         raise InputError(
-            f"{model.material}: {speed * 1e3:g} mm/s: recorded are up to {largest[0] * 1e3:g}"
+            f"{model.material}: {speed * 1e3:g} mm/s: was recorded up to {largest[0] * 1e3:g} mm/s"
         )
     center = _top(model) / 10**0.05 * THIRD_OCTAVE ** np.arange(1.0 - BANDS, 1.0)
     density = np.array([_displacement_power(model, f, speed, force) for f in center])

@@ -128,7 +128,7 @@ def of_effect(effect: Effect, suffix: str) -> tuple[Outline, list[str]]:
     lost += unplayed(Effect(perceptions=(alone,)))
     outline = of_channel(perception, channel)
     if not outline.amplitude and not outline.transients:
-        raise InputError(f"channel {channel.id} holds nothing that {suffix} could say")
+        raise InputError(f"channel {channel.id} holds nothing that {suffix} can express")
     ends = [time for time, _ in outline.amplitude]
     if not ends:
         outline = Outline([(0.0, 0.0), (max(outline.transients)[0], 0.0)], [], outline.transients,

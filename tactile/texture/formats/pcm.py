@@ -73,12 +73,12 @@ def read_wav(path: Path) -> tuple[float, Floats]:
             rate, samples = wavfile.read(io.BytesIO(data))
         except BROKEN as error:
             raise InputError(
-                reading.one_line(f"{path}: no WAV that can be read: {error}")
+                reading.one_line(f"{path}: not a readable WAV file: {error}")
             ) from error
     if not samples.size:
         raise InputError(f"{path}: has no samples")
     if any("EOF" in str(warning.message) for warning in caught):
-        raise InputError(f"{path}: is cut short: its header promises more than there is")
+        raise InputError(f"{path}: is truncated: its header announces more samples")
     if samples.dtype not in (np.uint8, np.int16, np.int32, np.float32, np.float64):
         raise InputError(f"{path}: samples are {samples.dtype}: must be 8 to 32 bits or float")
     samples = samples[:, None] if samples.ndim == 1 else samples
@@ -88,7 +88,7 @@ def read_wav(path: Path) -> tuple[float, Floats]:
             "1 … 400000 Hz"
         )
     if not np.all(np.isfinite(samples)):
-        raise InputError(f"{path}: has samples that are no finite number")
+        raise InputError(f"{path}: has samples that are not finite numbers")
     return float(rate), _full_scale(samples)
 
 

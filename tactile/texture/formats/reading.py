@@ -98,7 +98,7 @@ def parsed_json(path: Path, *, null: bool = True) -> dict[str, Any]:
     except RecursionError as error:
         raise InputError(f"{path}: more than {DEEPEST} levels deep") from error
     except ValueError as error:
-        raise InputError(f"{path}: no valid JSON: {one_line(str(error))}") from error
+        raise InputError(f"{path}: not valid JSON: {one_line(str(error))}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: must be a JSON object")
     if fault := _fault(data, null, 0):
@@ -129,7 +129,7 @@ def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     fields = dict(pairs)
     if len(fields) < len(pairs):
         (name, _), *_ = Counter(name for name, _ in pairs).most_common(1)
-        raise ValueError(f"field {name!r} is there twice")
+        raise ValueError(f"field {name!r} occurs twice")
     return fields
 
 

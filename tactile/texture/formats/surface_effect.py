@@ -195,9 +195,7 @@ def texture_from(
         raise InputError(f"--speed-mm-s {speed * 1e3:g}: must be 1 … 1000")
     perceptions = [p for p in effect.perceptions if p.modality == MODALITY and p.channels]
     if not perceptions:
-        raise InputError(
-            f"{source}: has no perception {MODALITY!r}: without --speed-mm-s it is an effect"
-        )
+        raise InputError(f"{source}: has no perception {MODALITY!r}; leave out --speed-mm-s")
     perception, channel = perceptions[0], perceptions[0].channels[0]
     lost = [f"each oscillation is a grating, as at {speed * 1e3:g} mm/s"]
     others = sum(len(p.channels) for p in effect.perceptions) - 1

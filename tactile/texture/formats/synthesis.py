@@ -120,7 +120,7 @@ def resolved(perception: Perception, segment: KeyframeSegment) -> KeyframeSegmen
         if entry.id == segment.id:
             return msgspec.structs.replace(entry, start_s=segment.start_s, keywords=None)
     raise InputError(
-        f"perception {perception.id}: effect {segment.id} is referred to, and not in the library"
+        f"perception {perception.id}: effect {segment.id} is referenced, but not in the library"
     )
 
 

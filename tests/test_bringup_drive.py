@@ -154,7 +154,7 @@ def test_the_command_finds_no_fault(command: Command, four: Path) -> None:
     assert said.code == 0
     assert "four at mock:?link=serial, checked with 5 V at most" in out
     assert "node 1: 'virtual', firmware 0x00010000, channels 0 … 4" in out
-    assert "no faults found; not all was measured" in out
+    assert "no faults found; not all values were measured" in out
     said = command("check", "mock:?link=serial", "--display", four, "--json")
     told = json.loads(said.out)
     assert said.code == 0

@@ -156,7 +156,7 @@ def test_bench_measures_the_link_of_a_device(
 def test_bench_says_that_a_device_without_the_protocol_has_no_round_trip(command: Command) -> None:
     result = command("bench", "--device", "sim:")
     assert (result.code, result.out) == (2, "")
-    assert result.err == "tactile: sim:: no amplifier there speaks the protocol, so none answers\n"
+    assert result.err == "tactile: sim:: has no amplifier that speaks the protocol\n"
 
 
 # Help

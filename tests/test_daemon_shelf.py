@@ -147,7 +147,9 @@ def test_a_client_waits_for_so_many_at_a_time_and_for_more_when_they_are_ready()
     async def story(bench: Bench) -> None:
         tasks = [asyncio.create_task(bench.texture(1, k)) for k in range(4)]  # as it may select
         await asyncio.sleep(0)
-        with pytest.raises(TooManyDrawingsError, match="4 may be"):
+        with pytest.raises(
+            TooManyDrawingsError, match="4 textures of this client are being prepared"
+        ):
             await bench.texture(1, 4)
         other = asyncio.create_task(bench.texture(2, 4))
         await asyncio.gather(*tasks, other)
@@ -167,7 +169,7 @@ def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected
         spare = await bench.texture(1, 2)
         bench.selected.add(await bench.texture(1, 3))
         assert bench.dropped == [spare]
-        with pytest.raises(BusError, match=r"more than 50 MiB .* take others away first") as told:
+        with pytest.raises(BusError, match=r"more than 50 MiB .* deselect others first") as told:
             await bench.texture(1, 4)
         assert "\n" not in str(told.value)
         assert bench.dropped == [spare]

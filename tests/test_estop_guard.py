@@ -295,7 +295,7 @@ def test_the_commands_stop_and_clear_a_device(
     assert command("play", "wood-oak", "--seconds", "0.1", "--device", MOCK).code == 0
     result = command("estop")
     assert (result.code, result.err) == (
-        1, "no program of tactile that could be stopped runs on this machine\n"
+        1, "no tactile program that can be stopped is running on this machine\n"
     )  # fmt: skip
 
 

@@ -202,7 +202,7 @@ def test_a_socket_that_nobody_listens_at_is_replaced_and_one_in_use_is_not(tmp_p
             listen_locally(path)
     path.unlink()
     path.write_text("")
-    with pytest.raises(InputError, match="is there, and no socket"):
+    with pytest.raises(InputError, match="exists and is not a socket"):
         listen_locally(path)
     with pytest.raises(InputError, match="cannot be made: "):
         listen_locally(tmp_path / ("x" * 200))

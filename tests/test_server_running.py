@@ -243,6 +243,6 @@ def test_signals_reload_and_end_the_process(
             assert port > 0
             assert spared > 10_000, "objects that no collection goes through"
             assert [json.loads(line)["message"] for line in err.splitlines()] == [
-                "listening", "reloaded", "ending",
+                "listening", "reloaded", "shutting down",
             ]  # fmt: skip
             assert systemd.recv(100) == b"STOPPING=1"

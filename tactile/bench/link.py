@@ -42,7 +42,7 @@ def measure_link(device: str, display: Display, clock: Clock = MONOTONIC) -> Ite
         clock.sleep(DURATION)
         inspected = amplifiers(bus)
     if not inspected:
-        raise InputError(f"{device}: no amplifier there speaks the protocol, so none answers")
+        raise InputError(f"{device}: has no amplifier that speaks the protocol")
     for amplifier in inspected:
         yield Figure(f"link.node_{amplifier.node}.round_trip", 1e3 * amplifier.round_trip, "ms")
         yield Figure(f"link.node_{amplifier.node}.drift", amplifier.drift_ppm, "ppm")

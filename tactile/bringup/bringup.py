@@ -180,7 +180,7 @@ def bring_up(
     """
     if write is not None:
         if ask is None:
-            raise InputError("--out: needs a person at a terminal, who sees what moves")
+            raise InputError("--out: needs a person at a terminal, who sees which contactor moves")
         checked_target(source, write, force=force)
     display = cautious(load_display(source))
     drive = display.limits.voltage

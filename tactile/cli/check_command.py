@@ -79,7 +79,9 @@ def _print(r: dict[str, Any]) -> None:
         typer.echo(f"written: {r['written']}")
     if not r["faults"]:
         whole = all(one["verdict"] == "good" for one in r["channels"])
-        typer.echo("all channels are good" if whole else "no faults found; not all was measured")
+        typer.echo(
+            "all channels are good" if whole else "no faults found; not all values were measured"
+        )
 
 
 def _cell(value: Any) -> str:

@@ -48,4 +48,4 @@ def _print(answers: list[EstopAnswer], failed: list[EstopAnswer]) -> None:
     for answer in failed:
         typer.echo(f"{answer.socket}: {answer.failure}", err=True)
     if not answers:
-        typer.echo("no program of tactile that could be stopped runs on this machine", err=True)
+        typer.echo("no tactile program that can be stopped is running on this machine", err=True)

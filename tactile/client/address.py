@@ -49,10 +49,10 @@ def endpoint(url: str | None) -> str:
     """
     url = url or os.environ.get("TACTILE_URL") or default_url()
     if not isinstance(url, str):
-        raise InputError(f"url {url!r} is not a text as {EXAMPLE_URL!r}")
+        raise InputError(f"url {url!r}: must be a string such as {EXAMPLE_URL!r}")
     if url.startswith(UNIX):
         if not hasattr(socket, "AF_UNIX") or not url.startswith(f"{UNIX}/"):
-            raise InputError(f"url {url!r}: not as {UNIX}/run/tactile/tactile.sock, on Linux")
+            raise InputError(f"url {url!r}: must be {UNIX} and an absolute path, and needs Linux")
         return url
     try:
         parts = urlsplit(url)
@@ -60,7 +60,7 @@ def endpoint(url: str | None) -> str:
     except ValueError as error:
         raise InputError(f"url {url!r}: {error}") from None
     if parts.scheme not in ("ws", "wss") or not parts.hostname:
-        raise InputError(f"url {url!r} is not as {EXAMPLE_URL}")
+        raise InputError(f"url {url!r}: must have the form {EXAMPLE_URL}")
     where = parts.netloc if port or parts.scheme == "wss" else f"{parts.netloc}:{PORT}"
     path = parts.path if parts.path.strip("/") else PATH
     return parts._replace(netloc=where, path=path).geturl()

@@ -100,7 +100,7 @@ class Dispatcher(ABC):
         try:
             yield
         except Exception:
-            logger.exception("callback for %s", event)
+            logger.exception("a callback failed for %s", event)
         finally:
             with self._lock:
                 self._calls -= 1

@@ -223,7 +223,7 @@ class ClientSession:
             if not self.connected:
                 raise self._disconnected(command, f"not connected: {self.reason}")
             if len(self._waiting) >= MOST_WAITING and not isinstance(command, QUIETER):
-                raise ClientError(f"{MOST_WAITING} requests wait for an answer already")
+                raise ClientError(f"{MOST_WAITING} requests are already waiting for an answer")
             return self._send(command)
 
     def _withdraw(self, command: EStop | DisarmDisplay) -> None:

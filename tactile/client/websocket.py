@@ -226,7 +226,7 @@ class WebSocketTransport(ABC):
         except (OSError, WebSocketException, ClientError, EOFError) as error:
             return f"{self._url}: {error or type(error).__name__}"
         except Exception as error:
-            logger.exception("connection to %s", self._url)
+            logger.exception("the connection to %s failed", self._url)
             return f"{self._url}: {error!r}"
         return f"{self._url}: closed by the daemon"
 

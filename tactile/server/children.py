@@ -62,7 +62,7 @@ class Child(ChildProcess):
         try:
             self._orders.put_nowait(data)
         except queue.Full:
-            raise BusError("playback takes no orders") from None
+            raise BusError("playback does not respond: too many commands wait for it") from None
 
     def _write(self) -> None:
         """Write orders until one is None."""

@@ -216,7 +216,7 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         if not server.token_file and not self.token and not is_loopback(server.host):
             raise ValueError(
                 f"server.token_file = {server.token_file or ''!r}: must be given, or a [[token]], "
-                f"as others than this machine can connect to host {server.host!r}"
+                f"because other machines can connect to host {server.host!r}"
             )
 
 

@@ -233,7 +233,7 @@ class ServerConnection:
         session = secrets.token_hex(4)
         fields = {"session": session, "client": hello.client}
         user = {} if welcomed.peer is None else dict(welcomed.peer._asdict())
-        log.info("a client came", extra={"fields": fields | user})
+        log.info("client connected", extra={"fields": fields | user})
         self._client = self._site.host.connect(hello.client, roles=welcomed.roles)
         self._requests = Requests(self._client, self._traffic, self._answer, self._fail)
         try:
@@ -246,7 +246,7 @@ class ServerConnection:
             finally:
                 await self._finish()
         reason = {"code": ended.code, "reason": ended.reason}
-        log.info("a client went", extra={"fields": fields | reason})
+        log.info("client disconnected", extra={"fields": fields | reason})
         return ended
 
     async def _finish(self) -> None:

@@ -259,7 +259,7 @@ def _remove_stale(path: Path, field: str) -> None:
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):
-        raise InputError(f"{field}: is there, and no socket: name another path")
+        raise InputError(f"{field}: exists and is not a socket: name another path")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:

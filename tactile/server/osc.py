@@ -132,7 +132,7 @@ def read_packet(data: bytes) -> list[tuple[str, list[Any]]]:
     try:
         return [_message(part) for part in _parts(data)]
     except WRONG as error:
-        raise InputError(f"no OSC: {error}") from error
+        raise InputError(f"not an OSC packet: {error}") from error
 
 
 def read_estops(data: bytes, first: str) -> list[EStop]:
@@ -309,7 +309,7 @@ class OscProtocol(asyncio.DatagramProtocol):
                 self._traffic.drop("too_fast", len(packets) - MOST_USED)
         except Exception:
             self._traffic.failure("internal")
-            log.exception("a packet failed")
+            log.exception("an OSC packet could not be handled")
         self._discard_outbox(self._estop_client)
 
     def _waiting(self) -> Iterator[tuple[bytes, Address]]:

@@ -451,7 +451,10 @@ class Playing:
 
     async def take_voltage(self) -> None:
         """Switch off high voltage that belongs to nobody."""
-        log.error("%s: high voltage belonged to nobody; it is switched off", self.config.name)
+        log.error(
+            "%s: high voltage belonged to no program; it is switched off",
+            self.config.name,
+        )
         await self.disarm()
 
     async def save_latch(self) -> None:

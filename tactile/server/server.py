@@ -268,7 +268,7 @@ async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], Non
         ended = asyncio.create_task(end.wait())
         await asyncio.wait({ended, server.serving}, return_when=asyncio.FIRST_COMPLETED)
         watchdog.notify("STOPPING=1")
-        log.info("ending")
+        log.info("shutting down")
         for task in (ended, beating, *reloading.tasks):
             task.cancel()
 

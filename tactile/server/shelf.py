@@ -158,8 +158,8 @@ class Shelf:
         waits = sum(client in making.clients for making in self._making.values())
         if waits >= MOST_DRAWINGS:
             raise TooManyDrawingsError(
-                f"{waits} textures of this client are being made ready, {MOST_DRAWINGS} may be; "
-                "select again when they are"
+                f"{waits} textures of this client are being prepared, the most at a time; "
+                "select again when they are ready"
             )
         clients = {client}
         task = asyncio.create_task(self._prepare(key, how, clients))
@@ -206,7 +206,7 @@ class Shelf:
             raise BusError(
                 f"texture {name!r} takes {size / 2**20:.0f} MiB, and with those that are selected "
                 f"the display would hold more than {LARGEST_TEXTURES} MiB of textures; select one "
-                "that somebody has selected already, or take others away first"
+                "that is selected already, or deselect others first"
             )
         while spare and (total > largest or len(self.ready) >= MOST_TEXTURES):
             dropped = self.ready.pop(spare.pop(0))

@@ -80,7 +80,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", nargs="?", type=Path, help="CSV: time_s,x_m,y_m,z_m")
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
+    parser.add_argument("--url", help="of the server; default that of this machine")
     parser.add_argument("--display", help="which, where there are several")
     parser.add_argument("--texture", default="wood-oak")
     options = parser.parse_args()

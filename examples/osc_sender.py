@@ -2,7 +2,7 @@
 
     python examples/osc_sender.py --seconds 10 --texture wood-oak
 
-The daemon listens on UDP 127.0.0.1:7412. OSC can neither arm nor disarm a display: do that with
+The server listens on UDP 127.0.0.1:7412. OSC can neither arm nor disarm a display: do that with
 `tactile` or the SDK. ``/tactile/<display>/contact`` and so on name one of several displays.
 """
 

@@ -2,7 +2,7 @@
 
     python examples/two_fingers.py --displays left right --seconds 10
 
-Where the daemon has only one display, one finger is all there is: a display has one finger on it.
+Where the server has only one display, one finger is all there is: a display has one finger on it.
 """
 
 import argparse
@@ -51,7 +51,7 @@ def main() -> None:
     """Read the command line, and play."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
+    parser.add_argument("--url", help="of the server; default that of this machine")
     parser.add_argument("--displays", nargs="+", help="one or two; default the first two there are")
     parser.add_argument("--textures", nargs=2, default=["wood-oak", "leather-calf"])
     asyncio.run(play(parser.parse_args()))

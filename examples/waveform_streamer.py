@@ -71,7 +71,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", nargs="?", type=Path, help="WAV, 16 bit")
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--url", help="of the daemon; default that of this machine")
+    parser.add_argument("--url", help="of the server; default that of this machine")
     parser.add_argument("--display", help="which, where there are several")
     parser.add_argument("--amplitude-um", type=float, default=5.0, help="shear at full scale")
     options = parser.parse_args()

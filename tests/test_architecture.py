@@ -237,7 +237,7 @@ def test_nothing_waits_by_what_swallows_a_cancellation() -> None:
     assert users == set()
 
 
-def test_every_background_task_of_the_daemon_is_watched() -> None:
+def test_every_background_task_of_the_server_is_watched() -> None:
     """An exception would end an unwatched task in silence."""
     unwatched: Counter[str] = Counter()
     for module in SOURCES:

@@ -19,7 +19,7 @@ from tactile import client, local, paths
 from tactile import messages as m
 from tactile.client import address, websocket
 from tactile.errors import ClientError, DisconnectedError, InputError, NotFoundError, RequestError
-from tactile.server.config import DaemonConfig
+from tactile.server.config import Configuration
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_a_server_that_is_no_daemon(twin: Twin) -> None:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
-        with pytest.raises(DisconnectedError, match=r"no tactile daemon|subprotocol"):
+        with pytest.raises(DisconnectedError, match=r"no tactile server|subprotocol"):
             twin.connect(url, timeout=PATIENCE)
     thread.join()
 
@@ -196,7 +196,7 @@ def test_who_gives_up_waiting_for_the_end_does_not_take_it_away() -> None:
     """A cancelled future would be the end of the thread that says that it has ended."""
     over_the_wire = websocket.ThreadTransport("ws://127.0.0.1:1/v1", timeout=1.0)
     assert not over_the_wire.close().cancel()
-    assert not local.LocalTransport(DaemonConfig())._closed.cancel()
+    assert not local.LocalTransport(Configuration())._closed.cancel()
 
 
 def test_who_is_cancelled_while_it_hangs_up_leaves_no_connection(daemon: Daemon) -> None:

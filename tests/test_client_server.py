@@ -12,14 +12,14 @@ from typing import Any
 import msgspec
 import pytest
 from client_rig import MESSAGES, PATIENCE, Daemon, Twin, count, plain, samples_of, telemetry, until
-from daemon_rig import Hands
+from server_rig import Hands
 
 from tactile import client
 from tactile import messages as m
 from tactile.client.connection import Encoding
 from tactile.client.wire import Telemetry, from_message
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
-from tactile.server.config import DaemonConfig, ServerConfig
+from tactile.server.config import Configuration, ServerConfig
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -30,7 +30,7 @@ class RealServer:
 
     def __init__(self, **options: Any) -> None:
         self.hands = Hands()
-        self.config = DaemonConfig(server=ServerConfig(port=0, socket="", **options))
+        self.config = Configuration(server=ServerConfig(port=0, socket="", **options))
         self._loop = asyncio.new_event_loop()
         self._ready: Future[str] = Future()
         self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._run(),))

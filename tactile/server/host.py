@@ -18,7 +18,7 @@ from tactile.estop.latch import Latch, inherit_estops
 from tactile.messages import EventMessage
 from tactile.paths import state_folder
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig, load_config, load_configured
+from tactile.server.config import Configuration, DisplayConfig, load_config, load_configured
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
 from tactile.server.tasks import start_task
@@ -80,11 +80,11 @@ async def _latches(
 
 
 class Host:
-    """All displays of a daemon.
+    """All displays of a server.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration of the displays.
     clock : Clock
         Clock for waiting for files; everything else uses the clock of the event loop.
@@ -97,7 +97,7 @@ class Host:
         Tasks that nobody waits for.
     """
 
-    def __init__(self, config: DaemonConfig, *, clock: Clock = MONOTONIC) -> None:
+    def __init__(self, config: Configuration, *, clock: Clock = MONOTONIC) -> None:
         self._config, self._clock = config, clock
         self._workbench = Workbench()
         self._clients: dict[int, Client] = {}
@@ -302,12 +302,12 @@ class Host:
             client.post(event)
 
     def healthy(self) -> bool:
-        """Return whether every display plays and `tactile estop` reaches the daemon.
+        """Return whether every display plays and `tactile estop` reaches the server.
 
         Returns
         -------
         bool
-            Whether the daemon is healthy.
+            Whether the server is healthy.
         """
         return self._is_alive() and bool(self._desk.address)
 

@@ -1,4 +1,4 @@
-"""A daemon on a virtual clock: all of it is real but process boundaries and time.
+"""A server on a virtual clock: all of it is real but process boundaries and time.
 
 `Host`, `Playing`, `Client`, `Desk`, `Program`, `PlaybackLoop`, the latch's file, the shared memory
 and the amplifier are the real ones. Time passes only where the event loop has nothing to do, and
@@ -58,7 +58,7 @@ from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import drawing, host
-from tactile.server.config import DaemonConfig
+from tactile.server.config import Configuration
 from tactile.server.host import Host
 from tactile.server.server import running
 
@@ -94,7 +94,7 @@ class EstopProcess(Process):
 
 
 class DrawingProcess(Process):
-    """The workbench; each texture is drawn once for all daemons."""
+    """The workbench; each texture is drawn once for all servers."""
 
     def receive(self, order: Any) -> None:
         assert isinstance(order, drawing.DrawingRequest)
@@ -265,7 +265,7 @@ class World:
         assert self.server is not None
         return self.server.run(work)
 
-    def start(self, config: DaemonConfig, *, listening: bool = False) -> bool:
+    def start(self, config: Configuration, *, listening: bool = False) -> bool:
         """Start a server, which listens or does not; return whether it had what it needs."""
         server = self.server = LoopProcess(self.clock, self.errors)
 

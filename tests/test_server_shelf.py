@@ -7,9 +7,9 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from daemon_rig import until
-from virtual_daemon import virtual_world
+from server_rig import until
 from virtual_loop import LoopProcess
+from virtual_server import virtual_world
 
 from tactile.display.display import load_display
 from tactile.errors import BusError

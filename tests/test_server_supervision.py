@@ -1,4 +1,4 @@
-"""Tests of how the daemon handles a playback that dies or hangs, on the virtual clock."""
+"""Tests of how the server handles a playback that dies or hangs, on the virtual clock."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
+from virtual_server import PlaybackProcess, World, small_display, virtual_world
 
 from tactile import messages as m
 from tactile.bus.base import Bus
@@ -19,7 +19,7 @@ from tactile.playback import process as playback_process
 from tactile.playback.commands import Setup
 from tactile.server import shelf
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig
 from tactile.server.playing import hangs
 
 NAME = "left"
@@ -41,14 +41,14 @@ def world(peaks: list[float]) -> Iterator[World]:
 
 @pytest.fixture
 def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
-    """Start a daemon with one display, and connect a client to it."""
+    """Start a server with one display, and connect a client to it."""
 
     def start(device: str = "mock:", **options: Any) -> Client:
         display = DisplayConfig(
             name=NAME, display=small_display(tmp_path), device=device, sample_rate_hz=2500.0,
             **options,
         )  # fmt: skip
-        assert world.start(DaemonConfig(display=(display,)))
+        assert world.start(Configuration(display=(display,)))
         assert world.host is not None
         world.run(asyncio.sleep(0.2))
         return world.host.connect("app", roles=m.ALL_ROLES)
@@ -88,7 +88,7 @@ def events_of(client: Client) -> list[tuple[str, str]]:
     return found
 
 
-def test_a_daemon_whose_playback_died_is_not_healthy_until_it_plays_again(
+def test_a_server_whose_playback_died_is_not_healthy_until_it_plays_again(
     world: World, serve: Callable[..., Client]
 ) -> None:
     serve()
@@ -243,7 +243,7 @@ def test_who_leaves_while_playback_is_lost_asks_nothing_of_it(
     assert world.errors.all == []
 
 
-def test_a_daemon_that_ends_says_of_no_playback_that_it_was_lost(
+def test_a_server_that_ends_says_of_no_playback_that_it_was_lost(
     world: World, serve: Callable[..., Client]
 ) -> None:
     client = serve()

@@ -179,13 +179,13 @@ def is_alive(pid: int) -> bool:
 
 
 def children_of(pid: int) -> dict[str, int]:
-    """Return the processes that a server started: "playback.process", "drawing" and others."""
+    """Return the processes that a server started: "playback.process", "preparing" and others."""
     processes = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
                 words = (entry / "cmdline").read_text()
-                for kind in ("playback.process", "drawing", "estop.process"):
+                for kind in ("playback.process", "preparing", "estop.process"):
                     if kind in words and is_alive(int(entry.name)):
                         processes[kind] = int(entry.name)
     return processes

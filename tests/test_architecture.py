@@ -97,7 +97,7 @@ PROTOCOL_IMPORTERS = {"bus", "sim"}
 GENERATED = {"messages"}
 """Modules that a program writes, as long as they have to be."""
 
-AWAITED = {"server.server": 2, "server.shelf": 1, "server.tasks": 1}
+AWAITED = {"server.server": 2, "server.texture_store": 1, "server.tasks": 1}
 """Tasks that somebody waits for, that take their own exceptions, or that `start_task` watches, by
 module."""
 

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.realtime
 QUIET = 0.5
 """Length of the amplifier's own record that must hold nothing but 0 V [s]."""
 WAIT = 60.0
-KINDS = ("playback.process", "drawing", "estop.process", "")
+KINDS = ("playback.process", "preparing", "estop.process", "")
 """Kinds of processes that a server starts, as they stand in a command line."""
 APP = """
 import itertools, sys, time, tactile.client
@@ -219,7 +219,7 @@ def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Rig) -
 def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Rig) -> None:
     served.play()
     before = served.children
-    assert {"playback.process", "drawing", "estop.process"} <= set(before)
+    assert {"playback.process", "preparing", "estop.process"} <= set(before)
     served.server.kill()
     served.falls_silent()
     wait_for("its children are gone", lambda: not any(map(alive, before.values())))

@@ -158,7 +158,7 @@ def test_a_name_chooses_among_what_there_is_and_nothing_else(program: Program, n
     assert (told.code, told.field) == ("unknown_texture", "layers[1].texture")
 
 
-def test_more_drawings_than_a_client_may_select_are_refused(program: Program) -> None:
+def test_more_textures_at_a_time_than_a_client_may_select_are_refused(program: Program) -> None:
     """All requests come at once, of seeds that are new: the fifth finds four that are made."""
     asked = [
         m.Select(display=NAME, layers=(m.Layer(texture="wood-oak", seed=seed),))
@@ -344,7 +344,7 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     runner.run(host.reload())
     assert host.playing[NAME] is playing
     assert state.layers != before, "made anew"
-    assert list(playing._shelf.ready) == [("wood-oak", 0)], "what nobody selects is let go"
+    assert list(playing._texture_store.ready) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.EventMessage)}
     program.ask(m.ArmDisplay(display=NAME))

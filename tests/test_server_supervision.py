@@ -17,7 +17,7 @@ from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback import process as playback_process
 from tactile.playback.commands import Setup
-from tactile.server import shelf
+from tactile.server import texture_store
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig
 from tactile.server.playing import hangs
@@ -187,13 +187,13 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
 def test_each_texture_of_a_selection_is_felt(
     world: World, serve: Callable[..., Client], peaks: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The shelf keeps no more than one texture that nobody has selected."""
-    monkeypatch.setattr(shelf, "MOST_TEXTURES", 1)
+    """The store keeps no more than one texture that nobody has selected."""
+    monkeypatch.setattr(texture_store, "MOST_TEXTURES", 1)
     client = serve(worn=True)
     layers = (m.Layer(texture="wood-oak"), m.Layer(texture="leather-calf"))
     assert world.run(client.request(m.Select(display=NAME, layers=layers))) == m.Done()
     assert world.host is not None
-    ready = world.host.playing[NAME]._shelf.ready
+    ready = world.host.playing[NAME]._texture_store.ready
     assert [name for name, _ in ready] == ["wood-oak", "leather-calf"]
     assert world.run(client.request(m.ArmDisplay(display=NAME))) == m.Done()
     for k in range(30):
@@ -290,7 +290,7 @@ def test_a_device_that_stays_away_is_opened_less_and_less_often(
         tries.append(world.clock.now())
         raise BusError("it is not plugged in")
 
-    monkeypatch.setattr(playback_process, "opened", open_nothing)
+    monkeypatch.setattr(playback_process, "open_device", open_nothing)
     playback_of(world).kill()
     world.run(asyncio.sleep(50.0))
     pauses = [b - a for a, b in pairwise(tries)]

@@ -29,8 +29,8 @@ from tactile.playback import commands
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import failed, hint
 from tactile.server.playing import Playing
-from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import start_task
+from tactile.server.texture_store import TooManyPreparationsError
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.finger_sample import FingerSample
 
@@ -251,7 +251,7 @@ class Client:
                 )  # fmt: skip
         try:
             await playing.select(self.number, command.layers)
-        except TooManyDrawingsError as error:
+        except TooManyPreparationsError as error:
             return Failure(code="busy", message=str(error), field="layers")
         return m.Done()
 

@@ -178,7 +178,7 @@ class Client:
         Parameters
         ----------
         command : Command
-            Message of the client.
+            Message of the client other than `ClientHello`, which its connection answers.
 
         Returns
         -------
@@ -197,8 +197,7 @@ class Client:
             return m.Textures(textures=self._host.textures())
         if isinstance(command, m.EStop):
             return self._estop(command)
-        if isinstance(command, m.ClientHello):
-            return failed("malformed", "hello was said already")
+        assert not isinstance(command, m.ClientHello)
         playing = self._host.playing.get(command.display)
         if playing is None:
             return self._unknown_display(command.display)

@@ -41,8 +41,8 @@ LINKS = (
     "test_bus_follower test_bus_spectrum test_bus_estops test_bus_bad_links contract"
 )
 HOST = (
-    "test_daemon_supervision test_estop_model test_daemon_owners test_daemon_reloading "
-    "test_daemon_host test_server_tasks"
+    "test_server_supervision test_estop_model test_server_owners test_server_reloading "
+    "test_server_host test_server_tasks"
 )
 AMPLIFIER = (
     "test_c_amplifier test_c_amplifier_links test_c_amplifier_streams test_protocol_vectors_c "

@@ -16,7 +16,7 @@ from benchmarks.faults import measure_faults
 from benchmarks.fit import measure_fit
 from benchmarks.friction import measure_friction
 from benchmarks.fuzz import measure_fuzz
-from benchmarks.fuzz_daemon import measure_fuzz_daemon
+from benchmarks.fuzz_server import measure_fuzz_server
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
 from benchmarks.optimize import measure_optimize
@@ -63,7 +63,7 @@ BENCHMARKS: dict[str, Benchmark] = {
 LONG: dict[str, Benchmark] = {
     "soak": partial(measure_memory, 600),
     "fuzz": measure_fuzz,
-    "fuzz-daemon": measure_fuzz_daemon,
+    "fuzz-server": measure_fuzz_server,
     "streams": partial(links.measure_streams, links.LONG),
     "latency-long": measure_latency_long,
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),

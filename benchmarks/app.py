@@ -1,4 +1,4 @@
-"""Programs that play through a daemon until they are ended, each in its own process.
+"""Programs that play through a server until they are ended, each in its own process.
 
 They are forked from a process that has loaded the SDK, so that one begins within milliseconds.
 """
@@ -11,7 +11,7 @@ from multiprocessing.process import BaseProcess
 
 import tactile.client
 import tactile.client.websocket  # Loaded before the fork, so that programs begin sooner.
-from benchmarks.daemon import NAME, PATIENCE, wait_for
+from benchmarks.server import NAME, PATIENCE, wait_for
 from tactile.client import RemoteDisplay
 
 LASTS = 120.0
@@ -21,7 +21,7 @@ RATE = 90.0
 FREQUENCY, AMPLITUDE = 160.0, 20e-6
 """Frequency [Hz] and amplitude [m] of the shear of waveforms and effects."""
 SAMPLE_RATE, AHEAD = 8000, 0.4
-"""Sample rate of the waveform [Hz], and the duration of it that waits in the daemon [s]."""
+"""Sample rate of the waveform [Hz], and the duration of it that waits in the server [s]."""
 EFFECT = 60.0
 """Longest duration of an effect that may be requested [s]."""
 TEXTURE = "wood-oak"
@@ -29,12 +29,12 @@ TEXTURE = "wood-oak"
 
 
 def get_ready(display: RemoteDisplay, sound: str) -> None:
-    """Select and arm as soon as the daemon permits it; playback may be being started again.
+    """Select and arm as soon as the server permits it; playback may be being started again.
 
     Raises
     ------
     TimeoutError
-        If the daemon does not permit it in time.
+        If the server does not permit it in time.
     """
 
     def is_ready() -> bool:
@@ -43,7 +43,7 @@ def get_ready(display: RemoteDisplay, sound: str) -> None:
         display.arm()
         return True
 
-    wait_for("the daemon permits to play", is_ready)
+    wait_for("the server permits to play", is_ready)
 
 
 def play_stroke(display: RemoteDisplay, lasts: float) -> None:

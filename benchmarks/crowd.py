@@ -2,7 +2,7 @@
 
 There is also a soak test: two programs touch the display for an hour on an otherwise idle machine.
 
-The daemon plays on 24 contactors to the C amplifier on a pty. Blocks must be in time, the
+The server plays on 24 contactors to the C amplifier on a pty. Blocks must be in time, the
 amplifier's output must never step, and memory must not grow.
 """
 
@@ -12,10 +12,11 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 
-from benchmarks.daemon import (
+from benchmarks.floods import loaded, touch_together
+from benchmarks.server import (
     PATIENCE,
-    Daemon,
     OutputRecorder,
+    Server,
     amplifier_and_folder,
     block_figures,
     connected,
@@ -23,7 +24,6 @@ from benchmarks.daemon import (
     growth,
     observe,
 )
-from benchmarks.floods import loaded, touch_together
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, beside_machine
 
@@ -47,7 +47,7 @@ SOAK = Crowd("hour", 2, 3600.0, is_disturbed=False)
 
 
 def measure_crowd(crowd: Crowd = SHORT) -> Iterator[Figure]:
-    """Measure a daemon under a crowd."""
+    """Measure a server under a crowd."""
     if sys.platform == "linux" and can_be_built():
         yield from beside_machine(crowd.name, _measured(crowd))
 
@@ -56,17 +56,17 @@ def _measured(crowd: Crowd) -> Iterator[Figure]:
     places = f"most_clients = {crowd.clients + 10}"
     with (
         amplifier_and_folder() as (amplifier, folder),
-        closing(Daemon(folder, amplifier.path, server=places)) as daemon,
-        connected(daemon) as keeper,
-        loaded(touch_together, daemon.url, crowd.clients, crowd.seconds + PATIENCE) as load,
+        closing(Server(folder, amplifier.path, server=places)) as server,
+        connected(server) as keeper,
+        loaded(touch_together, server.url, crowd.clients, crowd.seconds + PATIENCE) as load,
     ):
         recorder = OutputRecorder(amplifier)
         busy = subprocess.Popen([sys.executable, "-c", BUSY if crowd.is_disturbed else ""])
         try:
             with load.on():
-                before = counters_of(daemon)
-                memory = list(observe(daemon, recorder, keeper, crowd.seconds))
-                after = counters_of(daemon)
+                before = counters_of(server)
+                memory = list(observe(server, recorder, keeper, crowd.seconds))
+                after = counters_of(server)
         finally:
             busy.kill()
             busy.wait()

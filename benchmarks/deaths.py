@@ -1,6 +1,6 @@
 """Time to 0 V and to high voltage off after something dies, hangs or runs out during playback.
 
-In each try a program plays a stroke, a waveform or a long effect through a daemon to the C
+In each try a program plays a stroke, a waveform or a long effect through a server to the C
 amplifier on a pty, with the display worn and not worn. Then something happens to the program, the
 server, playback, the link, the disk or the descriptors. Times are those of the amplifier's record.
 """
@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.app import SOUNDS, start_app
-from benchmarks.daemon import (
+from benchmarks.server import (
     PATIENCE,
     POLL,
     AmplifierOutput,
-    Daemon,
     OutputRecorder,
+    Server,
     amplifier_and_folder,
     joined,
     last_after,
@@ -59,9 +59,9 @@ SEED = 14
 
 @dataclass(frozen=True)
 class Scene:
-    """Target of a fault: an app that plays through a daemon over a link (a descriptor)."""
+    """Target of a fault: an app that plays through a server over a link (a descriptor)."""
 
-    daemon: Daemon
+    server: Server
     app: BaseProcess
     playback: int
     link: int
@@ -102,7 +102,7 @@ def _link_lost(scene: Scene) -> Iterator[float]:
 @contextmanager
 def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
     """Leave no descriptor to the server, then kill the app."""
-    pid, folder = scene.daemon.pid, Path(f"/proc/{scene.daemon.pid}/fd")
+    pid, folder = scene.server.pid, Path(f"/proc/{scene.server.pid}/fd")
     before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     limit = max(int(fd.name) for fd in folder.iterdir()) + 1 + SPARE
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (limit, before[1]))
@@ -111,7 +111,7 @@ def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
             for _ in range(CONNECTIONS):
                 link = stack.enter_context(socket.socket())
                 link.setblocking(False)
-                link.connect_ex(("127.0.0.1", scene.daemon.port))
+                link.connect_ex(("127.0.0.1", scene.server.port))
             time.sleep(5 * POLL)
             with _signaled(scene.app_pid, signal.SIGKILL) as moment:
                 yield moment
@@ -122,8 +122,8 @@ def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
 FAULTS: dict[str, Fault] = {
     "app_killed": lambda scene: _signaled(scene.app_pid, signal.SIGKILL),
     "app_stopped": lambda scene: _signaled(scene.app_pid, signal.SIGSTOP),
-    "server_killed": lambda scene: _signaled(scene.daemon.pid, signal.SIGKILL),
-    "server_stopped": lambda scene: _signaled(scene.daemon.pid, signal.SIGSTOP),
+    "server_killed": lambda scene: _signaled(scene.server.pid, signal.SIGKILL),
+    "server_stopped": lambda scene: _signaled(scene.server.pid, signal.SIGSTOP),
     "playback_killed": lambda scene: _signaled(scene.playback, signal.SIGKILL),
     "playback_stopped": lambda scene: _signaled(scene.playback, signal.SIGSTOP),
     "link_lost": _link_lost,
@@ -131,7 +131,7 @@ FAULTS: dict[str, Fault] = {
 }
 """Faults by name."""
 FULL_DISK: dict[str, Fault] = {"disk_full": FAULTS["app_killed"]}
-"""Fault of a daemon whose log's disk is full all the time."""
+"""Fault of a server whose log's disk is full all the time."""
 
 
 @dataclass
@@ -181,27 +181,27 @@ def is_over(output: AmplifierOutput, moment: float) -> bool:
 
 
 class Tries:
-    """Tries of faults with one daemon, which is started again if it died.
+    """Tries of faults with one server, which is started again if it died.
 
     Parameters
     ----------
-    daemon : Daemon
-        Daemon that plays.
+    server : Server
+        Server that plays.
     recorder : OutputRecorder
         Recorder of its amplifier.
     link : int
         Descriptor of the amplifier's pty, at the host's end.
     """
 
-    def __init__(self, daemon: Daemon, recorder: OutputRecorder, link: int) -> None:
-        self._daemon, self._recorder, self._link = daemon, recorder, link
+    def __init__(self, server: Server, recorder: OutputRecorder, link: int) -> None:
+        self._server, self._recorder, self._link = server, recorder, link
 
     def carry_out(self, sound: str, fault: Fault, outcomes: Outcomes, wait: float) -> None:
         """Play a sound, wait [s], cause a fault, and add its outcome."""
-        self._daemon.restart()
+        self._server.restart()
         app = self._playing(sound)
         try:
-            scene = Scene(self._daemon, app, self._daemon.playback(), self._link)
+            scene = Scene(self._server, app, self._server.playback(), self._link)
             time.sleep(wait)
             before = self._recorder.read()
             with fault(scene) as moment:
@@ -210,12 +210,12 @@ class Tries:
             app.kill()
             app.join()
         if not outcomes.add(output, moment):
-            self._daemon.close()  # Its remains would spoil the next try.
+            self._server.close()  # Its remains would spoil the next try.
 
     def _playing(self, sound: str) -> BaseProcess:
         """Return an app that plays."""
         for _ in range(ATTEMPTS):
-            app = start_app(self._daemon.url, sound)
+            app = start_app(self._server.url, sound)
             self._recorder.read()
             with suppress(TimeoutError):
                 output = self._recorder.read_until(
@@ -226,8 +226,8 @@ class Tries:
                     return app
             # An app that ended met playback while that was started again.
             if app.is_alive():
-                self._daemon.close()
-                self._daemon.start()
+                self._server.close()
+                self._server.start()
             app.kill()
             app.join()
         raise TimeoutError(f"a {sound} did not play in {ATTEMPTS} attempts of {PATIENCE:g} s")
@@ -285,13 +285,13 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
 
 @contextmanager
 def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, OutputRecorder]]:
-    """Yield tries with their own daemon."""
+    """Yield tries with their own server."""
     with amplifier_and_folder() as (amplifier, folder):
         link = os.open(amplifier.path, os.O_RDWR | os.O_NOCTTY)
         try:
             recorder = OutputRecorder(amplifier)
-            with closing(Daemon(folder, amplifier.path, worn=worn, log=log)) as daemon:
-                yield Tries(daemon, recorder, link), recorder
+            with closing(Server(folder, amplifier.path, worn=worn, log=log)) as server:
+                yield Tries(server, recorder, link), recorder
         finally:
             os.close(link)
 

@@ -1,9 +1,9 @@
 """Time from an e-stop to its answer and to 0 V under different loads, by the amplifier's clock.
 
-An effect plays through a daemon, in its own process, to the C amplifier on a pty. An e-stop is sent
+An effect plays through a server, in its own process, to the C amplifier on a pty. An e-stop is sent
 over a WebSocket of the SDK that was already connected, or as `tactile estop` does. After each
 e-stop arming must be refused until the e-stop is cleared by its number. The same is measured for
-`tactile play`, which drives the amplifier without a daemon.
+`tactile play`, which drives the amplifier without a server.
 """
 
 import random
@@ -19,20 +19,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.app import TEXTURE, begin_effect
-from benchmarks.daemon import (
-    NAME,
-    PATIENCE,
-    POLL,
-    AmplifierOutput,
-    Daemon,
-    OutputRecorder,
-    amplifier_and_folder,
-    clear,
-    connected,
-    last_after,
-    send_signal,
-    wait_for,
-)
 from benchmarks.deaths import PLAYING, plays
 from benchmarks.floods import (
     Load,
@@ -41,6 +27,20 @@ from benchmarks.floods import (
     open_connections,
     send_messages,
     touch_together,
+)
+from benchmarks.server import (
+    NAME,
+    PATIENCE,
+    POLL,
+    AmplifierOutput,
+    OutputRecorder,
+    Server,
+    amplifier_and_folder,
+    clear,
+    connected,
+    last_after,
+    send_signal,
+    wait_for,
 )
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, at_most, beside_machine
@@ -109,9 +109,9 @@ class Times:
 
 @dataclass(frozen=True)
 class EstopRig:
-    """A daemon, its amplifier's recorder, and a program that is connected to it."""
+    """A server, its amplifier's recorder, and a program that is connected to it."""
 
-    daemon: Daemon
+    server: Server
     recorder: OutputRecorder
     display: RemoteDisplay
     osc_port: int
@@ -147,17 +147,17 @@ WAYS: dict[str, Callable[[EstopRig], bool]] = {"websocket": _over_socket, "comma
 
 @contextmanager
 def _server_stopped(rig: EstopRig) -> Iterator[None]:
-    send_signal(rig.daemon.pid, signal.SIGSTOP)
+    send_signal(rig.server.pid, signal.SIGSTOP)
     try:
         yield
     finally:
-        send_signal(rig.daemon.pid, signal.SIGCONT)
+        send_signal(rig.server.pid, signal.SIGCONT)
 
 
 @contextmanager
 def _playback_restarting(rig: EstopRig) -> Iterator[None]:
     """Kill playback, and continue when the amplifier has noticed."""
-    send_signal(rig.daemon.playback(), signal.SIGKILL)
+    send_signal(rig.server.playback(), signal.SIGKILL)
     wait_for("0 V", lambda: is_silent(rig.recorder.read()))
     yield
 
@@ -191,14 +191,14 @@ class Condition:
 
 CONDITIONS: dict[str, Condition] = {
     "idle": Condition(),
-    "clients": Condition(load=lambda rig, s: loaded(touch_together, rig.daemon.url, CLIENTS, s)),
+    "clients": Condition(load=lambda rig, s: loaded(touch_together, rig.server.url, CLIENTS, s)),
     "messages": Condition(
         load=lambda rig, s: loaded(
-            send_messages, rig.daemon.port, MESSAGES / SENDERS, s, processes=SENDERS
+            send_messages, rig.server.port, MESSAGES / SENDERS, s, processes=SENDERS
         )
     ),
     "connections": Condition(
-        load=lambda rig, s: loaded(open_connections, rig.daemon.port, CONNECTIONS, s)
+        load=lambda rig, s: loaded(open_connections, rig.server.port, CONNECTIONS, s)
     ),
     "osc": Condition(load=lambda rig, s: loaded(flood_osc, rig.osc_port, PACKETS, s)),
     "playback_restarting": Condition(at_once=_playback_restarting),
@@ -329,14 +329,14 @@ def _latest(recorder: OutputRecorder) -> AmplifierOutput:
 
 @contextmanager
 def _rig() -> Iterator[EstopRig]:
-    """Yield a daemon, and a program that is connected to it."""
+    """Yield a server, and a program that is connected to it."""
     with ExitStack() as stack:
         amplifier, folder = stack.enter_context(amplifier_and_folder())
         port = free_udp_port()
-        daemon = Daemon(folder, amplifier.path, osc=port, server=NO_LIMIT)
-        stack.enter_context(closing(daemon))
-        display = stack.enter_context(connected(daemon))
-        yield EstopRig(daemon, OutputRecorder(amplifier), display, port)
+        server = Server(folder, amplifier.path, osc=port, server=NO_LIMIT)
+        stack.enter_context(closing(server))
+        display = stack.enter_context(connected(server))
+        yield EstopRig(server, OutputRecorder(amplifier), display, port)
 
 
 def free_udp_port() -> int:

@@ -1,6 +1,6 @@
-"""Loads on a daemon: crowds and floods, each from their own processes.
+"""Loads on a server: crowds and floods, each from their own processes.
 
-All traffic stays on this machine's loopback interface, goes to one daemon, is bounded in rate and
+All traffic stays on this machine's loopback interface, goes to one server, is bounded in rate and
 time, and ends by itself.
 """
 
@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from benchmarks.app import RATE, TEXTURE
-from benchmarks.daemon import NAME, PATIENCE, frame, wait_for
+from benchmarks.server import NAME, PATIENCE, frame, wait_for
 from tactile.messages import JSON_PROTOCOL
 
 BATCH = 0.01
@@ -31,7 +31,7 @@ HOST = "127.0.0.1"
 
 
 class Load:
-    """Processes that put a load on a daemon while they are permitted to.
+    """Processes that put a load on a server while they are permitted to.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Latency from a contact message to the first sample that depends on it, by the amplifier's clock.
 
 A client in its own process sends a position a thousand times a second over a WebSocket to the
-daemon, whose playback plays oak on 24 contactors to the C amplifier on a pty. The contacts that
-each block was rendered from are in the trace of `benchmarks.traced_playback`, which the daemon
+server, whose playback plays oak on 24 contactors to the C amplifier on a pty. The contacts that
+each block was rendered from are in the trace of `benchmarks.traced_playback`, which the server
 starts in place of its own playback; the time at which the amplifier put that block out is in the
 amplifier's record. The first sample that can depend on a contact is
 the first of the next block, delayed by the look-ahead of the limiter.
@@ -32,7 +32,7 @@ from tactile.bench.figures import Figure, at_most, beside_machine
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.server import playing as server_playing
 from tactile.server.children import Child
-from tactile.server.config import DaemonConfig, DisplayConfig, ServerConfig
+from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.host import Host
 from tactile.server.server import running
 from tactile.tracking.finger_sample import FingerSample
@@ -81,7 +81,7 @@ async def _session(
     Returns the trace (B, 3), the time at which each contact that came was sent (K,) [s], and the
     statistics of the display.
     """
-    config = DaemonConfig(
+    config = Configuration(
         server=ServerConfig(port=0, socket=""),
         display=(DisplayConfig(name=NAME, device=device),),
     )

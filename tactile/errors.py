@@ -34,11 +34,11 @@ class BusStateError(BusError, RuntimeError):
 
 
 class ClientError(TactileError):
-    """Base class of the exceptions that the SDK raises about the daemon or the connection to it."""
+    """Base class of the exceptions that the SDK raises about the server or the connection to it."""
 
 
 class RequestError(ClientError):
-    """A request that the daemon refused.
+    """A request that the server refused.
 
     Parameters
     ----------
@@ -61,19 +61,19 @@ class RequestError(ClientError):
 
 
 class RefusedInputError(RequestError, InputError):
-    """A value that the daemon does not accept."""
+    """A value that the server does not accept."""
 
 
 class UnknownNameError(RequestError, NotFoundError):
-    """A texture or display that the daemon does not have."""
+    """A texture or display that the server does not have."""
 
 
 class ClientTimeoutError(ClientError, TimeoutError):
-    """A daemon that did not answer in time."""
+    """A server that did not answer in time."""
 
 
 class DisconnectedError(ClientError, ConnectionError):
-    """A missing connection to the daemon: not yet made, interrupted, or closed."""
+    """A missing connection to the server: not yet made, interrupted, or closed."""
 
 
 def locate_mistake(error: str) -> tuple[str, str]:

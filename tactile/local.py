@@ -1,4 +1,4 @@
-"""A display inside this program, without a daemon: the interface of `tactile.client`, no network.
+"""A display inside this program, without a server: the interface of `tactile.client`, no network.
 
 >>> import tactile
 >>> with tactile.open_display("reference-24", device="sim:") as display:  # doctest: +SKIP
@@ -6,8 +6,8 @@
 ...     display.arm()
 ...     display.touch((0.0, 0.0), velocity=(0.08, 0.0), normal_force=0.5)
 
-The host of a daemon runs in a thread. Playback and the preparation of textures run in processes of
-their own, as in a daemon, so that nothing that the program does delays a block.
+The host of a server runs in a thread. Playback and the preparation of textures run in processes of
+their own, as in a server, so that nothing that the program does delays a block.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ from tactile.messages import (
     id_of,
 )
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig
 from tactile.server.host import Host
 from tactile.server.metrics import Metrics, Traffic
 from tactile.server.requests import Requests
@@ -49,11 +49,11 @@ class LocalTransport:
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration of the host.
     """
 
-    def __init__(self, config: DaemonConfig) -> None:
+    def __init__(self, config: Configuration) -> None:
         self._config = config
         self._started: Future[Host] = Future()
         self._closed: Future[None] = Future()
@@ -201,7 +201,7 @@ def open_display(
         name=NAME, display=display, device=device, worn=worn,
         accept_unsafe_hold=accept_unsafe_hold, **options,
     )  # fmt: skip
-    transport = LocalTransport(DaemonConfig(display=(config,)))
+    transport = LocalTransport(Configuration(display=(config,)))
     transport.start()
     connection = Connection(transport, timeout=timeout)
     return RemoteDisplay(connection, NAME, owns=True)

@@ -1,10 +1,10 @@
-"""Messages between a client and the playback daemon, API version 1.
+"""Messages between a client and the playback server, API version 1.
 
 A client opens one WebSocket at ``/v1``. Each message is one object whose field ``type`` names it.
 The subprotocol ``tactile.v1.json`` carries JSON in text frames, ``tactile.v1.msgpack`` carries
 MessagePack in binary frames.
 
-The first message of a client is `ClientHello`, which the daemon answers with `Welcome`. Every
+The first message of a client is `ClientHello`, which the server answers with `Welcome`. Every
 request may carry an ``id``. It is answered by `Done`, by a reply of its own type or by `Failure`,
 each with the same ``id``. `Contact` messages are a stream: one is answered only if something is
 wrong with it. Either side ignores fields that it does not know; a message of an unknown ``type`` is
@@ -12,7 +12,7 @@ answered by a `Failure` with the code ``unknown_type``. The contents of a messag
 while it is decoded, and a `Failure` names the path of the offending field.
 
 Positions are in the plane of the surface, in millimeters. Times that a client sends are in
-microseconds of its own monotonic clock; the daemon maps those of `Contact` to its clock by the
+microseconds of its own monotonic clock; the server maps those of `Contact` to its clock by the
 times at which they arrive. `Ping` lets a client measure the offset between both clocks.
 
 **Mixing.** A display has one finger on it. The finger belongs to the client that touched first,
@@ -27,12 +27,12 @@ does not suffice, clients take turns of a tenth of a second; what is silent mean
 in time. At most 16 transients of one effect sound at once. Blocks of a client's waveforms and
 transients that were left out are counted as ``dropped_waves``.
 
-**Closing.** The daemon closes a connection with one of these codes:
+**Closing.** The server closes a connection with one of these codes:
 
-- 1001: the daemon ends
+- 1001: the server ends
 - 1002: the client offered no subprotocol of this API
 - 1009: a message was too large
-- 1011: an internal failure of the daemon
+- 1011: an internal failure of the server
 - 4008: a flood of failures, or a client that does not read its messages
 - 4400: the first message was not a `ClientHello`
 - 4401: wrong token
@@ -40,18 +40,18 @@ transients that were left out are counted as ``dropped_waves``.
 - 4408: no `ClientHello` arrived in time
 - 4429: too many clients
 
-**High voltage.** It is off until a client arms a display, or the daemon's configuration does. It
+**High voltage.** It is off until a client arms a display, or the server's configuration does. It
 belongs to the clients that armed the display, and is switched off when the last of them disconnects
 or has given no sign of life for half a second.
 
 **E-stop.** Each e-stop of a display has a number. It is latched: the display stays at 0 V, across
-restarts of playback, daemon and machine, until a `ClearEstop` names that number. A newer e-stop has
+restarts of playback, server and machine, until a `ClearEstop` names that number. A newer e-stop has
 another number, so that a `ClearEstop` of an older one does not end it.
 
 **Roles.** What a client may do follows from the token in its `ClientHello`, or from the user that
 it runs as. Every client that is admitted may trigger an e-stop and read displays, textures and
 states. "watch" allows no more than that on this connection; it is the role that reading the
-daemon's metrics over HTTP requires. "play" touches, selects and plays, "arm" arms, disarms and
+server's metrics over HTTP requires. "play" touches, selects and plays, "arm" arms, disarms and
 clears e-stops, "stop" disarms. `Welcome` lists the roles of the client.
 """
 
@@ -65,7 +65,7 @@ API_VERSION = 1
 JSON_PROTOCOL, MSGPACK_PROTOCOL = "tactile.v1.json", "tactile.v1.msgpack"
 """WebSocket subprotocols of the two encodings."""
 PATH = "/v1"
-"""Path of the WebSocket in the daemon's URL."""
+"""Path of the WebSocket in the server's URL."""
 LARGEST_MESSAGE = 64 * 1024
 """Largest size of a message [bytes]."""
 MOST_LAYERS = 4
@@ -153,7 +153,7 @@ def id_of(message: ApiMessage) -> int | None:
 
 
 class Request(ApiMessage, frozen=True, kw_only=True):
-    """Base class of every message of a client that the daemon answers.
+    """Base class of every message of a client that the server answers.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class DisplayRequest(Request, frozen=True, kw_only=True):
 
 
 class Reply(ApiMessage, frozen=True, kw_only=True):
-    """Base class of every answer of the daemon.
+    """Base class of every answer of the server.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Reply(ApiMessage, frozen=True, kw_only=True):
 class ClientHello(Request, frozen=True, kw_only=True, tag="hello"):
     """First message of a client: its name, the API version that it speaks, and its token.
 
-    It is answered by `Welcome`, or by a `Failure` after which the daemon closes the connection.
+    It is answered by `Welcome`, or by a `Failure` after which the server closes the connection.
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ class ClientHello(Request, frozen=True, kw_only=True, tag="hello"):
     version : int
         Version of the API that the client speaks.
     token : str
-        Token that the daemon's configuration knows; it determines the roles of the client. Empty if
+        Token that the server's configuration knows; it determines the roles of the client. Empty if
         the client has none.
     """
 
@@ -313,7 +313,7 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     Attributes
     ----------
     sample_rate_hz : float
-        Rate of the samples [Hz]; the daemon resamples them to the rate of the display.
+        Rate of the samples [Hz]; the server resamples them to the rate of the display.
     amplitude_um : float
         Shear that a sample of 1 stands for [µm].
     samples : list of float, or bytes
@@ -476,7 +476,7 @@ class GetStats(DisplayRequest, frozen=True, kw_only=True, tag="get_stats"):
 
 
 class Ping(Request, frozen=True, kw_only=True, tag="ping"):
-    """Ask for the daemon's time; answered by `Pong`.
+    """Ask for the server's time; answered by `Pong`.
 
     Attributes
     ----------
@@ -487,7 +487,7 @@ class Ping(Request, frozen=True, kw_only=True, tag="ping"):
     time_us: Microseconds
 
 
-# Messages of the daemon
+# Messages of the server
 
 
 class DisplayDescription(Struct, frozen=True, kw_only=True):
@@ -532,21 +532,21 @@ class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
     Attributes
     ----------
     server : str
-        Name and version of the daemon.
+        Name and version of the server.
     version : int
         Version of the API.
     session : str
-        Identifier of this connection in the daemon's log.
+        Identifier of this connection in the server's log.
     displays : list of DisplayDescription
-        Displays of the daemon.
+        Displays of the server.
     may_arm : bool
         Whether the client has the role "arm".
     time_us : int
-        Time of the daemon's monotonic clock [µs].
+        Time of the server's monotonic clock [µs].
     roles : list of str
         Roles of the client.
     largest_message : int
-        Largest message that the daemon accepts [bytes].
+        Largest message that the server accepts [bytes].
     messages_per_second : int
         Maximum rate of messages of this client [1/s]; 0 if it is not limited.
     """
@@ -589,7 +589,7 @@ class Textures(Reply, frozen=True, kw_only=True, tag="textures"):
     Attributes
     ----------
     textures : list of TextureInfo
-        All textures of the daemon.
+        All textures of the server.
     """
 
     textures: tuple[TextureInfo, ...]
@@ -630,7 +630,7 @@ class Pong(Reply, frozen=True, kw_only=True, tag="pong"):
     time_us : int
         Time in the `Ping` [µs].
     server_time_us : int
-        Time of the daemon's monotonic clock when the `Ping` arrived [µs].
+        Time of the server's monotonic clock when the `Ping` arrived [µs].
     """
 
     time_us: Microseconds
@@ -683,7 +683,7 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
     "too_fast" (messages were dropped because there were too many per second), "not_armed",
     "estopped" (an e-stop holds), "busy" (too many requests or textures of this client are pending),
     "unavailable" (the display, its device or a texture cannot be used now), "unsupported" and
-    "internal" (a fault of the daemon).
+    "internal" (a fault of the server).
 
     Attributes
     ----------
@@ -735,7 +735,7 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     display : str
         Name of the display.
     time_us : int
-        Time of the daemon's monotonic clock [µs].
+        Time of the server's monotonic clock [µs].
     state : str
         State as in `StatsReply`.
     position_mm : pair of float
@@ -772,7 +772,7 @@ Answer = (
     Welcome | Textures | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
     | TelemetryMessage
 )  # fmt: skip
-"""Any message of the daemon."""
+"""Any message of the server."""
 
 
 def schema() -> dict[str, Any]:

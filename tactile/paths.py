@@ -1,4 +1,4 @@
-"""Folders in which a daemon keeps its state and its sockets, and in which programs find them."""
+"""Folders in which a server keeps its state and its sockets, and in which programs find them."""
 
 import os
 import sys
@@ -11,9 +11,9 @@ import platformdirs
 APP = "tactile"
 """Name of the application in paths."""
 API_SOCKET = "tactile.sock"
-"""File name in the runtime folder of the socket on which the daemon serves its API."""
+"""File name in the runtime folder of the socket on which the server serves its API."""
 SYSTEM_FOLDER = Path("/run") / APP
-"""Runtime folder of the daemon that the system starts for all users of the host."""
+"""Runtime folder of the server that the system starts for all users of the host."""
 
 
 def runtime_folder() -> Path:
@@ -62,7 +62,7 @@ def find_sockets(name: str = API_SOCKET) -> list[Path]:
     """List the sockets of a name to which this user may connect, the user's own first.
 
     A socket in a folder that belongs to another user is left out, except in the system's folder:
-    otherwise whoever is first to create a shared folder could pose as the daemon.
+    otherwise whoever is first to create a shared folder could pose as the server.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ def _is_open(path: Path) -> bool:
 
 
 def estop_sockets() -> list[Path]:
-    """List the e-stop sockets of all daemons of this host that this user can see.
+    """List the e-stop sockets of all servers of this host that this user can see.
 
-    A datagram to somebody who poses as a daemon does no harm, so that sockets of all owners are
+    A datagram to somebody who poses as a server does no harm, so that sockets of all owners are
     included.
 
     Returns

@@ -1,7 +1,7 @@
-"""A small daemon that answers by the contract, for the tests of the SDK in both twins.
+"""A small server that answers by the contract, for the tests of the SDK in both twins.
 
-The daemon is a real WebSocket server that reads and says real messages; what it does wrong (refuse,
-be silent, go away, not read) it does on purpose. Waits have generous limits, and nothing is
+It is a real WebSocket server that reads and says real messages; what it does wrong (refuse, be
+silent, go away, not read) it does on purpose. Waits have generous limits, and nothing is
 asserted of how quick something is.
 """
 
@@ -56,12 +56,12 @@ def info(name: str, estop: int = 0, latest: int = 0) -> m.DisplayDescription:
 
 
 def server_time_us() -> int:
-    """Return the daemon's clock, which is not ours."""
+    """Return the server's clock, which is not ours."""
     return time.monotonic_ns() // 1000 + 5_000_000
 
 
 class Script:
-    """Answers of the daemon; `answers` may be replaced by type, with None for silence."""
+    """Answers of the server; `answers` may be replaced by type, with None for silence."""
 
     def __init__(self, *displays: str) -> None:
         self.displays = displays or ("left",)
@@ -136,7 +136,7 @@ def telemetry(number: int, display: str = "left") -> m.TelemetryMessage:
     )
 
 
-class Daemon:
+class ScriptedServer:
     """A WebSocket server on a port of its own that reads by the contract and follows a script."""
 
     def __init__(self, script: Script, listener: socket.socket | None = None) -> None:
@@ -410,9 +410,9 @@ def plain(message: Any) -> Any:
     return rounded(msgspec.to_builtins(message, builtin_types=(bytes,)))
 
 
-def fill(daemon: Daemon, display: Any) -> int:
-    """Let the daemon not read, and touch until nothing is sent any more; return how often."""
-    daemon.reading.clear()
+def fill(server: ScriptedServer, display: Any) -> int:
+    """Let the server not read, and touch until nothing is sent any more; return how often."""
+    server.reading.clear()
     for said in itertools.count(50, 50):
         before = display.dropped_contacts
         for number in range(said - 49, said + 1):

@@ -1,6 +1,6 @@
 """Settings of all tests, fixtures that several files share, and the summary of a run.
 
-All tests have folders of their own for daemons, and examples that depend on no clock. What a
+All tests have folders of their own for servers, and examples that depend on no clock. What a
 fixture needs is imported in it, so that a run of one file, or of the checks in a guest of `kernel`,
 imports no more than it uses. `usefixtures` names those that give nothing.
 """
@@ -60,7 +60,7 @@ def _folder() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def session_folders() -> Iterator[None]:
-    """Keep daemons that several tests share away from the user's own."""
+    """Keep servers that several tests share away from the user's own."""
     yield from _folder()
 
 
@@ -298,7 +298,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bus]:
     return found
 
 
-# The command, daemons and clients
+# The command, servers and clients
 
 
 @pytest.fixture
@@ -339,28 +339,28 @@ def twin(request: pytest.FixtureRequest) -> Iterator[client_rig.Twin]:
 
 @pytest.fixture
 def script() -> client_rig.Script:
-    """Return what the scripted daemon answers."""
+    """Return what the scripted server answers."""
     from client_rig import Script
 
     return Script()
 
 
 @pytest.fixture
-def daemon(script: client_rig.Script, patient_client: None) -> Iterator[client_rig.Daemon]:
-    """Yield a scripted daemon."""
-    from client_rig import Daemon
+def server(script: client_rig.Script, patient_client: None) -> Iterator[client_rig.ScriptedServer]:
+    """Yield a scripted server."""
+    from client_rig import ScriptedServer
 
-    daemon = Daemon(script)
-    yield daemon
-    daemon.close()
+    server = ScriptedServer(script)
+    yield server
+    server.close()
 
 
 @pytest.fixture
-def remote(twin: client_rig.Twin, daemon: client_rig.Daemon) -> Iterator[Any]:
-    """Yield a display of the scripted daemon, as a client has it."""
+def remote(twin: client_rig.Twin, server: client_rig.ScriptedServer) -> Iterator[Any]:
+    """Yield a display of the scripted server, as a client has it."""
     from client_rig import PATIENCE
 
-    with twin.connect(daemon.url, timeout=PATIENCE) as remote:
+    with twin.connect(server.url, timeout=PATIENCE) as remote:
         yield remote
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis.stateful import RuleBasedStateMachine
-from virtual_daemon import PlaybackProcess, virtual_world
+from virtual_server import PlaybackProcess, virtual_world
 
 from tactile import messages as m
 from tactile.arrays import Floats
@@ -96,7 +96,7 @@ tally = Tally()
 
 
 class Judged(RuleBasedStateMachine):
-    """A daemon and its surroundings, and what is right of all that they answer and put out."""
+    """A server and its surroundings, and what is right of all that they answer and put out."""
 
     def __init__(self) -> None:
         super().__init__()

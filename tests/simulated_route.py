@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sample_ledger import Ledger
 from simulated_chips import Chips
 from virtual_clock import VirtualClock
-from virtual_daemon import World
 from virtual_loop import LoopProcess
+from virtual_server import World
 
 from firmware_protocol.machine import PlayedRun
 from tactile.arrays import Floats
@@ -41,7 +41,7 @@ class Program(LoopProcess):
     Parameters
     ----------
     world : world of the program
-    url : URL of the daemon
+    url : URL of the server
     rearm : whether to arm again after a reconnection
     """
 
@@ -56,7 +56,7 @@ class Program(LoopProcess):
             connection = aio.AsyncConnection(transport, clock=clock, rearm=rearm)
             try:
                 self.connection = await connection.open()
-            except ClientError:  # there is no daemon yet
+            except ClientError:  # there is no server yet
                 await asyncio.sleep(0.1)
             else:
                 return

@@ -1,6 +1,6 @@
-"""Simulation of a daemon with its programs, processes, links and amplifiers, and of all faults.
+"""Simulation of a server with its programs, processes, links and amplifiers, and of all faults.
 
-All is real but time, process boundaries and wires (`virtual_daemon`): programs have the SDK, and
+All is real but time, process boundaries and wires (`virtual_server`): programs have the SDK, and
 talk to the server over its socket; an engine sends it OSC. All that happens follows from a seed.
 What holds whatever happens is judged where each amplifier puts out its volts, by what was asked
 and answered.
@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from osc_faults import mutated, packet
 from sample_ledger import Ledger
 from simulated_route import RATE, Program, Route
-from virtual_daemon import small_display, virtual_world
 from virtual_loop import Datagrams
+from virtual_server import small_display, virtual_world
 
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, Start
@@ -44,7 +44,7 @@ from tactile.bus.simulated.modeled_bus import MockOptions, ModeledBus
 from tactile.client import aio
 from tactile.client.address import UNIX
 from tactile.errors import ClientError, RequestError
-from tactile.server.config import DaemonConfig, DisplayConfig, OscConfig, ServerConfig
+from tactile.server.config import Configuration, DisplayConfig, OscConfig, ServerConfig
 
 LINKS = {
     "serial": "mock:?link=serial&bit_rate=3000000&format=pcm16",
@@ -55,13 +55,13 @@ LINKS = {
 AFTERMATH = 3.0
 """Longest time that a fault has effects [s]: processes and links need it to come back."""
 OSC = 7412
-"""Port of the daemon; an engine sends from the one below."""
+"""Port of the server; an engine sends from the one below."""
 FAULTY = "&loss=0.002&corrupt=0.002&reorder=0.002&drift_ppm=100"
 """Faults that a link may suffer besides: 1 of 500 packets or frames lost, harmed or late."""
 
 
 class Simulation:
-    """A daemon with a display on each kind of link, and one on chips, from a seed.
+    """A server with a display on each kind of link, and one on chips, from a seed.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Simulation:
         self.routes.append(self._chips())
         self.stopper = self._program()
         self._have_engine(folder, patch)
-        self.config = DaemonConfig(
+        self.config = Configuration(
             server=ServerConfig(port=0, socket=f"{folder}/socket"),
             osc=OscConfig(port=OSC),
             display=tuple(
@@ -135,7 +135,7 @@ class Simulation:
         return route
 
     def _have_engine(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
-        """Have an engine, and a daemon whose OSC comes as datagrams that arrive at once."""
+        """Have an engine, and a server whose OSC comes as datagrams that arrive at once."""
         sockets = vars(socket) | {"socket": functools.partial(Datagrams, folder)}
         patch.setattr("tactile.server.server.socket", SimpleNamespace(**sockets))
         self.engine = self.stack.enter_context(Datagrams(folder))
@@ -385,7 +385,7 @@ class Simulation:
                 self.world.clock.after(seconds, lambda: setattr(route, "woken", self.now))
 
     def kill_server(self, route: Route) -> None:
-        """Kill the daemon's server, and start another some time later."""
+        """Kill the server, and start another some time later."""
         self.world.kill()
         for one in self.routes:
             one.deaths.setdefault("server", self.now)
@@ -480,7 +480,7 @@ def simulate(seed: int, seconds: float) -> Simulation:
 def main() -> None:
     """Simulate, then print the last events, the counts, and the promises that were broken."""
     parser = argparse.ArgumentParser(
-        description="Simulate a daemon under faults, the same way for the same seed.",
+        description="Simulate a server under faults, the same way for the same seed.",
         epilog="Example: python tests/simulator.py 7 60",
     )
     parser.add_argument("seed", type=int, help="number that decides all that happens")

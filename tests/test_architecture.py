@@ -97,7 +97,7 @@ PROTOCOL_IMPORTERS = {"bus", "sim"}
 GENERATED = {"messages"}
 """Modules that a program writes, as long as they have to be."""
 
-AWAITED = {"server.server": 2, "server.shelf": 1, "server.tasks": 1}
+AWAITED = {"server.server": 2, "server.texture_store": 1, "server.tasks": 1}
 """Tasks that somebody waits for, that take their own exceptions, or that `start_task` watches, by
 module."""
 
@@ -237,7 +237,7 @@ def test_nothing_waits_by_what_swallows_a_cancellation() -> None:
     assert users == set()
 
 
-def test_every_background_task_of_the_daemon_is_watched() -> None:
+def test_every_background_task_of_the_server_is_watched() -> None:
     """An exception would end an unwatched task in silence."""
     unwatched: Counter[str] = Counter()
     for module in SOURCES:

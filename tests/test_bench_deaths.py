@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks import deaths
 from benchmarks.app import SOUNDS
-from benchmarks.daemon import AmplifierOutput, OutputRecorder, frame, joined, last_after
 from benchmarks.deaths import Outcomes, is_over, plays, schedule
+from benchmarks.server import AmplifierOutput, OutputRecorder, frame, joined, last_after
 from benchmarks.virtual import Records, can_be_built
 
 RATE = 1000

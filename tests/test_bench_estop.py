@@ -1,4 +1,4 @@
-"""The benchmark of e-stops: its arithmetic and its floods, without a daemon and without a clock."""
+"""The benchmark of e-stops: its arithmetic and its floods, without a server and without a clock."""
 
 import math
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import floods
-from benchmarks.daemon import NAME, AmplifierOutput
 from benchmarks.estop import Times, is_silent
 from benchmarks.floods import contact_packet, paced
+from benchmarks.server import NAME, AmplifierOutput
 from tactile.messages import Contact
 from tactile.server.osc import read_packet, to_command
 

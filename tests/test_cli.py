@@ -167,7 +167,7 @@ GROUPS = {
     "Create and convert textures": ["convert", "fit", "relief"],
     "Design displays": ["adjust", "materials", "optimize", "paper", "response", "study"],
     "Use devices": ["bench", "budget", "check", "devices"],
-    "Run the daemon and stop displays": ["clear", "estop", "serve"],
+    "Run the server and stop displays": ["clear", "estop", "serve"],
 }
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from client_rig import PATIENCE, Daemon, Twin
+from client_rig import PATIENCE, ScriptedServer, Twin
 
 from tactile import messages as m
 from tactile.errors import InputError
@@ -113,8 +113,10 @@ WRONG: dict[str, list[Call]] = {
 """Calls by the text of the line that refuses them."""
 
 
-def test_a_wrong_argument_is_one_line_and_nothing_is_sent(twin: Twin, daemon: Daemon) -> None:
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+def test_a_wrong_argument_is_one_line_and_nothing_is_sent(
+    twin: Twin, server: ScriptedServer
+) -> None:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         for text, calls in WRONG.items():
             for number, call in enumerate(calls):
                 with pytest.raises(InputError, match=text) as caught:
@@ -122,7 +124,7 @@ def test_a_wrong_argument_is_one_line_and_nothing_is_sent(twin: Twin, daemon: Da
                 assert "\n" not in str(caught.value), (text, number)
         display.lift()
         display.stats()
-    kinds = [type(said) for said in daemon.heard if not isinstance(said, m.Contact)]
+    kinds = [type(said) for said in server.heard if not isinstance(said, m.Contact)]
     assert kinds == [m.ClientHello, m.GetStats, m.StopPlaying]
 
 
@@ -134,21 +136,21 @@ def test_a_wrong_argument_is_one_line_and_nothing_is_sent(twin: Twin, daemon: Da
     ],
 )  # fmt: skip
 def test_a_wrong_argument_to_connect_is_one_line(
-    twin: Twin, daemon: Daemon, options: dict[str, Any]
+    twin: Twin, server: ScriptedServer, options: dict[str, Any]
 ) -> None:
     with pytest.raises(InputError) as caught:
-        twin.connect(**{"url": daemon.url, "timeout": PATIENCE, **options})
+        twin.connect(**{"url": server.url, "timeout": PATIENCE, **options})
     assert "\n" not in str(caught.value)
 
 
 def test_lift_is_where_the_finger_was_although_the_position_is_gone(
-    twin: Twin, daemon: Daemon
+    twin: Twin, server: ScriptedServer
 ) -> None:
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         place = [0.001, 0.002]
         display.touch(place)
         place[:] = ["lost"]  # type: ignore[list-item]
         display.lift()
         display.stats()
-        lifted = daemon.of(m.Contact)[-1]
+        lifted = server.of(m.Contact)[-1]
         assert (lifted.position_mm, lifted.normal_force_n) == ((1.0, 2.0), 0.0)

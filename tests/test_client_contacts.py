@@ -1,4 +1,4 @@
-"""The SDK gives contacts and waveforms at the daemon's pace, and no contact ever waits."""
+"""The SDK gives contacts and waveforms at the server's pace, and no contact ever waits."""
 
 import itertools
 import threading
@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from client_rig import PATIENCE, Daemon, Script, Twin, count, fill, floats, samples_of, until
+from client_rig import (
+    PATIENCE,
+    Script,
+    ScriptedServer,
+    Twin,
+    count,
+    fill,
+    floats,
+    samples_of,
+    until,
+)
 
 from tactile import client
 from tactile import messages as m
@@ -19,20 +29,22 @@ from tactile.clock import ModelClock
 from tactile.errors import ClientTimeoutError
 
 
-def test_touch_does_not_wait_for_a_daemon_that_does_not_read(remote: Any, daemon: Daemon) -> None:
+def test_touch_does_not_wait_for_a_server_that_does_not_read(
+    remote: Any, server: ScriptedServer
+) -> None:
     """More is sent than all buffers in between can hold; the newest arrives in the end."""
-    said = fill(daemon, remote)
+    said = fill(server, remote)
     assert remote.connected
-    daemon.reading.set()
+    server.reading.set()
     newest = pytest.approx(said * 1e-3)
-    until(lambda: (heard := daemon.of(m.Contact)) and heard[-1].position_mm[0] == newest)
-    assert len(daemon.of(m.Contact)) + remote.dropped_contacts == said
+    until(lambda: (heard := server.of(m.Contact)) and heard[-1].position_mm[0] == newest)
+    assert len(server.of(m.Contact)) + remote.dropped_contacts == said
     assert remote.stats().display == "left"  # and the connection has lived through it
 
 
-def test_touch_from_several_threads(daemon: Daemon) -> None:
+def test_touch_from_several_threads(server: ScriptedServer) -> None:
     count, each = 4, 500
-    with client.connect(daemon.url, timeout=PATIENCE) as display:
+    with client.connect(server.url, timeout=PATIENCE) as display:
 
         def touch(thread: int) -> None:
             for number in range(each):
@@ -43,28 +55,28 @@ def test_touch_from_several_threads(daemon: Daemon) -> None:
             thread.start()
         for thread in running:
             thread.join()
-        until(lambda: len(daemon.of(m.Contact)) + display.dropped_contacts == count * each)
+        until(lambda: len(server.of(m.Contact)) + display.dropped_contacts == count * each)
     for number in range(count):
-        heard = [c.position_mm for c in daemon.of(m.Contact) if round(c.position_mm[0]) == number]
+        heard = [c.position_mm for c in server.of(m.Contact) if round(c.position_mm[0]) == number]
         assert heard == sorted(heard), "each thread's contacts stay in order"
 
 
-def test_contacts_keep_to_the_rate_that_the_daemon_takes(
-    twin: Twin, script: Script, daemon: Daemon
+def test_contacts_keep_to_the_rate_that_the_server_takes(
+    twin: Twin, script: Script, server: ScriptedServer
 ) -> None:
     script.messages_per_second = 50
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         begun = time.monotonic()
         for number in range(100):
             display.touch((number * 1e-6, 0.0))
             time.sleep(0.002)
-        last = until(lambda: [c for c in daemon.of(m.Contact) if c.position_mm[0] > 0.0989])
-        assert len(daemon.of(m.Contact)) <= 2 + 50 * (time.monotonic() - begun)
+        last = until(lambda: [c for c in server.of(m.Contact) if c.position_mm[0] > 0.0989])
+        assert len(server.of(m.Contact)) <= 2 + 50 * (time.monotonic() - begun)
     assert len(last) == 1
 
 
 def test_a_refused_contact_is_an_event_and_not_at_its_rate(
-    remote: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, server: ScriptedServer
 ) -> None:
     script.answers[m.Contact] = lambda said: m.Failure(code="not_armed", message="arm it first")
     clock = remote.connection._session.clock = ModelClock()
@@ -88,27 +100,31 @@ def test_a_refused_contact_is_an_event_and_not_at_its_rate(
         lambda v: memoryview(array("f", v)), np.array, lambda v: np.array(v, np.float32),
     ],
 )  # fmt: skip
-def test_samples_may_be_of_any_kind(daemon: Daemon, made: Callable[[list[float]], Any]) -> None:
+def test_samples_may_be_of_any_kind(
+    server: ScriptedServer, made: Callable[[list[float]], Any]
+) -> None:
     values = [0.0, 0.5, -0.25, 1.0, -1.0]
-    with client.connect(daemon.url, timeout=PATIENCE) as display:
+    with client.connect(server.url, timeout=PATIENCE) as display:
         display.append(made(values), sample_rate=8000, amplitude=1e-6)
-    (said,) = daemon.of(m.Append)
+    (said,) = server.of(m.Append)
     assert list(samples_of(said)) == values
 
 
-def test_append_sends_one_message_and_cuts_what_is_beyond(remote: Any, daemon: Daemon) -> None:
+def test_append_sends_one_message_and_cuts_what_is_beyond(
+    remote: Any, server: ScriptedServer
+) -> None:
     appended = remote.append([0.25] * 9000, sample_rate=8000, amplitude=1e-6)
     assert appended.samples_consumed == 4000, "XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB of OpenXR"
-    assert [count(said) for said in daemon.of(m.Append)] == [4000]
+    assert [count(said) for said in server.of(m.Append)] == [4000]
     assert remote.append([], sample_rate=8000, amplitude=1e-6).samples_consumed == 0
-    assert len(daemon.of(m.Append)) == 1
+    assert len(server.of(m.Append)) == 1
 
 
 @pytest.mark.parametrize("most", [1000, 3999, 4000])
-def test_play_hands_over_all_although_the_daemon_takes_only_part(
+def test_play_hands_over_all_although_the_server_takes_only_part(
     remote: Any, script: Script, most: int
 ) -> None:
-    """The daemon takes nothing at all every third time."""
+    """The server takes nothing at all every third time."""
     taken: list[float] = []
     replaced: list[bool] = []
     turns = itertools.count()
@@ -140,7 +156,9 @@ def test_play_waits_for_half_of_what_is_buffered_before_it_sends_again(
     assert pause_after(message, Appended(taken, buffered_ms * 1e-3)) == pytest.approx(pause)
 
 
-def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemon: Daemon) -> None:
+def test_play_gives_up_where_nothing_is_taken(
+    remote: Any, script: Script, server: ScriptedServer
+) -> None:
     """The clock advances by almost half of the timeout with each answer."""
     clock = remote.connection._session.clock = ModelClock()
 
@@ -151,11 +169,11 @@ def test_play_gives_up_where_nothing_is_taken(remote: Any, script: Script, daemo
     script.answers[m.Append] = nothing
     with pytest.raises(ClientTimeoutError, match=r"no sample was taken in 60 s"):
         remote.play([0.0] * 10, sample_rate=8000, amplitude=1e-6, timeout=PATIENCE)
-    assert len(daemon.of(m.Append)) == 3
+    assert len(server.of(m.Append)) == 3
 
 
-def test_stop_ends_a_waveform_without_end(twin: Twin, daemon: Daemon) -> None:
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+def test_stop_ends_a_waveform_without_end(twin: Twin, server: ScriptedServer) -> None:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         played: list[int] = []
 
         def play() -> None:
@@ -164,7 +182,7 @@ def test_stop_ends_a_waveform_without_end(twin: Twin, daemon: Daemon) -> None:
 
         thread = threading.Thread(target=play)
         thread.start()
-        until(lambda: len(daemon.of(m.Append)) > 2)
+        until(lambda: len(server.of(m.Append)) > 2)
         display.stop()
         thread.join(PATIENCE)
-        assert played[0] == sum(count(said) for said in daemon.of(m.Append))
+        assert played[0] == sum(count(said) for said in server.of(m.Append))

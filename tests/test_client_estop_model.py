@@ -1,6 +1,6 @@
 """No schedule of calls, losses and late answers arms against the user, or loses an e-stop.
 
-A session with its outbox is driven by a random schedule; the daemon is a few lines that latch. What
+A session with its outbox is driven by a random schedule; the server is a few lines that latch. What
 must hold is asserted where a message is handed over or sent.
 """
 
@@ -29,7 +29,7 @@ def of(display: str | None) -> tuple[str, ...]:
 
 
 class Schedule(RuleBasedStateMachine):
-    """A program, its session, a connection that may be lost, and a daemon that answers late."""
+    """A program, its session, a connection that may be lost, and a server that answers late."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ class Schedule(RuleBasedStateMachine):
         else:
             assert not self.due, "an e-stop that is owed comes first"
         self.sent.append(command)
-        self.answers.append(self.daemon(command))
+        self.answers.append(self.server(command))
 
     @precondition(lambda self: self.linked and self.answers)
     @rule(data=st.data())
@@ -132,9 +132,9 @@ class Schedule(RuleBasedStateMachine):
             if self.answers:
                 self.deliver(0)
 
-    # The daemon
+    # The server
 
-    def daemon(self, command: Any) -> tuple[Any, Any]:
+    def server(self, command: Any) -> tuple[Any, Any]:
         answer: Any = m.Done(id=command.id)
         match command:
             case m.ClientHello():
@@ -205,7 +205,7 @@ class Schedule(RuleBasedStateMachine):
         self.futures.pop(data.draw(st.integers(0, len(self.futures) - 1))).cancel()
 
     def teardown(self) -> None:
-        """Let the daemon be back for good: each e-stop that is owed is latched."""
+        """Let the server be back for good: each e-stop that is owed is latched."""
         owed = {name for display in self.owed for name in of(display)}
         self.refusing = False
         if self.linked:

@@ -1,4 +1,4 @@
-"""The SDK says each call as its message, and takes the daemon's answers, in both twins."""
+"""The SDK says each call as its message, and takes the server's answers, in both twins."""
 
 import asyncio
 import inspect
@@ -11,7 +11,7 @@ from typing import Any, assert_type
 import msgspec
 import numpy as np
 import pytest
-from client_rig import MESSAGES, PATIENCE, Daemon, Script, Twin, plain, stats, until
+from client_rig import MESSAGES, PATIENCE, Script, ScriptedServer, Twin, plain, stats, until
 
 from tactile import client
 from tactile import messages as m
@@ -21,31 +21,33 @@ from tactile.errors import ClientError, ClientTimeoutError, InputError, NotFound
 
 @pytest.mark.parametrize(("call", "message"), MESSAGES)
 def test_each_call_says_its_message(
-    remote: Any, daemon: Daemon, call: Callable[[Any], Any], message: Any
+    remote: Any, server: ScriptedServer, call: Callable[[Any], Any], message: Any
 ) -> None:
     call(remote)
-    (said,) = until(lambda: daemon.of(type(message)))
+    (said,) = until(lambda: server.of(type(message)))
     assert plain(said) == plain(message)
 
 
-def test_hello_comes_first_and_says_who_it_is(twin: Twin, daemon: Daemon) -> None:
-    with twin.connect(daemon.url, token="secret", client_name="game", timeout=PATIENCE):
+def test_hello_comes_first_and_says_who_it_is(twin: Twin, server: ScriptedServer) -> None:
+    with twin.connect(server.url, token="secret", client_name="game", timeout=PATIENCE):
         pass
-    assert plain(daemon.heard[0]) == plain(m.ClientHello(client="game", token="secret"))
+    assert plain(server.heard[0]) == plain(m.ClientHello(client="game", token="secret"))
 
 
-def test_time_is_our_monotonic_clock_where_none_is_given(remote: Any, daemon: Daemon) -> None:
+def test_time_is_our_monotonic_clock_where_none_is_given(
+    remote: Any, server: ScriptedServer
+) -> None:
     before = time.monotonic()
     remote.touch((0.0, 0.0))
     after = time.monotonic()
-    (said,) = until(lambda: daemon.of(m.Contact))
+    (said,) = until(lambda: server.of(m.Contact))
     assert before - 1e-3 <= said.time_us * 1e-6 <= after + 1e-3
     assert said.velocity_mm_s is None
 
 
-def test_positions_may_be_arrays_of_numpy(remote: Any, daemon: Daemon) -> None:
+def test_positions_may_be_arrays_of_numpy(remote: Any, server: ScriptedServer) -> None:
     remote.touch(np.array([0.001, 0.002], np.float32), velocity=np.zeros(2))
-    (said,) = until(lambda: daemon.of(m.Contact))
+    (said,) = until(lambda: server.of(m.Contact))
     assert list(said.position_mm) == pytest.approx([1.0, 2.0], rel=1e-6)  # of float32
 
 
@@ -75,9 +77,9 @@ def test_both_twins_have_the_same_calls(synchronous: Any, asynchronous: Any) -> 
     assert "close" in expected or "connect" in expected
 
 
-def test_the_synchronous_twin_is_typed(daemon: Daemon) -> None:
+def test_the_synchronous_twin_is_typed(server: ScriptedServer) -> None:
     """A type checker reads this as well, and an ignore that nothing needs is an error for it."""
-    with client.connect(daemon.url, timeout=PATIENCE) as display:
+    with client.connect(server.url, timeout=PATIENCE) as display:
         assert_type(display, client.RemoteDisplay)
         assert_type(display.connection.estop(), dict[str, int])
         assert_type(display.stats(timeout=PATIENCE), client.Stats)
@@ -88,15 +90,15 @@ def test_the_synchronous_twin_is_typed(daemon: Daemon) -> None:
             display.gain(loudness=0.5)  # type: ignore[call-arg]
 
 
-def test_the_asyncio_twin_is_typed(daemon: Daemon) -> None:
+def test_the_asyncio_twin_is_typed(server: ScriptedServer) -> None:
     async def main() -> None:
-        async with aio.connect(daemon.url, timeout=PATIENCE) as display:
+        async with aio.connect(server.url, timeout=PATIENCE) as display:
             assert_type(display, aio.AsyncDisplay)
             assert_type(await display.connection.estop(), dict[str, int])
             assert_type(await display.stats(timeout=PATIENCE), client.Stats)
             with pytest.raises(InputError):
                 await display.gain("loud")  # type: ignore[arg-type]
-        connection = await aio.open_connection(daemon.url, timeout=PATIENCE)
+        connection = await aio.open_connection(server.url, timeout=PATIENCE)
         assert_type(connection, aio.AsyncConnection)
         await connection.close()
 
@@ -120,7 +122,7 @@ def test_what_would_be_suspended_for_good_in_the_synchronous_twin_is_an_error() 
 # Answers
 
 
-def test_what_the_daemon_tells_is_in_si(remote: Any) -> None:
+def test_what_the_server_tells_is_in_si(remote: Any) -> None:
     told = remote.info
     assert (told.name, told.waveforms, told.voltage_limit) == ("left", True, 100.0)
     assert told.contactors == ((-1e-3, 2e-3), (1e-3, 2e-3))
@@ -134,9 +136,9 @@ def test_what_the_daemon_tells_is_in_si(remote: Any) -> None:
 
 
 def test_answers_out_of_order_find_their_questions(
-    twin: Twin, script: Script, daemon: Daemon
+    twin: Twin, script: Script, server: ScriptedServer
 ) -> None:
-    """The daemon keeps the first answer back until it has given the second."""
+    """The server keeps the first answer back until it has given the second."""
     script.displays = ("left", "right")
     kept: list[m.GetStats] = []
 
@@ -144,10 +146,10 @@ def test_answers_out_of_order_find_their_questions(
         kept.append(said)
         if len(kept) == 2:
             for asked in reversed(kept):
-                daemon.say(stats(asked))
+                server.say(stats(asked))
 
     script.answers[m.GetStats] = second_first
-    with twin.open_connection(daemon.url, timeout=PATIENCE) as connection:
+    with twin.open_connection(server.url, timeout=PATIENCE) as connection:
         told: dict[str, str] = {}
 
         def ask(name: str) -> None:
@@ -191,8 +193,8 @@ def test_an_answer_of_another_kind_is_an_error(remote: Any, script: Script) -> N
         remote.stats()
 
 
-def test_a_daemon_that_is_silent_is_a_timeout_and_may_answer_the_next(
-    remote: Any, script: Script, daemon: Daemon
+def test_a_server_that_is_silent_is_a_timeout_and_may_answer_the_next(
+    remote: Any, script: Script, server: ScriptedServer
 ) -> None:
     asked: list[m.GetStats] = []
     script.answers[m.GetStats] = asked.append
@@ -204,19 +206,19 @@ def test_a_daemon_that_is_silent_is_a_timeout_and_may_answer_the_next(
 
     until(ask)  # once more where it was given up before it was even sent
     del script.answers[m.GetStats]
-    daemon.say(stats(asked[0]))  # late: nobody waits for it
+    server.say(stats(asked[0]))  # late: nobody waits for it
     assert remote.stats().display == "left"
 
 
 def test_an_answer_of_a_later_version_fails_only_its_request(
-    remote: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, server: ScriptedServer
 ) -> None:
     def later(said: m.GetStats) -> None:
         event = {"type": "event", "display": "left", "kind": "on fire", "detail": ""}
-        daemon.last.send(msgspec.msgpack.encode({"type": "prophecy"}))
-        daemon.last.send(msgspec.msgpack.encode(event))
+        server.last.send(msgspec.msgpack.encode({"type": "prophecy"}))
+        server.last.send(msgspec.msgpack.encode(event))
         failure = {"type": "failure", "id": said.id, "code": "too_early", "message": "wait"}
-        daemon.last.send(msgspec.msgpack.encode(failure))
+        server.last.send(msgspec.msgpack.encode(failure))
 
     script.answers[m.GetStats] = later
     with pytest.raises(RequestError, match="wait") as caught:

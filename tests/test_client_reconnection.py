@@ -1,11 +1,11 @@
-"""Tests of the SDK without its daemon: requests are restored, and nothing is armed unasked."""
+"""Tests of the SDK without its server: requests are restored, and nothing is armed unasked."""
 
 import contextlib
 import threading
 from typing import Any
 
 import pytest
-from client_rig import PATIENCE, Daemon, Script, Twin, fill, plain, telemetry, until
+from client_rig import PATIENCE, Script, ScriptedServer, Twin, fill, plain, telemetry, until
 
 from tactile import client
 from tactile import messages as m
@@ -14,19 +14,19 @@ from tactile.client.session import ClockOffset
 from tactile.errors import ClientError, DisconnectedError
 
 
-def connected_again(daemon: Daemon, hellos: int = 2) -> list[Any]:
+def connected_again(server: ScriptedServer, hellos: int = 2) -> list[Any]:
     """Wait for another hello, and return the messages from then on."""
-    until(lambda: len(daemon.of(m.ClientHello)) >= hellos)
-    last = max(i for i, said in enumerate(daemon.heard) if isinstance(said, m.ClientHello))
-    return daemon.heard[last:]
+    until(lambda: len(server.of(m.ClientHello)) >= hellos)
+    last = max(i for i, said in enumerate(server.heard) if isinstance(said, m.ClientHello))
+    return server.heard[last:]
 
 
 @pytest.mark.parametrize("rearm", [False, True])
 def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
-    twin: Twin, daemon: Daemon, rearm: bool
+    twin: Twin, server: ScriptedServer, rearm: bool
 ) -> None:
     events: list[client.Event] = []
-    with twin.connect(daemon.url, timeout=PATIENCE, rearm=rearm) as display:
+    with twin.connect(server.url, timeout=PATIENCE, rearm=rearm) as display:
         display.on_event(events.append)
         display.select([("wood-oak", 0.5)])
         display.gain(0.25)
@@ -35,14 +35,14 @@ def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
         stream = iter(display.telemetry(rate=50))
         reader = threading.Thread(target=lambda: contextlib.suppress(ClientError) and next(stream))
         reader.start()
-        until(lambda: daemon.of(m.Subscribe))
-        daemon.drop()
-        connected_again(daemon)
+        until(lambda: server.of(m.Subscribe))
+        server.drop()
+        connected_again(server)
         until(lambda: [event.kind for event in events] == ["disconnected", "connected"])
-        daemon.say(telemetry(1))
+        server.say(telemetry(1))
         reader.join()
         display.stats()
-        said = [plain(each) for each in connected_again(daemon)[1:]]
+        said = [plain(each) for each in connected_again(server)[1:]]
         assert display.connection.counters["reconnections"] == 1
     restored = [
         m.Subscribe(display="left", rate_hz=50.0),
@@ -56,41 +56,43 @@ def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
     ]  # fmt: skip
 
 
-def test_what_was_taken_back_is_not_restored(twin: Twin, daemon: Daemon) -> None:
+def test_what_was_taken_back_is_not_restored(twin: Twin, server: ScriptedServer) -> None:
     """The program resumed after a stop, and somebody else disarmed."""
     events: list[client.Event] = []
-    with twin.connect(daemon.url, timeout=PATIENCE, rearm=True) as display:
+    with twin.connect(server.url, timeout=PATIENCE, rearm=True) as display:
         display.on_event(events.append)
         display.arm()
         display.stop()
         display.resume()
-        daemon.say(m.EventMessage(display="left", kind="disarmed", detail="by hand"))
+        server.say(m.EventMessage(display="left", kind="disarmed", detail="by hand"))
         until(lambda: events)
-        daemon.drop()
+        server.drop()
         until(lambda: events[-1].kind == "connected")
         display.stats()
-        kinds = [type(said) for said in connected_again(daemon)]
+        kinds = [type(said) for said in connected_again(server)]
     assert kinds[:2] == [m.ClientHello, m.GetStats]
 
 
-def test_what_cannot_be_restored_is_an_event(twin: Twin, script: Script, daemon: Daemon) -> None:
+def test_what_cannot_be_restored_is_an_event(
+    twin: Twin, script: Script, server: ScriptedServer
+) -> None:
     events: list[client.Event] = []
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         display.on_event(events.append)
         display.select("wood-oak")
         script.answers[m.Select] = lambda said: m.Failure(
             id=said.id, code="unknown_texture", message="no 'wood-oak'"
         )
-        daemon.drop()
+        server.drop()
         until(lambda: "refused" in [event.kind for event in events])
     assert "unknown_texture: no 'wood-oak'" in [event.detail for event in events]
 
 
-def test_without_a_daemon_touch_is_counted_and_requests_fail_at_once(
-    twin: Twin, daemon: Daemon
+def test_without_a_server_touch_is_counted_and_requests_fail_at_once(
+    twin: Twin, server: ScriptedServer
 ) -> None:
-    with twin.connect(daemon.url, timeout=PATIENCE, reconnect=False) as display:
-        daemon.drop()
+    with twin.connect(server.url, timeout=PATIENCE, reconnect=False) as display:
+        server.drop()
         until(lambda: not display.connected)
         display.touch((0.0, 0.0))
         display.lift()
@@ -99,53 +101,53 @@ def test_without_a_daemon_touch_is_counted_and_requests_fail_at_once(
             with pytest.raises(DisconnectedError):
                 call()
         until(lambda: display.connection._transport._closed.done())
-    assert len(daemon.of(m.ClientHello)) == 1, "and it was not connected again"
+    assert len(server.of(m.ClientHello)) == 1, "and it was not connected again"
 
 
 def test_a_request_that_waits_fails_when_the_connection_does(
-    remote: Any, script: Script, daemon: Daemon
+    remote: Any, script: Script, server: ScriptedServer
 ) -> None:
     def gone(said: m.GetStats) -> None:
-        daemon.drop()
+        server.drop()
 
     script.answers[m.GetStats] = gone
     with pytest.raises(DisconnectedError):
         remote.stats()
 
 
-def test_a_daemon_that_answers_no_ping_is_given_up(
-    twin: Twin, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+def test_a_server_that_answers_no_ping_is_given_up(
+    twin: Twin, script: Script, server: ScriptedServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(websocket, "PING_INTERVAL", 0.01)
     monkeypatch.setattr(websocket, "SILENCE", 0.2)
     script.answers[m.Ping] = lambda said: None
-    with twin.connect(daemon.url, timeout=PATIENCE):
-        connected_again(daemon, 3)
+    with twin.connect(server.url, timeout=PATIENCE):
+        connected_again(server, 3)
 
 
 @pytest.mark.ci
-def test_a_daemon_that_does_not_read_is_given_up_and_found_again(
-    twin: Twin, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+def test_a_server_that_does_not_read_is_given_up_and_found_again(
+    twin: Twin, server: ScriptedServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A long timeout for answers does not prolong the wait for the farewell of a silent daemon."""
+    """A long timeout for answers does not prolong the wait for the farewell of a silent server."""
     events: list[str] = []
-    with twin.connect(daemon.url, timeout=10 * PATIENCE) as display:
+    with twin.connect(server.url, timeout=10 * PATIENCE) as display:
         display.on_event(lambda event: events.append(event.kind))
         monkeypatch.setattr(websocket, "SILENCE", 1.0)
-        fill(daemon, display)
+        fill(server, display)
         until(lambda: events[-1:] == ["disconnected"])
         monkeypatch.setattr(websocket, "SILENCE", PATIENCE)
-        daemon.reading.set()
+        server.reading.set()
         until(lambda: events[-1] == "connected")
         display.stats(timeout=PATIENCE)
 
 
 def test_pings_measure_the_clocks(
-    twin: Twin, script: Script, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+    twin: Twin, script: Script, server: ScriptedServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(websocket, "PING_INTERVAL", 0.01)
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
-        until(lambda: daemon.pings > 3)
+    with twin.connect(server.url, timeout=PATIENCE) as display:
+        until(lambda: server.pings > 3)
         script.answers[m.Ping] = lambda said: None
         display.stats()  # all answers to pings have come
         connection = display.connection

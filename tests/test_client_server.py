@@ -1,4 +1,4 @@
-"""The SDK against the daemon's own server, and how little of Python it needs."""
+"""The SDK against the real server, and how little of Python it needs."""
 
 import asyncio
 import subprocess
@@ -11,26 +11,36 @@ from typing import Any
 
 import msgspec
 import pytest
-from client_rig import MESSAGES, PATIENCE, Daemon, Twin, count, plain, samples_of, telemetry, until
-from daemon_rig import Hands
+from client_rig import (
+    MESSAGES,
+    PATIENCE,
+    ScriptedServer,
+    Twin,
+    count,
+    plain,
+    samples_of,
+    telemetry,
+    until,
+)
+from server_rig import Hands
 
 from tactile import client
 from tactile import messages as m
 from tactile.client.connection import Encoding
 from tactile.client.wire import Telemetry, from_message
 from tactile.errors import DisconnectedError, NotFoundError, RequestError
-from tactile.server.config import DaemonConfig, ServerConfig
+from tactile.server.config import Configuration, ServerConfig
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
 
 
 class RealServer:
-    """The daemon's own server, with a host in memory, in a thread."""
+    """The real server, with a host in memory, in a thread."""
 
     def __init__(self, **options: Any) -> None:
         self.hands = Hands()
-        self.config = DaemonConfig(server=ServerConfig(port=0, socket="", **options))
+        self.config = Configuration(server=ServerConfig(port=0, socket="", **options))
         self._loop = asyncio.new_event_loop()
         self._ready: Future[str] = Future()
         self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._run(),))
@@ -109,14 +119,14 @@ def test_telemetry_of_the_wire_in_si() -> None:
     assert from_message(Telemetry, telemetry(7_000_000)).time == pytest.approx(7.0)
 
 
-def test_a_session_of_the_sdk_never_needs_numpy(daemon: Daemon) -> None:
+def test_a_session_of_the_sdk_never_needs_numpy(server: ScriptedServer) -> None:
     code = (
         "import sys\nfrom tactile import client\nfrom tactile.client import websocket\n"
         f"websocket.SILENCE = {PATIENCE}\n"
-        f"with client.connect({daemon.url!r}, timeout={PATIENCE}) as display:\n"
+        f"with client.connect({server.url!r}, timeout={PATIENCE}) as display:\n"
         "    display.play([0.0] * 5000, sample_rate=8000, amplitude=1e-6)\n"
         "    display.touch((0.0, 0.0))\n"
         "assert 'numpy' not in sys.modules and 'scipy' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=10 * PATIENCE)
-    assert sum(count(said) for said in daemon.of(m.Append)) == 5000
+    assert sum(count(said) for said in server.of(m.Append)) == 5000

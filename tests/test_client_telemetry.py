@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from client_rig import PATIENCE, Daemon, Script, Twin, server_time_us, telemetry, until
+from client_rig import PATIENCE, Script, ScriptedServer, Twin, server_time_us, telemetry, until
 
 from tactile import client
 from tactile import messages as m
@@ -16,24 +16,24 @@ from tactile.client import websocket
 from tactile.errors import ClientTimeoutError
 
 
-def then_one(daemon: "Daemon") -> Callable[[m.Subscribe], m.Answer]:
+def then_one(server: "ScriptedServer") -> Callable[[m.Subscribe], m.Answer]:
     """Return what answers a subscription, and gives the first telemetry at once."""
 
     def answer(said: m.Subscribe) -> m.Answer:
-        daemon.say(m.Done(id=said.id))
+        server.say(m.Done(id=said.id))
         return telemetry(0)
 
     return answer
 
 
-def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, daemon: Daemon) -> None:
-    daemon.script.answers[m.Subscribe] = lambda said: m.Done(id=said.id)
+def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, server: ScriptedServer) -> None:
+    server.script.answers[m.Subscribe] = lambda said: m.Done(id=said.id)
     stream = remote.telemetry(rate=20)
     numbers = iter(stream)
 
     def say_when_asked() -> None:
-        until(lambda: daemon.of(m.Subscribe))
-        daemon.say(telemetry(server_time_us()))
+        until(lambda: server.of(m.Subscribe))
+        server.say(telemetry(server_time_us()))
 
     until_asked = threading.Thread(target=say_when_asked)
     until_asked.start()
@@ -46,49 +46,49 @@ def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, daemon: Daemon) -> 
     assert list(told.shear) == pytest.approx([3e-6, -3e-6])
     assert (told.drive, told.normal_force) == ((50.0, -50.0), 0.5)
     stream.close()
-    asked = until(lambda: len(daemon.of(m.Subscribe)) == 2 and daemon.of(m.Subscribe))
+    asked = until(lambda: len(server.of(m.Subscribe)) == 2 and server.of(m.Subscribe))
     assert [said.rate_hz for said in asked] == [20.0, 0.0]
 
 
 def test_telemetry_that_nobody_reads_is_dropped_and_then_ended(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+    server: ScriptedServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(websocket, "PING_INTERVAL", 10 * PATIENCE)  # none measures the clocks anew
-    with client.connect(daemon.url, timeout=PATIENCE) as display:
+    with client.connect(server.url, timeout=PATIENCE) as display:
         stream = display.telemetry(rate=20)
-        daemon.script.answers[m.Subscribe] = then_one(daemon)
+        server.script.answers[m.Subscribe] = then_one(server)
         next(stream)
         for number in range(1, 101):
-            daemon.say(telemetry(number * 1_000_000))
+            server.say(telemetry(number * 1_000_000))
         display.stats()  # all of it has come
         assert display.connection.counters["dropped_telemetry"] == 36
         offset = display.connection.clock_offset
         assert next(stream).time == pytest.approx(37 - offset), "the newest 64"
         del stream
-        daemon.script.answers.clear()
-        daemon.say(telemetry(0))
-        daemon.say(telemetry(0))
-        until(lambda: [said.rate_hz for said in daemon.of(m.Subscribe)] == [20.0, 0.0])
+        server.script.answers.clear()
+        server.say(telemetry(0))
+        server.say(telemetry(0))
+        until(lambda: [said.rate_hz for said in server.of(m.Subscribe)] == [20.0, 0.0])
 
 
-def test_two_readers_get_the_higher_rate_until_one_leaves(daemon: Daemon) -> None:
-    daemon.script.answers[m.Subscribe] = then_one(daemon)
-    with client.connect(daemon.url, timeout=PATIENCE) as display:
+def test_two_readers_get_the_higher_rate_until_one_leaves(server: ScriptedServer) -> None:
+    server.script.answers[m.Subscribe] = then_one(server)
+    with client.connect(server.url, timeout=PATIENCE) as display:
         slow, fast = display.telemetry(rate=10), display.telemetry(rate=60)
         for stream in (slow, fast):
             assert next(stream).display == "left"
         fast.close()
-        until(lambda: [said.rate_hz for said in daemon.of(m.Subscribe)] == [10.0, 60.0, 10.0])
+        until(lambda: [said.rate_hz for said in server.of(m.Subscribe)] == [10.0, 60.0, 10.0])
         assert next(slow).display == "left"
 
 
 def test_telemetry_that_does_not_come_is_a_timeout_and_may_be_waited_for_again(
-    twin: Twin, daemon: Daemon
+    twin: Twin, server: ScriptedServer
 ) -> None:
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         stream = display.telemetry(rate=100)
         inner = getattr(stream, "_inner", stream)
-        daemon.script.answers[m.Subscribe] = then_one(daemon)
+        server.script.answers[m.Subscribe] = then_one(server)
 
         def read() -> Any:
             return twin.run(inner.__anext__()) if twin.name == "asyncio" else next(inner)
@@ -97,14 +97,14 @@ def test_telemetry_that_does_not_come_is_a_timeout_and_may_be_waited_for_again(
         inner._timeout = 0.05
         with pytest.raises(ClientTimeoutError, match="telemetry: no answer in"):
             read()
-        daemon.say(telemetry(1))
+        server.say(telemetry(1))
         inner._timeout = PATIENCE
         assert read().display == "left"
 
 
-def test_telemetry_ends_with_the_connection(twin: Twin, daemon: Daemon) -> None:
-    display = twin.connect(daemon.url, timeout=PATIENCE)
-    daemon.script.answers[m.Subscribe] = then_one(daemon)
+def test_telemetry_ends_with_the_connection(twin: Twin, server: ScriptedServer) -> None:
+    display = twin.connect(server.url, timeout=PATIENCE)
+    server.script.answers[m.Subscribe] = then_one(server)
     got = []
     for told in display.telemetry(rate=50):
         got.append(told)
@@ -113,7 +113,7 @@ def test_telemetry_ends_with_the_connection(twin: Twin, daemon: Daemon) -> None:
 
 
 def test_a_callback_may_ask_and_may_fail(
-    remote: Any, daemon: Daemon, twin: Twin, caplog: pytest.LogCaptureFixture
+    remote: Any, server: ScriptedServer, twin: Twin, caplog: pytest.LogCaptureFixture
 ) -> None:
     seen: list[str] = []
 
@@ -129,29 +129,29 @@ def test_a_callback_may_ask_and_may_fail(
     remote.on_event(fail)
     remote.on_event(aanswer if twin.name == "asyncio" else answer)
     for _ in range(2):
-        daemon.say(m.EventMessage(display="left", kind="fault", detail="channel 3 open"))
+        server.say(m.EventMessage(display="left", kind="fault", detail="channel 3 open"))
     until(lambda: seen == ["armed", "armed"])
     assert "a mistake of the program" in caplog.text
 
 
 def test_events_go_to_the_display_that_they_are_of(
-    twin: Twin, script: Script, daemon: Daemon
+    twin: Twin, script: Script, server: ScriptedServer
 ) -> None:
     script.displays = ("left", "right")
     left: list[client.Event] = []
     both: list[client.Event] = []
-    with twin.open_connection(daemon.url, timeout=PATIENCE) as connection:
+    with twin.open_connection(server.url, timeout=PATIENCE) as connection:
         connection.display("left").on_event(left.append)
         connection.on_event(both.append)
         for name in script.displays:
-            daemon.say(m.EventMessage(display=name, kind="underrun", detail="4 blocks"))
+            server.say(m.EventMessage(display=name, kind="underrun", detail="4 blocks"))
         until(lambda: len(both) == 2)
     assert left == [client.Event("underrun", "left", "4 blocks")]
 
 
 @pytest.mark.parametrize("callbacks", [1, 2])
 def test_events_that_a_slow_callback_does_not_take_are_dropped(
-    twin: Twin, daemon: Daemon, callbacks: int
+    twin: Twin, server: ScriptedServer, callbacks: int
 ) -> None:
     """All callbacks wait until the end, so that the first 256 events are those that are kept."""
     go_on: Future[None] = Future()
@@ -159,14 +159,14 @@ def test_events_that_a_slow_callback_does_not_take_are_dropped(
     async def wait(event: client.Event) -> None:
         await asyncio.shield(asyncio.wrap_future(go_on))
 
-    with twin.connect(daemon.url, timeout=PATIENCE) as display:
+    with twin.connect(server.url, timeout=PATIENCE) as display:
         for _ in range(callbacks):  # each is another function, so that none is added twice
             if twin.name == "asyncio":
                 display.on_event(lambda event: wait(event))
             else:
                 display.on_event(lambda event: go_on.result(PATIENCE))
         for _ in range(400):
-            daemon.say(m.EventMessage(display="left", kind="underrun"))
+            server.say(m.EventMessage(display="left", kind="underrun"))
         display.stats()  # all of them have come
         assert display.connection.counters["dropped_events"] == 400 - 256
         go_on.set_result(None)

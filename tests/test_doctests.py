@@ -1,6 +1,6 @@
 """Examples in docstrings give what they show, and the most used names have one.
 
-Examples that would open a display, or need a daemon, are marked ``# doctest: +SKIP``.
+Examples that would open a display, or need a server, are marked ``# doctest: +SKIP``.
 """
 
 import doctest

@@ -1,4 +1,4 @@
-"""The e-stop of a device that a program drives without a daemon."""
+"""The e-stop of a device that a program drives without a server."""
 
 import logging
 import os

@@ -2,8 +2,8 @@
 
 Programs connect, arm, play, e-stop, clear, fall silent and leave, several commands at once; the
 e-stop process and the amplifier trip the latch, also in the middle of a block; playback hangs or is
-killed, the server stands still, is killed or ended, and started again. The daemon is the real one,
-on a virtual clock (`virtual_daemon`); what is right is told by plain counting of what was answered.
+killed, the server stands still, is killed or ended, and started again. The server is the real one,
+on a virtual clock (`virtual_server`); what is right is told by plain counting of what was answered.
 
 ``TACTILE_LONG=1 pytest tests/test_estop_model.py -m ci`` takes 10⁵ steps.
 """
@@ -26,13 +26,13 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 from repeating import LONG
-from virtual_daemon import PlaybackProcess, small_display
+from virtual_server import PlaybackProcess, small_display
 
 from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.errors import BusError
-from tactile.server.config import DaemonConfig, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig
 
 T = TypeVar("T")
 NAMES = st.sampled_from(list(DEVICES))
@@ -51,13 +51,13 @@ KINDS = st.sampled_from(
 
 
 class Model(Judged):
-    """Events that may happen to a daemon."""
+    """Events that may happen to a server."""
 
     # The beginning
 
-    def config(self, *, arm_on_start: bool, rearm: bool) -> DaemonConfig:
+    def config(self, *, arm_on_start: bool, rearm: bool) -> Configuration:
         display = small_display(self.folder)
-        return DaemonConfig(
+        return Configuration(
             display=tuple(
                 DisplayConfig(
                     name=name, display=display, device=device, sample_rate_hz=RATE, worn=True,
@@ -352,7 +352,7 @@ async def _all(tasks: Sequence[Awaitable[T]]) -> list[T]:
 
 
 def run(examples: int, steps: int) -> None:
-    """Take so many steps in so many lives of a daemon."""
+    """Take so many steps in so many lives of a server."""
     begun = time.perf_counter()
     before = Tally(tally.steps, tally.seconds)
     run_state_machine_as_test(

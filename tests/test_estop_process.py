@@ -99,7 +99,7 @@ class WaitsForDeaf(ModelClock):
         return [], [], []
 
 
-def test_one_daemon_that_hangs_holds_up_no_other(
+def test_one_server_that_hangs_holds_up_no_other(
     served: Path, latches: dict[str, Latch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The answer tells of both: the one that was stopped, and the one that did not answer."""
@@ -171,7 +171,7 @@ def test_others_may_write_to_the_socket(served: Path) -> None:
 
 
 def test_others_may_enter_the_folder_of_the_socket_but_not_change_it() -> None:
-    """The daemon makes the folder, whatever its umask takes away from files that it creates."""
+    """The server makes the folder, whatever its umask takes away from files that it creates."""
     assert not runtime_folder().exists()
     usual = os.umask(0)
     try:
@@ -281,7 +281,7 @@ def test_rubbish_and_datagrams_that_are_too_long_hold_up_nobody(served: Path) ->
     assert answer.estops == {"right": 1, "left": 1}
 
 
-def test_a_daemon_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[str, Latch]) -> None:
+def test_a_server_that_is_gone_is_told_apart_from_one_that_stops(latches: dict[str, Latch]) -> None:
     link, address = bind("test")
     link.close()
     (answer,) = request_estop(within=PATIENCE)
@@ -297,5 +297,5 @@ def test_what_a_process_that_was_killed_has_left_hinders_no_other() -> None:
     assert addresses[0] == addresses[1]
 
 
-def test_where_no_daemon_runs_there_is_no_answer() -> None:
+def test_where_no_server_runs_there_is_no_answer() -> None:
     assert request_estop() == []

@@ -1,4 +1,4 @@
-"""Every example runs as a user runs it, against a daemon with a simulated display."""
+"""Every example runs as a user runs it, against a server with a simulated display."""
 
 import subprocess
 import sys
@@ -17,10 +17,10 @@ SECONDS = "1.5"
 
 @pytest.fixture(scope="module")
 def addresses(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    """Yield those of a daemon of two hands, WebSocket and OSC."""
+    """Yield those of a server of two hands, WebSocket and OSC."""
     import socket
 
-    folder = tmp_path_factory.mktemp("daemon")
+    folder = tmp_path_factory.mktemp("server")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -107,7 +107,7 @@ def test_every_example_is_run_here() -> None:
 
 
 @pytest.mark.realtime
-def test_a_display_without_a_daemon_has_the_same_interface() -> None:
+def test_a_display_without_a_server_has_the_same_interface() -> None:
     with open_display("reference-24", device="sim:", timeout=60.0) as display:
         display.select("wood-oak")
         display.arm()

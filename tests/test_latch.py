@@ -27,7 +27,7 @@ SIZE = 8 * 8 + 3 * 256
 """Bytes of a file: eight words, and a time and a note for each of three writers. One of another
 size is damaged, and so an e-stop: a file of an earlier version would be one."""
 LOCK_WITHIN = 3.0
-"""Time in which what is left of a killed daemon has to release its file [s]."""
+"""Time in which what is left of a killed server has to release its file [s]."""
 
 
 def opened(folder: Path, device: str = DEVICE) -> AbstractContextManager[Latch]:
@@ -147,7 +147,7 @@ def test_all_blocks_are_there_from_the_beginning(latch: Latch, tmp_path: Path) -
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_second_daemon_does_not_get_it(
+def test_a_second_server_does_not_get_it(
     latch: Latch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "LOCK_WITHIN", 0.0)
@@ -156,7 +156,7 @@ def test_a_second_daemon_does_not_get_it(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
-def test_who_closes_it_lets_the_next_daemon_in_though_a_child_still_has_the_file(
+def test_who_closes_it_lets_the_next_server_in_though_a_child_still_has_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "LOCK_WITHIN", -1.0)
@@ -269,28 +269,28 @@ def test_the_e_stop_of_another_device_stays_there(tmp_path: Path, other: str) ->
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
-@pytest.mark.parametrize("daemons", [1, 2])
+@pytest.mark.parametrize("servers", [1, 2])
 def test_displays_on_one_bus_keep_their_own_e_stops(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemons: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, servers: int
 ) -> None:
-    """The displays are those of one daemon, which does not wait for itself, and those of two."""
+    """The displays are those of one server, which does not wait for itself, and those of two."""
 
     class Impatient(ModelClock):
         def sleep(self, seconds: float) -> None:
             pytest.fail("waits for a lock")
 
-    if daemons == 2:
+    if servers == 2:
         monkeypatch.setattr(module, "LOCK_WITHIN", -1.0)
     with opened(tmp_path, EDITED) as other, opened(tmp_path) as latch:
         other.trip("by a person")
-        used = [DEVICE, EDITED][: 3 - daemons]
+        used = [DEVICE, EDITED][: 3 - servers]
         inherit_estops({DEVICE: latch}, used, tmp_path, clock=Impatient())
         assert (other.holds, latch.holds) == (1, 0)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs locks of files")
-def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) -> None:
-    """The rest of a daemon that was killed has the lock for almost as long as is waited."""
+def test_an_e_stop_is_taken_over_from_a_server_that_dies_slowly(tmp_path: Path) -> None:
+    """The rest of a server that was killed has the lock for almost as long as is waited."""
     dying = Latch.open(DEVICE, tmp_path)
     dying.trip("by a person")
 
@@ -306,7 +306,7 @@ def test_an_e_stop_is_taken_over_from_a_daemon_that_dies_slowly(tmp_path: Path) 
 
 
 def test_a_file_that_cannot_be_read_is_an_e_stop(tmp_path: Path) -> None:
-    """A file that no daemon made is no e-stop."""
+    """A file that no server made is no e-stop."""
     for name in ("mock%3A%2F%2F[", "serial%3A%2F%2F%2F%00"):
         (tmp_path / f"{name}.estop").touch()
     with opened(tmp_path, EDITED) as latch:

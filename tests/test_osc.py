@@ -13,12 +13,12 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
-from daemon_rig import PATIENCE, Hands, daemon, figure, free_port, until
 from osc_faults import bundle, mutated, packet
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder, build_msg
 from pythonosc.osc_packet import OscPacket
 from repeating import often
+from server_rig import PATIENCE, Hands, figure, free_port, serving, until
 
 from tactile.errors import InputError
 from tactile.messages import (
@@ -49,7 +49,7 @@ async def sending(**options: Any) -> AsyncIterator[tuple[Server, Hands, socket.s
     port = free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", port))
-        async with daemon(osc=port, **options) as (there, hands):
+        async with serving(osc=port, **options) as (there, hands):
             yield there, hands, link
 
 
@@ -297,7 +297,7 @@ async def test_it_listens_on_loopback_only_and_a_port_that_is_taken_is_one_line(
         assert link.getpeername()[0] == "127.0.0.1"
         port = link.getpeername()[1]
         with pytest.raises(InputError, match=rf"osc\.port = {port}: .*; 0 is off"):
-            async with daemon(osc=port):
+            async with serving(osc=port):
                 pass
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as elsewhere:
             elsewhere.bind(("127.0.0.2", port))  # free: not all addresses were taken

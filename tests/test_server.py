@@ -7,16 +7,16 @@ from typing import Any
 
 import jsonschema  # type: ignore[import-untyped]
 import pytest
-from daemon_rig import (
+from server_rig import (
     BAD,
     CONTACT,
     GOOD,
     LARGE,
     SELECT,
     connect,
-    daemon,
     each_encoding,
     get,
+    serving,
     talking,
     until,
 )
@@ -43,7 +43,7 @@ for answers."""
 
 @each_encoding
 async def test_each_request_is_answered_with_its_id(protocol: str) -> None:
-    async with daemon() as (there, _), talking(there, protocol) as talker:
+    async with serving() as (there, _), talking(there, protocol) as talker:
         for number, (message, answer) in enumerate(GOOD.values()):
             found = await talker.ask(**message, id=number)
             assert (found["type"], found["id"]) == (answer, number)
@@ -51,7 +51,7 @@ async def test_each_request_is_answered_with_its_id(protocol: str) -> None:
 
 @each_encoding
 async def test_ids_come_back_in_the_order_of_the_requests_whatever_they_are(protocol: str) -> None:
-    async with daemon() as (there, _), talking(there, protocol) as talker:
+    async with serving() as (there, _), talking(there, protocol) as talker:
         ids = [9, 3, 9, 2**53, 0]
         for number in ids:
             await talker.send(type="get_stats", display="right", id=number)
@@ -62,7 +62,7 @@ async def test_ids_come_back_in_the_order_of_the_requests_whatever_they_are(prot
 
 @each_encoding
 async def test_a_contact_reaches_the_host_and_is_not_answered(protocol: str) -> None:
-    async with daemon() as (there, hands), talking(there, protocol) as talker:
+    async with serving() as (there, hands), talking(there, protocol) as talker:
         await talker.send(**CONTACT, unknown_field=1)
         assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
         (contact,) = hands.clients[0].contacts
@@ -71,7 +71,7 @@ async def test_a_contact_reaches_the_host_and_is_not_answered(protocol: str) -> 
 
 
 async def test_events_and_telemetry_come_between_answers() -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         await talker.send(type="subscribe", display="left", rate_hz=10)
         found = [(await talker.receive())["type"] for _ in range(2)]
         assert sorted(found) == ["done", "telemetry"]
@@ -80,7 +80,7 @@ async def test_events_and_telemetry_come_between_answers() -> None:
 
 
 async def test_what_is_served_as_schema_fits_what_is_said_and_nothing_else() -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         shape = (await get(there, "/v1/schema")).json()
         jsonschema.Draft202012Validator.check_schema(shape)
         sides = {
@@ -118,7 +118,7 @@ async def test_what_is_served_as_schema_fits_what_is_said_and_nothing_else() -> 
 async def test_who_does_not_say_hello_first_is_told_and_sent_away(
     protocol: str, first: dict[str, Any], code: str, field: str, closed: int
 ) -> None:
-    async with daemon() as (there, hands), talking(there, protocol, hello=False) as talker:
+    async with serving() as (there, hands), talking(there, protocol, hello=False) as talker:
         found = await talker.ask(**first)
         assert (found["code"], found["field"], found.get("id")) == (
             code,
@@ -131,7 +131,7 @@ async def test_who_does_not_say_hello_first_is_told_and_sent_away(
 
 async def test_who_says_nothing_is_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "HELLO_WITHIN", 0.05)
-    async with daemon() as (there, _), talking(there, hello=False) as talker:
+    async with serving() as (there, _), talking(there, hello=False) as talker:
         assert (await talker.receive())["code"] == "hello_first"
         assert (await talker.closed())[0] == 4408
 
@@ -140,7 +140,7 @@ async def test_who_says_nothing_is_sent_away(monkeypatch: pytest.MonkeyPatch) ->
 async def test_without_a_subprotocol_that_we_speak_there_is_no_connection(
     offered: list[str] | None,
 ) -> None:
-    async with daemon() as (there, _):
+    async with serving() as (there, _):
         offers = None if offered is None else [Subprotocol(one) for one in offered]
         async with connect(there.url, subprotocols=offers) as link:
             await link.wait_closed()
@@ -151,13 +151,13 @@ async def test_without_a_subprotocol_that_we_speak_there_is_no_connection(
 async def test_the_first_subprotocol_that_we_speak_is_taken() -> None:
     names = "tactile.v9.json", "tactile.v1.msgpack", "tactile.v1.json"
     offers = [Subprotocol(name) for name in names]
-    async with daemon() as (there, _), connect(there.url, subprotocols=offers) as link:
+    async with serving() as (there, _), connect(there.url, subprotocols=offers) as link:
         assert link.subprotocol == "tactile.v1.msgpack"
 
 
 async def test_welcome_says_what_there_is() -> None:
     async with (
-        daemon(messages_per_second=500) as (there, hands),
+        serving(messages_per_second=500) as (there, hands),
         talking(there, hello=False) as talker,
     ):
         welcome = await talker.ask(type="hello", client="µ", id=7, later_field=1)
@@ -172,7 +172,7 @@ async def test_welcome_says_what_there_is() -> None:
 
 
 async def test_a_slow_request_holds_up_neither_contacts_nor_pings_nor_an_estop() -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         hands.gate.clear()
         await talker.send(**SELECT, id=1)
         await talker.send(type="get_stats", display="right", id=2)
@@ -187,7 +187,7 @@ async def test_a_slow_request_holds_up_neither_contacts_nor_pings_nor_an_estop()
 
 
 async def test_more_requests_than_may_wait_are_refused_as_busy_and_an_estop_is_not() -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         hands.gate.clear()
         for number in range(MOST_REQUESTS + 1):
             await talker.send(**SELECT, id=number)
@@ -201,7 +201,7 @@ async def test_more_requests_than_may_wait_are_refused_as_busy_and_an_estop_is_n
 
 async def test_what_makes_safe_is_carried_out_though_its_client_is_gone() -> None:
     """An e-stop, and a disarm behind a slow request; neither that nor an arm behind them is."""
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         async with talking(there) as talker:
             hands.gate.clear()
             await talker.send(**SELECT)
@@ -215,7 +215,7 @@ async def test_what_makes_safe_is_carried_out_though_its_client_is_gone() -> Non
 
 
 async def test_a_client_that_is_gone_is_closed_once_and_its_slow_request_with_it() -> None:
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         async with talking(there) as talker:
             hands.gate.clear()
             await talker.send(**SELECT)

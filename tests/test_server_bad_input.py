@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from daemon_rig import BAD, CONTACT, SELECT, daemon, each_encoding, figure, talking
+from server_rig import BAD, CONTACT, SELECT, each_encoding, figure, serving, talking
 from websockets.exceptions import ConnectionClosedError
 
 from tactile.clock import ModelClock
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("patient")
 async def test_what_is_wrong_is_told_with_code_field_and_id_and_the_stream_goes_on(
     protocol: str,
 ) -> None:
-    async with daemon() as (there, hands), talking(there, protocol) as talker:
+    async with serving() as (there, hands), talking(there, protocol) as talker:
         for bad in BAD:
             data: Any = json.dumps(bad.content)
             if protocol == MSGPACK_PROTOCOL:
@@ -46,7 +46,7 @@ async def test_what_is_wrong_is_told_with_code_field_and_id_and_the_stream_goes_
 @pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity", "1e999"])
 async def test_json_that_is_no_number_is_refused(value: str) -> None:
     text = json.dumps(CONTACT).replace("0.5", value)
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         await talker.link.send(text)
         found = await talker.receive()
         assert found["code"] == ("invalid_field" if value == "1e999" else "malformed")
@@ -58,7 +58,7 @@ async def test_json_that_is_no_number_is_refused(value: str) -> None:
 async def test_messagepack_that_is_no_number_is_refused(value: float, name: str) -> None:
     message = dict(CONTACT, **{name: value if name == "normal_force_n" else [0.0, value]})
     field = name if name == "normal_force_n" else f"{name}[1]"
-    async with daemon() as (there, hands), talking(there, MSGPACK_PROTOCOL) as talker:
+    async with serving() as (there, hands), talking(there, MSGPACK_PROTOCOL) as talker:
         found = await talker.ask(**message)
         assert (found["code"], found["field"]) == ("invalid_field", field)
         assert hands.clients[0].contacts == []
@@ -83,7 +83,7 @@ MALFORMED: dict[str, tuple[str, str | bytes]] = {
 @pytest.mark.parametrize("name", MALFORMED)
 async def test_what_is_no_message_is_malformed(name: str) -> None:
     protocol, data = MALFORMED[name]
-    async with daemon() as (there, _), talking(there, protocol) as talker:
+    async with serving() as (there, _), talking(there, protocol) as talker:
         await talker.link.send(data)
         assert (await talker.receive())["code"] == "malformed"
         assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
@@ -95,7 +95,7 @@ async def test_the_largest_message_is_taken_and_one_byte_more_is_too_large(lette
     room = LARGEST_MESSAGE - len(head) - len(tail)
     count = room // len(letter.encode())
     pad = "y" * (room - count * len(letter.encode()))
-    async with daemon() as (there, _), talking(there) as talker:
+    async with serving() as (there, _), talking(there) as talker:
         await talker.link.send(head + letter * count + pad + tail)
         assert (await talker.receive())["type"] == "pong"
         await talker.link.send(head + letter * count + pad + "y" + tail)
@@ -104,7 +104,7 @@ async def test_the_largest_message_is_taken_and_one_byte_more_is_too_large(lette
 
 
 async def test_what_is_far_too_large_is_not_even_read() -> None:
-    async with daemon() as (there, _), talking(there, MSGPACK_PROTOCOL) as talker:
+    async with serving() as (there, _), talking(there, MSGPACK_PROTOCOL) as talker:
         await talker.link.send(b"x" * (2 * LARGEST_MESSAGE + 1))
         with pytest.raises(ConnectionClosedError):
             await talker.receive()
@@ -114,7 +114,7 @@ async def test_what_is_far_too_large_is_not_even_read() -> None:
 async def test_the_hosts_failures_and_its_breaking_are_answers() -> None:
     """A code that the host gives comes back as it is; an exception is `internal`."""
     codes = ["not_armed", "estopped", "busy", "unavailable", "unknown_texture", "unsupported"]
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         for code in codes:
             hands.codes[Select] = code
             found = await talker.ask(**SELECT, id=4)
@@ -154,7 +154,7 @@ def test_an_estop_is_known_by_its_type_and_by_nothing_else(
 async def test_of_messages_that_are_too_many_only_an_estop_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         monkeypatch.setattr(TokenBucket, "take", lambda *_: False)
         for _ in range(20):
             await talker.send(**CONTACT, x="estop")
@@ -179,7 +179,7 @@ def test_similar_names_are_looked_for_so_often_and_no_more(
 
 
 async def test_nothing_but_failures_ends_the_connection_and_one_good_message_does_not() -> None:
-    async with daemon() as (there, _), talking(there) as talker:
+    async with serving() as (there, _), talking(there) as talker:
         for _ in range(100):
             await talker.ask(type="bogus")
         await talker.send(**CONTACT)

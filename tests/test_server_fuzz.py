@@ -8,26 +8,26 @@ from typing import Any
 
 import msgspec
 import pytest
-from daemon_rig import (
+from osc_faults import mutated as osc_mutated
+from repeating import often
+from server_rig import (
     BOTH,
     CONTACT,
     GOOD,
     Talker,
-    daemon,
     each_encoding,
     figure,
     free_port,
     get,
+    serving,
     talking,
     unread,
     until,
 )
-from osc_faults import mutated as osc_mutated
-from repeating import often
 
 from tactile.messages import MSGPACK_PROTOCOL, ArmDisplay
 from tactile.server import osc
-from tactile.server.config import DaemonConfig, OscConfig, ServerConfig
+from tactile.server.config import Configuration, OscConfig, ServerConfig
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -82,7 +82,7 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
         return most
 
     sent = 0
-    async with daemon(messages_per_second=100_000) as (there, hands):
+    async with serving(messages_per_second=100_000) as (there, hands):
         while sent < count:
             async with talking(there, protocol) as talker:
                 sent += await batch(talker, min(count - sent, 50))
@@ -136,7 +136,7 @@ async def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
     monkeypatch.setattr(osc, "SILENCE", 0.2)
     monkeypatch.setattr(osc.log, "disabled", True)
     port = free_port()
-    config = DaemonConfig(
+    config = Configuration(
         server=ServerConfig(port=0, socket="", messages_per_second=100_000),
         osc=OscConfig(port=port),
     )
@@ -157,7 +157,7 @@ async def test_the_real_host_takes_all_of_it_too_and_the_display_stays_disarmed(
 
 async def test_bytes_that_are_no_http_and_no_frames_break_nothing() -> None:
     rng = random.Random(1)
-    async with daemon() as (there, _), talking(there) as other:
+    async with serving() as (there, _), talking(there) as other:
         for number in range(100):
             if number % 2:
                 link = await unread(there)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from daemon_rig import GOOD, PATIENCE, SELECT, Hands, daemon, figure, talking, until
+from server_rig import GOOD, PATIENCE, SELECT, Hands, figure, serving, talking, until
 
 from tactile.messages import ArmDisplay, Command, DisarmDisplay, EStop, Select
 from tactile.server import requests
@@ -63,7 +63,7 @@ def nobody_is_left(there: Server, hands: Hands) -> bool:
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.ci)])
 async def test_hang_ups_at_random_moments_leave_no_ghosts(count: int) -> None:
     rng = random.Random(count)
-    async with daemon(most_clients=8) as (there, hands):
+    async with serving(most_clients=8) as (there, hands):
         hands.pause = Hesitation(rng)
         before = asyncio.all_tasks()
         while len(hands.clients) < count:
@@ -84,7 +84,7 @@ async def test_a_request_that_never_ends_keeps_no_place(
 ) -> None:
     """The same holds for one that cannot be cancelled, and for an e-stop that hangs."""
     monkeypatch.setattr(requests, "FINISH_WITHIN", 0.05)
-    async with daemon(most_clients=2) as (there, hands):
+    async with serving(most_clients=2) as (there, hands):
         end = asyncio.Event()
 
         async def hang() -> None:
@@ -154,7 +154,7 @@ async def test_a_part_of_a_connection_that_fails_ends_it_and_is_logged(
         raise ZeroDivisionError("on purpose")
 
     monkeypatch.setattr(ServerConnection, "_receive", fail)
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         assert (await talker.closed())[0] == 1011
         await until(lambda: nobody_is_left(there, hands))
     assert any("on purpose" in str(record.exc_info) for record in caplog.records)
@@ -166,7 +166,7 @@ async def test_a_client_that_cannot_be_closed_keeps_no_place(
     def fail(self: Any) -> None:
         raise ZeroDivisionError("on purpose")
 
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         async with talking(there) as talker:
             await talker.ask(type="ping", time_us=time.monotonic_ns() // 1000)
             monkeypatch.setattr(type(hands.clients[0]), "close", fail)

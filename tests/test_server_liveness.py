@@ -1,7 +1,7 @@
 """Tests of signs of life: counting of silence without a clock, and real connections."""
 
 import pytest
-from daemon_rig import daemon, talking, until
+from server_rig import serving, talking, until
 
 from tactile.server import listening, liveness
 from tactile.server.liveness import Due, SignsOfLife
@@ -74,7 +74,7 @@ def test_time_in_which_the_loop_stood_still_counts_as_two_ticks(stall: float) ->
 
 
 async def test_a_real_client_answers_pings_and_one_that_reads_nothing_is_given_up() -> None:
-    async with daemon() as (there, hands), talking(there) as talker:
+    async with serving() as (there, hands), talking(there) as talker:
         (one,) = there.site.places
         before = one._link.received
         hands.clients[0].sounds = hands.clients[0].holds_voltage = True
@@ -95,7 +95,7 @@ async def test_a_client_with_nothing_at_stake_is_not_pinged(
     monkeypatch.setattr(listening, "PING_EVERY", 3600.0)
     monkeypatch.setattr(liveness, "QUIET_AFTER", 3600.0)
     monkeypatch.setattr(liveness, "GIVE_UP_AFTER", 3600.0)
-    async with daemon() as (there, hands), talking(there) as calm, talking(there) as other:
+    async with serving() as (there, hands), talking(there) as calm, talking(there) as other:
         await calm.ask(type="ping", time_us=1)
         await other.ask(type="ping", time_us=1)
         calm_link, other_link = (one._link for one in there.site.places)

@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
-from daemon_rig import PATIENCE, Hands, Talker, connect, daemon, get, talking, unix_connect
+from server_rig import PATIENCE, Hands, Talker, connect, get, serving, talking, unix_connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
@@ -20,7 +20,7 @@ from tactile.errors import InputError
 from tactile.messages import JSON_PROTOCOL, Role
 from tactile.paths import API_SOCKET
 from tactile.server import connection, peers
-from tactile.server.config import DaemonConfig, ServerConfig, TokenConfig
+from tactile.server.config import Configuration, ServerConfig, TokenConfig
 from tactile.server.listening import listen_locally
 from tactile.server.peers import PeerCredentials, local_peer, roles_of_user, tcp_peer, user_in
 from tactile.server.server import running
@@ -107,7 +107,7 @@ async def test_another_user_who_comes_by_tcp_may_watch_and_stop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(peers, "tcp_peer", lambda _: PeerCredentials(os.geteuid() + 1))
-    async with daemon() as (there, hands), talking(there, hello=False) as talker:
+    async with serving() as (there, hands), talking(there, hello=False) as talker:
         welcome = await talker.ask(type="hello", client="other")
         assert welcome["roles"] == ["stop", "watch"]
         assert welcome["may_arm"] is False
@@ -130,7 +130,7 @@ async def test_a_token_gives_its_roles_and_figures_are_for_those_who_watch(
     monkeypatch.setattr(connection, "PENALTY", 0.0)
     kinds: list[tuple[str, ...]] = [("all",), ("game", "play"), ("w", "watch")]
     tokens = tuple(token(tmp_path, *kind) for kind in kinds)
-    async with daemon(token=tokens) as (there, _):
+    async with serving(token=tokens) as (there, _):
         for name, roles in [
             ("all", ["arm", "play", "stop", "watch"]), ("game", ["play"]), ("w", ["watch"]),
         ]:  # fmt: skip
@@ -158,7 +158,7 @@ async def talking_locally(path: Path) -> AsyncIterator[Talker]:
 async def test_who_may_open_the_socket_may_do_all_without_a_token(tmp_path: Path) -> None:
     path = tmp_path / "new" / "socket"
     options: Any = {"token": (token(tmp_path, "t", "watch"),), "socket": str(path)}
-    async with daemon(**options) as (there, hands):
+    async with serving(**options) as (there, hands):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
         async with talking_locally(path) as talker:
@@ -195,10 +195,10 @@ def test_a_group_may_be_let_in(tmp_path: Path) -> None:
 def test_a_socket_that_nobody_listens_at_is_replaced_and_one_in_use_is_not(tmp_path: Path) -> None:
     path = tmp_path / "socket"
     listen_locally(path).close()
-    assert path.is_socket(), "as a daemon leaves it that was killed"
+    assert path.is_socket(), "as a server leaves it that was killed"
     with listen_locally(path) as local:
         local.listen()
-        with pytest.raises(InputError, match=r"a daemon listens there: end it, or set another"):
+        with pytest.raises(InputError, match=r"a server listens there: end it, or set another"):
             listen_locally(path)
     path.unlink()
     path.write_text("")
@@ -208,19 +208,19 @@ def test_a_socket_that_nobody_listens_at_is_replaced_and_one_in_use_is_not(tmp_p
         listen_locally(tmp_path / ("x" * 200))
 
 
-async def test_a_second_daemon_goes_on_without_the_usual_socket_and_leaves_it_alone(
+async def test_a_second_server_goes_on_without_the_usual_socket_and_leaves_it_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    config = DaemonConfig(server=ServerConfig(port=0))
+    config = Configuration(server=ServerConfig(port=0))
     async with running(config, host=Hands()):
         assert "no Unix socket" not in caplog.text
         async with running(config, host=Hands()) as second, talking(second):
             assert "no Unix socket; TCP only" in caplog.text
         async with talking_locally(tmp_path / API_SOCKET) as talker:
             assert (await talker.ask(type="hello", client="a"))["type"] == "welcome"
-        named = DaemonConfig(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
-        with pytest.raises(InputError, match="a daemon listens there"):
+        named = Configuration(server=ServerConfig(port=0, socket=str(tmp_path / API_SOCKET)))
+        with pytest.raises(InputError, match="a server listens there"):
             async with running(named, host=Hands()):
                 pass
     assert not (tmp_path / API_SOCKET).exists()
@@ -233,7 +233,7 @@ async def test_an_origin_that_is_refused_is_logged_once_with_the_line_that_invit
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.WARNING, "tactile.server")
-    async with daemon(origins=("https://a.example",)) as (there, _):
+    async with serving(origins=("https://a.example",)) as (there, _):
         for origin in 3 * ["https://b.example"] + ["null"]:
             with pytest.raises(InvalidStatus, match="403"):
                 await connect(there.url, subprotocols=[PROTOCOL], origin=Origin(origin))

@@ -12,27 +12,27 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from daemon_rig import (
+from prometheus_client.parser import text_string_to_metric_families
+from server_rig import (
     CONTACT,
     PATIENCE,
     Hands,
     connect,
-    daemon,
     free_port,
     get,
     handshake,
     run,
+    serving,
     talking,
     until,
 )
-from prometheus_client.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from tactile.errors import InputError
 from tactile.messages import JSON_PROTOCOL
 from tactile.server import listening, sockets
-from tactile.server.config import DaemonConfig, OscConfig, ServerConfig
+from tactile.server.config import Configuration, OscConfig, ServerConfig
 from tactile.server.listening import Listener, bound_sockets
 from tactile.server.server import running
 
@@ -43,7 +43,7 @@ pytestmark = pytest.mark.usefixtures("patient")
 
 
 async def test_health_is_what_the_host_says() -> None:
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         good = await get(there, "/healthz")
         assert (good.status_code, good.json()["status"]) == (200, "ok")
         hands.alive = False
@@ -53,7 +53,7 @@ async def test_health_is_what_the_host_says() -> None:
 
 
 async def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clients() -> None:
-    async with daemon() as (there, _), talking(there) as talker:
+    async with serving() as (there, _), talking(there) as talker:
         await talker.send(**CONTACT)
         await talker.ask(type="bogus")
         text = (await get(there, "/metrics")).text
@@ -74,7 +74,7 @@ async def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clie
 
 @pytest.mark.parametrize("path", ["/nope", "/v1/", "/v1/schema/x", "/../../etc/passwd"])
 async def test_what_is_not_there_is_404(path: str) -> None:
-    async with daemon() as (there, _):
+    async with serving() as (there, _):
         assert (await get(there, path)).status_code == 404
 
 
@@ -83,7 +83,7 @@ async def test_an_error_shows_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ZeroDivisionError("secret")
 
     monkeypatch.setattr(Hands, "healthy", break_down)
-    async with daemon() as (there, _):
+    async with serving() as (there, _):
         found = await get(there, "/healthz")
         assert found.status_code == 500
         assert found.text == "Internal Server Error"
@@ -91,7 +91,7 @@ async def test_an_error_shows_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 async def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "REQUEST_WITHIN", 0.05)
-    async with daemon() as (there, _):
+    async with serving() as (there, _):
         reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
         writer.write(b"GET / HT")
         with contextlib.suppress(ConnectionError):
@@ -105,14 +105,14 @@ async def test_a_connection_that_asks_nothing_is_closed(monkeypatch: pytest.Monk
 async def test_each_connection_has_no_delay_and_no_compression() -> None:
     with bound_sockets(ServerConfig(port=0, socket=""), guarded=False) as (bound,):
         assert bound.proto == socket.IPPROTO_TCP, "else asyncio does not set TCP_NODELAY"
-    async with daemon() as (there, _), talking(there) as talker:
+    async with serving() as (there, _), talking(there) as talker:
         assert talker.link.protocol.extensions == []
 
 
 async def test_a_port_that_is_taken_is_one_line_before_anything_is_opened() -> None:
-    async with daemon() as (there, _):
+    async with serving() as (there, _):
         hands = Hands()
-        config = DaemonConfig(
+        config = Configuration(
             server=ServerConfig(port=there.port, socket=""), osc=OscConfig(port=0)
         )
         with pytest.raises(InputError, match=rf"'127.0.0.1' port {there.port}: Address"):
@@ -125,14 +125,14 @@ async def test_at_the_end_clients_are_told_and_displays_are_closed_before_connec
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(listening, "CLOSE_WITHIN", PATIENCE)
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         talker = await connect(there.url, subprotocols=[Subprotocol(JSON_PROTOCOL)])
         await talker.send('{"type":"hello","client":"a"}')
         await talker.recv()
         hands.armed = True
     with pytest.raises(ConnectionClosed):
         await talker.recv()
-    assert (talker.close_code, talker.close_reason) == (1001, "the daemon ends")
+    assert (talker.close_code, talker.close_reason) == (1001, "the server ends")
     assert hands.closings >= 1
     assert not hands.armed
     assert hands.clients[0].closed == 1
@@ -156,7 +156,7 @@ def test_a_connection_that_comes_as_the_server_ends_is_closed(
         await shutdown(self, sockets)
 
     async def test() -> None:
-        async with daemon():
+        async with serving():
             pass
         await until(lambda: asyncio.all_tasks() == {asyncio.current_task()})
 
@@ -179,7 +179,7 @@ async def test_a_host_that_cannot_start_is_closed_and_the_port_is_free_again() -
 
     hands = Broken()
     port = free_port(socket.SOCK_STREAM)
-    config = DaemonConfig(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
+    config = Configuration(server=ServerConfig(port=port, socket=""), osc=OscConfig(port=0))
     with pytest.raises(InputError, match="no such device"):
         async with running(config, host=hands):
             pass
@@ -192,11 +192,11 @@ PROCESS = """
     import gc
     import sys
     sys.path.insert(0, {tests!r})
-    import daemon_rig
+    import server_rig
     from tactile.server import server
-    from tactile.server.config import DaemonConfig, LogConfig, OscConfig, ServerConfig
+    from tactile.server.config import Configuration, LogConfig, OscConfig, ServerConfig
 
-    class Hands(daemon_rig.Hands):
+    class Hands(server_rig.Hands):
         def beat(self):
             self.beats += 1
             return self.beats <= 2
@@ -209,7 +209,7 @@ PROCESS = """
 
     server.Host = lambda config: Hands()
     log = LogConfig(format="json")
-    config = DaemonConfig(server=ServerConfig(port=0, socket=""), log=log)
+    config = Configuration(server=ServerConfig(port=0, socket=""), log=log)
     server.serve(config, ready=lambda there: print(there.port, gc.get_freeze_count(), flush=True))
     print("ended", flush=True)
 """

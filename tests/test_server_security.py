@@ -12,16 +12,16 @@ from typing import Any
 
 import httpx
 import pytest
-from daemon_rig import (
+from server_rig import (
     CONTACT,
     GOOD,
     LARGE,
     PATIENCE,
     connect,
-    daemon,
     figure,
     frame,
     get,
+    serving,
     talking,
     unread,
     until,
@@ -119,7 +119,7 @@ async def test_a_page_is_refused_unless_it_was_invited_and_a_program_is_not(
     headers: dict[str, str], allowed: bool
 ) -> None:
     """The same for the WebSocket, before it is open, and for all that is served over HTTP."""
-    async with daemon(origins=(APP,)) as (there, hands):
+    async with serving(origins=(APP,)) as (there, hands):
         for path in ("/healthz", "/metrics", "/v1/schema", "/", "/nope"):
             found = await get(there, path, **headers)
             assert (found.status_code != 403) is allowed, path
@@ -145,7 +145,7 @@ def test_two_origins_are_one_too_many() -> None:
 
 async def test_a_rebound_name_gets_nothing() -> None:
     """evil.example now is 127.0.0.1: the page is of the same origin, but the name stays."""
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         name = f"evil.example:{there.port}"
         for path in ("/healthz", "/metrics", "/v1/schema"):
             found = await get(there, path, host=name)
@@ -162,7 +162,7 @@ async def test_a_rebound_name_gets_nothing() -> None:
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS"])
 async def test_nothing_is_done_by_http(method: str) -> None:
     async with (
-        daemon() as (there, _),
+        serving() as (there, _),
         httpx.AsyncClient(trust_env=False, timeout=PATIENCE) as client,
     ):
         for path in ("/", "/healthz", "/metrics", "/v1/schema"):
@@ -193,7 +193,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("version", [1, 2])
 async def test_a_wrong_token_is_all_that_is_told(said: str, version: int, token_file: str) -> None:
     async with (
-        daemon(token_file=token_file) as (there, hands),
+        serving(token_file=token_file) as (there, hands),
         talking(there, hello=False) as talker,
     ):
         hello = {"type": "hello", "client": "a", "version": version, "token": said}
@@ -211,7 +211,7 @@ async def test_the_token_lets_in_and_is_never_logged(
 ) -> None:
     caplog.set_level(logging.DEBUG)
     async with (
-        daemon(token_file=token_file) as (there, hands),
+        serving(token_file=token_file) as (there, hands),
         talking(there, hello=False) as talker,
     ):
         logging.getLogger("uvicorn.error").setLevel(logging.DEBUG)
@@ -257,7 +257,7 @@ def test_without_a_token_others_cannot_be_listened_to(host: str) -> None:
 
 
 async def test_one_client_more_than_may_be_can_only_estop_and_a_place_becomes_free_again() -> None:
-    async with daemon(most_clients=2) as (there, hands):
+    async with serving(most_clients=2) as (there, hands):
         async with talking(there) as first, talking(there):
             async with talking(there, hello=False) as third:
                 welcome = await third.ask(type="hello", client="panel", id=7)
@@ -281,7 +281,7 @@ async def test_the_oldest_that_may_only_estop_makes_room_once_it_had_its_chance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with AsyncExitStack() as stack:
-        there, _ = await stack.enter_async_context(daemon(most_clients=1))
+        there, _ = await stack.enter_async_context(serving(most_clients=1))
         talkers = [await stack.enter_async_context(talking(there)) for _ in range(1 + 4)]
         monkeypatch.setattr(places, "CHANCE", 1e9)
         async with talking(there, hello=False) as late:
@@ -301,7 +301,7 @@ async def test_strangers_make_room_for_newer_ones_and_never_for_longer_than_it_t
 ) -> None:
     """TCP connections and WebSockets that say nothing; clients stay, and new ones get in."""
     monkeypatch.setattr(listening, "MOST_STRANGERS", 4)
-    async with daemon() as (there, _), talking(there) as first:
+    async with serving() as (there, _), talking(there) as first:
         silent = [
             await asyncio.open_connection("127.0.0.1", there.port) for _ in range(3)
         ]  # fmt: skip
@@ -357,7 +357,7 @@ async def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stay
 ) -> None:
     now = 1000.0
     monkeypatch.setattr(connection, "loop_time", lambda: now)
-    async with daemon(messages_per_second=10) as (there, hands), talking(there) as talker:
+    async with serving(messages_per_second=10) as (there, hands), talking(there) as talker:
         for _ in range(300):
             await talker.send(**CONTACT)
         found = await talker.receive()
@@ -374,7 +374,7 @@ async def test_a_client_that_sends_too_fast_is_told_once_loses_messages_and_stay
 async def test_a_burst_is_taken_in_small_portions_so_that_others_get_their_turn() -> None:
     """1500 contacts that lie in the socket's buffer at once; a chunk of 4 KiB holds 29."""
     text = json.dumps(CONTACT).encode()
-    async with daemon(messages_per_second=100_000) as (there, hands), talking(there) as calm:
+    async with serving(messages_per_second=100_000) as (there, hands), talking(there) as calm:
         link = await unread(there)
         await until(lambda: len(hands.clients) == 2)
         sending = asyncio.create_task(
@@ -400,7 +400,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_another_does_not_notic
 ) -> None:
     monkeypatch.setattr(connection, "READ_WITHIN", 0.2)
     monkeypatch.setattr(sockets, "LINGER", 0.1)
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         with await unread(there):
             await until(lambda: len(hands.clients) == 1)
             hand = hands.clients[0]
@@ -422,7 +422,7 @@ async def test_frames_that_carry_nothing_do_not_pile_up(
 ) -> None:
     """One sends pings whose pongs it does not read, another a message of fragments without end."""
     monkeypatch.setattr(sockets, "MOST_UNREAD", 4096)
-    async with daemon() as (there, hands):
+    async with serving() as (there, hands):
         link = await unread(there)
         await until(lambda: len(hands.clients) == 1)
         loop = asyncio.get_running_loop()

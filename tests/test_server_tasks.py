@@ -1,4 +1,4 @@
-"""Background tasks of the daemon: one that fails is logged and acted upon."""
+"""Background tasks of the server: one that fails is logged and acted upon."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Tests of the systemd unit of the daemon: its permissions, and that it is restarted."""
+"""Tests of the systemd unit of the server: its permissions, and that it is restarted."""
 
 import os
 import re
@@ -19,7 +19,7 @@ def values(name: str) -> list[str]:
 
 
 @pytest.mark.ci
-def test_the_daemon_is_exposed_no_more_than_it_must_be() -> None:
+def test_the_server_is_exposed_no_more_than_it_must_be() -> None:
     if shutil.which("systemd-analyze") is None:
         assert not os.environ.get("CI"), "no systemd-analyze on PATH (apt install systemd)"
         pytest.skip("no systemd-analyze")

@@ -1,4 +1,4 @@
-"""A simulated daemon keeps its promises, whatever fails and whoever dies.
+"""A simulated server keeps its promises, whatever fails and whoever dies.
 
 ``TACTILE_LONG=1 pytest tests/test_simulator.py -m ci -s`` simulates an hour, from seeds of the
 moment or from ``TACTILE_SEED`` on, and prints them; ``python tests/simulator.py SEED SECONDS`` goes

@@ -22,7 +22,7 @@ import greenlet
 from tactile.bus.link.link_bus import LinkBus
 
 if TYPE_CHECKING:
-    from virtual_daemon import World
+    from virtual_server import World
 
 T = TypeVar("T")
 PIPE = 0.3e-3

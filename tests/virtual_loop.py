@@ -102,7 +102,7 @@ def lose(files: Iterable[int]) -> None:
 
 
 class Errors(logging.Handler):
-    """Collector of each exception that anything of a daemon logs, or leaves."""
+    """Collector of each exception that anything of a server logs, or leaves."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)

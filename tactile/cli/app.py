@@ -17,7 +17,7 @@ PLAY = "Play and inspect textures"
 AUTHOR = "Create and convert textures"
 DESIGN = "Design displays"
 DEVICES = "Use devices"
-SERVE = "Run the daemon and stop displays"
+SERVE = "Run the server and stop displays"
 
 
 class Entry(NamedTuple):

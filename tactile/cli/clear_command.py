@@ -25,10 +25,10 @@ def run(
     ] = None,
     url: Annotated[
         str | None,
-        typer.Option(help="URL of the daemon; by default the daemon of this machine."),
+        typer.Option(help="URL of the server; by default the server of this machine."),
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="URL of a device that is not driven by a daemon.")
+        str | None, typer.Option(help="URL of a device that is not driven by a server.")
     ] = None,
     accept_unsafe_hold: AcceptHold = False,
     as_json: AsJson = False,
@@ -43,19 +43,19 @@ def run(
     if as_json and estop is None:
         raise InputError("--json: give the number of the e-stop with --estop, as nobody is asked")
     if device is None:
-        name, cleared = _clear_of_daemon(url, display, estop)
+        name, cleared = _clear_of_server(url, display, estop)
     elif url is not None:
-        raise InputError("--url cannot be used with --device, which has no daemon")
+        raise InputError("--url cannot be used with --device, which has no server")
     else:
         name = device
         cleared = _clear_device(device, display or "reference-24", estop, accept_unsafe_hold)
     emit({"display": name, "cleared": cleared}, as_json, lambda _: _print(name, cleared))
 
 
-def _clear_of_daemon(
+def _clear_of_server(
     url: str | None, display: str | None, estop: int | None
 ) -> tuple[str | None, int]:
-    """Clear the e-stop of a display of a daemon; return the display and the e-stop, or None, 0."""
+    """Clear the e-stop of a display of a server; return the display and the e-stop, or None, 0."""
     from tactile.client import open_connection
 
     with open_connection(url, client_name="tactile clear", reconnect=False) as connection:
@@ -79,7 +79,7 @@ def _clear_of_daemon(
 
 
 def _clear_device(device: str, display: str, estop: int | None, accept_unsafe_hold: bool) -> int:
-    """Clear the e-stop of a device without a daemon; return its number, or 0 if there is none."""
+    """Clear the e-stop of a device without a server; return its number, or 0 if there is none."""
     from tactile import load_display
     from tactile.playback.estop_guard import clear_device
 

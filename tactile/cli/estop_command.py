@@ -23,9 +23,9 @@ def run(
     """Stop all displays of this machine immediately.
 
     The outputs go to 0 V and the high voltage is switched off until the e-stop is cleared. The
-    request does not go through the network connection of the daemon, so that it also works while
-    the daemon is overloaded or hangs. A display that is driven by tactile play or tactile check has
-    the URL of its device as its name. The exit code is 1 if nothing was stopped or a daemon did not
+    request does not go through the network connection of the server, so that it also works while
+    the server is overloaded or hangs. A display that is driven by tactile play or tactile check has
+    the URL of its device as its name. The exit code is 1 if nothing was stopped or a server did not
     answer.
 
     Example: tactile estop

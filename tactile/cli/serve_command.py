@@ -12,14 +12,14 @@ def run(
     config: Annotated[
         Path | None,
         typer.Option(
-            help="Configuration file of the daemon (TOML); without it, one simulated display is "
+            help="Configuration file of the server (TOML); without it, one simulated display is "
             "served."
         ),
     ] = None,
 ) -> None:
     """Serve displays to other programs by WebSocket and OSC.
 
-    The daemon runs until it is interrupted. The exit code is 1 if a device cannot be opened.
+    The server runs until it is interrupted. The exit code is 1 if a device cannot be opened.
 
     Example: tactile serve --config tactile.toml
     """

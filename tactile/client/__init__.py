@@ -1,10 +1,10 @@
-"""The SDK: connect a program, such as a VR application, to the daemon that drives the displays.
+"""The SDK: connect a program, such as a VR application, to the server that drives the displays.
 
 `connect` returns a `RemoteDisplay`; `open_connection` returns a `Connection` to all displays of a
-daemon, for example for two hands. `tactile.client.aio` has the same for asyncio. Values are in SI:
+server, for example for two hands. `tactile.client.aio` has the same for asyncio. Values are in SI:
 m, m/s, N, s, Hz. Times are those of `time.monotonic` (on Linux, OpenXR's XrTime in seconds).
 
-Calls wait for the daemon, except `RemoteDisplay.touch` and `RemoteDisplay.lift`.
+Calls wait for the server, except `RemoteDisplay.touch` and `RemoteDisplay.lift`.
 
 >>> import tactile
 >>> with tactile.connect() as display:  # doctest: +SKIP

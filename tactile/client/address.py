@@ -1,4 +1,4 @@
-"""The address of a daemon and the secret that it asks for, as given or from the environment."""
+"""The address of a server and the secret that it asks for, as given or from the environment."""
 
 import os
 import socket
@@ -9,15 +9,15 @@ from tactile.errors import InputError
 from tactile.messages import PATH
 
 PORT = 7411
-"""Port that a daemon listens on by default."""
+"""Port that a server listens on by default."""
 EXAMPLE_URL = f"ws://127.0.0.1:{PORT}{PATH}"
-"""Address of a daemon on this machine, which messages show as an example."""
+"""Address of a server on this machine, which messages show as an example."""
 UNIX = "ws+unix://"
 """Prefix of the address of a Unix socket; its path follows."""
 
 
 def default_url() -> str:
-    """Return the address of the daemon on this machine.
+    """Return the address of the server on this machine.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def default_url() -> str:
 
 
 def endpoint(url: str | None) -> str:
-    """Return the complete address of a daemon.
+    """Return the complete address of a server.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def endpoint(url: str | None) -> str:
 
 
 def secret(token: str | None) -> str:
-    """Return the token that the daemon asks for.
+    """Return the token that the server asks for.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@
 ...         await display.select("wood-oak")
 ...         await display.touch((0.012, 0.003), velocity=(0.08, 0.0), normal_force=0.5)
 
-The event loop also answers the daemon's pings: if a program blocks it for 150 ms, the daemon takes
+The event loop also answers the server's pings: if a program blocks it for 150 ms, the server takes
 the program as gone, and fades its waveforms.
 """
 

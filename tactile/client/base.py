@@ -36,23 +36,23 @@ PATIENT = 20.0
 LONGEST_TIMEOUT = 1e6
 """Longest wait for an answer that a program may ask for [s]."""
 CLIENT_NAME = "python"
-"""Default name under which the daemon lists a program."""
+"""Default name under which the server lists a program."""
 
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
 
 
 class BaseConnection(ABC):
-    """A conversation with one daemon, whichever way its messages go.
+    """A conversation with one server, whichever way its messages go.
 
     Parameters
     ----------
     transport : Transport
-        Way to the daemon.
+        Way to the server.
     client_name : str
-        Name under which the daemon lists this program.
+        Name under which the server lists this program.
     token : str
-        Secret, if the daemon asks for one.
+        Secret, if the server asks for one.
     timeout : float
         Longest wait for an answer, unless a call says otherwise [s].
     rearm : bool
@@ -146,7 +146,7 @@ class BaseConnection(ABC):
         future = self._session.request(wire.checked(request))
         reply = await self._wait(future, limit, kind_of(request))
         if not isinstance(reply, kind):
-            raise ClientError(f"the daemon answered {type(reply).__name__}, not {kind.__name__}")
+            raise ClientError(f"the server answered {type(reply).__name__}, not {kind.__name__}")
         return reply
 
     def _limit(self, request: Request, timeout: float | None) -> float:
@@ -190,12 +190,12 @@ class BaseConnection(ABC):
 
     @property
     def connected(self) -> bool:
-        """Whether the daemon is there now."""
+        """Whether the server is there now."""
         return self._session.connected
 
     @property
     def welcome(self) -> Welcome:
-        """Description that the daemon gave of itself when it was last connected to.
+        """Description that the server gave of itself when it was last connected to.
 
         Raises
         ------
@@ -208,18 +208,18 @@ class BaseConnection(ABC):
 
     @property
     def displays(self) -> dict[str, wire.DisplayInfo]:
-        """The displays that the daemon has, by name."""
+        """The displays that the server has, by name."""
         infos = (wire.from_message(wire.DisplayInfo, info) for info in self.welcome.displays)
         return {info.name: info for info in infos}
 
     @property
     def roles(self) -> frozenset[Role]:
-        """Roles that the daemon gives this program: some of "watch", "play", "arm" and "stop"."""
+        """Roles that the server gives this program: some of "watch", "play", "arm" and "stop"."""
         return frozenset(self.welcome.roles)
 
     @property
     def clock_offset(self) -> float:
-        """The daemon's clock less this program's monotonic clock [s]."""
+        """The server's clock less this program's monotonic clock [s]."""
         return self._session.offset.seconds
 
     @property
@@ -231,14 +231,14 @@ class BaseConnection(ABC):
     def counters(self) -> dict[str, int]:
         """Counts of this side by name.
 
-        ``dropped_contacts`` (a newer one came first, or the daemon was not there),
+        ``dropped_contacts`` (a newer one came first, or the server was not there),
         ``refused_contacts``, ``dropped_events`` and ``dropped_telemetry`` (not read in time),
         ``ignored_messages`` (of a later version of the API), ``reconnections``.
         """
         return dict(self._session.counters)
 
     def _name(self, display: str | None) -> str:
-        """Return the name of a display that the daemon has: as given, or of the only one."""
+        """Return the name of a display that the server has: as given, or of the only one."""
         names = [info.name for info in self.welcome.displays]
         if display in names:
             return str(display)

@@ -1,4 +1,4 @@
-"""Connections to all displays of a daemon: `Connection`, and `AsyncConnection` for asyncio.
+"""Connections to all displays of a server: `Connection`, and `AsyncConnection` for asyncio.
 
 Each call is written once, as a coroutine of `AsyncConnection` that works on either connection; see
 `tactile.client.waiting`.
@@ -26,12 +26,12 @@ T = TypeVar("T")
 
 
 class AsyncConnection(AsyncClosing, BaseConnection):
-    """A conversation with one daemon from asyncio; `open` it first.
+    """A conversation with one server from asyncio; `open` it first.
 
     Parameters
     ----------
     transport : Transport
-        Way to the daemon.
+        Way to the server.
     **options
         Options as of `BaseConnection`.
     """
@@ -61,7 +61,7 @@ class AsyncConnection(AsyncClosing, BaseConnection):
         Raises
         ------
         DisconnectedError, ClientTimeoutError
-            If there is no daemon.
+            If there is no server.
         RequestError
             If it does not let this program in.
         """
@@ -69,12 +69,12 @@ class AsyncConnection(AsyncClosing, BaseConnection):
         return self
 
     def display(self, name: str | None = None) -> AsyncDisplay:
-        """Return a display of this daemon.
+        """Return a display of this server.
 
         Parameters
         ----------
         name : str, optional
-            Name of the display; it may be left out if the daemon has only one.
+            Name of the display; it may be left out if the server has only one.
 
         Returns
         -------
@@ -103,14 +103,14 @@ class AsyncConnection(AsyncClosing, BaseConnection):
         Returns
         -------
         tuple of TextureInfo
-            Textures that the daemon has.
+            Textures that the server has.
         """
         return (await self._request(messages.ListTextures(), messages.Textures, timeout)).textures
 
     async def estop(self: BaseConnection, *, timeout: float | None = None) -> dict[str, int]:
         """Set all displays to 0 V at once, until each is cleared.
 
-        If the daemon is not there, or does not confirm, this raises, and the e-stop is sent first
+        If the server is not there, or does not confirm, this raises, and the e-stop is sent first
         over the next connection.
 
         Parameters
@@ -131,12 +131,12 @@ class AsyncConnection(AsyncClosing, BaseConnection):
 
 
 class Connection(Closing, BaseConnection):
-    """A conversation with one daemon; it and its displays may be used from several threads.
+    """A conversation with one server; it and its displays may be used from several threads.
 
     Parameters
     ----------
     transport : Transport
-        Way to the daemon.
+        Way to the server.
     **options
         Options as of `BaseConnection`.
     """
@@ -153,12 +153,12 @@ class Connection(Closing, BaseConnection):
         self._session.clock.sleep(seconds)
 
     def display(self, name: str | None = None) -> RemoteDisplay:
-        """Return a display of this daemon.
+        """Return a display of this server.
 
         Parameters
         ----------
         name : str, optional
-            Name of the display; it may be left out if the daemon has only one.
+            Name of the display; it may be left out if the server has only one.
 
         Returns
         -------
@@ -208,20 +208,20 @@ class Opener(Generic[C, D]):
         rearm: bool = False,
         encoding: Encoding = "msgpack",
     ) -> C:
-        """Connect to a daemon and all its displays; use the connection in a ``with``.
+        """Connect to a server and all its displays; use the connection in a ``with``.
 
         Parameters
         ----------
         url : str, optional
-            Address of the daemon; by default that of ``TACTILE_URL`` in the environment, otherwise
-            that of the daemon on this machine.
+            Address of the server; by default that of ``TACTILE_URL`` in the environment, otherwise
+            that of the server on this machine.
         token : str, optional
-            Secret, if the daemon asks for one; by default that of ``TACTILE_TOKEN`` in the
+            Secret, if the server asks for one; by default that of ``TACTILE_TOKEN`` in the
             environment.
         timeout : float
             Longest wait for the connection and, unless a call says otherwise, for each answer [s].
         client_name : str
-            Name under which the daemon lists this program.
+            Name under which the server lists this program.
         reconnect : bool
             Whether to connect again in the background when the connection is lost.
         rearm : bool
@@ -239,7 +239,7 @@ class Opener(Generic[C, D]):
         InputError
             If the address is none.
         DisconnectedError, ClientTimeoutError
-            If there is no daemon.
+            If there is no server.
         RequestError
             If it does not let this program in.
         """
@@ -265,24 +265,24 @@ class Opener(Generic[C, D]):
         rearm: bool = False,
         encoding: Encoding = "msgpack",
     ) -> D:
-        """Connect to one display of a daemon; use the display in a ``with``.
+        """Connect to one display of a server; use the display in a ``with``.
 
         `open_connection` is for several displays.
 
         Parameters
         ----------
         url : str, optional
-            Address of the daemon; by default that of ``TACTILE_URL`` in the environment, otherwise
-            that of the daemon on this machine.
+            Address of the server; by default that of ``TACTILE_URL`` in the environment, otherwise
+            that of the server on this machine.
         display : str, optional
-            Name of the display; it may be left out if the daemon has only one.
+            Name of the display; it may be left out if the server has only one.
         token : str, optional
-            Secret, if the daemon asks for one; by default that of ``TACTILE_TOKEN`` in the
+            Secret, if the server asks for one; by default that of ``TACTILE_TOKEN`` in the
             environment.
         timeout : float
             Longest wait for the connection and, unless a call says otherwise, for each answer [s].
         client_name : str
-            Name under which the daemon lists this program.
+            Name under which the server lists this program.
         reconnect : bool
             Whether to connect again in the background when the connection is lost.
         rearm : bool
@@ -301,7 +301,7 @@ class Opener(Generic[C, D]):
             If the address is none, or there are several displays and none is named, or none of that
             name (`NotFoundError`).
         DisconnectedError, ClientTimeoutError
-            If there is no daemon.
+            If there is no server.
         RequestError
             If it does not let this program in.
         """

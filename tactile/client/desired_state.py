@@ -22,7 +22,7 @@ from tactile.messages import (
 
 @dataclass
 class DesiredState:
-    """State that a program wants one display to have, as far as the daemon confirmed them.
+    """State that a program wants one display to have, as far as the server confirmed them.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class DesiredState:
         Parameters
         ----------
         command : DisplayRequest
-            Request that the daemon confirmed.
+            Request that the server confirmed.
         """
         match command:
             case Select():
@@ -86,7 +86,7 @@ class DesiredState:
 
 
 class EStops:
-    """E-stops that the daemon has not confirmed yet, and the numbers of those that hold.
+    """E-stops that the server has not confirmed yet, and the numbers of those that hold.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class EStops:
         Parameters
         ----------
         answer : Answer
-            Message of the daemon.
+            Message of the server.
         """
         match answer:
             case Welcome():

@@ -52,7 +52,7 @@ class BaseDisplay:
 
     @property
     def connected(self) -> bool:
-        """Whether the daemon is there now."""
+        """Whether the server is there now."""
         return self._connection.connected
 
     @property
@@ -62,7 +62,7 @@ class BaseDisplay:
         Raises
         ------
         NotFoundError
-            If the daemon, after a reconnection, has no such display any more.
+            If the server, after a reconnection, has no such display any more.
         """
         for info in self._connection.welcome.displays:
             if info.name == self.name:
@@ -71,12 +71,12 @@ class BaseDisplay:
 
     @property
     def estopped(self) -> int:
-        """Number of the e-stop that holds as far as the daemon last reported, 0 for none."""
+        """Number of the e-stop that holds as far as the server last reported, 0 for none."""
         return self._connection._session.estops.numbers.get(self.name, 0)
 
     @property
     def dropped_contacts(self) -> int:
-        """Number of contacts not sent: a newer one came first, or the daemon was not there."""
+        """Number of contacts not sent: a newer one came first, or the server was not there."""
         return self._connection._session.dropped_contacts[self.name]
 
     def on_event(self, callback: Callback) -> Callback:
@@ -128,8 +128,8 @@ class BaseDisplay:
 class AsyncDisplay(AsyncClosing, BaseDisplay):
     """One display of a connection from asyncio, with one finger on it. Get it from `aio.connect`.
 
-    Every call but `touch` and `lift` waits for the daemon, and may be given a timeout [s]. It
-    raises `DisconnectedError` at once if the daemon is not there, `ClientTimeoutError` if it does
+    Every call but `touch` and `lift` waits for the server, and may be given a timeout [s]. It
+    raises `DisconnectedError` at once if the server is not there, `ClientTimeoutError` if it does
     not answer, `RequestError` if it refuses, and `InputError` for values out of range.
     """
 
@@ -151,14 +151,14 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         """Say where the finger is; this never waits, whatever the network does.
 
         Only the newest contact is sent; those that it overtakes are counted, as are those while
-        the daemon is not there (`dropped_contacts`).
+        the server is not there (`dropped_contacts`).
 
         Parameters
         ----------
         position : (2,) sequence of float
             Position on the surface [m].
         velocity : (2,) sequence of float, optional
-            Velocity [m/s]; by default the daemon derives it from the positions.
+            Velocity [m/s]; by default the server derives it from the positions.
         normal_force : float
             Normal force [N]; 0 means that the finger is lifted.
         time : float, optional
@@ -254,7 +254,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
     async def estop(self: BaseDisplay, *, timeout: float | None = None) -> int:
         """Set this display to 0 V at once, until `clear`; that of the connection sets all.
 
-        The display is armed again only by `arm`, whatever becomes of this call. If the daemon is
+        The display is armed again only by `arm`, whatever becomes of this call. If the server is
         not there, or does not confirm, this raises, and the e-stop is sent first over the next
         connection.
 
@@ -316,7 +316,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         Returns
         -------
         Appended
-            How many samples the daemon took; send the rest again.
+            How many samples the server took; send the rest again.
         """
         waveform = Waveform(
             self.name, samples, sample_rate=sample_rate, amplitude=amplitude,
@@ -337,7 +337,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         contactors: Iterable[int] = (),
         timeout: float | None = None,
     ) -> int:
-        """Play a waveform in place of what waits; return when the daemon has taken all of it.
+        """Play a waveform in place of what waits; return when the server has taken all of it.
 
         Parameters
         ----------
@@ -350,7 +350,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         contactors : iterable of int
             Contactors that play it, by default all.
         timeout : float, optional
-            Longest wait for each answer, and for the daemon to take any sample [s].
+            Longest wait for each answer, and for the server to take any sample [s].
 
         Returns
         -------
@@ -361,7 +361,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         Raises
         ------
         ClientTimeoutError
-            If the daemon takes no sample for the timeout.
+            If the server takes no sample for the timeout.
         """
         waveform = Waveform(
             self.name, samples, sample_rate=sample_rate, amplitude=amplitude, contactors=contactors
@@ -465,7 +465,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         Returns
         -------
         tuple of TextureInfo
-            Textures that the daemon has.
+            Textures that the server has.
         """
         request = messages.ListTextures()
         return (await self._connection._request(request, messages.Textures, timeout)).textures
@@ -501,8 +501,8 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
 class RemoteDisplay(Closing, BaseDisplay):
     """One display of a connection, with one finger on it. Get it from `connect`.
 
-    Every call but `touch` and `lift` waits for the daemon, and may be given a timeout [s]. It
-    raises `DisconnectedError` at once if the daemon is not there, `ClientTimeoutError` if it does
+    Every call but `touch` and `lift` waits for the server, and may be given a timeout [s]. It
+    raises `DisconnectedError` at once if the server is not there, `ClientTimeoutError` if it does
     not answer, `RequestError` if it refuses, and `InputError` for values out of range.
     """
 

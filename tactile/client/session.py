@@ -76,7 +76,7 @@ def refusal(failure: Failure) -> RequestError:
     Parameters
     ----------
     failure : Failure
-        Answer of the daemon.
+        Answer of the server.
 
     Returns
     -------
@@ -121,12 +121,12 @@ class ClockOffset:
 
 
 class ClientSession:
-    """One program's conversation with one daemon, over any number of connections.
+    """One program's conversation with one server, over any number of connections.
 
     Parameters
     ----------
     transport : Transport
-        Way to the daemon, which the connection opens and closes.
+        Way to the server, which the connection opens and closes.
     hello : ClientHello
         First message over each connection.
     clock : Clock
@@ -143,17 +143,17 @@ class ClientSession:
     notify : Callable
         Function that takes each `Event`.
     welcome : Welcome or None
-        What the daemon said about itself when it was last connected to.
+        What the server said about itself when it was last connected to.
     ready : Future
         Future of the first `Welcome`.
     connected : bool
-        Whether the daemon is there now.
+        Whether the server is there now.
     closed : bool
         Whether the program has closed the session.
     reason : str
         Why there is no connection.
     offset : ClockOffset
-        Offset of the daemon's clock from the program's.
+        Offset of the server's clock from the program's.
     counters : Counter
         Counts by name, as in `BaseConnection.counters`.
     dropped_contacts : Counter
@@ -245,7 +245,7 @@ class ClientSession:
 
     def _disconnected(self, command: Request, text: str) -> DisconnectedError:
         if isinstance(command, EStop) and not self._final:
-            text += "; the e-stop is kept and will be sent first when the daemon is back"
+            text += "; the e-stop is kept and will be sent first when the server is back"
         return DisconnectedError(text)
 
     def _send(self, command: Request) -> "Future[Any]":
@@ -303,12 +303,12 @@ class ClientSession:
         Returns
         -------
         Future
-            Future of the daemon's answer.
+            Future of the server's answer.
 
         Raises
         ------
         InputError
-            If the daemon gives no telemetry at that rate.
+            If the server gives no telemetry at that rate.
         DisconnectedError
             If there is no connection.
         """
@@ -354,7 +354,7 @@ class ClientSession:
         Returns
         -------
         Future
-            Future that is done when the daemon has answered.
+            Future that is done when the server has answered.
         """
         future = self._send(self._hello)
         future.add_done_callback(self._set_ready)
@@ -405,7 +405,7 @@ class ClientSession:
             self.dropped_contacts[display] += 1
 
     def ignored(self, message: str) -> None:
-        """Count a message of the daemon that cannot be read.
+        """Count a message of the server that cannot be read.
 
         Parameters
         ----------
@@ -416,7 +416,7 @@ class ClientSession:
             self.counters["ignored_messages"] += 1
 
     def ping(self) -> "Future[Pong]":
-        """Ask for the time of the daemon.
+        """Ask for the time of the server.
 
         Returns
         -------
@@ -426,7 +426,7 @@ class ClientSession:
         return self._send(Ping(time_us=wire.to_microseconds(self.clock.now())))
 
     def received(self, answer: Answer) -> None:
-        """Take a message of the daemon.
+        """Take a message of the server.
 
         Parameters
         ----------

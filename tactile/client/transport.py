@@ -1,4 +1,4 @@
-"""The interface of what carries messages to a daemon: over a network, or inside one process.
+"""The interface of what carries messages to a server: over a network, or inside one process.
 
 A `Transport` takes `Command` objects and delivers `Answer` objects, whether or not it encodes them.
 A display in the same process needs only this::
@@ -9,7 +9,7 @@ A display in the same process needs only this::
             session.say_hello()
 
         def send(self, command: Command) -> None:
-            for answer in self._daemon.handle(command):
+            for answer in self._server.handle(command):
                 self._session.received(answer)
 
         def close(self) -> Future[None]: ...
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Transport(Protocol):
-    """A way to a daemon.
+    """A way to a server.
 
     No method blocks or raises for what the network does: the session learns of that.
     """
@@ -36,7 +36,7 @@ class Transport(Protocol):
         Parameters
         ----------
         session : ClientSession
-            Session that takes the messages of the daemon, from any thread.
+            Session that takes the messages of the server, from any thread.
         """
         ...
 

@@ -12,7 +12,7 @@ from tactile.errors import InputError
 from tactile.messages import MOST_SAMPLES, Append
 
 SHORTEST_PAUSE, LONGEST_PAUSE = 0.005, 0.1
-"""Limits of the time to wait before what the daemon had no room for is sent again [s]."""
+"""Limits of the time to wait before what the server had no room for is sent again [s]."""
 
 
 def packed(samples: Iterable[float]) -> bytes:
@@ -46,7 +46,7 @@ def packed(samples: Iterable[float]) -> bytes:
 
 
 class Waveform:
-    """A waveform that is being sent, in as many parts as the daemon takes.
+    """A waveform that is being sent, in as many parts as the server takes.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class Waveform:
         return checked(msgspec.structs.replace(self._message, samples=self._rest))
 
     def consume(self, samples_consumed: int) -> None:
-        """Leave out what the daemon took; the rest plays after it.
+        """Leave out what the server took; the rest plays after it.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ def pause_after(message: Append, appended: Appended) -> float:
     message : Append
         What was sent.
     appended : Appended
-        What the daemon took of it.
+        What the server took of it.
 
     Returns
     -------

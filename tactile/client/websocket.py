@@ -1,6 +1,6 @@
 """The transport over a WebSocket: an asyncio task, in the program's loop or in a thread of its own.
 
-A connection is dropped, and made again if the program wants that, when the daemon closes it or does
+A connection is dropped, and made again if the program wants that, when the server closes it or does
 not answer a ping within `SILENCE`.
 """
 
@@ -50,11 +50,11 @@ SEND_BUFFER = 32 * 1024
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Limits of the pause before a reconnection [s]; it doubles each time, less a random half."""
 SHARE_OF_CONTACTS = 0.9
-"""Share of the daemon's messages per second that contacts may use; the rest is for requests."""
+"""Share of the server's messages per second that contacts may use; the rest is for requests."""
 
 
 class _SilentError(ClientError):
-    """Raised if the daemon does not answer in time."""
+    """Raised if the server does not answer in time."""
 
 
 class _Codec:
@@ -76,7 +76,7 @@ class _Codec:
         return encoded
 
     def decode(self, data: bytes) -> Answer:
-        """Return a message of the daemon; an answer that cannot be read is a failure.
+        """Return a message of the server; an answer that cannot be read is a failure.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class _Unread(msgspec.Struct):
 
 
 class WebSocketTransport(ABC):
-    """A way to a daemon over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
+    """A way to a server over a WebSocket; `ThreadTransport` and `TaskTransport` say where it runs.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class WebSocketTransport(ABC):
         Parameters
         ----------
         session : ClientSession
-            Session that takes the messages of the daemon.
+            Session that takes the messages of the server.
         """
         self._session = session
         self._outbox = Outbox(session.dropped)
@@ -217,18 +217,18 @@ class WebSocketTransport(ABC):
             try:
                 await self._talk(connection)
             except _SilentError:
-                connection.transport.abort()  # a silent daemon does not answer a close frame either
+                connection.transport.abort()  # a silent server does not answer a close frame either
                 raise
             finally:
                 await self._hang_up(connection)
         except (ConnectionRefusedError, FileNotFoundError):
-            return f"{self._url}: nobody listens there; is the daemon running (tactile serve)?"
+            return f"{self._url}: nobody listens there; is the server running (tactile serve)?"
         except (OSError, WebSocketException, ClientError, EOFError) as error:
             return f"{self._url}: {error or type(error).__name__}"
         except Exception as error:
             logger.exception("the connection to %s failed", self._url)
             return f"{self._url}: {error!r}"
-        return f"{self._url}: closed by the daemon"
+        return f"{self._url}: closed by the server"
 
     async def _connect(self) -> ClientConnection:
         path = self._url.removeprefix(UNIX)
@@ -237,7 +237,7 @@ class WebSocketTransport(ABC):
             *((path, f"ws://localhost{PATH}") if unix else (self._url,)),
             subprotocols=[Subprotocol(self._protocol)],
             compression=None,
-            proxy=None,  # the daemon is on this machine or in its local network
+            proxy=None,  # the server is on this machine or in its local network
             open_timeout=self._timeout,
             close_timeout=self._timeout / 2,
             ping_interval=None,  # those of `_keep` also measure the clocks
@@ -246,13 +246,13 @@ class WebSocketTransport(ABC):
         )
         if connection.subprotocol != self._protocol:
             await self._hang_up(connection)
-            raise ClientError(f"no tactile daemon: it does not speak {self._protocol}")
+            raise ClientError(f"no tactile server: it does not speak {self._protocol}")
         raw = connection.transport.get_extra_info("socket")
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         return connection
 
     async def _hang_up(self, connection: ClientConnection) -> None:
-        """Close with a close frame; at once if the daemon does not read it, or if cancelled."""
+        """Close with a close frame; at once if the server does not read it, or if cancelled."""
         try:
             with suppress(TimeoutError):
                 async with asyncio.timeout(self._timeout / 2):
@@ -300,7 +300,7 @@ class WebSocketTransport(ABC):
                 loop.call_at(self._next_contact, self._more.set)
 
     def _spend(self, command: Command, now: float) -> None:
-        """Set when the next contact may be sent, by the rate that the daemon takes."""
+        """Set when the next contact may be sent, by the rate that the server takes."""
         if self._rate and isinstance(command, Contact):
             share = 1.0 / (SHARE_OF_CONTACTS * self._rate)
             self._next_contact = max(self._next_contact, now) + share

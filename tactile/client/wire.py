@@ -1,6 +1,6 @@
 """Conversion between SI, which a program uses, and messages, whose fields are named by their units.
 
-Functions ``to_…`` make messages and check them as the daemon will; `from_message` reads them.
+Functions ``to_…`` make messages and check them as the server will; `from_message` reads them.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ TRANSIENT = "transients", "time [s], value, frequency [Hz]"
 
 @dataclass(frozen=True, slots=True)
 class DisplayInfo:
-    """A display that the daemon has.
+    """A display that the server has.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class Event:
 
 
 def checked(message: M) -> M:
-    """Return a message as the daemon would read it.
+    """Return a message as the server would read it.
 
     Parameters
     ----------
@@ -546,7 +546,7 @@ def from_message(kind: type[S], message: msgspec.Struct) -> S:
     kind : type
         Data class whose fields are those of the message, without their units.
     message : Struct
-        Message of the daemon.
+        Message of the server.
 
     Returns
     -------

@@ -41,7 +41,7 @@ WORDS, TEXT = 8, 248
 SIZE = 8 * WORDS + 3 * (8 + TEXT)
 """Size of the file [bytes]."""
 LOCK_WITHIN = 3.0
-"""Time that the processes of a killed daemon have to release the file [s]."""
+"""Time that the processes of a killed server have to release the file [s]."""
 READ_WRITE = os.O_RDWR | getattr(os, "O_BINARY", 0)
 """Flags with which the file of a latch is opened."""
 SUFFIX = ".estop"
@@ -49,7 +49,7 @@ SUFFIX = ".estop"
 LONGEST_NAME = 200
 """Maximum length of a file name without its suffix [characters]; file systems allow 255 bytes."""
 UNSAVED = ("sim:",)
-"""Prefixes of the URLs of devices without any voltage, whose latch ends with the daemon."""
+"""Prefixes of the URLs of devices without any voltage, whose latch ends with the server."""
 
 
 class LatchWriter(IntEnum):
@@ -269,7 +269,7 @@ def inherit_estops(
     heirs : mapping of str to Latch
         Latches that take over, by URL of the device.
     used : collection of str
-        URLs of all devices of this daemon, which keep their e-stops.
+        URLs of all devices of this server, which keep their e-stops.
     folder : Path
         Folder of the latches.
     clock : Clock
@@ -296,7 +296,7 @@ def _device_key(device: str) -> str:
         parts = urlsplit(device)
         is_file = not parts.netloc and os.path.isabs(parts.path)
         path = os.path.realpath(parts.path) if is_file else parts.path
-    except ValueError:  # the file was not made by a daemon
+    except ValueError:  # the file was not made by a server
         return device
     return f"{parts.scheme}:{parts.netloc}{path}"
 
@@ -314,7 +314,7 @@ def _transfer_estop(path: Path, heirs: Sequence[Latch], clock: Clock) -> None:
     try:
         _lock(file, path.name, path, clock)
     except BusError:
-        return  # another daemon has it, for another amplifier of the same bus
+        return  # another server has it, for another amplifier of the same bus
     with closing(Latch._of(file, path, path.name)) as old:
         if old.holds:
             for latch in heirs:
@@ -351,7 +351,7 @@ def _is_intact(file: int) -> bool:
 
 
 def _lock(file: int, device: str, path: Path, clock: Clock) -> None:
-    """Lock out other daemons from a latch; wait for the processes of one that was killed.
+    """Lock out other servers from a latch; wait for the processes of one that was killed.
 
     Raises
     ------
@@ -359,7 +359,7 @@ def _lock(file: int, device: str, path: Path, clock: Clock) -> None:
         If another program has the lock.
     """
     if sys.platform == "win32":
-        return  # there, the device itself cannot be opened by a second daemon
+        return  # there, the device itself cannot be opened by a second server
     end = clock.now() + LOCK_WITHIN
     while True:
         try:

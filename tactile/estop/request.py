@@ -64,7 +64,7 @@ def request_estop(display: str | None = None, *, within: float = WITHIN) -> list
     Parameters
     ----------
     display : str, optional
-        Name of the only display to stop, or URL of its device if it is driven without a daemon; by
+        Name of the only display to stop, or URL of its device if it is driven without a server; by
         default all displays.
     within : float
         Time in which each program must answer [s].
@@ -145,7 +145,7 @@ def _reply_sockets(count: int) -> Iterator[list[socket.socket]]:
                 names.append(Path(tempfile.gettempdir()) / f"tactile-{os.getpid()}-{k}.estop")
                 names[-1].unlink(missing_ok=True)
                 link.bind(str(names[-1]))
-                names[-1].chmod(0o666)  # the daemon may run as another user
+                names[-1].chmod(0o666)  # the server may run as another user
         yield links
     finally:
         for link in links:

@@ -1,6 +1,6 @@
-"""E-stop of a device that is driven without a daemon, by `tactile play` or `tactile check`.
+"""E-stop of a device that is driven without a server, by `tactile play` or `tactile check`.
 
-The program holds the latch of the device, as a daemon would. A thread waits for `tactile estop`,
+The program holds the latch of the device, as a server would. A thread waits for `tactile estop`,
 latches the e-stop and stops the bus, whatever the program does meanwhile. If the program as a whole
 hangs, the amplifier's watchdog acts.
 """
@@ -78,7 +78,7 @@ def guarded(bus: Bus, device: str) -> Iterator[None]:
 def clear_device(
     device: str, display: Display, choose: Callable[[int, str], int], *, accept_unsafe_hold: bool
 ) -> int:
-    """End the e-stop of a device that no daemon has, once a person has seen that it is safe.
+    """End the e-stop of a device that no server has, once a person has seen that it is safe.
 
     Parameters
     ----------

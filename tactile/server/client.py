@@ -29,8 +29,8 @@ from tactile.playback import commands
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import failed, hint
 from tactile.server.playing import Playing
-from tactile.server.shelf import TooManyDrawingsError
 from tactile.server.tasks import start_task
+from tactile.server.texture_store import TooManyPreparationsError
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.finger_sample import FingerSample
 
@@ -176,7 +176,7 @@ class Client:
         Parameters
         ----------
         command : Command
-            Message of the client.
+            Message of the client other than `ClientHello`, which its connection answers.
 
         Returns
         -------
@@ -195,8 +195,7 @@ class Client:
             return m.Textures(textures=self._host.textures())
         if isinstance(command, m.EStop):
             return self._estop(command)
-        if isinstance(command, m.ClientHello):
-            return failed("malformed", "hello was said already")
+        assert not isinstance(command, m.ClientHello)
         playing = self._host.playing.get(command.display)
         if playing is None:
             return self._unknown_display(command.display)
@@ -249,7 +248,7 @@ class Client:
                 )  # fmt: skip
         try:
             await playing.select(self.number, command.layers)
-        except TooManyDrawingsError as error:
+        except TooManyPreparationsError as error:
             return Failure(code="busy", message=str(error), field="layers")
         return m.Done()
 

@@ -97,7 +97,7 @@ class TokenConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     file : str or None
         File with the token.
     credential : str or None
-        Name under which systemd passes the token to the daemon.
+        Name under which systemd passes the token to the server.
     roles : tuple of Role
         What the token allows; by default everything.
     """
@@ -159,7 +159,7 @@ class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gain : float
         Factor of everything that is played, 0 to 1.
     arm_on_start : bool
-        Whether to arm the display when the daemon starts, without a client.
+        Whether to arm the display when the server starts, without a client.
     rearm : bool
         Whether to arm it again after its link or its playback was lost.
     worn : bool
@@ -220,7 +220,7 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             )
 
 
-class DaemonConfig(File, frozen=True, kw_only=True):
+class Configuration(File, frozen=True, kw_only=True):
     """Configuration with absolute paths.
 
     Attributes
@@ -232,7 +232,7 @@ class DaemonConfig(File, frozen=True, kw_only=True):
     path: Path | None = None
 
 
-def load_config(path: Path | None) -> DaemonConfig:
+def load_config(path: Path | None) -> Configuration:
     """Load a configuration file.
 
     Parameters
@@ -242,7 +242,7 @@ def load_config(path: Path | None) -> DaemonConfig:
 
     Returns
     -------
-    DaemonConfig
+    Configuration
         The configuration.
 
     Raises
@@ -252,10 +252,10 @@ def load_config(path: Path | None) -> DaemonConfig:
         allowed.
     """
     if path is None:
-        return DaemonConfig()
+        return Configuration()
     tables = files.read(path, File)
     folder = path.absolute().parent
-    config = DaemonConfig(
+    config = Configuration(
         server=structs.replace(
             tables.server,
             token_file=_beside(folder, tables.server.token_file),
@@ -317,12 +317,12 @@ def load_configured(config: DisplayConfig) -> Display:
     return replace(display, limits=limits)
 
 
-def read_tokens(config: DaemonConfig) -> list[tuple[bytes, frozenset[Role]]]:
+def read_tokens(config: Configuration) -> list[tuple[bytes, frozenset[Role]]]:
     """Read the tokens that clients may present.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration that names the tokens.
 
     Returns

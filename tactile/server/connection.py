@@ -85,10 +85,10 @@ TOO_LARGE = Close(1009, "too large")
 """End after a message that was too large."""
 FULL = Close(4429, "too many clients")
 """End because there is no free place."""
-ENDING = Close(1001, "the daemon ends")
-"""End because the daemon ends."""
-BROKEN = Close(1011, "the daemon failed")
-"""End after an internal failure of the daemon."""
+ENDING = Close(1001, "the server ends")
+"""End because the server ends."""
+BROKEN = Close(1011, "the server failed")
+"""End after an internal failure of the server."""
 
 
 class Welcomed(NamedTuple):
@@ -115,11 +115,11 @@ class Site:
     Parameters
     ----------
     host : Host
-        Displays of the daemon.
+        Displays of the server.
     config : ServerConfig
         Configuration of the server.
     metrics : Metrics
-        Metrics of the daemon.
+        Metrics of the server.
     tokens : Tokens
         Tokens that admit clients.
     version : str
@@ -130,7 +130,7 @@ class Site:
     places : Places
         Connections of admitted clients.
     ending : bool
-        Whether the daemon ends.
+        Whether the server ends.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Site:
         self.ending = False
 
     def end(self) -> None:
-        """Disconnect all clients because the daemon ends, and admit no more."""
+        """Disconnect all clients because the server ends, and admit no more."""
         self.ending = True
         for connection in self.places:
             connection.end(ENDING)
@@ -407,7 +407,7 @@ class ServerConnection:
             failure = self._handle(read(data, self._encoding), arrival)
         except Exception:
             log.exception("a message failed")
-            failure = failed("internal", "the daemon failed; its log says how")
+            failure = failed("internal", "the server failed; its log says how")
         if failure is not None:
             self._answer(failure)
 

@@ -37,7 +37,7 @@ WRONG = (msgspec.MsgspecError, UnicodeError, RecursionError)
 
 
 HINTS = TokenBucket(20)
-"""Limit on the rate at which the whole daemon searches for similar names, as one search takes a
+"""Limit on the rate at which the whole server searches for similar names, as one search takes a
 millisecond."""
 
 

@@ -20,7 +20,7 @@ ENDING = 1.0
 
 
 class EstopDesk:
-    """The e-stop process of a daemon.
+    """The e-stop process of a server.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class EstopDesk:
             if isinstance(what, EstopReady):
                 self.address = what.address
                 if what.failure:
-                    log.error("tactile estop does not reach this daemon: %s", what.failure)
+                    log.error("tactile estop does not reach this server: %s", what.failure)
             else:
                 ended.set()
             answered.set()

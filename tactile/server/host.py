@@ -18,11 +18,11 @@ from tactile.estop.latch import Latch, inherit_estops
 from tactile.messages import EventMessage
 from tactile.paths import state_folder
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig, load_config, load_configured
+from tactile.server.config import Configuration, DisplayConfig, load_config, load_configured
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
+from tactile.server.preparation_queue import PreparationQueue
 from tactile.server.tasks import start_task
-from tactile.server.workbench import Workbench
 from tactile.texture import descriptor
 
 log = logging.getLogger("tactile.host")
@@ -80,11 +80,11 @@ async def _latches(
 
 
 class Host:
-    """All displays of a daemon.
+    """All displays of a server.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration of the displays.
     clock : Clock
         Clock for waiting for files; everything else uses the clock of the event loop.
@@ -97,9 +97,9 @@ class Host:
         Tasks that nobody waits for.
     """
 
-    def __init__(self, config: DaemonConfig, *, clock: Clock = MONOTONIC) -> None:
+    def __init__(self, config: Configuration, *, clock: Clock = MONOTONIC) -> None:
         self._config, self._clock = config, clock
-        self._workbench = Workbench()
+        self._preparation_queue = PreparationQueue()
         self._clients: dict[int, Client] = {}
         self._numbers = itertools.count(1)
         self._textures: dict[str, m.TextureInfo] = {}
@@ -119,14 +119,16 @@ class Host:
             If a display cannot be opened; none is open then.
         """
         self._textures = shipped_textures()
-        self._workbench.begin()
+        self._preparation_queue.begin()
         self._beating = start_task(self._beat())
         try:
             for config in self._config.display:
                 load_configured(config)
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
-                self.playing[config.name] = Playing(config, latch, self._workbench, self._broadcast)
+                self.playing[config.name] = Playing(
+                    config, latch, self._preparation_queue, self._broadcast
+                )
             await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
             for playing in self.playing.values():
@@ -165,7 +167,7 @@ class Host:
         for task in self.tasks:
             task.cancel()
         await asyncio.gather(*(playing.end() for playing in self.playing.values()))
-        await asyncio.gather(self._desk.close(), self._workbench.close())
+        await asyncio.gather(self._desk.close(), self._preparation_queue.close())
         if self._beating is not None:
             self._beating.cancel()
         for playing in self.playing.values():
@@ -197,7 +199,7 @@ class Host:
         self._config, self._textures = config, textures
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for entry, latch in latches.items():
-            after[entry.name] = Playing(entry, latch, self._workbench, self._broadcast)
+            after[entry.name] = Playing(entry, latch, self._preparation_queue, self._broadcast)
         self.playing = {entry.name: after[entry.name] for entry in config.display}
         for playing in before.values():
             playing.close()
@@ -302,12 +304,12 @@ class Host:
             client.post(event)
 
     def healthy(self) -> bool:
-        """Return whether every display plays and `tactile estop` reaches the daemon.
+        """Return whether every display plays and `tactile estop` reaches the server.
 
         Returns
         -------
         bool
-            Whether the daemon is healthy.
+            Whether the server is healthy.
         """
         return self._is_alive() and bool(self._desk.address)
 

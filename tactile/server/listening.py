@@ -1,4 +1,4 @@
-"""Listening sockets of the daemon: TCP, and on Linux a Unix socket that only its user can open."""
+"""Listening sockets of the server: TCP, and on Linux a Unix socket that only its user can open."""
 
 import asyncio
 import logging
@@ -270,5 +270,5 @@ def _remove_stale(path: Path, field: str) -> None:
         except BlockingIOError:  # its backlog is full
             pass
     raise InputError(
-        f"{field}: a daemon listens there: end it, or set another server.socket, or '' for none"
+        f"{field}: a server listens there: end it, or set another server.socket, or '' for none"
     )

@@ -1,4 +1,4 @@
-"""Logging of the daemon: lines of text or JSON, written by a thread that nobody waits for.
+"""Logging of the server: lines of text or JSON, written by a thread that nobody waits for.
 
 A full disk, or a standard error that is closed or not read, costs lines, which are counted, and
 nothing else. Fields are passed as ``extra={"fields": {...}}``; they never contain a token.
@@ -232,7 +232,7 @@ class LogWriter(QueueListener):
 
 
 class Logs:
-    """Logging of the daemon while it runs; `close` restores the logging that was there before.
+    """Logging of the server while it runs; `close` restores the logging that was there before.
 
     Parameters
     ----------

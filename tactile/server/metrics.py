@@ -1,4 +1,4 @@
-"""Metrics of the daemon for Prometheus: displays, clients, messages and failures.
+"""Metrics of the server for Prometheus: displays, clients, messages and failures.
 
 The counters of displays are collected when Prometheus asks; everything else is counted as it
 happens.
@@ -31,7 +31,7 @@ class Displays(Collector):
     Parameters
     ----------
     host : Host
-        Displays of the daemon.
+        Displays of the server.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
     """
@@ -132,7 +132,7 @@ class Metrics:
     Parameters
     ----------
     host : Host
-        Displays of the daemon.
+        Displays of the server.
     dropped_logs : callable
         Function that returns the number of log lines that were not written.
 

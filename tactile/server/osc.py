@@ -264,9 +264,9 @@ class OscProtocol(asyncio.DatagramProtocol):
     link : socket
         Socket of the packets, non-blocking.
     host : Host
-        Displays of the daemon.
+        Displays of the server.
     metrics : Metrics
-        Metrics of the daemon.
+        Metrics of the server.
     messages_per_second : float
         Maximum rate of messages of each sender [1/s].
     """

@@ -142,7 +142,7 @@ def roles_of_user(peer: PeerCredentials | None) -> frozenset[Role]:
     Returns
     -------
     frozenset of Role
-        All roles for root and for the user of the daemon, `OTHERS` for everybody else.
+        All roles for root and for the user of the server, `OTHERS` for everybody else.
     """
     own = peer is not None and peer.user in (0, os.geteuid())
     return ALL_ROLES if own else OTHERS

@@ -16,7 +16,7 @@ CHANCE = 0.2
 
 
 class Places:
-    """Places of a daemon.
+    """Places of a server.
 
     Parameters
     ----------

@@ -33,9 +33,9 @@ from tactile.server.config import DisplayConfig, load_configured
 from tactile.server.description import describe
 from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
-from tactile.server.shelf import Shelf
+from tactile.server.preparation_queue import PreparationQueue
 from tactile.server.tasks import start_task
-from tactile.server.workbench import Workbench
+from tactile.server.texture_store import TextureStore
 from tactile.tracking.finger_sample import FingerSample
 
 log = logging.getLogger("tactile.playback")
@@ -85,8 +85,8 @@ class Playing:
         Configuration of the display.
     latch : Latch
         E-stop latch of the display, which outlives this object.
-    workbench : Workbench
-        Where textures are prepared.
+    preparation_queue : PreparationQueue
+        Queue that prepares textures.
     post : callable
         Function that is called with each `EventMessage`.
 
@@ -120,7 +120,7 @@ class Playing:
         self,
         config: DisplayConfig,
         latch: Latch,
-        workbench: Workbench,
+        preparation_queue: PreparationQueue,
         post: Callable[[EventMessage], None],
     ) -> None:
         self.config, self.display = config, load_configured(config)
@@ -138,8 +138,8 @@ class Playing:
         self._number = 0
         self._device_opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
-        self._shelf = Shelf(
-            self.display, workbench, keep=self._keep_texture, drop=self._drop_texture,
+        self._texture_store = TextureStore(
+            self.display, preparation_queue, keep=self._keep_texture, drop=self._drop_texture,
             selected=self._selected,
         )  # fmt: skip
         self.owners = Owners()
@@ -476,17 +476,17 @@ class Playing:
 
         Raises
         ------
-        TooManyDrawingsError
+        TooManyPreparationsError
             If the client waits for as many textures as it may.
         BusError
             If a texture cannot be prepared, or there is no room for it.
         """
         state = self.state_of(client)
-        with self._shelf.held() as held:
+        with self._texture_store.held() as held:
             selection = []
             for layer in layers:
                 key = layer.texture, layer.seed
-                number = await self._shelf.texture(client, key, self.how)
+                number = await self._texture_store.texture(client, key, self.how)
                 held.add(number)
                 selection.append((number, layer.gain))
             state.layers = tuple(selection)
@@ -535,13 +535,13 @@ class Playing:
 
     async def renew(self) -> None:
         """Prepare the selected textures anew, as their files may have changed, and play them."""
-        old, self._shelf.ready = self._shelf.ready, {}
+        old, self._texture_store.ready = self._texture_store.ready, {}
         numbers, selected = dict[int, int](), self._selected()
-        with self._shelf.held() as held:
+        with self._texture_store.held() as held:
             for key, (n, _) in old.items():
                 if n in selected:
                     try:
-                        numbers[n] = await self._shelf.texture(SERVER, key, self.how)
+                        numbers[n] = await self._texture_store.texture(SERVER, key, self.how)
                         held.add(numbers[n])
                     except BusError as error:
                         log.error("%s: %s", self.config.name, error)
@@ -573,7 +573,7 @@ class Playing:
         client : int
             Number of the client.
         """
-        self._shelf.leave(client)
+        self._texture_store.leave(client)
         lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
             self.add_sample(client, lifted)

@@ -101,7 +101,7 @@ class Requests:
             answer = await self._client.request(command)
         except Exception:
             log.exception("a request failed")
-            answer = failed("internal", "the daemon failed; its log says how")
+            answer = failed("internal", "the server failed; its log says how")
         self._traffic.message(kind_of(command), loop_time() - started)
         if isinstance(answer, Reply) and answer.id != id_of(command):
             answer = structs.replace(answer, id=id_of(command))

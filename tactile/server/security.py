@@ -25,7 +25,7 @@ OWN_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 """Names of this machine that a `Host` header may always hold."""
 ANY = frozenset({"0.0.0.0", "[::]"})
 """Addresses that stand for all addresses of this machine when listening, but name none of them."""
-UNINVITED = "Origin is not invited; the daemon's log says how to invite it"
+UNINVITED = "Origin is not invited; the server's log says how to invite it"
 """Reason to refuse a page that was not invited."""
 NO_FIGURES = 'Authorization: Bearer must hold a token whose roles include "watch"'
 """Reason to refuse a request for metrics."""

@@ -1,4 +1,4 @@
-"""Daemon: a WebSocket at ``/v1``; schema, health and metrics over HTTP; OSC besides.
+"""Server: a WebSocket at ``/v1``; schema, health and metrics over HTTP; OSC besides.
 
 At the end, nobody is admitted any more and all clients are told, then the displays fade and are
 disarmed, and only then are connections cut. `serve` is the process, `running` the same inside
@@ -26,7 +26,7 @@ from tactile import messages
 from tactile.errors import InputError, TactileError
 from tactile.playback.priority import shorten_collections
 from tactile.server import watchdog
-from tactile.server.config import DaemonConfig, read_tokens
+from tactile.server.config import Configuration, read_tokens
 from tactile.server.connection import Site, talk
 from tactile.server.host import Host
 from tactile.server.listening import Listener, bound_sockets
@@ -45,7 +45,7 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Server:
-    """Running daemon.
+    """Running server.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def application(site: Site) -> ASGIApp:
 
 
 @asynccontextmanager
-async def _osc(config: DaemonConfig, site: Site) -> AsyncIterator[None]:
+async def _osc(config: Configuration, site: Site) -> AsyncIterator[None]:
     """Listen for OSC, if the configuration says so.
 
     Raises
@@ -157,16 +157,16 @@ def _version() -> str:
 
 @asynccontextmanager
 async def running(
-    config: DaemonConfig,
+    config: Configuration,
     *,
     host: Host | None = None,
     dropped_logs: Callable[[], float] = lambda: 0,
 ) -> AsyncIterator[Server]:
-    """Run the daemon in this event loop; port 0 takes a free one.
+    """Run the server in this event loop; port 0 takes a free one.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration, as returned by `load_config`.
     host : Host, optional
         What to serve; by default, the host of the configuration.
@@ -176,12 +176,12 @@ async def running(
     Yields
     ------
     Server
-        The running daemon, which ends with the ``with`` block.
+        The running server, which ends with the ``with`` block.
 
     Raises
     ------
     InputError
-        If the daemon cannot listen.
+        If the server cannot listen.
     """
     tokens = Tokens(read_tokens(config))
     host = Host(config) if host is None else host
@@ -222,12 +222,12 @@ def _url(listening: socket.socket) -> str:
     return f"ws://{f'[{name}]' if ':' in name else name}:{port}{messages.PATH}"
 
 
-def serve(config: DaemonConfig, ready: Callable[[Server], None] | None = None) -> None:
-    """Run the daemon until SIGINT or SIGTERM; SIGHUP reads textures and configuration again.
+def serve(config: Configuration, ready: Callable[[Server], None] | None = None) -> None:
+    """Run the server until SIGINT or SIGTERM; SIGHUP reads textures and configuration again.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : Configuration
         Configuration, as returned by `load_config`.
     ready : callable, optional
         Function that is called with the running `Server`.
@@ -235,7 +235,7 @@ def serve(config: DaemonConfig, ready: Callable[[Server], None] | None = None) -
     Raises
     ------
     TactileError
-        If the daemon cannot start.
+        If the server cannot start.
     """
     logs = Logs(config.log)
     try:
@@ -244,12 +244,12 @@ def serve(config: DaemonConfig, ready: Callable[[Server], None] | None = None) -
         logs.close()
 
 
-async def _serve(config: DaemonConfig, logs: Logs, ready: Callable[[Server], None] | None) -> None:
+async def _serve(config: Configuration, logs: Logs, ready: Callable[[Server], None] | None) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
 
     def stop() -> None:
         end.set()
-        for number in (signal.SIGINT, signal.SIGTERM):  # the next signal ends the daemon at once
+        for number in (signal.SIGINT, signal.SIGTERM):  # the next signal ends the server at once
             loop.remove_signal_handler(number)
 
     with suppress(NotImplementedError):  # on systems without such signals

@@ -1,4 +1,4 @@
-"""Notifications to systemd: that the daemon is ready, that it is alive, and that it ends."""
+"""Notifications to systemd: that the server is ready, that it is alive, and that it ends."""
 
 import asyncio
 import os
@@ -10,7 +10,7 @@ from contextlib import suppress
 def notify(state: str) -> None:
     """Notify systemd as sd_notify(3) does; never block and never raise.
 
-    Nothing happens if systemd did not start the daemon.
+    Nothing happens if systemd did not start the server.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def notify(state: str) -> None:
 
 
 def interval() -> float | None:
-    """Return the interval at which systemd is to be told that the daemon is alive.
+    """Return the interval at which systemd is to be told that the server is alive.
 
     Returns
     -------
@@ -39,12 +39,12 @@ def interval() -> float | None:
 
 
 async def keep_alive(beat: Callable[[], bool]) -> None:
-    """Tell systemd that the daemon is alive, for as long as it is.
+    """Tell systemd that the server is alive, for as long as it is.
 
     Parameters
     ----------
     beat : callable
-        Function that returns whether the daemon has made progress since its last call.
+        Function that returns whether the server has made progress since its last call.
     """
     pause = interval()
     while pause is not None:

@@ -1,6 +1,6 @@
 """Tests of faults: the amplifier goes to 0 V and stays there until somebody arms it again.
 
-The daemon is a process of its own, as a user starts it; a program plays through it from another
+The server is a process of its own, as a user starts it; a program plays through it from another
 one, a stroke or an effect of a minute; the C amplifier on a pty records what it puts out. How soon
 it is silent is measured by ``python -m benchmarks deaths``; deaths in any order, at any moment, are
 simulated (`simulator`).
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.realtime
 QUIET = 0.5
 """Length of the amplifier's own record that must hold nothing but 0 V [s]."""
 WAIT = 60.0
-KINDS = ("playback.process", "drawing", "estop.process", "")
+KINDS = ("playback.process", "preparing", "estop.process", "")
 """Kinds of processes that a server starts, as they stand in a command line."""
 APP = """
 import itertools, sys, time, tactile.client
@@ -80,8 +80,8 @@ def alive(pid: int) -> bool:
     return False
 
 
-class Daemon:
-    """A daemon that plays on an amplifier, and a program that plays through it."""
+class Rig:
+    """A server that plays on an amplifier, and a program that plays through it."""
 
     def __init__(
         self, folder: Path, amplifier: VirtualAmplifier, log: str = "log", sound: str = "stroke"
@@ -182,10 +182,10 @@ def sound() -> str:
 
 
 @pytest.fixture
-def served(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[Daemon]:
-    daemon = Daemon(tmp_path, amplifier, sound=sound)
-    yield daemon
-    daemon.end()
+def served(tmp_path: Path, amplifier: VirtualAmplifier, sound: str) -> Iterator[Rig]:
+    rig = Rig(tmp_path, amplifier, sound=sound)
+    yield rig
+    rig.end()
 
 
 lasting = pytest.mark.parametrize("sound", ["effect"])
@@ -193,7 +193,7 @@ lasting = pytest.mark.parametrize("sound", ["effect"])
 
 
 @lasting
-def test_a_program_that_is_killed_is_silent_and_disarmed(served: Daemon) -> None:
+def test_a_program_that_is_killed_is_silent_and_disarmed(served: Rig) -> None:
     served.play().kill()
     served.falls_silent()
     assert served.health()["status"] == "ok"
@@ -203,7 +203,7 @@ def test_a_program_that_is_killed_is_silent_and_disarmed(served: Daemon) -> None
 
 
 @lasting
-def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Daemon) -> None:
+def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Rig) -> None:
     app = served.play()
     app.send_signal(signal.SIGSTOP)
     served.falls_silent()
@@ -216,10 +216,10 @@ def test_a_program_that_hangs_is_silent_and_disarmed_and_stays_so(served: Daemon
 
 
 @lasting
-def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Daemon) -> None:
+def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Rig) -> None:
     served.play()
     before = served.children
-    assert {"playback.process", "drawing", "estop.process"} <= set(before)
+    assert {"playback.process", "preparing", "estop.process"} <= set(before)
     served.server.kill()
     served.falls_silent()
     wait_for("its children are gone", lambda: not any(map(alive, before.values())))
@@ -227,7 +227,7 @@ def test_a_server_that_is_killed_leaves_0_volts_and_nothing_behind(served: Daemo
     served.play()
 
 
-def test_a_server_that_hangs_leaves_0_volts_and_stays_disarmed(served: Daemon) -> None:
+def test_a_server_that_hangs_leaves_0_volts_and_stays_disarmed(served: Rig) -> None:
     app = served.play()
     served.server.send_signal(signal.SIGSTOP)
     served.falls_silent()
@@ -239,7 +239,7 @@ def test_a_server_that_hangs_leaves_0_volts_and_stays_disarmed(served: Daemon) -
     served.arms_and_plays()
 
 
-def test_a_server_that_hangs_is_stopped_by_tactile_estop(served: Daemon) -> None:
+def test_a_server_that_hangs_is_stopped_by_tactile_estop(served: Rig) -> None:
     served.play()
     served.server.send_signal(signal.SIGSTOP)
     words = [sys.executable, "-m", "tactile", "estop"]
@@ -257,7 +257,7 @@ def test_a_server_that_hangs_is_stopped_by_tactile_estop(served: Daemon) -> None
         display.arm()
 
 
-def test_an_e_stop_while_playback_is_started_again_holds(served: Daemon) -> None:
+def test_an_e_stop_while_playback_is_started_again_holds(served: Rig) -> None:
     served.play()
     with tactile.client.connect(served.url, timeout=WAIT) as display:
         os.kill(served.children["playback.process"], signal.SIGKILL)
@@ -272,14 +272,14 @@ def test_an_e_stop_while_playback_is_started_again_holds(served: Daemon) -> None
 
 
 def cleared(display: tactile.client.RemoteDisplay) -> bool:
-    """Clear what holds; return whether the daemon was ready for it."""
+    """Clear what holds; return whether the server was ready for it."""
     with suppress(TactileError):
         display.clear()
         return display.stats().estop == 0
     return False
 
 
-def test_an_e_stop_holds_over_a_server_that_is_killed(served: Daemon) -> None:
+def test_an_e_stop_holds_over_a_server_that_is_killed(served: Rig) -> None:
     """The server has ``arm_on_start``, and the amplifier forgets, being switched off too."""
     served.config.write_text(served.config.read_text() + "arm_on_start = true\n")
     served.play()
@@ -297,7 +297,7 @@ def test_an_e_stop_holds_over_a_server_that_is_killed(served: Daemon) -> None:
         wait_for("it can be cleared", lambda: cleared(display))
 
 
-def test_playback_that_is_killed_is_started_again_and_not_armed(served: Daemon) -> None:
+def test_playback_that_is_killed_is_started_again_and_not_armed(served: Rig) -> None:
     app = served.play()
     os.kill(served.children["playback.process"], signal.SIGKILL)
     served.falls_silent()
@@ -308,7 +308,7 @@ def test_playback_that_is_killed_is_started_again_and_not_armed(served: Daemon) 
     served.arms_and_plays()
 
 
-def test_playback_that_hangs_leaves_0_volts(served: Daemon) -> None:
+def test_playback_that_hangs_leaves_0_volts(served: Rig) -> None:
     served.play()
     playback = served.children["playback.process"]
     os.kill(playback, signal.SIGSTOP)
@@ -325,7 +325,7 @@ def test_playback_that_hangs_leaves_0_volts(served: Daemon) -> None:
         wait_for("it can be armed again", armed)
 
 
-def test_playback_that_hangs_for_good_is_started_again_once(served: Daemon) -> None:
+def test_playback_that_hangs_for_good_is_started_again_once(served: Rig) -> None:
     served.play().kill()
     hung = served.children["playback.process"]
     os.kill(hung, signal.SIGSTOP)
@@ -341,16 +341,16 @@ def test_playback_that_hangs_for_good_is_started_again_once(served: Daemon) -> N
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk at hand")
 def test_a_full_disk_for_logs_changes_nothing(tmp_path: Path, amplifier: VirtualAmplifier) -> None:
-    daemon = Daemon(tmp_path, amplifier, log="/dev/full")
+    rig = Rig(tmp_path, amplifier, log="/dev/full")
     try:
-        daemon.play().kill()
-        daemon.falls_silent()
-        assert daemon.health()["status"] == "ok"
+        rig.play().kill()
+        rig.falls_silent()
+        assert rig.health()["status"] == "ok"
     finally:
-        daemon.end()
+        rig.end()
 
 
-def test_ended_by_a_signal_it_fades_and_disarms(served: Daemon) -> None:
+def test_ended_by_a_signal_it_fades_and_disarms(served: Rig) -> None:
     served.play()
     before = served.children
     served.server.send_signal(signal.SIGTERM)
@@ -359,7 +359,7 @@ def test_ended_by_a_signal_it_fades_and_disarms(served: Daemon) -> None:
     assert not any(map(alive, before.values()))
 
 
-def test_a_client_that_does_not_read_disturbs_no_other(served: Daemon) -> None:
+def test_a_client_that_does_not_read_disturbs_no_other(served: Rig) -> None:
     served.play()
     hello = '{"type":"hello","client":"deaf"}'
     with websockets.connect(

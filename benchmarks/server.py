@@ -1,4 +1,4 @@
-"""A daemon in its own process that plays on the C amplifier, and the amplifier's output.
+"""A server in its own process that plays on the C amplifier, and the amplifier's output.
 
 Whatever is done to the processes, the amplifier's own record tells by its own clock when a voltage
 was last put out and until when high voltage was on.
@@ -31,7 +31,7 @@ from tactile.errors import ClientError
 from tactile.playback.loop import BLOCK
 
 NAME = "tactile-bench"
-"""Name of the display. An e-stop that names it stops no other daemon's display."""
+"""Name of the display. An e-stop that names it stops no other server's display."""
 PATIENCE = 60.0
 """Time within which whatever is waited for must happen [s]."""
 POLL = 0.02
@@ -146,7 +146,7 @@ def joined(parts: list[AmplifierOutput]) -> AmplifierOutput:
 
 
 def wait_for(what: str, happens: Callable[[], object]) -> None:
-    """Wait until a condition is true; as long as the daemon refuses what it asks, it is false.
+    """Wait until a condition is true; as long as the server refuses what it asks, it is false.
 
     Raises
     ------
@@ -179,19 +179,19 @@ def is_alive(pid: int) -> bool:
 
 
 def children_of(pid: int) -> dict[str, int]:
-    """Return the processes that a server started: "playback.process", "drawing" and others."""
+    """Return the processes that a server started: "playback.process", "preparing" and others."""
     processes = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
                 words = (entry / "cmdline").read_text()
-                for kind in ("playback.process", "drawing", "estop.process"):
+                for kind in ("playback.process", "preparing", "estop.process"):
                     if kind in words and is_alive(int(entry.name)):
                         processes[kind] = int(entry.name)
     return processes
 
 
-class Daemon:
+class Server:
     """`tactile serve` in its own process, on an amplifier.
 
     Parameters
@@ -229,7 +229,7 @@ class Daemon:
         self.start()
 
     def start(self) -> None:
-        """Start the daemon, and wait until it listens."""
+        """Start the server, and wait until it listens."""
         words = ["-m", "tactile", "serve", "--config", str(self._config)]
         with self._stderr.open("a") as stderr:
             self._process = subprocess.Popen(
@@ -239,7 +239,7 @@ class Daemon:
         line = self._process.stdout.readline().split()
         if not line:
             code, why = self._process.wait(), self._stderr.read_text()[-2000:]
-            raise RuntimeError(f"the daemon did not start: exit code {code}: {why}")
+            raise RuntimeError(f"the server did not start: exit code {code}: {why}")
         self.url = line[0]
 
     @property
@@ -262,13 +262,13 @@ class Daemon:
         return self._process.poll() is None
 
     def restart(self) -> None:
-        """Start the daemon again if its server has ended."""
+        """Start the server again if it has ended."""
         if not self.is_running():
             self.close()
             self.start()
 
     def close(self) -> None:
-        """End the daemon in any state, and wait until its processes are gone."""
+        """End the server in any state, and wait until its processes are gone."""
         left = children_of(self.pid)
         if self.is_running():
             self._process.kill()
@@ -280,9 +280,9 @@ class Daemon:
         wait_for("its processes are gone", lambda: not any(map(is_alive, left.values())))
 
 
-def connected(daemon: Daemon) -> RemoteDisplay:
-    """Return the display of a daemon, as a client that is connected to it."""
-    return tactile.client.connect(daemon.url, display=NAME, timeout=PATIENCE)
+def connected(server: Server) -> RemoteDisplay:
+    """Return the display of a server, as a client that is connected to it."""
+    return tactile.client.connect(server.url, display=NAME, timeout=PATIENCE)
 
 
 def clear(display: RemoteDisplay) -> bool:
@@ -294,13 +294,13 @@ def clear(display: RemoteDisplay) -> bool:
 
 
 def observe(
-    daemon: Daemon, recorder: OutputRecorder, display: RemoteDisplay, seconds: float
+    server: Server, recorder: OutputRecorder, display: RemoteDisplay, seconds: float
 ) -> Iterator[tuple[float, float]]:
     """Yield the memory of server and playback each second [MiB], and keep the display armed.
 
     The amplifier's record is read meanwhile.
     """
-    playback, end = daemon.playback(), time.monotonic() + seconds
+    playback, end = server.playback(), time.monotonic() + seconds
     while time.monotonic() < end:
         for _ in range(10):
             time.sleep(0.1)
@@ -309,7 +309,7 @@ def observe(
                 clear(display)
                 if display.stats(timeout=PATIENCE).state != "armed":
                     display.arm(timeout=PATIENCE)
-        yield resident(daemon.pid), resident(playback)
+        yield resident(server.pid), resident(playback)
 
 
 def resident(pid: int) -> float:
@@ -328,9 +328,9 @@ def growth(name: str, memory: list[float]) -> Figure:
     return at_most(f"{name}_growth", grown, "MiB", 2)
 
 
-def counters_of(daemon: Daemon) -> dict[str, int]:
+def counters_of(server: Server) -> dict[str, int]:
     """Return the counters of playback."""
-    with connected(daemon) as display:
+    with connected(server) as display:
         return display.stats(timeout=PATIENCE).counters
 
 
@@ -349,9 +349,9 @@ def block_figures(
 
 @contextmanager
 def amplifier_and_folder() -> Iterator[tuple[VirtualAmplifier, Path]]:
-    """Yield the C amplifier on a pty, and a folder for a daemon that plays on it.
+    """Yield the C amplifier on a pty, and a folder for a server that plays on it.
 
-    Daemons that are started meanwhile have their own folders for state and sockets.
+    Servers that are started meanwhile have their own folders for state and sockets.
     """
     with TemporaryDirectory(prefix="t-") as own, workshop() as folder:
         folders = {"STATE_DIRECTORY": f"{own}/state", "RUNTIME_DIRECTORY": f"{own}/run"}

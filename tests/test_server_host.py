@@ -21,7 +21,7 @@ from tactile.errors import BusError, InputError
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig
 from tactile.server.host import Host
 
 T = TypeVar("T")
@@ -43,7 +43,7 @@ def _patient() -> Iterator[None]:
 
 
 class Loop:
-    """An event loop that runs all the time, as a daemon's does."""
+    """An event loop that runs all the time, as a server's does."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -74,7 +74,7 @@ def runner() -> Iterator[Loop]:
 @pytest.fixture(scope="module")
 def host(runner: Loop) -> Iterator[Host]:
     host = Host(
-        DaemonConfig(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),))
+        Configuration(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),))
     )
     runner.run(host.start())
     yield host
@@ -158,7 +158,7 @@ def test_a_name_chooses_among_what_there_is_and_nothing_else(program: Program, n
     assert (told.code, told.field) == ("unknown_texture", "layers[1].texture")
 
 
-def test_more_drawings_than_a_client_may_select_are_refused(program: Program) -> None:
+def test_more_textures_at_a_time_than_a_client_may_select_are_refused(program: Program) -> None:
     """All requests come at once, of seeds that are new: the fifth finds four that are made."""
     asked = [
         m.Select(display=NAME, layers=(m.Layer(texture="wood-oak", seed=seed),))
@@ -321,7 +321,7 @@ def test_limits_may_only_be_lowered(host: Host) -> None:
     higher = DisplayConfig(name=NAME, device="sim:", voltage_limit_v=101.0)
 
     async def opened() -> None:
-        await Host(DaemonConfig(display=(higher,))).start()
+        await Host(Configuration(display=(higher,))).start()
 
     with pytest.raises(InputError, match="voltage_limit_v = 101 is above"):
         asyncio.run(opened())
@@ -332,7 +332,7 @@ def test_a_device_that_cannot_be_opened_is_one_line_and_nothing_stays_open() -> 
     good = DisplayConfig(name="left", device="sim:")
 
     async def opened() -> None:
-        host = Host(DaemonConfig(display=(good, bad)))
+        host = Host(Configuration(display=(good, bad)))
         with pytest.raises(BusError, match="no such port") as caught:
             await host.start()
         assert "\n" not in str(caught.value)
@@ -378,7 +378,7 @@ def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(
     runner.run(host.reload())
     assert host.playing[NAME] is playing
     assert state.layers != before, "made anew"
-    assert list(playing._shelf.ready) == [("wood-oak", 0)], "what nobody selects is let go"
+    assert list(playing._texture_store.ready) == [("wood-oak", 0)], "what nobody selects is let go"
     told = [program.client.outbox.get_nowait() for _ in range(program.client.outbox.qsize())]
     assert "textures" in {one.kind for one in told if isinstance(one, m.EventMessage)}
     program.ask(m.ArmDisplay(display=NAME))

@@ -1,4 +1,4 @@
-"""Tests of textures that are made ready: turns of clients, their number, and what is dropped."""
+"""Tests of textures that are prepared: turns of clients, their number, and what is dropped."""
 
 import asyncio
 import gc
@@ -7,34 +7,34 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from daemon_rig import until
-from virtual_daemon import virtual_world
+from server_rig import until
 from virtual_loop import LoopProcess
+from virtual_server import virtual_world
 
 from tactile.display.display import load_display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
-from tactile.server import shelf, workbench
+from tactile.server import preparation_queue, texture_store
 from tactile.server.children import Child
-from tactile.server.shelf import MOST_TEXTURES, Shelf, TooManyDrawingsError
-from tactile.server.workbench import Workbench
+from tactile.server.preparation_queue import PreparationQueue
+from tactile.server.texture_store import MOST_TEXTURES, TextureStore, TooManyPreparationsError
 
 HOW = DeviceOpened(sample_rate=8000.0)
 OAK = "wood-oak"
-WRITER = "tactile.server.drawing:write"
+WRITER = "tactile.server.preparing:write"
 
 
 class Bench:
-    """A shelf with a workbench of its own, and what playback would have been told."""
+    """A store with a queue of its own, and what playback would have been told."""
 
     def __init__(self) -> None:
-        self.workbench = Workbench()
+        self.queue = PreparationQueue()
         self.kept: list[bytes] = []
         self.dropped: list[int] = []
         self.selected: set[int] = set()
         self.ends: list[tuple[int, int]] = []
-        self.shelf = Shelf(
-            load_display("reference-24"), self.workbench, keep=self.kept.append,
+        self.store = TextureStore(
+            load_display("reference-24"), self.queue, keep=self.kept.append,
             drop=self._drop, selected=lambda: self.selected,
         )  # fmt: skip
 
@@ -42,8 +42,8 @@ class Bench:
         self.dropped.append(number)
 
     async def texture(self, client: int, seed: int, name: str = OAK) -> int:
-        """Have a texture made ready, and note when it was."""
-        number = await self.shelf.texture(client, (name, seed), HOW)
+        """Have a texture prepared, and note when it was."""
+        number = await self.store.texture(client, (name, seed), HOW)
         self.ends.append((client, seed))
         return number
 
@@ -58,7 +58,7 @@ async def told(story: Story, unseen: list[Any]) -> None:
     try:
         await story(bench)
     finally:
-        await bench.workbench.close()
+        await bench.queue.close()
     await asyncio.sleep(0)
     gc.collect()
     gc.unfreeze()
@@ -66,7 +66,7 @@ async def told(story: Story, unseen: list[Any]) -> None:
 
 
 def run(story: Story) -> None:
-    """Run a story with a process that draws on a virtual clock."""
+    """Run a story with a process that prepares textures on a virtual clock."""
     with virtual_world(lambda playback, volts: None) as world:
         world.server = LoopProcess(world.clock, world.errors)
         world.run(told(story, world.errors.all))
@@ -74,7 +74,7 @@ def run(story: Story) -> None:
 
 
 def run_beside_a_process(story: Story) -> None:
-    """Run a story with a real process that draws."""
+    """Run a story with a real process that prepares textures."""
     unseen: list[dict[str, Any]] = []
 
     async def whole() -> None:
@@ -98,13 +98,13 @@ def test_clients_take_turns() -> None:
 
 
 def test_what_a_client_that_left_waits_for_is_not_made() -> None:
-    """A hundred drawings of clients that hung up wait; a new one waits for one of them."""
+    """A hundred textures of clients that hung up wait; a new one waits for one of them."""
 
     async def story(bench: Bench) -> None:
         waiting = [asyncio.create_task(bench.texture(client, client)) for client in range(1, 101)]
         await asyncio.sleep(0)
         for client in range(1, 101):
-            bench.shelf.leave(client)
+            bench.store.leave(client)
         assert await bench.texture(200, 7) > 100
         failures = await asyncio.gather(*waiting, return_exceptions=True)
         assert all(isinstance(failure, BusError) for failure in failures)
@@ -120,7 +120,7 @@ def test_what_another_one_waits_for_too_is_made() -> None:
         await asyncio.sleep(0)
         tasks = [asyncio.create_task(bench.texture(client, 0)) for client in (1, 2)]
         await asyncio.sleep(0)
-        bench.shelf.leave(1)
+        bench.store.leave(1)
         left, stays = await asyncio.gather(*tasks, return_exceptions=True)
         assert isinstance(left, BusError)
         assert stays == 2
@@ -134,11 +134,11 @@ def test_who_comes_for_what_was_given_up_has_it_made() -> None:
         blocker = asyncio.create_task(bench.texture(9, 1))
         first = asyncio.create_task(bench.texture(1, 0))
         await asyncio.sleep(0)
-        bench.shelf.leave(1)
+        bench.store.leave(1)
         assert await bench.texture(2, 0) == 3
         assert isinstance((await asyncio.gather(first, return_exceptions=True))[0], BusError)
         await blocker
-        assert set(bench.shelf.ready) == {(OAK, 0), (OAK, 1)}
+        assert set(bench.store.ready) == {(OAK, 0), (OAK, 1)}
 
     run(story)
 
@@ -148,7 +148,7 @@ def test_a_client_waits_for_so_many_at_a_time_and_for_more_when_they_are_ready()
         tasks = [asyncio.create_task(bench.texture(1, k)) for k in range(4)]  # as it may select
         await asyncio.sleep(0)
         with pytest.raises(
-            TooManyDrawingsError, match="4 textures of this client are being prepared"
+            TooManyPreparationsError, match="4 textures of this client are being prepared"
         ):
             await bench.texture(1, 4)
         other = asyncio.create_task(bench.texture(2, 4))
@@ -162,7 +162,7 @@ def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Three textures of 16 MiB each fit in 50 MiB."""
-    monkeypatch.setattr(shelf, "LARGEST_TEXTURES", 50)
+    monkeypatch.setattr(texture_store, "LARGEST_TEXTURES", 50)
 
     async def story(bench: Bench) -> None:
         bench.selected |= {await bench.texture(1, seed) for seed in range(2)}
@@ -173,9 +173,9 @@ def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected
             await bench.texture(1, 4)
         assert "\n" not in str(told.value)
         assert bench.dropped == [spare]
-        assert [key[1] for key in bench.shelf.ready] == [0, 1, 3]
+        assert [key[1] for key in bench.store.ready] == [0, 1, 3]
         bench.selected.clear()
-        with bench.shelf.held() as held:
+        with bench.store.held() as held:
             held.add(1)
             await bench.texture(1, 4)
         assert bench.dropped == [spare, 2], "what is about to be selected stays too"
@@ -184,14 +184,14 @@ def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected
 
 
 def test_so_many_stay_ready_that_nobody_has_selected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shelf, "MOST_TEXTURES", 3)
+    monkeypatch.setattr(texture_store, "MOST_TEXTURES", 3)
     assert MOST_TEXTURES > 3
 
     async def story(bench: Bench) -> None:
         for seed in (0, 1, 2, 0, 3):
             await bench.texture(1, seed)
         assert bench.dropped == [2], "the one that nobody had come for since"
-        assert [key[1] for key in bench.shelf.ready] == [2, 0, 3]
+        assert [key[1] for key in bench.store.ready] == [2, 0, 3]
 
     run(story)
 
@@ -208,16 +208,16 @@ def test_a_failure_is_told_and_nobody_need_hear_it() -> None:
     run(story)
 
 
-def test_a_drawing_that_takes_too_long_ends_its_process_and_the_next_has_another(
+def test_a_texture_that_takes_too_long_ends_its_process_and_the_next_has_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The first process never hears of what it is to draw."""
-    monkeypatch.setattr(workbench, "LONGEST", 0.0)
+    """The first process never hears of what it is to prepare."""
+    monkeypatch.setattr(preparation_queue, "LONGEST", 0.0)
     told: list[Child] = []
     monkeypatch.setattr(Child, "send", lambda child, order: told.append(child))
 
     async def story(bench: Bench) -> None:
-        with pytest.raises(BusError, match="was not ready after 0 s"):
+        with pytest.raises(BusError, match="was not prepared within 0 s"):
             await bench.texture(1, 0)
         (hung,) = told
         assert not hung.alive
@@ -239,8 +239,8 @@ def test_a_process_that_dies_fails_what_it_makes_and_no_more(
         tasks = [asyncio.create_task(bench.texture(client, client)) for client in (1, 2)]
         await asyncio.sleep(0)
         await asyncio.sleep(0)
-        assert bench.workbench._child is not None
-        bench.workbench._child._process.kill()
+        assert bench.queue._child is not None
+        bench.queue._child._process.kill()
         first, second = await asyncio.gather(*tasks, return_exceptions=True)
         assert isinstance(first, BusError)
         assert second == 2

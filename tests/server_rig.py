@@ -45,7 +45,7 @@ from tactile.messages import (
     Textures,
 )
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, OscConfig, ServerConfig, TokenConfig
+from tactile.server.config import Configuration, OscConfig, ServerConfig, TokenConfig
 from tactile.server.host import Host
 from tactile.server.server import Server, running
 
@@ -256,13 +256,13 @@ async def talking(
 
 
 @asynccontextmanager
-async def daemon(
+async def serving(
     osc: int = 0, token: tuple[TokenConfig, ...] = (), **options: Any
 ) -> AsyncIterator[tuple[Server, Hands]]:
     """Run a server on a port of its own, its host in memory."""
     hands = Hands()
     options = {"port": 0, "socket": "", **options}
-    config = DaemonConfig(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
+    config = Configuration(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
     async with running(config, host=hands) as server:
         yield server, hands
 

@@ -1,11 +1,11 @@
-"""The benchmark that sends random messages to a daemon: what it sends, and its arithmetic."""
+"""The benchmark that sends random messages to a server: what it sends, and its arithmetic."""
 
 import json
 import random
 from collections import Counter
 
-from benchmarks.daemon import block_figures
-from benchmarks.fuzz_daemon import LEGAL, random_message
+from benchmarks.fuzz_server import LEGAL, random_message
+from benchmarks.server import block_figures
 from tactile.messages import JSON_PROTOCOL, Failure
 from tactile.server.decoding import ENCODINGS, read
 

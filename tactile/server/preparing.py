@@ -22,7 +22,7 @@ NICE = 10
 
 
 @dataclass(frozen=True)
-class DrawingRequest:
+class PreparationRequest:
     """Request to prepare a texture for a display.
 
     Attributes
@@ -53,8 +53,8 @@ class DrawingRequest:
 
 
 @dataclass(frozen=True)
-class DrawnTexture:
-    """Answer to a request.
+class Preparation:
+    """Prepared texture, or why there is none: the answer to a request.
 
     Attributes
     ----------
@@ -71,12 +71,12 @@ class DrawnTexture:
     failure: str = ""
 
 
-def make(request: DrawingRequest) -> PreparedTexture:
+def prepare(request: PreparationRequest) -> PreparedTexture:
     """Prepare a texture.
 
     Parameters
     ----------
-    request : DrawingRequest
+    request : PreparationRequest
         What to prepare, and for what display.
 
     Returns
@@ -103,13 +103,13 @@ def main() -> None:
     inward, outward = pipes_of_parent()
     with suppress(AttributeError, OSError):
         os.nice(NICE)
-    request: DrawingRequest
+    request: PreparationRequest
     for request in received(inward):
         try:
-            order = request.number, KeepTexture(request.number, make(request))
-            answer = DrawnTexture(request.number, pickle.dumps(order, protocol=5))
+            order = request.number, KeepTexture(request.number, prepare(request))
+            answer = Preparation(request.number, pickle.dumps(order, protocol=5))
         except (TactileError, OSError) as error:
-            answer = DrawnTexture(request.number, failure=str(error))
+            answer = Preparation(request.number, failure=str(error))
         try:
             send(outward, answer)
         except OSError:

@@ -1,4 +1,4 @@
-"""Tests of how the daemon handles a playback that dies or hangs, on the virtual clock."""
+"""Tests of how the server handles a playback that dies or hangs, on the virtual clock."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from virtual_daemon import PlaybackProcess, World, small_display, virtual_world
+from virtual_server import PlaybackProcess, World, small_display, virtual_world
 
 from tactile import messages as m
 from tactile.bus.base import Bus
@@ -17,9 +17,9 @@ from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback import process as playback_process
 from tactile.playback.commands import PlaybackSetup
-from tactile.server import shelf
+from tactile.server import texture_store
 from tactile.server.client import Client
-from tactile.server.config import DaemonConfig, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig
 from tactile.server.playing import hangs
 
 NAME = "left"
@@ -41,14 +41,14 @@ def world(peaks: list[float]) -> Iterator[World]:
 
 @pytest.fixture
 def serve(world: World, tmp_path: Path) -> Callable[..., Client]:
-    """Start a daemon with one display, and connect a client to it."""
+    """Start a server with one display, and connect a client to it."""
 
     def start(device: str = "mock:", **options: Any) -> Client:
         display = DisplayConfig(
             name=NAME, display=small_display(tmp_path), device=device, sample_rate_hz=2500.0,
             **options,
         )  # fmt: skip
-        assert world.start(DaemonConfig(display=(display,)))
+        assert world.start(Configuration(display=(display,)))
         assert world.host is not None
         world.run(asyncio.sleep(0.2))
         return world.host.connect("app", roles=m.ALL_ROLES)
@@ -88,7 +88,7 @@ def events_of(client: Client) -> list[tuple[str, str]]:
     return found
 
 
-def test_a_daemon_whose_playback_died_is_not_healthy_until_it_plays_again(
+def test_a_server_whose_playback_died_is_not_healthy_until_it_plays_again(
     world: World, serve: Callable[..., Client]
 ) -> None:
     serve()
@@ -187,13 +187,13 @@ def test_what_a_client_plays_fades_when_it_leaves_though_another_has_armed(
 def test_each_texture_of_a_selection_is_felt(
     world: World, serve: Callable[..., Client], peaks: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The shelf keeps no more than one texture that nobody has selected."""
-    monkeypatch.setattr(shelf, "MOST_TEXTURES", 1)
+    """The store keeps no more than one texture that nobody has selected."""
+    monkeypatch.setattr(texture_store, "MOST_TEXTURES", 1)
     client = serve(worn=True)
     layers = (m.Layer(texture="wood-oak"), m.Layer(texture="leather-calf"))
     assert world.run(client.request(m.Select(display=NAME, layers=layers))) == m.Done()
     assert world.host is not None
-    ready = world.host.playing[NAME]._shelf.ready
+    ready = world.host.playing[NAME]._texture_store.ready
     assert [name for name, _ in ready] == ["wood-oak", "leather-calf"]
     assert world.run(client.request(m.ArmDisplay(display=NAME))) == m.Done()
     for k in range(30):
@@ -243,7 +243,7 @@ def test_who_leaves_while_playback_is_lost_asks_nothing_of_it(
     assert world.errors.all == []
 
 
-def test_a_daemon_that_ends_says_of_no_playback_that_it_was_lost(
+def test_a_server_that_ends_says_of_no_playback_that_it_was_lost(
     world: World, serve: Callable[..., Client]
 ) -> None:
     client = serve()
@@ -290,7 +290,7 @@ def test_a_device_that_stays_away_is_opened_less_and_less_often(
         tries.append(world.clock.now())
         raise BusError("it is not plugged in")
 
-    monkeypatch.setattr(playback_process, "opened", open_nothing)
+    monkeypatch.setattr(playback_process, "open_device", open_nothing)
     playback_of(world).kill()
     world.run(asyncio.sleep(50.0))
     pauses = [b - a for a, b in pairwise(tries)]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from virtual_daemon import World, virtual_world
+from virtual_server import World, virtual_world
 
 from tactile import messages as m
 from tactile.bus.registry import register_bus
@@ -15,12 +15,12 @@ from tactile.server.config import load_config
 from tactile.server.host import Host
 
 
-class Daemon:
-    """A daemon on a virtual clock, with a configuration in a file.
+class VirtualServer:
+    """A server on a virtual clock, with a configuration in a file.
 
     Parameters
     ----------
-    world : world of the daemon
+    world : world of the server
     path : path of its configuration
     """
 
@@ -57,83 +57,85 @@ class Daemon:
 
 
 @pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[Daemon]:
+def server(tmp_path: Path) -> Iterator[VirtualServer]:
     with virtual_world(lambda playback, volts: None) as world:
         register_bus("sim", world.open_bus, MockOptions)
-        yield Daemon(world, tmp_path / "tactile.toml")
+        yield VirtualServer(world, tmp_path / "tactile.toml")
         assert world.errors.all == []
 
 
-def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(daemon: Daemon) -> None:
-    playing = daemon.start(right="mock:").playing["right"]
+def test_reloading_opens_a_device_anew_whose_e_stop_still_holds(server: VirtualServer) -> None:
+    playing = server.start(right="mock:").playing["right"]
     number = playing.estop("by a test")
-    daemon.write(0.5, right="mock:")
-    daemon.reload()
-    anew = daemon.host.playing["right"]
+    server.write(0.5, right="mock:")
+    server.reload()
+    anew = server.host.playing["right"]
     assert anew is not playing
     assert anew.config.gain == 0.5
     assert anew.latch.holds == number
 
 
 @pytest.mark.parametrize("how", ["reload", "restart"])
-def test_editing_an_option_of_a_device_ends_no_e_stop(daemon: Daemon, how: str) -> None:
-    daemon.start(right="mock:").playing["right"].estop("by a test")
+def test_editing_an_option_of_a_device_ends_no_e_stop(server: VirtualServer, how: str) -> None:
+    server.start(right="mock:").playing["right"].estop("by a test")
     if how == "reload":
-        daemon.write(1.0, right="mock:?format=pcm12")
-        daemon.reload()
+        server.write(1.0, right="mock:?format=pcm12")
+        server.reload()
     else:
-        daemon.world.stop()
-        daemon.start(right="mock:?format=pcm12")
-    playing = daemon.host.playing["right"]
+        server.world.stop()
+        server.start(right="mock:?format=pcm12")
+    playing = server.host.playing["right"]
     assert playing.config.device == "mock:?format=pcm12"
     assert playing.latch.holds
     assert playing.latch.reason.startswith("by a test")
 
 
-def test_reloading_two_displays_of_one_device_keeps_both(daemon: Daemon) -> None:
+def test_reloading_two_displays_of_one_device_keeps_both(server: VirtualServer) -> None:
     """Two simulated displays have the same URL, and a latch each."""
-    host = daemon.start(a="sim:", b="sim:")
-    daemon.write(0.5, a="sim:", b="sim:")
-    daemon.reload()
+    host = server.start(a="sim:", b="sim:")
+    server.write(0.5, a="sim:", b="sim:")
+    server.reload()
     assert {name: one.config.gain for name, one in host.playing.items()} == {"a": 0.5, "b": 0.5}
     host.playing["a"].estop("by a test")
     assert host.playing["b"].latch.holds == 0
 
 
-def test_an_e_stop_while_the_daemon_ends_is_latched(daemon: Daemon) -> None:
-    client = daemon.start(right="mock:").connect("test", roles=m.ALL_ROLES)
-    server = daemon.world.server
-    assert server is not None
+def test_an_e_stop_while_the_server_ends_is_latched(server: VirtualServer) -> None:
+    client = server.start(right="mock:").connect("test", roles=m.ALL_ROLES)
+    process = server.world.server
+    assert process is not None
 
     async def estop_while_it_ends() -> m.Answer:
-        ending = asyncio.create_task(server.opened.aclose())
+        ending = asyncio.create_task(process.opened.aclose())
         await asyncio.sleep(0)
         answer = await client.request(m.EStop())
         assert not ending.done()
         await ending
         return answer
 
-    assert daemon.world.run(estop_while_it_ends()) == m.Done(estops={"right": 1})
-    daemon.world.stop()
-    assert daemon.start(right="mock:").playing["right"].latch.holds == 1
+    assert server.world.run(estop_while_it_ends()) == m.Done(estops={"right": 1})
+    server.world.stop()
+    assert server.start(right="mock:").playing["right"].latch.holds == 1
 
 
-def test_reloading_opens_what_changed_and_tries_what_cannot_be_opened(daemon: Daemon) -> None:
-    host = daemon.start(left="sim:", right="sim:")
+def test_reloading_opens_what_changed_and_tries_what_cannot_be_opened(
+    server: VirtualServer,
+) -> None:
+    host = server.start(left="sim:", right="sim:")
     kept = host.playing["left"]
-    daemon.write(1.0, left="sim:", right="nonsense")
+    server.write(1.0, left="sim:", right="nonsense")
     with pytest.raises(BusError, match="right"):
-        daemon.reload()
+        server.reload()
     assert host.playing["left"] is kept
     assert not host.healthy()
-    daemon.break_configuration()
+    server.break_configuration()
     with pytest.raises(InputError):
-        daemon.reload()
+        server.reload()
     assert set(host.playing) == {"left", "right"}
-    daemon.write(1.0, left="sim:")
-    daemon.reload()
+    server.write(1.0, left="sim:")
+    server.reload()
     assert list(host.playing.values()) == [kept]
-    daemon.world.clock.advance(1.0)
+    server.world.clock.advance(1.0)
     assert host.healthy()
-    daemon.world.stop()
+    server.world.stop()
     assert not host.healthy()

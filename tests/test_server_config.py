@@ -1,4 +1,4 @@
-"""Tests of the daemon's configuration: what a file may contain, and one line for each mistake.
+"""Tests of the server's configuration: what a file may contain, and one line for each mistake.
 
 Logs and the watchdog are here as well: what they write when there is nowhere to write to.
 """
@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from daemon_rig import until
+from server_rig import until
 
 from tactile.errors import InputError
 from tactile.messages import Role
 from tactile.server import logs, watchdog
 from tactile.server.config import (
-    DaemonConfig,
+    Configuration,
     DisplayConfig,
     LogConfig,
     ServerConfig,
@@ -57,7 +57,7 @@ def test_without_a_file_there_is_one_simulated_display_on_loopback() -> None:
 
 def test_the_shipped_example_says_what_is_so_without_it() -> None:
     config = load_config(PACKAGING / "tactile.toml")
-    assert config == DaemonConfig(display=(DisplayConfig(name="right"),), path=config.path)
+    assert config == Configuration(display=(DisplayConfig(name="right"),), path=config.path)
 
 
 def test_paths_are_relative_to_the_file_and_shipped_names_stay(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_a_token_file_that_never_ends_is_refused(tmp_path: Path) -> None:
 
 def test_a_server_for_others_cannot_be_made_without_a_token_either() -> None:
     with pytest.raises(ValueError, match="must be given"):
-        DaemonConfig(server=ServerConfig(host="10.0.0.1"))
+        Configuration(server=ServerConfig(host="10.0.0.1"))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A daemon on a virtual clock: all of it is real but process boundaries and time.
+"""A server on a virtual clock: all of it is real but process boundaries and time.
 
 `Host`, `Playing`, `Client`, `Desk`, `Program`, `PlaybackLoop`, the latch's file, the shared memory
 and the amplifier are the real ones. Time passes only where the event loop has nothing to do, and
@@ -57,14 +57,14 @@ from tactile.playback.commands import DeviceOpened, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop, SamplePlayback
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
-from tactile.server import drawing, host
-from tactile.server.config import DaemonConfig
+from tactile.server import host, preparing
+from tactile.server.config import Configuration
 from tactile.server.host import Host
 from tactile.server.server import running
 
 T = TypeVar("T")
-OPENING, DRAWING = 20e-3, 30e-3
-"""Times that it takes to open a device, and to make a texture ready [s]."""
+OPENING, PREPARING = 20e-3, 30e-3
+"""Times that it takes to open a device, and to prepare a texture [s]."""
 RENDERING = 0.2e-3
 """Time that it takes to render a block [s]."""
 ALONE = 5e-3
@@ -93,37 +93,37 @@ class EstopProcess(Process):
             self.desk = None
 
 
-class DrawingProcess(Process):
-    """The workbench; each texture is drawn once for all daemons."""
+class PreparationProcess(Process):
+    """Process that prepares textures; each is prepared once for all servers."""
 
     def receive(self, order: Any) -> None:
-        assert isinstance(order, drawing.DrawingRequest)
+        assert isinstance(order, preparing.PreparationRequest)
         try:
             keep = commands.KeepTexture(order.number, Stored(order))  # type: ignore[arg-type]
-            made = drawing.DrawnTexture(order.number, pickle.dumps((order.number, keep)))
+            made = preparing.Preparation(order.number, pickle.dumps((order.number, keep)))
         except TactileError as error:
-            made = drawing.DrawnTexture(order.number, failure=str(error))
-        self.clock.after(DRAWING, lambda: self.answer(made))
+            made = preparing.Preparation(order.number, failure=str(error))
+        self.clock.after(PREPARING, lambda: self.answer(made))
 
 
-DRAWN: dict[bytes, commands.PreparedTexture] = {}
-"""Textures that were drawn, by the pickles of requests but for their numbers."""
+PREPARED: dict[bytes, commands.PreparedTexture] = {}
+"""Textures that were prepared, by the pickles of requests but for their numbers."""
 
 
 class Stored:
-    """A texture that is unpickled as the one that was drawn before: it has 17 MB."""
+    """A texture that is unpickled as the one that was prepared before: it has 17 MB."""
 
-    def __init__(self, request: drawing.DrawingRequest) -> None:
+    def __init__(self, request: preparing.PreparationRequest) -> None:
         self._key = pickle.dumps(replace(request, number=0))
-        if self._key not in DRAWN:
-            DRAWN[self._key] = drawing.make(request)
+        if self._key not in PREPARED:
+            PREPARED[self._key] = preparing.prepare(request)
 
     def __reduce__(self) -> Any:
-        return _drawn, (self._key,)
+        return _prepared, (self._key,)
 
 
-def _drawn(key: bytes) -> commands.PreparedTexture:
-    return DRAWN[key]
+def _prepared(key: bytes) -> commands.PreparedTexture:
+    return PREPARED[key]
 
 
 class PlaybackProcess(Process):
@@ -221,7 +221,7 @@ class PlaybackProcess(Process):
 
 KINDS: dict[str, type[Process]] = {
     "tactile.playback.process": PlaybackProcess,
-    "tactile.server.drawing": DrawingProcess,
+    "tactile.server.preparing": PreparationProcess,
     "tactile.estop.process": EstopProcess,
 }
 
@@ -265,7 +265,7 @@ class World:
         assert self.server is not None
         return self.server.run(work)
 
-    def start(self, config: DaemonConfig, *, listening: bool = False) -> bool:
+    def start(self, config: Configuration, *, listening: bool = False) -> bool:
         """Start a server, which listens or does not; return whether it had what it needs."""
         server = self.server = LoopProcess(self.clock, self.errors)
 
@@ -417,7 +417,7 @@ def _stand_ins(world: World) -> dict[str, object]:
         "asyncio.to_thread": _inline,
         "tactile.server.playing.Child": world.child,
         "tactile.server.estop_desk.Child": world.child,
-        "tactile.server.workbench.Child": world.child,
+        "tactile.server.preparation_queue.Child": world.child,
         "tactile.server.config.load_display": _display,
         "tactile.server.host.shipped_textures": lambda: dict(_textures()),
         "tactile.playback.process.threading": threads,

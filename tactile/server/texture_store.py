@@ -13,7 +13,7 @@ from typing import NamedTuple
 from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
-from tactile.server.workbench import Workbench
+from tactile.server.preparation_queue import PreparationQueue
 
 MOST_TEXTURES = 16
 """Maximum number of textures kept ready for one display; exceeded only by those that are
@@ -21,19 +21,19 @@ selected."""
 LARGEST_TEXTURES = 512
 """Maximum total size of the textures that are ready for one display [MiB], as playback holds them
 in locked memory; one takes up to about 16 MiB."""
-MOST_DRAWINGS = 4
+MOST_PREPARATIONS = 4
 """Maximum number of textures that a client waits for at a time: as many as it may select."""
 
 Key = tuple[str, int]
 """Name of a texture and seed of its realization."""
 
 
-class TooManyDrawingsError(BusError):
+class TooManyPreparationsError(BusError):
     """A client already waits for as many textures as it may."""
 
 
-class Ready(NamedTuple):
-    """Texture that is ready.
+class StoredTexture(NamedTuple):
+    """Texture that is ready in playback.
 
     Attributes
     ----------
@@ -48,8 +48,8 @@ class Ready(NamedTuple):
 
 
 @dataclass
-class Making:
-    """Texture that is being prepared.
+class RunningPreparation:
+    """Preparation of a texture that clients wait for.
 
     Attributes
     ----------
@@ -63,15 +63,15 @@ class Making:
     task: asyncio.Task[int]
 
 
-class Shelf:
+class TextureStore:
     """Textures of a display.
 
     Parameters
     ----------
     display : Display
         Display that the textures are for.
-    workbench : Workbench
-        Where textures are prepared.
+    queue : PreparationQueue
+        Queue that prepares textures.
     keep : callable
         Function that passes playback the order to keep a texture, which it may refuse by a
         `BusError`.
@@ -82,24 +82,24 @@ class Shelf:
 
     Attributes
     ----------
-    ready : dict of Key to Ready
+    ready : dict of Key to StoredTexture
         Textures that are ready, those selected last at the end.
     """
 
     def __init__(
         self,
         display: Display,
-        workbench: Workbench,
+        queue: PreparationQueue,
         *,
         keep: Callable[[bytes], None],
         drop: Callable[[int], Awaitable[None]],
         selected: Callable[[], set[int]],
     ) -> None:
-        self._display, self._workbench = display, workbench
+        self._display, self._queue = display, queue
         self._keep, self._drop, self._selected = keep, drop, selected
-        self._making: dict[Key, Making] = {}
+        self._running: dict[Key, RunningPreparation] = {}
         self._held: dict[object, set[int]] = {}
-        self.ready: dict[Key, Ready] = {}
+        self.ready: dict[Key, StoredTexture] = {}
 
     @contextmanager
     def held(self) -> Iterator[set[int]]:
@@ -136,7 +136,7 @@ class Shelf:
 
         Raises
         ------
-        TooManyDrawingsError
+        TooManyPreparationsError
             If the client waits for as many textures as it may.
         BusError
             If the texture cannot be prepared, or there is no room for it.
@@ -144,40 +144,40 @@ class Shelf:
         if key in self.ready:
             self.ready[key] = self.ready.pop(key)  # used last, dropped last
             return self.ready[key].number
-        making = self._making.get(key)
-        if making is None or not making.clients:
-            making = self._begin(client, key, how)
-        making.clients.add(client)
-        number = await asyncio.shield(making.task)
-        if client not in making.clients:
+        running = self._running.get(key)
+        if running is None or not running.clients:
+            running = self._begin(client, key, how)
+        running.clients.add(client)
+        number = await asyncio.shield(running.task)
+        if client not in running.clients:
             raise BusError("the client has left")
         return number
 
-    def _begin(self, client: int, key: Key, how: DeviceOpened) -> Making:
+    def _begin(self, client: int, key: Key, how: DeviceOpened) -> RunningPreparation:
         """Start preparing a texture, once for all clients that wait for it."""
-        waits = sum(client in making.clients for making in self._making.values())
-        if waits >= MOST_DRAWINGS:
-            raise TooManyDrawingsError(
+        waits = sum(client in running.clients for running in self._running.values())
+        if waits >= MOST_PREPARATIONS:
+            raise TooManyPreparationsError(
                 f"{waits} textures of this client are being prepared, the most at a time; "
                 "select again when they are ready"
             )
         clients = {client}
         task = asyncio.create_task(self._prepare(key, how, clients))
         task.add_done_callback(_take_exception)
-        self._making[key] = Making(clients, task)
-        return self._making[key]
+        self._running[key] = RunningPreparation(clients, task)
+        return self._running[key]
 
     async def _prepare(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
         """Prepare a texture for as long as clients wait for it; return its number."""
         try:
-            number, order = await self._workbench.make(self._display, *key, how, clients)
+            number, order = await self._queue.prepare(self._display, *key, how, clients)
             await self._make_room(key[0], len(order))
             self._keep(order)
-            self.ready[key] = Ready(number, len(order))
+            self.ready[key] = StoredTexture(number, len(order))
         finally:
-            making = self._making.get(key)
-            if making is not None and making.clients is clients:
-                del self._making[key]
+            running = self._running.get(key)
+            if running is not None and running.clients is clients:
+                del self._running[key]
         return number
 
     def leave(self, client: int) -> None:
@@ -188,8 +188,8 @@ class Shelf:
         client : int
             Number of the client.
         """
-        for making in self._making.values():
-            making.clients.discard(client)
+        for running in self._running.values():
+            running.clients.discard(client)
 
     async def _make_room(self, name: str, size: int) -> None:
         """Drop textures until there is room for one more.

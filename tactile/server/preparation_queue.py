@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
-from tactile.server import drawing
+from tactile.server import preparing
 from tactile.server.children import Child
 
 LONGEST = 40.0
@@ -26,7 +26,7 @@ class Job:
 
     Attributes
     ----------
-    request : DrawingRequest
+    request : PreparationRequest
         What to prepare.
     clients : set of int
         Numbers of the clients that wait.
@@ -34,13 +34,13 @@ class Job:
         Pickle of the order for playback.
     """
 
-    request: drawing.DrawingRequest
+    request: preparing.PreparationRequest
     clients: set[int]
     order: "asyncio.Future[bytes]"
 
 
-class Workbench:
-    """Preparation of textures in a process of its own."""
+class PreparationQueue:
+    """Textures to prepare in a process of its own, one after the other."""
 
     def __init__(self) -> None:
         self._child: Child | None = None
@@ -49,7 +49,7 @@ class Workbench:
         self._timeout: asyncio.TimerHandle | None = None
         self._number = 0
 
-    async def make(
+    async def prepare(
         self, display: Display, texture: str, seed: int, how: DeviceOpened, clients: set[int]
     ) -> tuple[int, bytes]:
         """Prepare a texture.
@@ -78,7 +78,7 @@ class Workbench:
             If the texture cannot be prepared, or nobody waits for it any more.
         """
         self._number += 1
-        request = drawing.DrawingRequest(
+        request = preparing.PreparationRequest(
             self._number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
         )
         job = Job(request, clients, asyncio.get_running_loop().create_future())
@@ -104,16 +104,16 @@ class Workbench:
                 assert self._child is not None
                 self._child.send(job.request)
             except (OSError, BusError) as error:  # no descriptor or memory left
-                job.order.set_exception(BusError(f"no texture can be made ready: {error}"))
+                job.order.set_exception(BusError(f"no texture can be prepared: {error}"))
                 continue
             self._job = job
             self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
 
-    def _receive(self, what: drawing.DrawnTexture | None) -> None:
+    def _receive(self, what: preparing.Preparation | None) -> None:
         """Take an answer of the process, or None if the process has ended."""
         if what is None:
             self._kill()
-            self._finish("the process that makes textures ready has ended")
+            self._finish("the process that prepares textures has ended")
         elif self._job is not None and what.number == self._job.request.number:
             self._finish(what.failure, what.order)
         self._start_next()
@@ -135,7 +135,7 @@ class Workbench:
     def _give_up(self, job: Job) -> None:
         """Give up a texture whose process hangs."""
         self._kill()
-        self._finish(f"texture {job.request.texture} was not ready after {LONGEST:g} s")
+        self._finish(f"texture {job.request.texture} was not prepared within {LONGEST:g} s")
         self._start_next()
 
     def _kill(self) -> None:
@@ -149,11 +149,11 @@ class Workbench:
         if self._child is not None:
             return
 
-        def on_answer(what: drawing.DrawnTexture | None) -> None:
+        def on_answer(what: preparing.Preparation | None) -> None:
             if self._child is child:  # ignore a process that was given up
                 self._receive(what)
 
-        child = self._child = Child("tactile.server.drawing", on_answer)
+        child = self._child = Child("tactile.server.preparing", on_answer)
 
     async def close(self) -> None:
         """End the process; requests that wait fail."""

@@ -1,4 +1,4 @@
-"""Random messages, legal and illegal, from several clients of a daemon that hang up at any moment.
+"""Random messages, legal and illegal, from several clients of a server that hang up at any moment.
 
 The amplifier's record is the oracle for voltages. Playback must be the same process at the end, a
 program that strokes at the same time must keep its blocks, and clients that hung up must leave
@@ -18,11 +18,12 @@ from contextlib import ExitStack, closing
 from typing import Any
 
 from benchmarks.app import start_app
-from benchmarks.daemon import (
+from benchmarks.floods import Load, drain, loaded, open_websocket
+from benchmarks.server import (
     NAME,
     PATIENCE,
-    Daemon,
     OutputRecorder,
+    Server,
     amplifier_and_folder,
     block_figures,
     connected,
@@ -32,7 +33,6 @@ from benchmarks.daemon import (
     observe,
     send_signal,
 )
-from benchmarks.floods import Load, drain, loaded, open_websocket
 from benchmarks.virtual import can_be_built
 from tactile.bench.figures import Figure, at_least, at_most, beside_machine
 
@@ -41,7 +41,7 @@ SECONDS = 600.0
 CLIENTS = 4
 """Number of clients that send random messages."""
 PLACES = 64
-"""Number of clients that a daemon accepts by default."""
+"""Number of clients that a server accepts by default."""
 HANG_UPS = 2000
 """Smallest permitted number of hang-ups, in all."""
 SEED = 14
@@ -125,56 +125,56 @@ def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
         load.count(1)
 
 
-def clients_of(daemon: Daemon) -> float:
-    """Return the number of clients that a daemon counts."""
+def clients_of(server: Server) -> float:
+    """Return the number of clients that a server counts."""
     with urllib.request.urlopen(
-        f"http://127.0.0.1:{daemon.port}/metrics", timeout=PATIENCE
+        f"http://127.0.0.1:{server.port}/metrics", timeout=PATIENCE
     ) as page:
         text = page.read().decode()
     match = re.search(r'^tactile_clients\{transport="websocket"\} (\S+)', text, re.MULTILINE)
     return float(match[1]) if match else 0.0
 
 
-def free_places(daemon: Daemon, most: int = PLACES) -> int:
+def free_places(server: Server, most: int = PLACES) -> int:
     """Return the number of clients that are accepted at once."""
     with ExitStack() as stack:
-        links = [stack.enter_context(open_websocket(daemon.port)) for _ in range(most)]
+        links = [stack.enter_context(open_websocket(server.port)) for _ in range(most)]
         return sum(b'"welcome"' in link.recv(1 << 16) for link in links)
 
 
-def measure_fuzz_daemon(seconds: float = SECONDS) -> Iterator[Figure]:
-    """Measure the state of a daemon after a while of random messages."""
+def measure_fuzz_server(seconds: float = SECONDS) -> Iterator[Figure]:
+    """Measure the state of a server after a while of random messages."""
     if sys.platform == "linux" and can_be_built():
-        yield from beside_machine("fuzz-daemon", _measured(seconds))
+        yield from beside_machine("fuzz-server", _measured(seconds))
 
 
 def _measured(seconds: float) -> Iterator[Figure]:
     with amplifier_and_folder() as (amplifier, folder):
         recorder = OutputRecorder(amplifier)
-        with closing(Daemon(folder, amplifier.path)) as daemon:
-            playback, before = daemon.playback(), counters_of(daemon)
-            victim = start_app(daemon.url, "stroke", lasts=seconds + PATIENCE)
+        with closing(Server(folder, amplifier.path)) as server:
+            playback, before = server.playback(), counters_of(server)
+            victim = start_app(server.url, "stroke", lasts=seconds + PATIENCE)
             with (
-                connected(daemon) as keeper,
-                loaded(disturb, daemon.port, SEED, seconds, processes=CLIENTS) as load,
+                connected(server) as keeper,
+                loaded(disturb, server.port, SEED, seconds, processes=CLIENTS) as load,
             ):
-                memory = [server for server, _ in observe(daemon, recorder, keeper, seconds)]
+                memory = [size for size, _ in observe(server, recorder, keeper, seconds)]
                 hang_ups = load.sent.value
-            after = counters_of(daemon)
+            after = counters_of(server)
             send_signal(victim.pid or 0, signal.SIGKILL)
             victim.join()
-            yield at_least("fuzz-daemon.hang_ups", float(hang_ups), "", HANG_UPS)
-            yield at_most("fuzz-daemon.playback_died", daemon.playback() != playback, "", 0)
-            yield from recorder.figures("fuzz-daemon")
-            yield from block_figures("fuzz-daemon", before, after, 10)
-            yield from _leftovers(daemon, memory)
+            yield at_least("fuzz-server.hang_ups", float(hang_ups), "", HANG_UPS)
+            yield at_most("fuzz-server.playback_died", server.playback() != playback, "", 0)
+            yield from recorder.figures("fuzz-server")
+            yield from block_figures("fuzz-server", before, after, 10)
+            yield from _leftovers(server, memory)
 
 
-def _leftovers(daemon: Daemon, memory: list[float]) -> Iterator[Figure]:
+def _leftovers(server: Server, memory: list[float]) -> Iterator[Figure]:
     """Yield the clients, free places and memory that are left over."""
     deadline = time.monotonic() + 5.0
-    while (ghosts := clients_of(daemon)) and time.monotonic() < deadline:
+    while (ghosts := clients_of(server)) and time.monotonic() < deadline:
         time.sleep(0.1)
-    yield at_most("fuzz-daemon.ghosts", ghosts, "", 0)
-    yield at_least("fuzz-daemon.free_places", float(free_places(daemon)), "", PLACES)
-    yield growth("fuzz-daemon.server", memory)
+    yield at_most("fuzz-server.ghosts", ghosts, "", 0)
+    yield at_least("fuzz-server.free_places", float(free_places(server)), "", PLACES)
+    yield growth("fuzz-server.server", memory)

@@ -2,8 +2,8 @@
 
 The display file and the texture file come from their schemas and the docstrings of these, the
 command line from the commands, and the Python interface from the names that `tactile` and its rooms
-make public. Documents from elsewhere in the checkout become pages as
-they are, with links that lead to the site or to the repository.
+make public. Documents from elsewhere in the checkout become pages as they are, with links that lead
+to the site or to the repository.
 """
 
 import ast
@@ -38,12 +38,21 @@ COPIED = {
 """Documents that are pages of the site as well."""
 
 UNITS = {
-    "_db": "dB", "_deg": "°", "_hz": "Hz", "_k0_n_per_m": "N/m", "_n_per_m": "N/m",
-    "_n_s_per_m": "N s/m", "_ma": "mA", "_mm": "mm", "_mm_s": "mm/s", "_ms": "ms", "_n": "N",
-    "_ohm": "Ω", "_per_mm": "1/mm", "_per_mm2": "1/mm²", "_pm_per_v": "pm/V", "_um": "µm",
-    "_um2_per_n": "µm²/N", "_us": "µs", "_v": "V", "_v_per_us": "V/µs",
+    "_a": "A", "_db": "dB", "_deg": "°", "_hz": "Hz", "_n_per_m": "N/m", "_n_s_per_m": "N s/m",
+    "_ma": "mA", "_mh": "mH", "_mm": "mm", "_mm_s": "mm/s", "_ms": "ms", "_n": "N", "_ohm": "Ω",
+    "_per_mm": "1/mm", "_per_mm2": "1/mm²", "_pm_per_v": "pm/V", "_ppm": "ppm", "_s": "s",
+    "_um": "µm", "_um2_per_n": "µm²/N", "_us": "µs", "_v": "V", "_v_per_us": "V/µs",
+    "branches": "N/m, N s/m",
 }  # fmt: skip
-"""Unit by the suffix of a key; the longest that fits counts."""
+"""Unit by the suffix of a key or its whole name; the longest that fits counts."""
+
+UNITLESS = {
+    "am_depth", "amplitude_sd", "channel", "columns", "contactors", "eps33t_relative",
+    "excess_kurtosis", "first_channel", "force_exponent", "gain", "jitter",
+    "kinetic_coefficient", "loss_tangent", "piezo_quality", "rows", "shim_quality",
+    "speed_exponent", "static_coefficient", "stick_slip",
+}  # fmt: skip
+"""Keys of numbers that have no unit; any other number without a known unit is an error."""
 
 ROOMS = {
     "display": "Displays",
@@ -142,19 +151,19 @@ def file_page(title: str, schema: type, example: str) -> str:
         lines += ["| key | unit | value | default | meaning |", "|---|---|---|---|---|"]
         for field in msgspec.inspect.type_info(struct).fields:  # type: ignore[attr-defined]
             if struct_of(field.type) is None:
-                lines.append(row(field, meanings[field.name]))
+                default = "*required*" if field.required else shown(field.default)
+                lines.append(row(field, values(field.type), default, meanings[field.name]))
         lines.append("")
     return "\n".join(lines)
 
 
 def meanings_of(struct: type) -> dict[str, str]:
-    """Return what each attribute of a struct means, as its docstring says."""
+    """Return what each attribute of a struct means, as its docstring says.
+
+    Attributes that share a description are left out: each key has a meaning of its own.
+    """
     documented = NumpyDocString(inspect.getdoc(struct) or "")["Attributes"]
-    return {
-        name: " ".join(line.strip() for line in attribute.desc)
-        for attribute in documented
-        for name in attribute.name.split(", ")
-    }
+    return {a.name: " ".join(line.strip() for line in a.desc) for a in documented}
 
 
 def tables(schema: type, prefix: str = "") -> Iterator[tuple[str, type, str]]:
@@ -184,17 +193,54 @@ def struct_of(kind: msgspec.inspect.Type) -> type | None:
 def prose(struct: type) -> list[str]:
     """Return what a struct's docstring says before its first section, as Markdown."""
     told = NumpyDocString(inspect.getdoc(struct) or "")
-    lines = [*told["Summary"], "", *told["Extended Summary"]]
+    return markdown([*told["Summary"], "", *told["Extended Summary"]])
+
+
+def markdown(lines: list[str]) -> list[str]:
+    """Return lines of a docstring with its literals and names as code of Markdown."""
     return [re.sub(r"`+([^`]+)`+", r"`\1`", line) for line in lines]
 
 
-def row(field: msgspec.inspect.Field, meaning: str) -> str:
-    """Return the line of a key in its table."""
-    suffixes = [s for s in UNITS if field.encode_name.endswith(s)]
-    unit = UNITS[max(suffixes, key=len)] if suffixes else ""
-    default = "*required*" if field.required else shown(field.default)
-    cells = (f"`{field.encode_name}`", unit, values(field.type), default, meaning.strip())
+def row(field: msgspec.inspect.Field, allowed: str, default: str, meaning: str) -> str:
+    """Return the line of a key in its table; a unit in brackets in its meaning gets a cell."""
+    stated = re.search(r" \[([^\]]+)\](?!\()", meaning)  # no link
+    unit = unit_of(field, stated[1] if stated else "")
+    meaning = meaning.replace(stated[0], "", 1) if stated else meaning
+    cells = (f"`{field.encode_name}`", unit, allowed, default, *markdown([meaning.strip()]))
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def unit_of(field: msgspec.inspect.Field, stated: str = "") -> str:
+    """Return the unit of a key by its suffix, or the one that its meaning states.
+
+    Raises
+    ------
+    ValueError
+        If the two differ, or if the key is that of a number that has neither and is not listed as
+        unitless.
+    """
+    name = field.encode_name
+    suffixes = [suffix for suffix in UNITS if name.endswith(suffix)]
+    unit = UNITS[max(suffixes, key=len)] if suffixes else stated
+    if stated not in ("", unit):
+        raise ValueError(f"{name}: its suffix means {unit}, its docstring says [{stated}]")
+    if not unit and is_number(field.type) and name not in UNITLESS:
+        raise ValueError(f"{name}: no unit; add its suffix to UNITS, or the key to UNITLESS")
+    return unit
+
+
+def is_number(kind: msgspec.inspect.Type) -> bool:
+    """Return whether a value is a number with a range, or a list of such."""
+    match kind:
+        case msgspec.inspect.UnionType():
+            return any(map(is_number, kind.types))
+        case msgspec.inspect.TupleType():
+            return any(map(is_number, kind.item_types))
+        case msgspec.inspect.VarTupleType():
+            return is_number(kind.item_type)
+        case msgspec.inspect.Metadata():
+            return is_number(kind.type)
+    return isinstance(kind, msgspec.inspect.IntType | msgspec.inspect.FloatType)
 
 
 def shown(default: Any) -> str:
@@ -205,7 +251,7 @@ def shown(default: Any) -> str:
         return f"`{str(default).lower()}`"
     if isinstance(default, tuple):
         return f"`[{', '.join(f'{value:g}' for value in default)}]`"
-    return f'`"{default}"`' if isinstance(default, str) else f"`{default:g}`"
+    return f'`"{default}"`' if isinstance(default, str) else f"`{default:.12g}`"
 
 
 def values(kind: msgspec.inspect.Type) -> str:
@@ -238,7 +284,7 @@ def limits(kind: msgspec.inspect.IntType | msgspec.inspect.FloatType) -> str:
     """Return the range of a number, such as "> 0 and ≤ 200"."""
     bounds = {">": kind.gt, "≥": kind.ge, "<": kind.lt, "≤": kind.le}
     told = " and ".join(
-        f"{sign} {bound:.10g}" for sign, bound in bounds.items() if bound is not None
+        f"{sign} {bound:.12g}" for sign, bound in bounds.items() if bound is not None
     )
     return f" {told}" if told else ""
 

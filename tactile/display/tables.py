@@ -198,12 +198,14 @@ class VoiceCoilTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     response : str
         File of the shear displacement per volt at the terminals, measured under a finger; relative
         to the display file.
-    resistance_ohm, inductance_mh : float
-        Resistance [Ω] and inductance [mH] of the coil.
+    resistance_ohm : float
+        Resistance of the coil.
+    inductance_mh : float
+        Inductance of the coil.
     current_a : float
-        Current that the coil withstands for good [A].
+        Current that the coil withstands for good.
     size_mm : tuple of float
-        Size at rest along and across the shear direction [mm].
+        Size at rest along and across the shear direction.
     """
 
     response: str

@@ -1,15 +1,17 @@
 """Write the pages of the site that are made of the code and of other files; `conf.py` calls it.
 
-The display file and the texture file come from their schemas and the docstrings of these, the
-command line from the commands, and the Python interface from the names that `tactile` and its rooms
-make public. Documents from elsewhere in the checkout become pages as they are, with links that lead
-to the site or to the repository.
+The display file, the texture file and the device URLs come from their schemas and the docstrings of
+these, the command line from the commands, and the Python interface from the names that `tactile`
+and its rooms make public. Documents from elsewhere in the checkout become pages as they are, with
+links that lead to the site or to the repository.
 """
 
 import ast
 import importlib
 import inspect
 import re
+import sys
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,9 @@ import typer
 from numpydoc.docscrape import NumpyDocString
 
 import tactile
+from tactile import devices
+from tactile.bus import registry
+from tactile.bus.options import HEXADECIMAL, Options
 from tactile.cli.app import COMMANDS, load_command
 from tactile.display.tables import DisplayFile
 from tactile.texture.descriptor import Descriptor
@@ -47,10 +52,11 @@ UNITS = {
 """Unit by the suffix of a key or its whole name; the longest that fits counts."""
 
 UNITLESS = {
-    "am_depth", "amplitude_sd", "channel", "columns", "contactors", "eps33t_relative",
-    "excess_kurtosis", "first_channel", "force_exponent", "gain", "jitter",
-    "kinetic_coefficient", "loss_tangent", "piezo_quality", "rows", "shim_quality",
-    "speed_exponent", "static_coefficient", "stick_slip",
+    "address", "am_depth", "amplitude_sd", "boards", "channel", "channels", "columns", "contactors",
+    "corrupt", "eps33t_relative", "excess_kurtosis", "first_channel", "force_exponent", "gain",
+    "jitter", "kinetic_coefficient", "loss", "loss_tangent", "mux", "nodes", "parcap",
+    "piezo_quality", "ports", "reorder", "rows", "seed", "shim_quality", "speed_exponent",
+    "static_coefficient", "stick_slip", "sup_rise",
 }  # fmt: skip
 """Keys of numbers that have no unit; any other number without a known unit is an error."""
 
@@ -106,6 +112,7 @@ def generate(folder: Path) -> None:
         "texture-file.md": file_page(
             "The texture file", Descriptor, "`textures/wood/wood-oak.toml`"
         ),
+        "device-urls.md": device_page(),
         "command-line.md": command_page(),
         **python_pages(),
         **{page: copied(source) for source, page in COPIED.items()},
@@ -287,6 +294,86 @@ def limits(kind: msgspec.inspect.IntType | msgspec.inspect.FloatType) -> str:
         f"{sign} {bound:.12g}" for sign, bound in bounds.items() if bound is not None
     )
     return f" {told}" if told else ""
+
+
+# Devices
+
+
+def device_page() -> str:
+    """Return the reference of device URLs, a section for each driver."""
+    lines = [
+        "# Device URLs",
+        "",
+        "A device is named by a URL: its kind, a colon, the name of the device where a kind has "
+        "several, and after a question mark options as `name=value`, separated by `&`. Every "
+        "option may be left out. The values of a list are separated by commas, numbers may be "
+        "hexadecimal as in `0x42`, and `yes` and `1` stand for `true`, `no` and `0` for `false`. "
+        "An unknown option and a value that is not allowed are errors. The guide to "
+        "[devices](/guide/devices.md) tells which kind is for what.",
+        "",
+    ]
+    for scheme, driver in sorted(drivers().items()):
+        lines += [f"## `{scheme}:`", "", *device_section(driver)]
+    return "\n".join(lines)
+
+
+def drivers() -> dict[str, registry.Driver[Any]]:
+    """Return the drivers that belong to the package, by scheme."""
+    modules = {module.__name__ for module in devices.KINDS}
+    return {s: d for s, d in registry._drivers.items() if d.factory.__module__ in modules}
+
+
+def device_section(driver: registry.Driver[Any]) -> Iterator[str]:
+    """Yield what a driver is, how its URLs are written, and its options, its own first.
+
+    The first two paragraphs of the driver's module say what it is.
+    """
+    module = inspect.getdoc(sys.modules[driver.factory.__module__]) or ""
+    yield "\n\n".join(markdown(module.split("\n\n")[:2]))
+    yield from ["", "\n".join(prose(driver.options)).strip(), ""]
+    yield from ["| option | unit | value | default | meaning |", "|---|---|---|---|---|"]
+    declaring = [s for s in driver.options.__mro__ if issubclass(s, Options)]
+    meanings = ChainMap(*map(meanings_of, declaring))
+    for field in options_of(driver):
+        allowed, default = option_values(field.type), option_default(field)
+        yield row(field, allowed, default, meanings[field.name])
+    yield ""
+
+
+def options_of(driver: registry.Driver[Any]) -> list[msgspec.inspect.Field]:
+    """Return the options of a driver, those that it shares with other drivers last."""
+    fields = msgspec.inspect.type_info(driver.options).fields  # type: ignore[attr-defined]
+    return sorted(fields, key=lambda field: field.name not in driver.options.__annotations__)
+
+
+def option_values(kind: msgspec.inspect.Type) -> str:
+    """Return what an option may be: its type and range, as a URL has them."""
+    match kind:
+        case msgspec.inspect.Metadata(type=msgspec.inspect.IntType() as number):
+            assert kind.extra == HEXADECIMAL
+            assert number.ge is not None
+            assert number.le is not None
+            if number.ge == number.le:
+                return f"`{number.ge:#x}`"
+            return f"integer ≥ {number.ge:#x} and ≤ {number.le:#x}"
+        case msgspec.inspect.LiteralType():
+            ordered = sorted(kind.values, key=lambda v: (int(v) if v.isdecimal() else 0, v))
+            return ", ".join(f"`{v}`" for v in ordered)
+        case msgspec.inspect.UnionType():
+            (kind,) = (t for t in kind.types if not isinstance(t, msgspec.inspect.NoneType))
+            return option_values(kind)
+        case msgspec.inspect.VarTupleType():
+            return f"list, each: {option_values(kind.item_type)}"
+    return values(kind)
+
+
+def option_default(field: msgspec.inspect.Field) -> str:
+    """Return a default as a URL has it; nothing where its meaning tells."""
+    if field.default in (None, ()):
+        return ""
+    if isinstance(field.default, tuple):
+        return f"`{','.join(f'{value:#x}' for value in field.default)}`"
+    return shown(field.default).replace('"', "")
 
 
 # Command line

@@ -27,14 +27,14 @@ JUDGED_BAND = (20.0, 1000.0)
 
 
 class SimOptions(Options, frozen=True, kw_only=True):
-    """Options of a ``sim:`` URL.
+    """Options of a URL ``sim:?option=value&…``.
 
     Attributes
     ----------
     keep : str
-        How much of what was put out is remembered: the last second, or all.
+        Part of the output that is kept: the last second, or all.
     plant : str or None
-        Factory of a plant, as ``package.module:factory``; None for the display's own.
+        Factory of a plant, as ``package.module:factory``; by default the display's own plant.
     format : str
         Format of the samples on the line to the amplifier.
     """

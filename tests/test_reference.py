@@ -10,6 +10,9 @@ import msgspec
 import pytest
 from msgspec import Meta, Struct
 
+from tactile import devices
+from tactile.bus import registry
+from tactile.bus.options import option_types
 from tactile.display.tables import DisplayFile
 from tactile.texture.descriptor import Descriptor
 
@@ -38,6 +41,41 @@ def sections(page: str) -> dict[str, dict[str, list[str]]]:
         heading: {key: cells for key, *cells in re.findall(ROW, text, re.MULTILINE)}
         for heading, text in zip(parts[::2], parts[1::2], strict=True)
     }
+
+
+def test_every_option_of_every_driver_is_on_the_page_with_its_meaning() -> None:
+    listed = sections(GENERATE.device_page())
+    modules = {module.__name__ for module in devices.KINDS}
+    drivers = {
+        scheme: driver
+        for scheme, driver in registry._drivers.items()
+        if driver.factory.__module__ in modules
+    }
+    assert len(drivers) == len(devices.KINDS)
+    assert {heading: set(rows) for heading, rows in listed.items()} == {
+        f"{scheme}:": set(option_types(driver.options)) for scheme, driver in drivers.items()
+    }
+    for heading, rows in listed.items():
+        assert f"`{heading}" in GENERATE.device_page()
+        meanings = [meaning for *_, meaning in rows.values()]
+        assert all(meanings), heading
+        assert len(set(meanings)) == len(meanings), heading
+
+
+@pytest.mark.parametrize(
+    ("scheme", "option", "cells"),
+    [
+        ("can:", "bitrate", ["bit/s", "number ≥ 10000 and ≤ 1000000", "`1000000`"]),
+        ("i2c:", "address", ["", "list, each: integer ≥ 0x8 and ≤ 0x77", "`0x42`"]),
+        ("i2c:", "smbus", ["", "`true`, `false`", "`false`"]),
+        ("drv2667:", "range", ["V", "`50`, `100`, `150`, `200`", ""]),
+        ("mock:", "drift_ppm", ["ppm", "number ≥ -20000 and ≤ 20000", "`0`"]),
+    ],
+)
+def test_an_option_has_its_unit_range_and_default(
+    scheme: str, option: str, cells: list[str]
+) -> None:
+    assert sections(GENERATE.device_page())[scheme][option][:3] == cells
 
 
 @pytest.mark.parametrize("schema", [DisplayFile, Descriptor])

@@ -482,7 +482,7 @@ def _failure(error: Exception) -> str:
 
 
 class CanOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of a ``can:`` URL.
+    """Options of a URL ``can:INTERFACE/CHANNEL?option=value&…``.
 
     Attributes
     ----------
@@ -491,11 +491,11 @@ class CanOptions(LinkOptions, frozen=True, kw_only=True):
     fd : bool
         Whether frames are CAN FD; they also are if ``data_bitrate`` is given.
     data_bitrate : float or None
-        Bit rate of the data phase of CAN FD [bit/s]; None for the default, `DATA`.
+        Bit rate of the data phase of CAN FD [bit/s]; by default 5 Mbit/s if ``fd`` is true.
     extended : bool
         Whether identifiers have 29 bits.
     nodes : tuple of int
-        Nodes of the amplifiers in the order of the channels; all that answer if empty.
+        Nodes of the amplifiers in the order of the channels; by default all that answer.
     """
 
     bitrate: Annotated[float, Meta(ge=10e3, le=1e6)] = NOMINAL

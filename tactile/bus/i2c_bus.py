@@ -273,7 +273,7 @@ def _failure(error: OSError) -> str:
 
 
 class I2cOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of an ``i2c:`` URL.
+    """Options of a URL ``i2c:BUS?option=value&…``, where BUS is the number of the I2C bus.
 
     Attributes
     ----------

@@ -443,12 +443,12 @@ class PortLine(SerialLine):
 
 
 class SerialOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of a ``serial:`` URL.
+    """Options of a URL ``serial:PORT?option=value&…``, where PORT may be a URL of pyserial.
 
     Attributes
     ----------
     baud : float or None
-        Bit rate of a UART [bit/s]; None for USB CDC, which has none.
+        Bit rate of a UART [bit/s]; by default the line is USB CDC, which has none.
     """
 
     baud: Annotated[float, Meta(ge=1200, le=100e6)] | None = None

@@ -246,7 +246,7 @@ class UdpWire(Wire):
 
 
 class UdpOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of a ``udp:`` URL.
+    """Options of a URL ``udp:HOST:PORT?option=value&…``.
 
     Attributes
     ----------

@@ -346,12 +346,12 @@ def find() -> Iterator[FoundDevice]:
 
 
 class AudioOptions(Options, frozen=True, kw_only=True):
-    """Options of an ``audio:`` URL.
+    """Options of a URL ``audio:NAME?option=value&…``.
 
     Attributes
     ----------
     channels : int or None
-        Number of outputs that are opened; None for as many as the display has.
+        Number of outputs that are opened, at least and by default the channels of the display.
     """
 
     channels: int | None = None

@@ -33,11 +33,11 @@ class ChipOptions(Options, frozen=True, kw_only=True):
         Addresses of the chips in the order of the channels, or the one behind all ports; the
         chip's own if empty. Each driver declares the addresses that its chip can have.
     mux : int or None
-        Address of a TCA9548A multiplexer before the chips (TI SCPS207).
+        Address of a TCA9548A multiplexer before the chips (TI SCPS207); by default there is none.
     ports : tuple of int
-        Ports of the multiplexer in the order of the channels; port 0 if empty.
+        Ports of the multiplexer in the order of the channels; by default port 0.
     clock_hz : int
-        Clock of the bus [Hz].
+        Clock of the bus [Hz]; an error if it is above the highest of the chip.
     """
 
     address: tuple[int, ...] = ()

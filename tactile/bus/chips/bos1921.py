@@ -417,14 +417,19 @@ class Bos1921Bus(ChipBus):
 
 
 class Bos1921Options(ChipOptions, frozen=True, kw_only=True):
-    """Options of a ``bos1921:`` URL.
+    """Options of a URL ``bos1921:BUS?option=value&…``, where BUS is the number of the I2C bus.
 
     Attributes
     ----------
+    address : tuple of int
+        Addresses of the chips in the order of the channels, or the one behind all ports; by default
+        0x44.
     range : str
-        Range of the output [V].
-    parcap, sup_rise : int or None
-        Values of the registers of these names, which depend on the board; the reset values if None.
+        Range of the output [V]: ±95 V, or ±13.28 V.
+    parcap : int or None
+        Value of the register PARCAP, which depends on the board; by default its reset value.
+    sup_rise : int or None
+        Value of the register SUP_RISE, which depends on the board; by default its reset value.
     """
 
     address: tuple[

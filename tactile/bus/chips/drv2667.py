@@ -487,12 +487,15 @@ class Drv2667Bus(ChipBus):
 
 
 class Drv2667Options(ChipOptions, frozen=True, kw_only=True):
-    """Options of a ``drv2667:`` URL.
+    """Options of a URL ``drv2667:BUS?option=value&…``, where BUS is the number of the I2C bus.
 
     Attributes
     ----------
+    address : tuple of int
+        Address of the chips, which all have the same.
     range : str or None
-        Range of the output, peak to peak [V]; None for the smallest that covers the limit.
+        Range of the output, peak to peak [V]; by default the smallest that covers the voltage limit
+        of the display.
     """
 
     address: tuple[Annotated[int, Meta(ge=ADDRESS, le=ADDRESS, extra=HEXADECIMAL)], ...] = ()

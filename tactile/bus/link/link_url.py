@@ -23,12 +23,11 @@ class LinkOptions(Options, frozen=True, kw_only=True):
     Attributes
     ----------
     format : str or None
-        Sample format on the link; None for the best that fits it.
+        Sample format on the link; by default the best that fits it.
     rearm : bool
         Whether the bus may arm an amplifier again that went to 0 V by itself.
     lead_ms : float or None
-        Time by which samples are sent before they are due [ms]; None for one that adapts to
-        underruns.
+        Time by which samples are sent before they are due [ms]; by default it adapts to underruns.
     """
 
     format: FormatName | None = None

@@ -46,29 +46,40 @@ Interval = Annotated[float, Meta(ge=0.01, le=1e9)]
 
 
 class MockOptions(LinkOptions, frozen=True, kw_only=True):
-    """Options of a ``mock:`` URL.
+    """Options of a URL ``mock:?option=value&…``.
 
-    Without ``link`` only ``keep``, ``format`` and ``rearm`` may be given.
+    Without ``link`` only ``keep``, ``format`` and ``rearm`` may be given. With it packets go over a
+    modeled link that takes time and fails as the other options request.
 
     Attributes
     ----------
     keep : str
         Part of the output that is kept: the last second, or all.
     link : str or None
-        Kind of the modeled link; None for amplifiers that samples reach at once.
-    bit_rate, data_bit_rate : float or None
-        Bit rates of the link, and of the data phase of CAN FD [bit/s]; None for the usual ones.
-    loss, corrupt, reorder : float
-        Probabilities that a chunk, frame or transfer is lost, damaged, or overtaken by the next
-        one.
+        Kind of the modeled link; by default there is none, and samples arrive at once.
+    bit_rate : float or None
+        Bit rate of the link [bit/s]; by default 1 Mbit/s for CAN, 400 kbit/s for I2C, and unlimited
+        for a serial line.
+    data_bit_rate : float or None
+        Bit rate of the data phase of CAN FD [bit/s]; by default 5 Mbit/s.
+    loss : float
+        Probability that a chunk, frame or transfer is lost.
+    corrupt : float
+        Probability that a chunk, frame or transfer is damaged.
+    reorder : float
+        Probability that a chunk, frame or transfer is overtaken by the next one.
     delay_ms : float
         Mean of the delay that a driver adds to each chunk or frame [ms].
     arbitration_us : float
         Longest time that a chunk or frame waits for other traffic [µs].
     fifo_ms : float
         Length of an amplifier's buffer [ms].
-    disconnect_s, power_s, stall_s : float or None
-        Mean times between losses of the link, losses of power, and stalls of an amplifier [s].
+    disconnect_s : float or None
+        Mean time between losses of the link [s]; by default there are none.
+    power_s : float or None
+        Mean time between losses of power [s]; by default there are none.
+    stall_s : float or None
+        Mean time between stalls of an amplifier [s]; by default there are none.
     drift_ppm : float
         Drift of the first amplifier's clock [ppm]; the k-th drifts k times as much.
     boards : int

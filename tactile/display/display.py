@@ -105,8 +105,12 @@ class DriveLimits:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A measured response of amplifier and loaded bimorph: shear displacement per volt of drive.
+class MeasuredResponse:
+    """Measured response of loaded actuators: shear displacement per volt.
+
+    A response of contactors or of a group is that of amplifier and actuator together, per volt of
+    drive. The response of a ``[voice_coil]`` is that of the actuator alone, per volt at its
+    terminals, and does not include the amplifier.
 
     Between the frequencies of the measurement, the logarithm of the magnitude and the unwrapped
     phase are interpolated linearly; beyond its ends both are held constant.
@@ -136,7 +140,7 @@ class Measured:
         Returns
         -------
         (F,) complex array
-            Shear displacement per volt of drive [m/V].
+            Shear displacement per volt of drive, or per volt at the terminals [m/V].
         """
         size = np.exp(np.interp(frequency, self.frequency, np.log(self.magnitude)))
         turn = np.interp(frequency, self.frequency, np.unwrap(self.phase))
@@ -171,7 +175,7 @@ class Display:
         Amplifier of every channel.
     limits : DriveLimits
         Limits of the drive of every channel.
-    measured : tuple of Measured
+    measured : tuple of MeasuredResponse
         Measured responses that replace the model.
     kind : (N,) array of int
         Response of each contactor: 0 for the model, k for ``measured[k − 1]``.
@@ -188,7 +192,7 @@ class Display:
     load: FingerLoad | FingerTable
     amplifier: Amplifier
     limits: DriveLimits
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[MeasuredResponse, ...] = ()
     kind: NDArray[np.intp]
 
     @property
@@ -486,7 +490,7 @@ def _limits(table: LimitsTable) -> DriveLimits:
 
 def _measured(
     content: DisplayFile, contactors: tuple[Contactor, ...], path: Path
-) -> tuple[tuple[Measured, ...], NDArray[np.intp]]:
+) -> tuple[tuple[MeasuredResponse, ...], NDArray[np.intp]]:
     """Return the measured responses, and the index of each contactor's own, from 1 (0: none)."""
     responses: list[str | None] = [c.response for c in contactors]
     own = [name is not None for name in responses]
@@ -501,7 +505,7 @@ def _measured(
     return tuple(load_response(path.parent / name) for name in names), np.array(kind, np.intp)
 
 
-def load_response(path: str | Path) -> Measured:
+def load_response(path: str | Path) -> MeasuredResponse:
     """Read a measured response from a CSV file.
 
     Parameters
@@ -511,7 +515,7 @@ def load_response(path: str | Path) -> Measured:
 
     Returns
     -------
-    Measured
+    MeasuredResponse
         The response in SI units.
 
     Raises
@@ -539,7 +543,7 @@ def load_response(path: str | Path) -> Measured:
             f"{path}: frequency_hz: covers {values[0, 0]:g} … {values[-1, 0]:g} Hz, "
             f"must cover {low:g} … {high:g} Hz"
         )
-    return Measured(values[:, 0], values[:, 1] * scale, np.radians(values[:, 2]))
+    return MeasuredResponse(values[:, 0], values[:, 1] * scale, np.radians(values[:, 2]))
 
 
 def _check_geometry(display: Display) -> None:

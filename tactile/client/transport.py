@@ -1,18 +1,7 @@
 """The interface of what carries messages to a server: over a network, or inside one process.
 
 A `Transport` takes `Command` objects and delivers `Answer` objects, whether or not it encodes them.
-A display in the same process needs only this::
-
-    class LocalTransport:
-        def open(self, session: ClientSession) -> None:
-            self._session = session
-            session.say_hello()
-
-        def send(self, command: Command) -> None:
-            for answer in self._server.handle(command):
-                self._session.received(answer)
-
-        def close(self) -> Future[None]: ...
+One that encodes nothing is `tactile.local.LocalTransport`, for a display in the same process.
 """
 
 from concurrent.futures import Future

@@ -1,6 +1,6 @@
 """Figure of a texture on a display: surface, spectrum against the threshold, and a stroke.
 
-`plot_texture` draws a `tactile.show.views.View`: one figure shows what of the texture reaches the
+`texture_figure` draws a `tactile.show.views.View`: one figure shows what of the texture reaches the
 skin, and whether it is felt.
 """
 

@@ -272,7 +272,7 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     """One texture, as it is stored in its file.
 
     A texture file is a TOML file that describes how the skin of a sliding finger is moved
-    tangentially, as a function of place. Its name without `.toml` must equal `texture.id`. Units
+    tangentially, as a function of place. Its name without `.toml` must equal ``texture.id``. Units
     are part of the name of each key, unknown keys are errors, and every number must be finite. [The
     textures](/generated/textures.md) page tells how to write one and how the shipped ones came to
     be.

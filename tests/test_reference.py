@@ -78,6 +78,16 @@ def test_an_option_has_its_unit_range_and_default(
     assert sections(GENERATE.device_page())[scheme][option][:3] == cells
 
 
+def test_the_urls_on_the_page_are_allowed() -> None:
+    page = GENERATE.device_page()
+    schemes = [heading.rstrip(":") for heading in sections(page)]
+    urls = re.findall(rf"`((?:{'|'.join(schemes)}):[^`]*)`", page)
+    examples = [url for url in urls if "option=value" not in url]
+    assert len(examples) > 2 * len(schemes)
+    for url in examples:
+        registry.parse(url)
+
+
 @pytest.mark.parametrize("schema", [DisplayFile, Descriptor])
 def test_every_key_of_a_file_is_on_its_page_with_a_meaning_of_its_own(schema: type) -> None:
     listed = sections(GENERATE.file_page("Title", schema, "`example`"))

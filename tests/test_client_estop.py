@@ -98,7 +98,7 @@ def test_what_makes_quieter_is_never_too_much() -> None:
     session, kept = opened_session()
     for _ in range(256):
         session.request(m.SetGain(display="left", gain=0.5))
-    with pytest.raises(ClientError, match="256 requests wait"):
+    with pytest.raises(ClientError, match="256 requests are already waiting"):
         session.request(m.ArmDisplay(display="left"))
     session.request(m.EStop())
     session.request(m.DisarmDisplay(display="left"))

@@ -16,7 +16,7 @@ from benchmarks.floods import loaded, touch_together
 from benchmarks.server import (
     PATIENCE,
     OutputRecorder,
-    Server,
+    ServerProcess,
     amplifier_and_folder,
     block_figures,
     connected,
@@ -56,7 +56,7 @@ def _measured(crowd: Crowd) -> Iterator[Figure]:
     places = f"most_clients = {crowd.clients + 10}"
     with (
         amplifier_and_folder() as (amplifier, folder),
-        closing(Server(folder, amplifier.path, server=places)) as server,
+        closing(ServerProcess(folder, amplifier.path, server=places)) as server,
         connected(server) as keeper,
         loaded(touch_together, server.url, crowd.clients, crowd.seconds + PATIENCE) as load,
     ):

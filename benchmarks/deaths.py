@@ -27,7 +27,7 @@ from benchmarks.server import (
     POLL,
     AmplifierOutput,
     OutputRecorder,
-    Server,
+    ServerProcess,
     amplifier_and_folder,
     joined,
     last_after,
@@ -58,10 +58,10 @@ SEED = 14
 
 
 @dataclass(frozen=True)
-class Scene:
+class FaultScene:
     """Target of a fault: an app that plays through a server over a link (a descriptor)."""
 
-    server: Server
+    server: ServerProcess
     app: BaseProcess
     playback: int
     link: int
@@ -73,7 +73,7 @@ class Scene:
         return self.app.pid
 
 
-Fault = Callable[[Scene], AbstractContextManager[float]]
+Fault = Callable[[FaultScene], AbstractContextManager[float]]
 """Fault in a scene: a context manager that yields the time of the fault [s] and ends it."""
 
 
@@ -89,7 +89,7 @@ def _signaled(pid: int, number: signal.Signals) -> Iterator[float]:
 
 
 @contextmanager
-def _link_lost(scene: Scene) -> Iterator[float]:
+def _link_lost(scene: FaultScene) -> Iterator[float]:
     """Keep everything that the host sends from the amplifier."""
     moment = time.monotonic()
     termios.tcflow(scene.link, termios.TCOOFF)
@@ -100,7 +100,7 @@ def _link_lost(scene: Scene) -> Iterator[float]:
 
 
 @contextmanager
-def _descriptors_exhausted(scene: Scene) -> Iterator[float]:
+def _descriptors_exhausted(scene: FaultScene) -> Iterator[float]:
     """Leave no descriptor to the server, then kill the app."""
     pid, folder = scene.server.pid, Path(f"/proc/{scene.server.pid}/fd")
     before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
@@ -185,7 +185,7 @@ class Tries:
 
     Parameters
     ----------
-    server : Server
+    server : ServerProcess
         Server that plays.
     recorder : OutputRecorder
         Recorder of its amplifier.
@@ -193,7 +193,7 @@ class Tries:
         Descriptor of the amplifier's pty, at the host's end.
     """
 
-    def __init__(self, server: Server, recorder: OutputRecorder, link: int) -> None:
+    def __init__(self, server: ServerProcess, recorder: OutputRecorder, link: int) -> None:
         self._server, self._recorder, self._link = server, recorder, link
 
     def carry_out(self, sound: str, fault: Fault, outcomes: Outcomes, wait: float) -> None:
@@ -201,7 +201,7 @@ class Tries:
         self._server.restart()
         app = self._playing(sound)
         try:
-            scene = Scene(self._server, app, self._server.playback(), self._link)
+            scene = FaultScene(self._server, app, self._server.playback(), self._link)
             time.sleep(wait)
             before = self._recorder.read()
             with fault(scene) as moment:
@@ -290,7 +290,7 @@ def _tries(*, worn: bool, log: str) -> Iterator[tuple[Tries, OutputRecorder]]:
         link = os.open(amplifier.path, os.O_RDWR | os.O_NOCTTY)
         try:
             recorder = OutputRecorder(amplifier)
-            with closing(Server(folder, amplifier.path, worn=worn, log=log)) as server:
+            with closing(ServerProcess(folder, amplifier.path, worn=worn, log=log)) as server:
                 yield Tries(server, recorder, link), recorder
         finally:
             os.close(link)

@@ -34,7 +34,7 @@ from benchmarks.server import (
     POLL,
     AmplifierOutput,
     OutputRecorder,
-    Server,
+    ServerProcess,
     amplifier_and_folder,
     clear,
     connected,
@@ -111,7 +111,7 @@ class Times:
 class EstopRig:
     """A server, its amplifier's recorder, and a program that is connected to it."""
 
-    server: Server
+    server: ServerProcess
     recorder: OutputRecorder
     display: RemoteDisplay
     osc_port: int
@@ -333,7 +333,7 @@ def _rig() -> Iterator[EstopRig]:
     with ExitStack() as stack:
         amplifier, folder = stack.enter_context(amplifier_and_folder())
         port = free_udp_port()
-        server = Server(folder, amplifier.path, osc=port, server=NO_LIMIT)
+        server = ServerProcess(folder, amplifier.path, osc=port, server=NO_LIMIT)
         stack.enter_context(closing(server))
         display = stack.enter_context(connected(server))
         yield EstopRig(server, OutputRecorder(amplifier), display, port)

@@ -23,7 +23,7 @@ from benchmarks.server import (
     NAME,
     PATIENCE,
     OutputRecorder,
-    Server,
+    ServerProcess,
     amplifier_and_folder,
     block_figures,
     connected,
@@ -125,7 +125,7 @@ def disturb(load: Load, port: int, seed: int, seconds: float) -> None:
         load.count(1)
 
 
-def clients_of(server: Server) -> float:
+def clients_of(server: ServerProcess) -> float:
     """Return the number of clients that a server counts."""
     with urllib.request.urlopen(
         f"http://127.0.0.1:{server.port}/metrics", timeout=PATIENCE
@@ -135,7 +135,7 @@ def clients_of(server: Server) -> float:
     return float(match[1]) if match else 0.0
 
 
-def free_places(server: Server, most: int = PLACES) -> int:
+def free_places(server: ServerProcess, most: int = PLACES) -> int:
     """Return the number of clients that are accepted at once."""
     with ExitStack() as stack:
         links = [stack.enter_context(open_websocket(server.port)) for _ in range(most)]
@@ -151,7 +151,7 @@ def measure_fuzz_server(seconds: float = SECONDS) -> Iterator[Figure]:
 def _measured(seconds: float) -> Iterator[Figure]:
     with amplifier_and_folder() as (amplifier, folder):
         recorder = OutputRecorder(amplifier)
-        with closing(Server(folder, amplifier.path)) as server:
+        with closing(ServerProcess(folder, amplifier.path)) as server:
             playback, before = server.playback(), counters_of(server)
             victim = start_app(server.url, "stroke", lasts=seconds + PATIENCE)
             with (
@@ -170,7 +170,7 @@ def _measured(seconds: float) -> Iterator[Figure]:
             yield from _leftovers(server, memory)
 
 
-def _leftovers(server: Server, memory: list[float]) -> Iterator[Figure]:
+def _leftovers(server: ServerProcess, memory: list[float]) -> Iterator[Figure]:
     """Yield the clients, free places and memory that are left over."""
     deadline = time.monotonic() + 5.0
     while (ghosts := clients_of(server)) and time.monotonic() < deadline:

@@ -191,7 +191,7 @@ def children_of(pid: int) -> dict[str, int]:
     return processes
 
 
-class Server:
+class ServerProcess:
     """`tactile serve` in its own process, on an amplifier.
 
     Parameters
@@ -280,7 +280,7 @@ class Server:
         wait_for("its processes are gone", lambda: not any(map(is_alive, left.values())))
 
 
-def connected(server: Server) -> RemoteDisplay:
+def connected(server: ServerProcess) -> RemoteDisplay:
     """Return the display of a server, as a client that is connected to it."""
     return tactile.client.connect(server.url, display=NAME, timeout=PATIENCE)
 
@@ -294,7 +294,7 @@ def clear(display: RemoteDisplay) -> bool:
 
 
 def observe(
-    server: Server, recorder: OutputRecorder, display: RemoteDisplay, seconds: float
+    server: ServerProcess, recorder: OutputRecorder, display: RemoteDisplay, seconds: float
 ) -> Iterator[tuple[float, float]]:
     """Yield the memory of server and playback each second [MiB], and keep the display armed.
 
@@ -328,7 +328,7 @@ def growth(name: str, memory: list[float]) -> Figure:
     return at_most(f"{name}_growth", grown, "MiB", 2)
 
 
-def counters_of(server: Server) -> dict[str, int]:
+def counters_of(server: ServerProcess) -> dict[str, int]:
     """Return the counters of playback."""
     with connected(server) as display:
         return display.stats(timeout=PATIENCE).counters

@@ -181,7 +181,7 @@ def with_pulled_cable() -> tuple[Floats, int, int]:
 PACKET, LEAD, SESSION = 32, 64, 0x1234
 
 
-class Scene:
+class LinkScene:
     """A host that streams a sine of 60 V to one amplifier, as far as it is told to."""
 
     def __init__(self) -> None:
@@ -224,9 +224,9 @@ class Scene:
         return time, codes * (100 / FULL_SCALE_CODE), off
 
 
-def scenes() -> dict[str, tuple[Scene, float, float]]:
+def scenes() -> dict[str, tuple[LinkScene, float, float]]:
     """Return each scene with the time that it is about and the last that is shown [ms]."""
-    lost, late, dead, stop = Scene(), Scene(), Scene(), Scene()
+    lost, late, dead, stop = LinkScene(), LinkScene(), LinkScene(), LinkScene()
     lost.stream(100, lost=12)
     late.stream(60)
     late.stream(100, send=False)

@@ -31,7 +31,7 @@ def synthetic(t: float) -> Point:
     return 0.03 * math.cos(angle), TABLE + height, 0.03 * math.sin(angle)
 
 
-class Recorded:
+class RecordedPath:
     """Recorded path, interpolated linearly between its rows, that repeats when it ends."""
 
     def __init__(self, path: Path) -> None:
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--display", help="name of the display, if there are several")
     parser.add_argument("--texture", default="wood-oak")
     options = parser.parse_args()
-    locate = Recorded(options.path) if options.path else synthetic
+    locate = RecordedPath(options.path) if options.path else synthetic
     with tactile.client.connect(options.url, display=options.display) as display:
         display.select(options.texture)
         display.arm()

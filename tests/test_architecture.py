@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import tomllib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -322,6 +322,18 @@ def test_the_front_door_imports_only_for_type_checkers() -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("tactile"):
             assert node in checked
+
+
+def test_each_public_class_has_a_name_of_its_own() -> None:
+    """One name, one concept, also in benchmarks, examples and the programs of the pages."""
+    homes = defaultdict(list)
+    for folder in ("tactile", "firmware_protocol", "benchmarks", "examples", "docs"):
+        for path in sorted((PROJECT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    homes[node.name].append(str(path.relative_to(PROJECT)))
+    assert len(homes) > 300
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}
 
 
 def test_names_for_type_checkers_and_names_at_run_time_are_the_same() -> None:

@@ -20,7 +20,7 @@ DEVICES = "Use devices"
 SERVE = "Run the server and stop displays"
 
 
-class Entry(NamedTuple):
+class CommandEntry(NamedTuple):
     """A line of the table: the heading of a command in ``tactile --help``, and its summary."""
 
     group: str
@@ -28,27 +28,29 @@ class Entry(NamedTuple):
 
 
 COMMANDS = {
-    "play": Entry(PLAY, "Play a texture under a moving finger."),
-    "sheet": Entry(PLAY, "Draw an overview of the shipped textures."),
-    "show": Entry(PLAY, "Show the surface and the spectrum of a texture."),
-    "strength": Entry(PLAY, "Report how strongly a texture is felt on a display."),
-    "textures": Entry(PLAY, "List the shipped textures, or describe one of them."),
-    "convert": Entry(AUTHOR, "Convert haptic effects and textures to other formats."),
-    "fit": Entry(AUTHOR, "Fit a texture to recordings of a sliding finger or sensor."),
-    "relief": Entry(AUTHOR, "Create a texture from a height map of a surface."),
-    "adjust": Entry(DESIGN, "Fit the finger or the bimorph of a display to measurements."),
-    "materials": Entry(DESIGN, "List the known piezoceramics, shims and benders."),
-    "optimize": Entry(DESIGN, "Find the Pareto-optimal designs for the given objectives."),
-    "paper": Entry(DESIGN, "Reproduce the figures and claims of Hofmann & Twiefel 2014."),
-    "response": Entry(DESIGN, "Report the frequency response of the bimorph of a display."),
-    "study": Entry(DESIGN, "Sweep the parameters of a bender and compare the designs."),
-    "bench": Entry(DEVICES, "Measure the performance of this machine or of a link."),
-    "budget": Entry(DEVICES, "List the sample formats and rates that fit on a link."),
-    "check": Entry(DEVICES, "Check the amplifier, the wiring and the channels of a display."),
-    "devices": Entry(DEVICES, "List the connected devices with their URLs."),
-    "clear": Entry(SERVE, "Clear an e-stop after a person has checked that it is safe."),
-    "estop": Entry(SERVE, "Stop all displays of this machine immediately."),
-    "serve": Entry(SERVE, "Serve displays to other programs by WebSocket and OSC."),
+    "play": CommandEntry(PLAY, "Play a texture under a moving finger."),
+    "sheet": CommandEntry(PLAY, "Draw an overview of the shipped textures."),
+    "show": CommandEntry(PLAY, "Show the surface and the spectrum of a texture."),
+    "strength": CommandEntry(PLAY, "Report how strongly a texture is felt on a display."),
+    "textures": CommandEntry(PLAY, "List the shipped textures, or describe one of them."),
+    "convert": CommandEntry(AUTHOR, "Convert haptic effects and textures to other formats."),
+    "fit": CommandEntry(AUTHOR, "Fit a texture to recordings of a sliding finger or sensor."),
+    "relief": CommandEntry(AUTHOR, "Create a texture from a height map of a surface."),
+    "adjust": CommandEntry(DESIGN, "Fit the finger or the bimorph of a display to measurements."),
+    "materials": CommandEntry(DESIGN, "List the known piezoceramics, shims and benders."),
+    "optimize": CommandEntry(DESIGN, "Find the Pareto-optimal designs for the given objectives."),
+    "paper": CommandEntry(DESIGN, "Reproduce the figures and claims of Hofmann & Twiefel 2014."),
+    "response": CommandEntry(DESIGN, "Report the frequency response of the bimorph of a display."),
+    "study": CommandEntry(DESIGN, "Sweep the parameters of a bender and compare the designs."),
+    "bench": CommandEntry(DEVICES, "Measure the performance of this machine or of a link."),
+    "budget": CommandEntry(DEVICES, "List the sample formats and rates that fit on a link."),
+    "check": CommandEntry(
+        DEVICES, "Check the amplifier, the wiring and the channels of a display."
+    ),
+    "devices": CommandEntry(DEVICES, "List the connected devices with their URLs."),
+    "clear": CommandEntry(SERVE, "Clear an e-stop after a person has checked that it is safe."),
+    "estop": CommandEntry(SERVE, "Stop all displays of this machine immediately."),
+    "serve": CommandEntry(SERVE, "Serve displays to other programs by WebSocket and OSC."),
 }
 """All commands by name, in the order of ``tactile --help``."""
 

@@ -27,7 +27,7 @@ from tactile.errors import InputError
 
 Value = bool | float | str | Sequence["Value"]
 """Value of a key in a table; a row of Maxwell branches is a sequence."""
-Entry = tuple[Key | None, Item]
+TableItem = tuple[Key | None, Item]
 """Item of a document with its key; a comment or a blank line has none."""
 
 
@@ -251,23 +251,23 @@ def _replace(document: tomlkit.TOMLDocument, old: str, name: str, new: Item) -> 
     places = [i for i, (key, _) in enumerate(body) if key is not None and key.key == old]
     # A table without a header of its own is among the keys that precede all tables.
     has_header = bool(places) and _has_header(body[places[0]])
-    comments: list[Entry] = []
+    comments: list[TableItem] = []
     for i in reversed(places):
         tail = _cut_tail(body[i][1])
         comments = [*_comments(body[i]), *comments]
         body[i : i + 1] = tail
     place = places[0] if has_header else len(body)
-    gap: list[Entry] = [] if has_header else [(None, tomlkit.nl())]
+    gap: list[TableItem] = [] if has_header else [(None, tomlkit.nl())]
     body[place:place] = [*gap, *comments, (tomlkit.key(name), new)]
 
 
-def _has_header(entry: Entry) -> bool:
+def _has_header(entry: TableItem) -> bool:
     """Return whether an item is written below a header in brackets."""
     key, item = entry
     return isinstance(item, Table | AoT) and key is not None and not key.is_dotted()
 
 
-def _cut_tail(item: Any) -> list[Entry]:
+def _cut_tail(item: Any) -> list[TableItem]:
     """Remove and return what follows the last key of a table.
 
     These are blank lines and comments, which mostly belong to the table below.
@@ -287,7 +287,7 @@ def _cut_tail(item: Any) -> list[Entry]:
     return tail
 
 
-def _comments(entry: Entry) -> list[Entry]:
+def _comments(entry: TableItem) -> list[TableItem]:
     """Return the comments in ``grid`` or ``finger``, whose strings cannot contain a #."""
     part = tomlkit.document()
     part.body.append(entry)

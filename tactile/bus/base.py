@@ -284,12 +284,17 @@ class BusStatus:
     playing : bool
         Whether the amplifier is known to play. A bus that arms its amplifier again by itself stays
         "running" while its link is down or its amplifier is at 0 V, but does not play.
+    last_fault : str
+        One line on the latest fault that kept samples from being put out, also after it has
+        passed: the cause that the amplifier reported, or the loss of the link. Empty if there was
+        none since the bus was opened.
     """
 
     state: BusState
     link: Literal["up", "down"] = "up"
     detail: str = ""
     playing: bool = False
+    last_fault: str = ""
 
 
 class Bus(ABC):

@@ -19,11 +19,12 @@ def run(
 ) -> None:
     """Reproduce the figures and claims of Hofmann & Twiefel 2014.
 
-    Each claim of the paper is compared with the result of the model.
+    Each claim of the paper is compared with the result of the model. Claims that the model was
+    fitted to, checks of the model, and records of its own results are counted apart.
 
     Example: tactile paper results
     """
-    from tactile.study.paper import KINDS
+    from tactile.study.paper import KINDS, summarize
     from tactile.study.report import write_paper
 
     console = plain_console(stderr=True)
@@ -32,27 +33,28 @@ def run(
         claims = write_paper(folder, progress=lambda name: status.update(name))
     facts = {
         "claims": [asdict(c) | {"difference": c.difference, "is_met": c.is_met} for c in claims],
-        "kinds": KINDS,
+        "kinds": {name: asdict(kind) for name, kind in KINDS.items()},
+        "summary": summarize(claims),
         "files": sorted(str(path) for path in folder.iterdir() if path.is_file()),
     }
     emit(facts, as_json, lambda _: _print(claims, folder))
 
 
 def _print(claims: "list[Claim]", folder: Path) -> None:
-    """Print the claims of each kind beside what was found."""
-    from tactile.study.paper import KINDS
+    """Print the claims of each kind beside the results."""
+    from tactile.study.paper import KINDS, summarize
 
-    columns = ["claim", *right("stated", "found", "difference"), "unit", "met"]
-    for kind, meaning in KINDS.items():
+    columns = ["claim", *right("stated", "result", "difference"), "unit", "met"]
+    for name, kind in KINDS.items():
         rows = (
             (
                 claim.statement,
-                f"{claim.stated:.4g}", f"{claim.found:.4g}", f"{claim.difference:+.2g}",
+                f"{claim.stated:.4g}", f"{claim.result:.4g}", f"{claim.difference:+.2g}",
                 claim.unit, "yes" if claim.is_met else "no",
             )
             for claim in claims
-            if claim.kind == kind
+            if claim.kind == name
         )  # fmt: skip
-        print_table(columns, rows, f"{kind}: {meaning}")
-    met = sum(claim.is_met for claim in claims)
-    typer.echo(f"{met} of {len(claims)} claims met; written: {folder / 'report.html'}")
+        print_table(columns, rows, f"{kind.title}: {kind.meaning}")
+    typer.echo(summarize(claims))
+    typer.echo(f"written: {folder / 'report.html'}")

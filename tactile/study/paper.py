@@ -5,9 +5,9 @@ Reality Display", Energy Harvesting and Systems 2 (2015) 177-185, doi 10.1515/eh
 
 The paper's figure of parameters is not available as text, so the default design is a surrogate, and
 one number of it, the shim's height of 0.20 mm, was chosen to meet the paper's ranges of length.
-Every claim is therefore of one of three kinds (`KINDS`), and `claims` adds a validation: the
-shim's height is chosen again from what the paper says of one finger, and the other finger is
-predicted.
+Every claim is therefore of one of three kinds (`KINDS`), which are never added up, and `claims`
+adds a validation: the shim's height is chosen again from what the paper says of one finger, and the
+other finger is predicted.
 """
 
 from collections.abc import Callable
@@ -30,8 +30,28 @@ from tactile.study.sweep import Study, solve_study
 if TYPE_CHECKING:
     import xarray
 
-Kind = Literal["fit", "check", "record"]
+Kind = Literal["fitted", "checked", "record"]
 """Kind of a claim; see `KINDS`."""
+
+
+@dataclass(frozen=True)
+class ClaimKind:
+    """What it means that a claim is met.
+
+    Attributes
+    ----------
+    title : str
+        Heading of the claims of this kind.
+    source : str
+        Who states these claims.
+    meaning : str
+        What agreement shows.
+    """
+
+    title: str
+    source: str
+    meaning: str
+
 
 REFERENCE = (
     "V. Hofmann and J. Twiefel, Optimization of a Piezoelectric Bending Actuator for a Tactile "
@@ -39,15 +59,28 @@ REFERENCE = (
     "doi 10.1515/ehs-2014-0055"
 )
 """Citation of the paper."""
-KINDS: dict[Kind, str] = {
-    "fit": "The paper states it, and one number of the surrogate, the shim's height of 0.20 mm, "
-    "was chosen to meet it: agreement shows that the model can say so, not that it must.",
-    "check": "The paper states it, and the shim's height was not chosen from it: agreement "
-    "supports the model and the paper's two fingers.",
-    "record": "A figure of our surrogate design, for all we know not in the paper: it guards the "
-    "design against unnoticed change, and says nothing of the paper.",
+KINDS: dict[Kind, ClaimKind] = {
+    "fitted": ClaimKind(
+        "Stated by the paper, and fitted",
+        "the paper",
+        "One number of the surrogate, the shim's height of 0.20 mm, was chosen to meet these "
+        "claims: agreement shows that the model can say so, not that it must.",
+    ),
+    "checked": ClaimKind(
+        "Stated by the paper, and checked",
+        "the paper",
+        "The shim's height was not chosen from these claims: agreement supports the model and the "
+        "paper's two fingers. The lengths are those of the fitted claims, one finger predicted "
+        "from the other.",
+    ),
+    "record": ClaimKind(
+        "Recorded from this program",
+        "this program",
+        "Earlier results of this program with the surrogate design, for all we know not in the "
+        "paper: agreement shows that nothing changed, and says nothing of the paper.",
+    ),
 }
-"""Meaning of each kind of claim."""
+"""Kinds of claims."""
 FINGERS = ("low", "high")
 """Names of the paper's two fingers."""
 BAND = (0.0, 1000.0)
@@ -71,13 +104,11 @@ class Claim:
     unit : str
         Unit of the numbers.
     stated : float
-        Claimed number.
-    found : float
-        Our result.
+        Claimed number; of a record, the earlier result.
+    result : float
+        Present result of the model.
     limit : float
         Largest permitted difference.
-    by : str
-        Source of the claim: "paper" or "our design page".
     kind : str
         Kind of the claim; see `KINDS`.
     """
@@ -85,15 +116,14 @@ class Claim:
     statement: str
     unit: str
     stated: float
-    found: float
+    result: float
     limit: float
-    by: Literal["paper", "our design page"]
     kind: Kind
 
     @property
     def difference(self) -> float:
-        """Our result minus the claimed number."""
-        return self.found - self.stated
+        """Result minus the claimed number."""
+        return self.result - self.stated
 
     @property
     def is_met(self) -> bool:
@@ -259,18 +289,41 @@ def claims() -> list[Claim]:
     return [*_claims_of_length(), *_claims_of_prediction(), *_records()]
 
 
+def summarize(results: list[Claim]) -> str:
+    """Count the claims of each kind and those of them that are met, without one sum over kinds.
+
+    Parameters
+    ----------
+    results : list of Claim
+        Claims as `claims` computes them.
+
+    Returns
+    -------
+    str
+        Summary in two sentences.
+    """
+    counts = {kind: sum(claim.kind == kind for claim in results) for kind in KINDS}
+    met = {kind: sum(claim.kind == kind and claim.is_met for claim in results) for kind in KINDS}
+    fitted, checked = (f"{counts[kind]} {kind} ({met[kind]} met)" for kind in ("fitted", "checked"))
+    return (
+        f"{counts['fitted'] + counts['checked']} claims are stated by the paper: {fitted}, "
+        f"{checked}. {counts['record']} are records of this program's own results, of which "
+        f"{met['record']} are unchanged; they say nothing of the paper."
+    )
+
+
 def _claims_of_length() -> list[Claim]:
     """Return the claims that the shim's height was chosen to meet."""
     ranges = good_lengths(solve_study(over_length(*FINGERS)))
     results = [
-        _length_claim(f"good lengths under the {finger} finger, {end}", stated, value, "fit")
+        _length_claim(f"good lengths under the {finger} finger, {end}", stated, value, "fitted")
         for finger in FINGERS
         for end, stated, value in zip(
             ("shortest", "longest"), STATED[finger], _ends(ranges[finger]), strict=True
         )
     ]
     _, longest = overlap(list(ranges.values())) or (np.nan, np.nan)
-    results.append(_length_claim("longest bender that suits both fingers", 20.0, longest, "fit"))
+    results.append(_length_claim("longest bender that suits both fingers", 20.0, longest, "fitted"))
     return results
 
 
@@ -278,9 +331,9 @@ def _ends(good: Range) -> tuple[float, float]:
     return good.low, good.high
 
 
-def _length_claim(statement: str, stated: float, found: float, kind: Kind) -> Claim:
+def _length_claim(statement: str, stated: float, result: float, kind: Kind) -> Claim:
     """Return a claim on an end of a range of length."""
-    return Claim(statement, "mm", stated, found, 1.0, "paper", kind)
+    return Claim(statement, "mm", stated, result, 1.0, kind)
 
 
 def _claims_of_prediction() -> list[Claim]:
@@ -306,14 +359,14 @@ def _claims_of_prediction() -> list[Claim]:
                 f"good lengths under the {other} finger, {end}, with the shim's height chosen from "
                 f"the {known} finger alone ({heights[best]:.2f} mm)"
             )
-            results.append(_length_claim(statement, stated, value, "check"))
+            results.append(_length_claim(statement, stated, value, "checked"))
     shorter = sum(f["high"].best < f["low"].best for f in ranges) / len(ranges) * 100
     statement = "shims of 0.04 … 0.40 mm whose best length is shorter under the high finger"
-    return [*results, Claim(statement, "%", 100.0, shorter, 0.0, "paper", "check")]
+    return [*results, Claim(statement, "%", 100.0, shorter, 0.0, "checked")]
 
 
 def _records() -> list[Claim]:
-    """Return the figures of the default design as claims."""
+    """Return the recorded figures of the default design as claims."""
     loads = {"load": ["none", *FINGERS]}
     size = _sizes(loads)
     changed = partial(_change, size, loads)
@@ -346,8 +399,8 @@ def _records() -> list[Claim]:
         ("most that the printed sign of the load is wrong by", "dB", 13, _wrong_sign(), 1),
     ]
     return [
-        Claim(words, unit, stated, float(found), limit, "our design page", "record")
-        for words, unit, stated, found, limit in rows
+        Claim(words, unit, stated, float(result), limit, "record")
+        for words, unit, stated, result, limit in rows
     ]
 
 

@@ -7,9 +7,9 @@ The paper's parameter figure is not available as text, so the default design is 
 one number of it, the shim height of 0.20 mm, was chosen to meet the paper's optimum ranges of
 length. Each test says which of three kinds it is:
 
-* fit: the paper prints it, and the shim height was chosen to meet it,
-* check: the paper prints it, and that choice could not have made it so by itself,
-* record: a figure of the surrogate, printed on our design page and, for all we know, not in the
+* fitted: the paper prints it, and the shim height was chosen to meet it,
+* checked: the paper prints it, and that choice could not have made it so by itself,
+* record: an earlier result of this program with the surrogate and, for all we know, not in the
   paper; it guards the default design against unnoticed change.
 
 Where nothing else is said limits are half the last digit printed.
@@ -53,7 +53,7 @@ def change(design: Bimorph, load: FingerLoad, axial_force: float = 0.0) -> Float
 def test_optimum_lengths(
     load: FingerLoad, surrogate: tuple[float, float], printed: tuple[float, float]
 ) -> None:
-    """Fit and check: the smallest amplitude in 0-1000 Hz is at least 85 % of the best attainable.
+    """Fitted and checked: the smallest amplitude in 0-1000 Hz is at least 85 % of the best one.
 
     One number was fitted and four are met, to 1 mm: what is left over is a check of the model and
     of both fingers. The surrogate's own ends are a record, to the page's digit and the grid.
@@ -67,7 +67,7 @@ def test_optimum_lengths(
 
 
 def test_optimum_lengths_of_both_fingers_meet_at_20_mm() -> None:
-    """Fit: the paper's compromise, about 20 mm, keeps 85 % of the best under either finger."""
+    """Fitted: the paper's compromise, about 20 mm, keeps 85 % of the best under either finger."""
     lengths = np.append(np.arange(5e-3, 45e-3, 0.1e-3), 20e-3)
     for load in (LOW, HIGH):
         smallest = moved(Bimorph(length=lengths), load).min(axis=-1)

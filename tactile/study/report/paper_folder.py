@@ -13,7 +13,16 @@ from tactile.show.plots import drawn, save
 from tactile.show.plots.style import new_figure
 from tactile.study.extras import study_extra
 from tactile.study.findings import FREQUENCY
-from tactile.study.paper import FIGURES, KINDS, REFERENCE, SMALLEST, Claim, PaperFigure, claims
+from tactile.study.paper import (
+    FIGURES,
+    KINDS,
+    REFERENCE,
+    SMALLEST,
+    Claim,
+    PaperFigure,
+    claims,
+    summarize,
+)
 from tactile.study.plots import length_map_figure, response_phase_figure
 from tactile.study.report.page import Picture, Section, Table, write_report
 from tactile.study.report.studies import provenance_sections
@@ -29,8 +38,8 @@ SURROGATE = (
     "The paper's figure of parameters is not available as text. The design here is a surrogate "
     "from data sheets and assumptions, and the height of its shim was chosen to meet the paper's "
     "ranges of length. Of the paper's text only title, abstract and introduction were at hand; its "
-    "numbers are those that our design page cites. Where it prints none, shapes can be compared, "
-    "levels cannot."
+    "numbers are quoted from the notes that this project began with. Where there are none, shapes "
+    "can be compared, levels cannot."
 )
 """Paragraph on the origin of the design."""
 MET = {True: "yes", False: "no"}
@@ -138,40 +147,36 @@ def _table_of(entry: PaperFigure, data: "xarray.Dataset") -> bytes:
     return _csv([list(columns), *map(list, rows)])
 
 
-HEADINGS = ("claim", "unit", "stated", "found", "difference", "within", "met", "stated by", "kind")
+HEADINGS = ("claim", "unit", "stated", "result", "difference", "within", "met", "source", "kind")
 """Headings of the table of claims."""
 
 
 def _row(claim: Claim) -> tuple[str, ...]:
     """Return a claim as a row of the table of claims."""
-    numbers = (claim.stated, claim.found, claim.difference, claim.limit)
-    stated, found, difference, limit = (f"{number:.4g}" for number in numbers)
+    numbers = (claim.stated, claim.result, claim.difference, claim.limit)
+    stated, result, difference, limit = (f"{number:.4g}" for number in numbers)
     return (
-        claim.statement, claim.unit, stated, found, difference, limit, MET[claim.is_met],
-        claim.by, claim.kind,
+        claim.statement, claim.unit, stated, result, difference, limit, MET[claim.is_met],
+        KINDS[claim.kind].source, claim.kind,
     )  # fmt: skip
 
 
-def _claims_csv(found: list[Claim]) -> bytes:
+def _claims_csv(results: list[Claim]) -> bytes:
     """Return all claims as CSV."""
-    return _csv([list(HEADINGS), *(list(_row(claim)) for claim in found)])
+    return _csv([list(HEADINGS), *(list(_row(claim)) for claim in results)])
 
 
-def _claim_sections(found: list[Claim]) -> list[Section]:
+def _claim_sections(results: list[Claim]) -> list[Section]:
     """Return the claims by kind, each kind with its meaning."""
-    met = sum(claim.is_met for claim in found)
-    head = Section("What this is", (SURROGATE, f"{met} of {len(found)} claims are met."))
-    sections = [head]
-    heads = ("claim", "stated", "found", "difference", "within", "unit", "met")
-    for kind, meaning in KINDS.items():
+    sections = [Section("What this is", (SURROGATE, summarize(results)))]
+    headings = ("claim", "stated", "result", "difference", "within", "unit", "met")
+    for name, kind in KINDS.items():
         rows = []
-        for claim in found:
-            if claim.kind == kind:
-                words, unit, stated, value, difference, limit, is_met, *_ = _row(claim)
-                rows.append((words, stated, value, difference, limit, unit, is_met))
-        by = sorted({claim.by for claim in found if claim.kind == kind})
-        title = f"Claims: {kind} (stated by the {', '.join(by)})".replace("the our", "our")
-        sections.append(Section(title, (meaning, Table(heads, tuple(rows)))))
+        for claim in results:
+            if claim.kind == name:
+                words, unit, *numbers, is_met, _, _ = _row(claim)
+                rows.append((words, *numbers, unit, is_met))
+        sections.append(Section(kind.title, (kind.meaning, Table(headings, tuple(rows)))))
     return sections
 
 

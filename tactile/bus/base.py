@@ -370,7 +370,10 @@ class Bus(ABC):
         with self._call_lock, self._before_estops("start") as estops:
             if self.state != "idle":
                 way = "clear" if self.state == "estopped" else "stop"
-                raise BusStateError(f"start: the bus is {self.state}, not idle; {way} it first")
+                cause = f" ({self._cause})" if way == "clear" and self._cause else ""
+                raise BusStateError(
+                    f"start: the bus is {self.state}{cause}, not idle; {way} it first"
+                )
             self._next = position
             self._start(position)
             self._anchor = position, self._clock.now() + self.ahead
@@ -604,6 +607,11 @@ class Bus(ABC):
         if self._states.estops != before:
             why = f"{call}: the bus was e-stopped meanwhile; clear it first"
             raise BusStateError(why) from reason
+
+    @property
+    def _cause(self) -> str:
+        """Reason for which an amplifier stopped by itself, if the driver knows it; else empty."""
+        return ""
 
     def _has_fallen(self) -> bool:
         """Return whether a running bus has an amplifier that went to 0 V by itself, for good."""

@@ -101,7 +101,7 @@ class AudioBus(Bus):
         self._player: AudioProcess | None = player
         self._opening: AudioProcess | None = None
         self._guard = threading.RLock()
-        self._retry_at, self._problem = 0.0, ""
+        self._retry_at, self._problem, self._last_fault = 0.0, "", ""
         self._counted = (0, 0, 0)
         self._started_player: AudioProcess | None = None
         self._block = 0
@@ -146,7 +146,8 @@ class AudioBus(Bus):
             self._checked_player()
         state, up = self.state, self._player is not None
         detail = self._problem or self._coupling_remark()
-        return BusStatus(state, "up" if up else "down", detail, state == "running" and up)
+        playing = state == "running" and up
+        return BusStatus(state, "up" if up else "down", detail, playing, self._last_fault)
 
     def _has_fallen(self) -> bool:
         return self._checked_player() is not self._started_player
@@ -205,6 +206,8 @@ class AudioBus(Bus):
             if player is None:
                 return
             self._problem = f"{self.device} is lost: {why}"
+            if player is self._started_player:
+                self._last_fault = self._problem
             self.counters.disconnects += 1
             self._retry_at = self._clock.now() + RETRY
             player.kill()
@@ -301,6 +304,7 @@ class AudioBus(Bus):
         if not player.wait_for_card(seconds):
             self._lose(f"it did not {how} in {seconds:.1f} s")
         self._count(player.status)
+        self._started_player = None
 
     def _clear(self) -> None:
         player = self._checked_player()

@@ -75,7 +75,8 @@ class ChipBus(Bus):
         """Present state of the bus."""
         link: Literal["up", "down"] = "down" if self.pump.phase == "down" else "up"
         state = self.state
-        return BusStatus(state, link, self.pump.detail, state == "running" and link == "up")
+        pump, playing = self.pump, state == "running" and link == "up"
+        return BusStatus(state, link, pump.detail, playing, pump.last_fault)
 
     @property
     def ahead(self) -> float:

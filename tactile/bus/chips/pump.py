@@ -217,6 +217,8 @@ class Pump:
         Position after the last sample that was sent to the amplifier.
     detail : str
         Description of a problem in one line; empty if there is none.
+    last_fault : str
+        Reason for which the chips were lost the last time, one line; empty if they never were.
     hungry : bool
         Whether the chips wait for samples.
     """
@@ -227,7 +229,7 @@ class Pump:
         self.board, self.chips, self.counters, self.runner = board, chips, counters, runner
         self.phase: Phase = "rest"
         self.position = self.sent = 0
-        self.detail = ""
+        self.detail = self.last_fault = ""
         self.hungry = False
         self._order: Order = ""
         self._playing = self._cutting = self._estopped = False
@@ -471,7 +473,7 @@ class Pump:
         now = self.runner.now()
         self.counters.disconnects += 1
         self.counters.dropped_samples += max(0, self.sent - self.position)
-        self.detail = reason
+        self.detail = self.last_fault = reason
         self.phase, self._passed_until, self._awake = "down", now, False
         self._delay = RECONNECT[0]
         self._reconnect = now + (0.0 if self._estopped else self._delay)

@@ -14,6 +14,7 @@ import math
 import secrets
 import threading
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 from firmware_protocol import messages as m
 from firmware_protocol.messages import Message
@@ -177,7 +178,12 @@ class LinkBus(Bus):
             detail = session.trouble or warning or session.fragments.warning
             state = self.state
             playing = state == "running" and session.known_to_run(self._clock.now())
-            return BusStatus(state, "up" if up else "down", detail, playing)
+            link: Literal["up", "down"] = "up" if up else "down"
+            return BusStatus(state, link, detail, playing, session.last_fault)
+
+    @property
+    def _cause(self) -> str:
+        return self._session.trouble if self._session.tripped else ""
 
     def _has_fallen(self) -> bool:
         session = self._session

@@ -98,6 +98,8 @@ class LinkSession:
         Frequencies of the carriers of frames [Hz]; empty until they are set.
     trouble : str
         One line on what is wrong; empty if nothing is.
+    last_fault : str
+        One line on the latest fault while the goal was to play, as in `BusStatus`.
     refusal : str
         Reason why the last goal cannot be reached; empty if it can.
     error : InputError or None
@@ -124,7 +126,7 @@ class LinkSession:
         self.plan: Plan | None = None
         self.stream: LinkStream | None = None
         self.phase, self.goal = SessionPhase.DOWN, Goal.READY
-        self.trouble = self.refusal = ""
+        self.trouble = self.refusal = self.last_fault = ""
         self.fragments = FragmentWatch()
         self.error: InputError | None = None
         self.tripped = False
@@ -141,6 +143,8 @@ class LinkSession:
         self._heartbeat = -math.inf
         """Host time of the last HEARTBEAT [s]."""
         self._seq = 0
+        self._fallen: Peer | None = None
+        """Amplifier because of which playing ended; None after a start."""
         self._endings: dict[SessionPhase, Callable[[float], None]] = {
             SessionPhase.GREET: self._after_greet,
             SessionPhase.CLOCK: self._after_clock,
@@ -185,7 +189,7 @@ class LinkSession:
         why : str
             Reason, one line.
         """
-        self.trouble = why
+        self._report_fault(why)
         if self.stream is not None:
             self.stream.freeze(now)
         if any(peer.reset_evidence for peer in self.peers):
@@ -207,7 +211,7 @@ class LinkSession:
         if self.goal is Goal.ESTOP:
             return
         self._first, self.goal, self.refusal, self.trouble = position, Goal.RUN, "", ""
-        self._gave_up = False
+        self._gave_up, self._fallen = False, None
         self.fragments.warning = ""
 
     def end(self, now: float, *, quick: bool) -> None:
@@ -531,7 +535,7 @@ class LinkSession:
         else:
             self.refusal = INPUT_OPEN if nak.code == NakCode.INPUT_OPEN else refusal(nak)
             if self.goal is Goal.RUN:
-                self.goal = Goal.READY
+                self.goal, self.last_fault = Goal.READY, self.refusal
             self._enter(SessionPhase.DISARM if self.goal is Goal.ENDED else SessionPhase.READY, now)
 
     def _wait(self, phase: SessionPhase, now: float) -> None:
@@ -599,6 +603,8 @@ class LinkSession:
                 for peer in latched:
                     peer.request(m.Poll())
             self.trouble = open_input(self.peers, now) or why_stopped(latched[0])
+            if self._fallen in latched:  # STATUS names the cause, and comes after the state
+                self.last_fault = why_stopped(self._fallen)
             if self.goal is Goal.RUN:
                 self.goal, self.refusal = Goal.READY, self.trouble
         elif self.goal is Goal.RUN:
@@ -617,13 +623,20 @@ class LinkSession:
             return
         if self.stream is not None:
             self.stream.freeze(now)
-        self.trouble = why_stopped(fallen[0])
-        if any(peer.state in LATCHED for peer in fallen):
+        self._fallen = next((peer for peer in fallen if peer.state in LATCHED), fallen[0])
+        self._report_fault(why_stopped(self._fallen))
+        if self._fallen.state in LATCHED:
             self.tripped = True
         elif not self.rearm:
             self._give_up(self.trouble)
         self._quick = False
         self._enter(SessionPhase.END, now)
+
+    def _report_fault(self, why: str) -> None:
+        """Report what is wrong, which lets no samples be put out if the goal is to play."""
+        self.trouble = why
+        if self.goal is Goal.RUN:
+            self.last_fault = why
 
     def _give_up(self, why: str) -> None:
         """Work toward READY in place of playing, since rearming is not allowed."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from firmware_protocol.messages import EstopReason, Fault, State
+from firmware_protocol.messages import WATCHDOG_MS, EstopReason, Fault, State
 from tactile.bus.link.peer import Peer
 
 INPUT_OPEN = "e-stop input open: release the button, then clear"
@@ -30,8 +30,10 @@ def why_stopped(peer: Peer) -> str:
     if state is State.ESTOP:
         by_input = status is not None and status.estop_reason == EstopReason.INPUT
         return f"node {node} was e-stopped by {'its e-stop input' if by_input else 'another'}"
-    if state is State.SAFE:
-        return f"node {node} is at 0 V: it heard no heartbeat for 150 ms"
+    if state in (State.SAFE, State.RAMPDOWN):  # the host has not sent what else ends in a ramp
+        return f"node {node} went to 0 V: no heartbeat reached it for {WATCHDOG_MS} ms"
+    if state is State.ARMED:
+        return f"node {node} stopped: a STOP of this session reached it late"
     return f"node {node} is {state.name if state is not None else 'silent'}: it was reset"
 
 

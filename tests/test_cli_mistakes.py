@@ -4,6 +4,7 @@ import errno
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_rig import SHORT, Command, assert_mistake, started
 
@@ -249,7 +250,7 @@ def test_a_device_that_fails_to_open_is_one_line_and_exit_code_2(
     assert result.code == 2
 
 
-def test_interrupted_it_leaves_nothing_and_says_so_by_its_exit_code(
+def test_interrupted_it_keeps_what_was_recorded_and_says_so_by_its_exit_code(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
@@ -265,8 +266,13 @@ def test_interrupted_it_leaves_nothing_and_says_so_by_its_exit_code(
     before = content(folder)
     result = command("play", "wood-oak", *SHORT, "--record", "old.npz")
     assert result.code == 130
-    assert "Traceback" not in result.err
-    assert content(folder) == before
+    assert result.err.startswith("tactile: put out ")
+    assert result.err.endswith(": interrupted\n")
+    with np.load(folder / "old.npz") as recording:
+        assert 0 < len(recording["drive_v"]) == len(recording["time_s"]) < 800
+    after = content(folder)
+    assert after.pop("old.npz") != before.pop("old.npz")
+    assert after == before
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(

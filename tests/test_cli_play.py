@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from cli_rig import KEYS, SHORT, Command, recorded, started
 
 from tactile.bus import base
 from tactile.files import shipped
+from tactile.playback.outcome import Outcome
 from tactile.playback.runs import Summary
 
 # Play
@@ -93,6 +95,60 @@ def test_the_report_tells_what_a_bus_counted(
     monkeypatch.setattr(base.BusCounters, "faults", lambda self: counted)
     result = command("play", "wood-oak", *SHORT, "--device", "mock:")
     assert "7 lost_samples, 3 repeated_samples" in result.out
+
+
+LOSING = "mock:?link=serial&bit_rate=3000000&disconnect_s=0.5"
+"""URL of a device whose cable is pulled after half a second."""
+
+
+def test_a_stroke_that_was_not_put_out_says_so_first_and_exits_with_1(command: Command) -> None:
+    stroke = ["wood-oak", "--seconds", 2, "--device", LOSING]
+    result = command("play", *stroke, "--json")
+    s = result.json
+    lost = s["outcome"]["planned_samples"] - s["outcome"]["put_out_samples"]
+    assert result.code == 1
+    assert lost >= s["faults"]["dropped_samples"] > 0.1 * s["samples"]
+    assert s["put_out_share"] == pytest.approx(1 - lost / 16000)
+    assert s["outcome"]["cause"] in result.err
+    assert "the device is gone" in result.err
+    assert result.err.count("\n") == 1
+    text = command("play", *stroke)
+    assert text.code == 1
+    assert text.err == result.err
+    title, first = [line.strip() for line in text.out.splitlines() if line.strip()][:2]
+    percent = re.search(r"\d+\.\d\d %", title)
+    assert percent is not None
+    assert first.split() == ["put", "out", *percent[0].split(), "of", "2.00", "s"]
+
+
+def test_a_stroke_that_was_not_put_out_exits_with_1_quietly_too(command: Command) -> None:
+    result = command("play", "wood-oak", "--seconds", 2, "--device", LOSING, "--quiet")
+    assert (result.code, result.out, result.err.count("\n")) == (1, "", 1)
+
+
+def test_ctrl_c_says_in_one_line_what_was_put_out(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put, blocks = base.Bus.write, list[object]()
+
+    def interrupted(bus: base.Bus, block: base.DriveBlock) -> None:
+        blocks.append(block)
+        if len(blocks) == 5:
+            raise KeyboardInterrupt
+        put(bus, block)
+
+    monkeypatch.setattr(base.Bus, "write", interrupted)
+    result = command("play", "wood-oak", "--seconds", 2, "--device", "mock:", "--quiet")
+    assert result.code == 130
+    assert result.err.startswith("tactile: put out ")
+    assert result.err.endswith(" % of 2.00 s: interrupted\n")
+
+
+@pytest.mark.parametrize("share", ["1", "-1%", "101%", "much", "%", "nan%"])
+def test_an_allowed_loss_is_a_share_in_percent(command: Command, share: str) -> None:
+    result = command("play", "wood-oak", *SHORT, f"--allow-loss={share}")
+    line = f"tactile: --allow-loss {share}: must be a share between 0% and 100%, such as 1%\n"
+    assert (result.code, result.err) == (2, line)
 
 
 def test_speed_angle_force_and_length_of_the_stroke_are_taken(command: Command) -> None:
@@ -183,7 +239,8 @@ def test_watched_it_plays_in_real_time_otherwise_as_fast_as_it_can(
 
     def run(*given: object, realtime: bool, watch: object, **options: object) -> Summary:
         asked.append((realtime, watch is not None))
-        return Summary("wood-oak", "reference-24", "mock:")
+        outcome = Outcome(8000, 8000)
+        return Summary("wood-oak", "reference-24", "mock:", outcome=outcome, sample_rate_hz=8e3)
 
     monkeypatch.setattr("tactile.playback.runs.run", run)
     for terminal in (False, True):

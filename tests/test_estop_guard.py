@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import socket
 import sys
 import threading
@@ -142,9 +143,13 @@ def test_a_run_ends_with_the_e_stop(display: Display, monkeypatch: pytest.Monkey
 
     buses = opened_by(runs, monkeypatch)
     oak, line = tactile.load_texture("wood-oak"), tactile.Trajectory.line(speed=0.08, duration=60.0)
-    with pytest.raises(BusError, match=HELD):
-        runs.run(display, oak, line, device=MOCK, watch=watch)
+    outcome = runs.run(display, oak, line, device=MOCK, watch=watch).outcome
+    assert outcome.ending == "failed"
+    assert re.search(HELD, outcome.cause)
+    assert outcome.put_out_samples <= 6 * 64
     assert len(blocks) == 5
+    with pytest.raises(BusError, match=HELD):  # nothing was put out, and so it is an error
+        runs.run(display, oak, line, device=MOCK)
     assert buses[0].state == "closed"
 
 

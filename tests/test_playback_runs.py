@@ -8,7 +8,7 @@ import os
 import sys
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError, TactileError
 from tactile.playback import runs
+from tactile.playback.outcome import Outcome
 from tactile.playback.runs import Summary, run
 from tactile.playback.trajectory_playback import PlayedBlock
 from tactile.rendering.contact import Trajectory
@@ -147,7 +148,9 @@ def test_the_summary_says_what_the_recording_holds(
     assert 0 < s.equalizer_error_db < 0.1, "the equalizer's docstring says 0.04 dB"
     assert s.peak_current_ma is not None
     assert 0 < s.peak_current_ma < 10, "the display's limit"
-    assert s.as_dict() == {name: getattr(s, name) for name in Summary.__dataclass_fields__}
+    assert s.outcome == Outcome(4000, 4000)
+    fields = {name: getattr(s, name) for name in Summary.__dataclass_fields__}
+    assert s.as_dict() == fields | {"outcome": asdict(s.outcome)}
 
 
 def test_without_a_simulated_skin_there_is_no_played_shear(
@@ -276,7 +279,7 @@ class Failing:
         assert 64 * blocks < len(self.bus.output) <= 64 * blocks + longest, "not the fade"
 
 
-@pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt, InputError])
+@pytest.mark.parametrize("kind", [ValueError, InputError])
 def test_whatever_goes_wrong_aborts_the_stream_and_leaves_no_recording(
     display: Display,
     oak: Texture,
@@ -297,7 +300,40 @@ def test_whatever_goes_wrong_aborts_the_stream_and_leaves_no_recording(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bus_that_fails_leaves_no_recording(
+def test_ctrl_c_aborts_the_stream_and_keeps_what_was_played(
+    display: Display, oak: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing, seen = Failing(monkeypatch), list[PlayedBlock]()
+
+    def watch(block: PlayedBlock, renderer: Renderer) -> None:
+        seen.append(block)
+        if len(seen) == 20:
+            raise KeyboardInterrupt
+
+    summary = run(display, oak, stroke(0.5), record=tmp_path / "r.npz", watch=watch)
+    failing.assert_aborted(display, 20)
+    drive = np.concatenate([block.drive for block in seen])
+    outcome = summary.outcome
+    assert (outcome.ending, outcome.cause) == ("interrupted", "interrupted")
+    assert (outcome.planned_samples, outcome.put_out_samples) == (4000, len(drive))
+    recording = recorded(tmp_path / "r.npz")["drive_v"]
+    assert np.array_equal(recording, drive[: len(recording)])
+    assert len(drive) - len(recording) <= 64, "the last block may have no played shear yet"
+
+
+def test_ctrl_c_before_the_first_block_is_passed_on(
+    display: Display, oak: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(bus: MockBus, position: int = 0) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MockBus, "_start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(display, oak, stroke(0.5), record=tmp_path / "r.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bus_that_fails_is_reported_with_what_was_put_out(
     display: Display, oak: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing = Failing(monkeypatch)
@@ -309,10 +345,12 @@ def test_a_bus_that_fails_leaves_no_recording(
         put(bus, volts)
 
     monkeypatch.setattr(MockBus, "_put", unplugged)
-    with pytest.raises(BusError, match="the amplifier is gone"):
-        run(display, oak, stroke(0.5), record=tmp_path / "r.npz")
+    outcome = run(display, oak, stroke(0.5), record=tmp_path / "r.npz").outcome
     failing.assert_aborted(display, 9)
-    assert list(tmp_path.iterdir()) == []
+    assert (outcome.ending, outcome.cause) == ("failed", "the amplifier is gone")
+    assert outcome.planned_samples == 4000
+    assert 64 * 8 <= outcome.put_out_samples <= 64 * 10
+    assert 0 < len(recorded(tmp_path / "r.npz")["drive_v"]) <= 64 * 10
 
 
 @pytest.mark.parametrize(

@@ -347,6 +347,19 @@ class Bus(ABC):
         return self._states.estops
 
     @property
+    def next_position(self) -> int:
+        """Position after what was written last, whether or not it was dropped."""
+        return self._next
+
+    @property
+    def unplayed(self) -> int:
+        """Number of samples or frames that were not put out as written, as far as it is known.
+
+        It counts from the opening of the bus, and includes positions that no block carried.
+        """
+        return self.counters.lost_samples + self.counters.dropped_samples
+
+    @property
     def status(self) -> BusStatus:
         """Status of the bus now."""
         state = self.state
@@ -428,6 +441,7 @@ class Bus(ABC):
                 f"write: block of shape {block.volts.shape}, needs (S, {self.wiring.channels})"
             )
         if not plays:
+            self._next = max(self._next, block.position + len(block.volts))
             self._drop(block.position, len(block.volts))
             return
         gap = block.position - self._next
@@ -489,6 +503,7 @@ class Bus(ABC):
                 f"write_frame: shape {frame.volts.shape}, needs ({self.wiring.channels}, P)"
             )
         if not plays:
+            self._next = max(self._next, frame.position + 1)
             self._drop(frame.position, 1)
             return
         if frame.position < self._next:

@@ -2,9 +2,10 @@
 
 import math
 import sys
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +23,10 @@ from tactile.cli.options import (
 )
 from tactile.cli.printing import print_facts
 from tactile.errors import InputError
+
+if TYPE_CHECKING:
+    from tactile.playback.outcome import Outcome
+    from tactile.playback.runs import Summary
 
 STROKE = {
     "--speed-mm-s": (0.0, 2000.0, 80.0),
@@ -77,11 +82,20 @@ def run(
     quiet: Annotated[
         bool, typer.Option("--quiet", help="Print neither the live picture nor the report.")
     ] = False,
+    allow_loss: Annotated[
+        str,
+        typer.Option(
+            metavar="PERCENT",
+            help="Largest share of the stroke that may be lost without exit code 1, such as 1%.",
+        ),
+    ] = "0.1%",
 ) -> None:
     """Play a texture under a moving finger.
 
     In a terminal it plays in real time and shows a live picture; otherwise it plays as fast as the
-    device allows.
+    device allows. The exit code is 0 if the stroke was put out, 1 if more than 0.1 % of it was not,
+    the link was down at its end or it was ended by an e-stop or a fault, 2 if it could not begin,
+    and 130 after Ctrl-C, which ramps to 0 V.
 
     Example: tactile play wood-oak --speed-mm-s 80 --seconds 5 --record oak.npz
     """
@@ -95,6 +109,7 @@ def run(
     }
     trajectory = _trajectory(path, stroke)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
+    allowed = _percent(allow_loss)
     loaded, surface = tactile.load_display(display), tactile.load_texture(texture)
     factor = _gain(gain, loaded, surface, stroke, path)
     watched = sys.stdout.isatty() and not (quiet or as_json)
@@ -108,8 +123,40 @@ def run(
             watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
-        title = f"Played {surface.descriptor.texture.description}"
-        emit(summary.as_dict(), as_json, lambda facts: print_facts(_report(facts), title))
+        title = _title(summary.outcome, surface.descriptor.texture.description)
+        rows = {"put out": _put_out(summary)}
+        emit(summary.as_dict(), as_json, lambda facts: print_facts(rows | _report(facts), title))
+    raise typer.Exit(_exit_code(summary, allowed))
+
+
+def _percent(text: str) -> Fraction:
+    """Return the share of the option ``--allow-loss`` [%]."""
+    with suppress(ValueError):
+        share = Fraction(text.removesuffix("%"))
+        if text.endswith("%") and 0 <= share <= 100:
+            return share
+    raise InputError(f"--allow-loss {text}: must be a share between 0% and 100%, such as 1%")
+
+
+def _title(outcome: "Outcome", description: str) -> str:
+    """Return the title of the report, which does not claim more than was put out."""
+    share = f"{outcome.percent} of " if outcome.lost_samples else ""
+    return f"Played {share}{description}"
+
+
+def _put_out(summary: "Summary") -> str:
+    """Return the share of a stroke that was put out, and the length of the stroke."""
+    outcome = summary.outcome
+    return f"{outcome.percent} of {outcome.planned_samples / summary.sample_rate_hz:.2f} s"
+
+
+def _exit_code(summary: "Summary", allowed: Fraction) -> int:
+    """Return the exit code of a stroke; print why on standard error unless it is 0."""
+    outcome = summary.outcome
+    if outcome.is_within(allowed):
+        return 0
+    print(f"tactile: put out {_put_out(summary)}: {outcome.cause}", file=sys.stderr)
+    return 130 if outcome.ending == "interrupted" else 1
 
 
 def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.Trajectory":
@@ -190,7 +237,10 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     if s["faults"] or s["invalid_samples"]:
         counted = s["faults"] | {"invalid_samples": s["invalid_samples"]}
         rows["faults"] = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
-    if s["status"]:
+    cause = s["outcome"]["cause"]
+    if cause:
+        rows["lost by"] = cause
+    if s["status"] not in ("", cause):
         rows["link"] = s["status"]
     if s["recording"]:
         rows["recorded"] = s["recording"]

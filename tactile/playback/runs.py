@@ -2,21 +2,22 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.bus.base import Bus
+from tactile.bus.base import Bus, BusStatus
 from tactile.clock import MONOTONIC
 from tactile.devices import open_bus
 from tactile.display.display import Display
-from tactile.errors import InputError
+from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
+from tactile.playback.outcome import Ending, Outcome, outcome_of
 from tactile.playback.recording import Recorder
-from tactile.playback.trajectory_playback import PlayedBlock, play, play_frames
+from tactile.playback.trajectory_playback import PlayedBlock, frames_of, play, play_frames
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
@@ -38,14 +39,18 @@ class Summary:
         Name of the display.
     device : str
         URL of the bus.
+    outcome : Outcome
+        What became of the stroke.
+    put_out_share : float
+        Share of the stroke that was put out, from 0 to 1.
     gain : float
         Gain of the texture.
     sample_rate_hz : float
         Sample rate of the drive.
     seconds : float
-        Duration.
+        Duration of what was sent to the device.
     samples : int
-        Number of samples that were played.
+        Number of samples that were sent to the device.
     frames : int
         Number of frames on a link that takes spectrum frames. What only samples tell is then not
         known, and limited and invalid samples are numbers of frames.
@@ -80,6 +85,8 @@ class Summary:
     texture: str
     display: str
     device: str
+    outcome: Outcome = field(default_factory=Outcome)
+    put_out_share: float = 0.0
     gain: float = 1.0
     sample_rate_hz: float = 0.0
     seconds: float = 0.0
@@ -213,15 +220,21 @@ class _Run:
             if watch is not None:
                 watch(block, renderer)
 
-        with self._recorder if self._recorder is not None else nullcontext():
-            play(
+        def stroke() -> BusStatus:
+            return play(
                 display, renderer, trajectory, self._bus,
                 sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
             )  # fmt: skip
+
+        planned = round(trajectory.duration * self._rate)
+        with self._recorder if self._recorder is not None else nullcontext():
+            self.summary.outcome, error = _follow(stroke, self._bus, planned, delay=renderer.delay)
             if self._simulated is not None:
                 self._simulated.settle()
             self._write(None)
         self._finish(renderer)
+        if error is not None:
+            raise error
 
     def _write(self, block: PlayedBlock | None) -> None:
         """Record the blocks that are complete by now."""
@@ -296,31 +309,61 @@ def run(
     Raises
     ------
     TactileError
-        If the device or a file cannot be used.
+        If the device or a file cannot be used. A failure of the device or Ctrl-C in the middle of
+        the stroke ends it: the recording is kept, and the outcome says how much was put out.
     """
     summary = Summary(
-        texture.name, display.name, device, gain, voltage_limit_v=display.limits.voltage
+        texture.name, display.name, device, gain=gain, voltage_limit_v=display.limits.voltage
     )
     if gain != 1:
         texture = amplified(texture, gain)
-    with (
-        open_bus(
-            device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
-        ) as bus,
-        guarded(bus, device),
-    ):
+    with open_bus(
+        device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
+    ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
-        if bus.frames is not None:
-            if record is not None:
-                raise InputError("--record: the link takes spectrum frames, which have no samples")
-            _play_frames(summary, display, texture, trajectory, bus, seed)
-        else:
-            renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
-            account = _Run(summary, bus, rate, renderer.delay, record, display)
-            account.play(display, renderer, trajectory, watch, realtime=realtime)
+        try:
+            with guarded(bus, device):
+                if bus.frames is not None:
+                    _play_frames(summary, display, texture, trajectory, bus, seed, record)
+                else:
+                    renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
+                    account = _Run(summary, bus, rate, renderer.delay, record, display)
+                    account.play(display, renderer, trajectory, watch, realtime=realtime)
+        except BusError as error:  # after `guarded` has latched the e-stop of an amplifier
+            if not bus.next_position:
+                raise
+            summary.outcome = replace(summary.outcome, ending="failed", cause=str(error))
         summary.status = bus.status.detail
         summary.faults = bus.counters.faults()
+    summary.put_out_share = summary.outcome.put_out_samples / summary.outcome.planned_samples
     return summary
+
+
+def _follow(
+    stroke: Callable[[], BusStatus], bus: Bus, planned: int, *, delay: int, spacing: int = 1
+) -> tuple[Outcome, BusError | None]:
+    """Play a stroke; return its outcome once the output is at 0 V, and the error that ended it.
+
+    Ctrl-C ends the stroke. It is raised if nothing was written before, and so is an error.
+    """
+    ending: Ending = "complete"
+    error = None
+    try:
+        status = stroke()
+    except (BusError, KeyboardInterrupt) as reason:
+        status = bus.status
+        if not bus.next_position:
+            raise
+        if isinstance(reason, BusError):
+            ending, error = "failed", reason
+        else:
+            ending = "interrupted"
+        bus.abort()
+    outcome = outcome_of(
+        planned, bus, status,
+        delay=delay, spacing=spacing, ending=ending, error=str(error or ""),
+    )  # fmt: skip
+    return outcome, error
 
 
 def _play_frames(
@@ -330,19 +373,31 @@ def _play_frames(
     trajectory: Trajectory,
     bus: Bus,
     seed: int,
+    record: Path | None,
 ) -> None:
     """Play on a link that takes spectrum frames, and complete the summary."""
     assert bus.frames is not None
+    if record is not None:
+        raise InputError("--record: the link takes spectrum frames, which have no samples")
     rate = bus.wiring.sample_rate
     renderer = SpectrumRenderer(
         display, texture,
         carriers=bus.frames.carriers, frame_rate=bus.frames.rate, sample_rate=rate, seed=seed,
     )  # fmt: skip
-    count = play_frames(display, renderer, trajectory, bus, sample_rate=rate)
-    summary.frames, summary.samples = count, count * renderer.spacing
+    spacing = renderer.spacing
+    planned = frames_of(trajectory, rate, spacing) * spacing
+    summary.outcome, error = _follow(
+        lambda: play_frames(display, renderer, trajectory, bus, sample_rate=rate),
+        bus, planned, spacing=spacing,
+        delay=1,  # since the position after a frame is counted
+    )  # fmt: skip
+    summary.frames = min(bus.next_position, planned) // spacing
+    summary.samples = summary.frames * spacing
     summary.seconds = summary.samples / rate
     summary.limited_samples = renderer.limited_frames
     summary.invalid_samples = renderer.invalid_frames
+    if error is not None:
+        raise error
 
 
 def _rows(block: PlayedBlock, skin_shear: Floats | None) -> dict[str, Floats]:

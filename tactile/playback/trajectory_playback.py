@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.bus.base import Bus, DriveBlock, DriveFrame
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import Clock
 from tactile.display.display import Display
 from tactile.errors import BusError
@@ -60,7 +60,7 @@ def play(
     sample_rate: float,
     listen: Callable[[PlayedBlock], None],
     clock: Clock | None = None,
-) -> None:
+) -> BusStatus:
     """Play a trajectory to its end.
 
     Parameters
@@ -79,6 +79,11 @@ def play(
         Function that is called with each played block.
     clock : Clock, optional
         Clock to wait for each block's time by, on a bus that does not wait; None to go ahead.
+
+    Returns
+    -------
+    BusStatus
+        Status of the bus after the last sample was written, before it was stopped.
 
     Raises
     ------
@@ -105,7 +110,29 @@ def play(
             listen(played)
         if clock is not None and not bus.paced:
             clock.sleep(start_time + sent / sample_rate - clock.now())
+    status = bus.status
     bus.stop()
+    return status
+
+
+def frames_of(trajectory: Trajectory, sample_rate: float, spacing: int) -> int:
+    """Return the number of spectrum frames of a trajectory, without the one that falls to 0 V.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Path of the finger.
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
+    spacing : int
+        Distance from one frame to the next [samples].
+
+    Returns
+    -------
+    int
+        Number of frames, at least 1.
+    """
+    return max(int(trajectory.duration * sample_rate / spacing), 1)
 
 
 def play_frames(
@@ -115,7 +142,7 @@ def play_frames(
     bus: Bus,
     *,
     sample_rate: float,
-) -> int:
+) -> BusStatus:
     """Play a trajectory as spectrum frames, on a bus that takes them.
 
     The first frame rises from 0 V, and the last one falls to it.
@@ -135,8 +162,8 @@ def play_frames(
 
     Returns
     -------
-    int
-        Number of frames.
+    BusStatus
+        Status of the bus after the last frame was written, before it was stopped.
 
     Raises
     ------
@@ -146,7 +173,7 @@ def play_frames(
     bus.tune(renderer.carriers)
     spacing = renderer.spacing
     renderer.sample = spacing
-    count = max(int(trajectory.duration * sample_rate / spacing), 1)
+    count = frames_of(trajectory, sample_rate, spacing)
     lines = np.zeros((display.channels, len(renderer.carriers)), np.complex128)
     for k in range(1, count + 1):
         time = trajectory.time[0] + k * spacing / sample_rate
@@ -157,8 +184,9 @@ def play_frames(
         bus.write_frame(DriveFrame(k * spacing, lines.copy()))
         _check_estop(bus)
     bus.write_frame(DriveFrame((count + 1) * spacing, np.zeros_like(lines)))
+    status = bus.status
     bus.stop()
-    return count
+    return status
 
 
 def _check_estop(bus: Bus) -> None:

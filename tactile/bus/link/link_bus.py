@@ -182,6 +182,17 @@ class LinkBus(Bus):
             return BusStatus(state, link, detail, playing, session.last_fault)
 
     @property
+    def unplayed(self) -> int:
+        """Number of samples or frames that were not put out as written, as far as it is known.
+
+        The amplifiers report what they bridged or were silent for, which includes what this host
+        dropped while they could be reached. Of frames they report those that were late. Of several
+        amplifiers the one that lost most counts.
+        """
+        lost = [peer.late if self.frames else peer.unplayed for peer in self._session.peers]
+        return max([super().unplayed, *lost])
+
+    @property
     def _cause(self) -> str:
         return self._session.trouble if self._session.tripped else ""
 

@@ -53,6 +53,8 @@ class Peer:
         Number of underruns since this host has known the amplifier.
     late : int
         Number of samples that were too late for the amplifier, since then.
+    unplayed : int
+        Number of positions that the amplifier bridged or was silent for, since then.
     begun : int
         Tick of the amplifier's clock at which the latest START plays.
     queries : Queries
@@ -65,11 +67,13 @@ class Peer:
         self.last_received = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
-        self.underruns = self.late = 0
+        self.underruns = self.late = self.unplayed = 0
         self._late_seen: int | None = None
         """Latest value of the amplifier's counter of late samples."""
         self._underruns_seen: int | None = None
         """Latest value of its counter of underruns."""
+        self._unplayed_seen: int | None = None
+        """Latest value of its counter of lost samples."""
         self._status_seen = self._restarted = False
         """Whether a STATUS has come since the wire was opened, and whether the clock began anew."""
         self._greeting_probe = math.inf
@@ -180,6 +184,8 @@ class Peer:
         self._state = message.state if known else self._state
         if isinstance(message, m.Status):
             self._add_counts(message.underruns, message.late_samples)
+            self.unplayed += _since(message.lost_samples, self._unplayed_seen)
+            self._unplayed_seen = message.lost_samples
             self._status_seen = True
         elif self._status_seen and self._underruns_seen is not None:
             self._add_counts(

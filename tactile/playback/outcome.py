@@ -2,9 +2,10 @@
 
 A sample counts as put out unless it is known that it was not (`Bus.unplayed`). What a bus can know
 differs: an amplifier of the protocol reports the positions that it bridged or left silent, other
-buses count what they drop themselves. What was on its way when a link was lost for good is not
-known, and counts as put out. It is no more than the lead of the stream, 24 ms unless the user names
-another. Samples with which the output fades in again after a gap count as put out as well.
+buses count what they drop themselves. What was sent after the last report of an amplifier whose
+link was lost is not known, and counts as put out: up to the 250 ms after which a silent amplifier
+counts as lost, and the lead of the stream. The share is then too high by that much. Samples with
+which the output fades in again after a gap count as put out as well.
 """
 
 from dataclasses import dataclass

@@ -186,11 +186,12 @@ class PoolCrew:
         CrewLostError
             If several pools died one after another.
         """
-        try:
-            future = self._pool.submit(solve_part, part)
-        except BrokenExecutor:
-            self._restart()
-            future = self._pool.submit(solve_part, part)
+        with _deaf_children():  # a pool starts its workers when parts are submitted
+            try:
+                future = self._pool.submit(solve_part, part)
+            except BrokenExecutor:
+                self._restart()
+                future = self._pool.submit(solve_part, part)
         self._origin[future] = self._pool
         return future
 
@@ -234,6 +235,23 @@ class PoolCrew:
     def close(self) -> None:
         """End the pool after the parts that are being solved; queued parts are dropped."""
         self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Let the processes that are started meanwhile never see Ctrl-C, not even while they load.
+
+    A child inherits the mask of signals of the thread that starts it. An interrupt of this process
+    is raised all the same, or comes at the end.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin_worker() -> None:

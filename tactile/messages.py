@@ -661,6 +661,9 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
         Counters of the device's bus and of playback since it started, by name.
     estop : int
         Number of the e-stop that holds, 0 if none does.
+    put_out_share : float or null
+        Share that was put out of what was due since the display was armed, from 0 to 1, as far as
+        its amplifiers have reported; null if nothing was due.
     """
 
     display: str
@@ -672,6 +675,7 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
     latency_ms: float
     counters: dict[str, int]
     estop: int = 0
+    put_out_share: float | None = None
 
 
 class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
@@ -744,12 +748,15 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
         Velocity of the finger [mm/s].
     normal_force_n : float
         Normal force of the finger [N].
-    shear_um : list of float
-        Commanded shear of each contactor [µm].
+    shear_um : list of float or null
+        Commanded shear of each contactor [µm]; null on a link that takes spectrum frames, for which
+        it is not computed.
     drive_v : list of float
         Drive of each contactor [V].
     counters : dict of str to int
         Counters as in `StatsReply`.
+    put_out_share : float or null
+        Share that was put out, as in `StatsReply`.
     """
 
     display: str
@@ -758,9 +765,10 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     position_mm: tuple[float, float]
     velocity_mm_s: tuple[float, float]
     normal_force_n: float
-    shear_um: tuple[float, ...]
+    shear_um: tuple[float, ...] | None
     drive_v: tuple[float, ...]
     counters: dict[str, int]
+    put_out_share: float | None = None
 
 
 Command = (

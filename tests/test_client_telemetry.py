@@ -7,12 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
+import msgspec
 import pytest
 from client_rig import PATIENCE, Script, ScriptedServer, Twin, server_time_us, telemetry, until
 
 from tactile import client
 from tactile import messages as m
-from tactile.client import websocket
+from tactile.client import websocket, wire
 from tactile.errors import ClientTimeoutError
 
 
@@ -48,6 +49,14 @@ def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, server: ScriptedSer
     stream.close()
     asked = until(lambda: len(server.of(m.Subscribe)) == 2 and server.of(m.Subscribe))
     assert [said.rate_hz for said in asked] == [20.0, 0.0]
+
+
+def test_what_the_server_does_not_know_is_none() -> None:
+    known = telemetry(1)
+    unknown = msgspec.structs.replace(known, shear_um=None, put_out_share=0.75)
+    assert wire.from_message(wire.Telemetry, known).put_out_share is None
+    told = wire.from_message(wire.Telemetry, unknown)
+    assert (told.shear, told.put_out_share) == (None, 0.75)
 
 
 def test_telemetry_that_nobody_reads_is_dropped_and_then_ended(

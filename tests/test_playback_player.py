@@ -3,6 +3,7 @@
 The bus is the mock amplifier, the clock turns as playback waits.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -295,6 +296,26 @@ def test_held_up_it_goes_on_in_step_fading_in_and_counts(stage: Stage, display: 
     assert rms(played[-400:]) > 0
 
 
+def test_the_share_that_was_put_out_counts_from_arming(stage: Stage) -> None:
+    def share() -> float:
+        stage.player.write_report()
+        return stage.memory.report().put_out_share
+
+    assert math.isnan(share())
+    stage.slide(0.3)
+    assert share() == 1.0
+    stage.clock.sleep(BLOCK / RATE + 0.05)
+    stage.slide(0.1)
+    silent = max(board.amplifier.counters.lost_samples for board in stage.bus.boards)
+    assert silent >= 0.05 * RATE - BLOCK
+    assert share() == pytest.approx(1 - silent / stage.player.position, rel=1e-12)
+    stage.player.disarm()
+    stage.player.arm()
+    assert math.isnan(share())
+    stage.slide(0.1)
+    assert share() == 1.0
+
+
 def test_a_texture_that_is_changed_while_it_plays_makes_no_step(stage: Stage) -> None:
     steady = stage.slide(0.4)[1000:]
     largest = np.abs(np.diff(steady, axis=0)).max()
@@ -354,6 +375,14 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
         assert bus.counters.faults() == {}
         put_out = bus.output
         assert rms(put_out[2000:]) > 0.5
+        player.write_report()
+        assert memory.report().put_out_share == 1.0
+        bus.model.run_alone(bus.model.clock.now() + 0.1)
+        player.step()
+        player.write_report()
+        skipped = memory.report().counters["skipped_samples"]
+        assert skipped >= 0.1 * RATE - 2 * player.rendering.spacing
+        assert memory.report().put_out_share <= 1 - skipped / player.position < 1
     memory.close()
 
 

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar, get_args
@@ -18,6 +19,7 @@ import pytest
 from tactile import messages as m
 from tactile import processes
 from tactile.errors import BusError, InputError
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
@@ -364,7 +366,27 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     found = [program.client.outbox.get_nowait() for _ in range(outbox)]
     assert any(isinstance(one, m.EventMessage) and one.kind == "fault" for one in found)
     told = next(one for one in found if isinstance(one, m.TelemetryMessage))
+    assert told.shear_um is not None
     assert len(told.shear_um) == len(told.drive_v) == 24
+
+
+def test_what_is_not_known_is_null_and_not_0(
+    host: Host, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing was due yet, and frames have no commanded shear."""
+    playing = host.playing[NAME]
+    with monkeypatch.context() as patch:
+        patch.setattr(playing, "memory", PlaybackMemory.create(24))  # no report has come
+        assert client_module.snapshot(playing).shear_um == (0.0,) * 24
+        patch.setattr(playing, "how", replace(playing.how, carriers=8))
+        assert client_module.snapshot(playing).shear_um is None
+        assert client_module.snapshot(playing).put_out_share is None
+        assert program.stats().put_out_share is None
+        playing.memory.close()
+    program.ask(m.ArmDisplay(display=NAME))
+    share = program.until(lambda stats: stats.put_out_share is not None).put_out_share
+    assert share is not None
+    assert 0 < share <= 1
 
 
 def test_reloading_makes_what_is_selected_anew_and_lets_go_of_the_old(

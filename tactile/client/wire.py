@@ -113,6 +113,9 @@ class Stats:
         Counts of playback, bus and amplifier.
     estop : int
         Number of the e-stop that holds, 0 for none.
+    put_out_share : float or None
+        Share that was put out of what was due since the display was armed, from 0 to 1, as far as
+        its amplifiers have reported; None if nothing was due.
     """
 
     display: str
@@ -124,6 +127,7 @@ class Stats:
     latency: float
     counters: dict[str, int]
     estop: int = 0
+    put_out_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +148,15 @@ class Telemetry:
         Velocity of the finger [m/s].
     normal_force : float
         Normal force of the finger [N].
-    shear : (N,) tuple of float
-        Commanded shear of each contactor [m].
+    shear : (N,) tuple of float or None
+        Commanded shear of each contactor [m]; None on a link that takes spectrum frames, for which
+        it is not computed.
     drive : (N,) tuple of float
         Voltage of each contactor [V].
     counters : dict of str to int
         Counts as in `Stats`.
+    put_out_share : float or None
+        Share that was put out, as in `Stats`.
     """
 
     display: str
@@ -158,9 +165,10 @@ class Telemetry:
     position: Pair
     velocity: Pair
     normal_force: float
-    shear: tuple[float, ...]
+    shear: tuple[float, ...] | None
     drive: tuple[float, ...]
     counters: dict[str, int]
+    put_out_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -557,5 +565,5 @@ def from_message(kind: type[S], message: msgspec.Struct) -> S:
     for name in (field.name for field in dataclasses.fields(kind)):
         field, unit = units[name]
         value = getattr(message, field)
-        values[name] = value if unit is None else _scaled(value, unit)
+        values[name] = value if unit is None or value is None else _scaled(value, unit)
     return kind(**values)

@@ -20,6 +20,7 @@ from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
+from tactile.playback.outcome import share_put_out
 from tactile.playback.shared_memory import (
     PlaybackCounters,
     PlaybackMemory,
@@ -381,6 +382,8 @@ class PlaybackLoop:
         self.report = PlaybackReport(sample_rate=self.bus.wiring.sample_rate)
         self._rate = self.bus.wiring.sample_rate
         self.position = self._client = self._skipped = self._dropped_waves = 0
+        self._unplayed_before = 0
+        """Number of samples that had not been put out when playing began."""
         step = 1 / (self.display.limits.fade * self._rate)
         self._air = Ramp(step, 1.0 if self.worn else IN_AIR)
         self._touching = self.worn
@@ -459,7 +462,7 @@ class PlaybackLoop:
         self.rendering.fade_in()
         for voice in self.voices.values():
             voice.silence()
-        self.position = 0
+        self.position, self._unplayed_before = 0, self._unplayed
         self.bus.start()
         self.write_report()
 
@@ -547,6 +550,16 @@ class PlaybackLoop:
             return None
         return self._air(np.broadcast_to(total, (count, len(self.display.contactors))))
 
+    @property
+    def _unplayed(self) -> int:
+        """Number of samples that were not put out since the bus was opened.
+
+        A bus that takes frames counts frames, and none for a position that was left out.
+        """
+        if self.bus.frames is None:
+            return self.bus.unplayed
+        return self.bus.unplayed * self.rendering.spacing + self._skipped
+
     def write_report(self) -> None:
         """Write the state of playback to the shared memory."""
         r, status = self.report, self.bus.status
@@ -554,6 +567,7 @@ class PlaybackLoop:
         r.state = state_of(status)
         r.link, r.detail, r.running = status.link, status.detail, self.running
         r.touching, r.client = self.tracker.touching, self._client
+        r.put_out_share = share_put_out(self.position, self._unplayed - self._unplayed_before)
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])
         r.counters = vars(
             PlaybackCounters(

@@ -8,6 +8,7 @@ counts as lost, and the lead of the stream. The share is then too high by that m
 which the output fades in again after a gap count as put out as well.
 """
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Literal
@@ -19,6 +20,24 @@ TOLERATED = Fraction(1, 10)
 
 Ending = Literal["complete", "failed", "interrupted"]
 """How a stroke ended: by its own end, by a failure of the bus, or by Ctrl-C."""
+
+
+def share_put_out(due_samples: int, lost_samples: int) -> float:
+    """Return the share of samples that was put out.
+
+    Parameters
+    ----------
+    due_samples : int
+        Number of samples that were due.
+    lost_samples : int
+        Number of those that were not put out.
+
+    Returns
+    -------
+    float
+        Share from 0 to 1; NaN if nothing was due.
+    """
+    return max(due_samples - lost_samples, 0) / due_samples if due_samples else math.nan
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
-from tactile.playback.outcome import Ending, Outcome, outcome_of
+from tactile.playback.outcome import Ending, Outcome, outcome_of, share_put_out
 from tactile.playback.recording import Recorder
 from tactile.playback.trajectory_playback import PlayedBlock, frames_of, play, play_frames
 from tactile.rendering.contact import Trajectory
@@ -335,7 +335,8 @@ def run(
             summary.outcome = replace(summary.outcome, ending="failed", cause=str(error))
         summary.status = bus.status.detail
         summary.faults = bus.counters.faults()
-    summary.put_out_share = summary.outcome.put_out_samples / summary.outcome.planned_samples
+    outcome = summary.outcome
+    summary.put_out_share = share_put_out(outcome.planned_samples, outcome.lost_samples)
     return summary
 
 

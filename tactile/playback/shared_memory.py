@@ -9,6 +9,7 @@ a file in the folder for temporary files, which the server removes. A kill at an
 worst one unfinished entry, which no reader takes.
 """
 
+import math
 import mmap
 import os
 import struct
@@ -69,7 +70,7 @@ CONTACT = struct.Struct("<QQddddd?dd")
 which a flag tells whether there is a velocity."""
 CONTACT_SPACE = 128
 """Distance between two entries of the ring of contacts [bytes]."""
-REPORT = struct.Struct(f"<Qd4BQ7d{len(COUNTERS)}Q{DETAIL}s")
+REPORT = struct.Struct(f"<Qd4BQ8d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
 AT_HEAD, AT_REPORTED, AT_BEATS = 0, 8, 16
 """Offsets of the number of contacts that were written, the number of the report, and the number of
@@ -117,6 +118,9 @@ class PlaybackReport:
     latency : float
         Mean time from the arrival of a contact to the output of the first sample that it affects
         [s].
+    put_out_share : float
+        Share that was put out of what was due since playing began, from 0 to 1, as far as the
+        amplifiers have reported; NaN if nothing was due.
     counters : dict of str to int
         Value of each counter.
     detail : str
@@ -135,6 +139,7 @@ class PlaybackReport:
     normal_force: float = 0.0
     sample_rate: float = 0.0
     latency: float = 0.0
+    put_out_share: float = math.nan
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     detail: str = ""
 
@@ -177,7 +182,7 @@ class PlaybackMemory:
 
     @classmethod
     def create(cls, contactors: int) -> "PlaybackMemory":
-        """Create memory that is all zero.
+        """Create memory without contacts, with the report of a display that has not played.
 
         Parameters
         ----------
@@ -199,7 +204,9 @@ class PlaybackMemory:
         os.ftruncate(descriptor, size)
         if sys.platform != "linux":
             os.close(descriptor)
-        return cls(handle, contactors)
+        memory = cls(handle, contactors)
+        memory.write_report(PlaybackReport())
+        return memory
 
     @property
     def descriptor(self) -> int | None:
@@ -293,7 +300,7 @@ class PlaybackMemory:
         REPORT.pack_into(
             self._map, AT_REPORT, r.blocks, r.time, STATES.index(r.state), r.link == "up",
             r.running, r.touching, r.client, *r.position, *r.velocity, r.normal_force,
-            r.sample_rate, r.latency, *(r.counters[name] for name in COUNTERS),
+            r.sample_rate, r.latency, r.put_out_share, *(r.counters[name] for name in COUNTERS),
             r.detail.encode()[:DETAIL],
         )  # fmt: skip
         NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported)
@@ -315,10 +322,10 @@ class PlaybackMemory:
                 break
         counters = dict(zip(COUNTERS, row[-len(COUNTERS) - 1 : -1], strict=True))
         blocks, time, state, link, running, touching, client, *rest = row[: -len(COUNTERS) - 1]
-        x, y, vx, vy, force, rate, late = rest
+        x, y, vx, vy, force, rate, late, share = rest
         return PlaybackReport(
             blocks, time, STATES[state], "up" if link else "down", bool(running), bool(touching),
-            client, (x, y), (vx, vy), force, rate, late, counters,
+            client, (x, y), (vx, vy), force, rate, late, share, counters,
             row[-1].rstrip(b"\0").decode(errors="replace"),
         )  # fmt: skip
 

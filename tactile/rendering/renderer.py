@@ -48,7 +48,7 @@ class Rendering:
     sample_rate : float
         Sample rate [Hz].
     limited_samples : int
-        Number of samples that the limiter turned down.
+        Number of samples that the limiter turned down; nothing else can be lost without a device.
     """
 
     drive: Floats

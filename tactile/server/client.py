@@ -390,6 +390,7 @@ class Client:
             latency_ms=1e3 * r.latency,
             counters=r.counters,
             estop=latch.holds,
+            put_out_share=_known(r.put_out_share),
         )
 
     _ACTIONS: dict[type, tuple[frozenset[m.Role], Callable[..., Awaitable[Answer]]]] = {  # noqa: RUF012
@@ -415,6 +416,11 @@ def _point_rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float
     return rows
 
 
+def _known(value: float) -> float | None:
+    """Return a value, or None for NaN, which JSON does not have."""
+    return None if math.isnan(value) else value
+
+
 def snapshot(playing: Playing) -> TelemetryMessage:
     """Return the present state of a display.
 
@@ -436,7 +442,8 @@ def snapshot(playing: Playing) -> TelemetryMessage:
         position_mm=(r.position[0] * 1e3, r.position[1] * 1e3),
         velocity_mm_s=(r.velocity[0] * 1e3, r.velocity[1] * 1e3),
         normal_force_n=r.normal_force,
-        shear_um=tuple((playing.memory.shear * 1e6).tolist()),
+        shear_um=None if playing.how.carriers else tuple((playing.memory.shear * 1e6).tolist()),
         drive_v=tuple(playing.memory.drive.tolist()),
         counters=r.counters,
+        put_out_share=_known(r.put_out_share),
     )

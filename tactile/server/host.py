@@ -361,5 +361,6 @@ class Host:
                 "touching": float(r.touching),
                 "playback_alive": float(playing.alive),
                 "latency_seconds": r.latency,
+                "put_out_share": r.put_out_share,
             }
         return figures

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
-from link_rig import Linked
+from link_rig import RATE, Bench, Linked, disturb
 
+from firmware_protocol.machine import PlayedRun
+from firmware_protocol.player import SamplePlayer
+from firmware_protocol.sources import Ints
 from tactile.bus.base import BusStatus, DriveBlock, Wiring
+from tactile.bus.simulated.line_model import Faults
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.playback.outcome import TOLERATED, Outcome, outcome_of
 
@@ -80,8 +84,100 @@ def test_an_amplifier_that_had_nothing_to_play_reports_it(
     rig.model.run_alone(rig.clock.now() + alone)
     rig.play(0.2)
     rig.bus.stop()
-    reported = max(amplifier.counters.lost_samples for amplifier in rig.model.amplifiers)
-    assert (reported > 0) is (alone > 0)
-    assert rig.bus.unplayed == max(
-        reported, rig.bus.counters.lost_samples + rig.bus.counters.dropped_samples
-    )
+    silent = max(amplifier.counters.lost_samples for amplifier in rig.model.amplifiers)
+    assert (silent > 0) is (alone > 0)
+    assert rig.bus.unplayed == silent
+
+
+class Truth:
+    """Positions that amplifiers played as they were sent, noted inside the amplifiers."""
+
+    def __init__(self, rig: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._rig, self._spans = rig, list[tuple[SamplePlayer, int, int]]()
+        self._played = [set[int]() for _ in rig.model.amplifiers]
+        self._usual, self._on_output = SamplePlayer._playing, rig.model.on_output
+        monkeypatch.setattr(SamplePlayer, "_playing", lambda *given: self._playing(*given))
+        rig.model.on_output = self._output
+
+    def _playing(self, player: SamplePlayer, n: int, count: int) -> Ints:
+        before = player.underruns, player.lost_samples
+        out = self._usual(player, n, count)
+        if before == (player.underruns, player.lost_samples):
+            self._spans.append((player, n, n + len(out)))
+        return out
+
+    def _output(self, board: int, run: PlayedRun) -> None:
+        self._on_output(board, run)
+        model, rig = self._rig.model, self._rig
+        player = model.amplifiers[board]._player
+        pace = model.configs[board].tick_hz * (1 + model.drift[board])
+        due = (model.time_of(board, 0) + run.ticks / pace - rig.zero) * rig.rate
+        for k, position in enumerate(np.rint(due).astype(int).tolist()):
+            at = run.position + k
+            if any(one is player and a <= at < b for one, a, b in self._spans[-50:]):
+                self._played[board].add(position)
+
+    @property
+    def lost(self) -> int:
+        """Number of positions of the stroke that some amplifier did not play."""
+        stroke = set(range(self._rig.position))
+        return max(len(stroke - played) for played in self._played)
+
+
+@pytest.mark.parametrize(
+    ("link", "options"),
+    [
+        ("serial", "&rearm=true&loss=0.02"),
+        ("serial", "&rearm=true&disconnect_s=0.7&seed=3"),
+        ("serial", "&rearm=true&power_s=0.7&seed=1"),
+        ("can", "&rearm=true&stall_s=0.7&seed=2"),
+        ("serial", "&disconnect_s=1&loss=0.02&seed=1"),
+    ],
+)
+def test_as_much_is_lost_as_amplifiers_did_not_play(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str, options: str
+) -> None:
+    """An amplifier that dies has confirmed all but 10 ms, from one PULSE to the next.
+
+    One that stops by itself says so by a PULSE; where that is lost, the next one comes after 10 ms
+    at most. The first sample after a restart is left out for the gain to rise, and not reported.
+    """
+    rig = linked(link, options)
+    rig.start()
+    truth = Truth(rig, monkeypatch)
+    rig.play(2.0)
+    rig.bus.stop()
+    rig.model.report_output()
+    counters = rig.bus.counters
+    unknown = counters.disconnects * 0.01 * RATE
+    assert truth.lost > 0
+    assert truth.lost - counters.reconnects - unknown <= rig.bus.unplayed
+    assert rig.bus.unplayed <= truth.lost + unknown + 16 * counters.disconnects
+
+
+@pytest.mark.parametrize("link", ["serial", "can"])
+def test_what_an_amplifier_out_of_reach_was_sent_at_the_end_is_lost(
+    linked: Linked, link: str
+) -> None:
+    """The host does not know yet that it is out of reach, and has dropped nothing."""
+    rig = linked(link, "")
+    rig.begin(0.5)
+    disturb(rig, Faults(loss=1.0))
+    rig.play(0.2)
+    status = rig.bus.status
+    assert (status.link, rig.bus.counters.dropped_samples) == ("up", 0)
+    rig.bus.stop()
+    outcome = outcome_of(rig.position, rig.bus, status)
+    assert 0.2 * RATE <= outcome.lost_samples <= 0.22 * RATE
+    assert "silent for 250 ms" in outcome.cause
+
+
+def test_each_playing_adds_what_it_lost(linked: Linked) -> None:
+    rig = linked("serial", "")
+    for played in (1, 2):
+        rig.begin(0.2)
+        rig.model.run_alone(rig.clock.now() + 0.06)
+        rig.play(0.2)
+        rig.bus.stop()
+        silent = rig.model.amplifiers[0].counters.lost_samples
+        assert rig.bus.unplayed == silent > played * 0.04 * RATE

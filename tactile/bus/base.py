@@ -387,8 +387,8 @@ class Bus(ABC):
                 raise BusStateError(
                     f"start: the bus is {self.state}{cause}, not idle; {way} it first"
                 )
-            self._next = position
             self._start(position)
+            self._next = position
             self._anchor = position, self._clock.now() + self.ahead
             self._states.begin(estops)
 

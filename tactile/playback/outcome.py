@@ -1,11 +1,10 @@
 """Outcome of a stroke: the share of it that the amplifier put out, and how it ended.
 
 A sample counts as put out unless it is known that it was not (`Bus.unplayed`). What a bus can know
-differs: an amplifier of the protocol reports the positions that it bridged or left silent, other
-buses count what they drop themselves. What was sent after the last report of an amplifier whose
-link was lost is not known, and counts as put out: up to the 250 ms after which a silent amplifier
-counts as lost, and the lead of the stream. The share is then too high by that much. Samples with
-which the output fades in again after a gap count as put out as well.
+differs: an amplifier of the protocol reports which positions passed while it played, and how many
+of them it bridged or left silent; what it does not confirm before its link is lost was not put out.
+Other buses count what they drop themselves. Samples with which the output fades in again after a
+gap count as put out.
 """
 
 import math

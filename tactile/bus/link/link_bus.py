@@ -110,6 +110,10 @@ class LinkBus(Bus):
         self._broken = self._ending = False
         self._failure = ""
         """Reason of a wire that broke in the hands of a caller; the thread acts on it."""
+        self._first: int | None = None
+        """Position of the latest start; None before the first one."""
+        self._unplayed_before = 0
+        """Number of positions that had not been put out when it began."""
         self._waits_until = -math.inf
         """Host time up to which the thread waits in `receive` [s]."""
         self._session = LinkSession(
@@ -185,12 +189,24 @@ class LinkBus(Bus):
     def unplayed(self) -> int:
         """Number of samples or frames that were not put out as written, as far as it is known.
 
-        The amplifiers report what they bridged or were silent for, which includes what this host
-        dropped while they could be reached. Of frames they report those that were late. Of several
-        amplifiers the one that lost most counts.
+        Amplifiers report what they put out. What they do not confirm before their link is lost
+        counts as not put out, and of several amplifiers the one that lost most counts.
         """
-        lost = [peer.late if self.frames else peer.unplayed for peer in self._session.peers]
-        return max([super().unplayed, *lost])
+        positions = self._unplayed_before + self._unplayed_now
+        if self.frames is None:
+            return max(super().unplayed, positions)
+        late = max(peer.late for peer in self._session.peers)
+        return max(super().unplayed, late, math.ceil(positions / self.plan.packet_samples))
+
+    @property
+    def _unplayed_now(self) -> int:
+        """Number of positions since the latest start that were not put out, as far as known."""
+        with self._changed:
+            stream, running = self._session.stream, self._session.phase is SessionPhase.RUN
+            if stream is None or self._first is None:
+                return 0
+            written = self._next - (self.frames is not None)  # a frame is for its end
+            return stream.unplayed(self._first, max(written, self._first), running=running)
 
     @property
     def _cause(self) -> str:
@@ -372,6 +388,10 @@ class LinkBus(Bus):
         with self._changed:
             if self._wire is None:
                 raise BusError(f"start: the link is down: {self._session.trouble}")
+            self._unplayed_before += self._unplayed_now
+            for peer in self._session.peers:
+                peer.ledger.clear()
+            self._first = self._next = position
             self._session.run(position)
             self._pump()
         session = self._session

@@ -14,6 +14,7 @@ from firmware_protocol.host import SKIPPED, AmplifierHost
 from firmware_protocol.messages import UNGUARDED_MOST_UV, Feature, Input, Message, State
 from firmware_protocol.packet import TURN, Packet
 from firmware_protocol.player import distance
+from tactile.bus.link.ledger import OutputLedger, rise
 from tactile.bus.link.queries import RETRY, TRIES, Queries
 
 ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status}
@@ -53,8 +54,8 @@ class Peer:
         Number of underruns since this host has known the amplifier.
     late : int
         Number of samples that were too late for the amplifier, since then.
-    unplayed : int
-        Number of positions that the amplifier bridged or was silent for, since then.
+    ledger : OutputLedger
+        Count of the positions that the amplifier has put out.
     begun : int
         Tick of the amplifier's clock at which the latest START plays.
     queries : Queries
@@ -67,13 +68,12 @@ class Peer:
         self.last_received = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
-        self.underruns = self.late = self.unplayed = 0
+        self.underruns = self.late = 0
+        self.ledger = OutputLedger()
         self._late_seen: int | None = None
         """Latest value of the amplifier's counter of late samples."""
         self._underruns_seen: int | None = None
         """Latest value of its counter of underruns."""
-        self._unplayed_seen: int | None = None
-        """Latest value of its counter of lost samples."""
         self._status_seen = self._restarted = False
         """Whether a STATUS has come since the wire was opened, and whether the clock began anew."""
         self._greeting_probe = math.inf
@@ -160,6 +160,8 @@ class Peer:
         request = self._request
         if isinstance(message, m.Pulse | m.Status):
             self._update(message)
+            if self.host.caps is not None:
+                self.ledger.report(message, self.caps.fifo_samples, now)
         elif isinstance(message, m.TimeReply):
             self._add_exchange(message, now)
         self.queries.receive(message)
@@ -184,8 +186,6 @@ class Peer:
         self._state = message.state if known else self._state
         if isinstance(message, m.Status):
             self._add_counts(message.underruns, message.late_samples)
-            self.unplayed += _since(message.lost_samples, self._unplayed_seen)
-            self._unplayed_seen = message.lost_samples
             self._status_seen = True
         elif self._status_seen and self._underruns_seen is not None:
             self._add_counts(
@@ -195,10 +195,10 @@ class Peer:
 
     def _add_counts(self, underruns: int, late: int | None) -> None:
         """Add what the amplifier's counters have risen by; they begin anew after a reset."""
-        self.underruns += _since(underruns, self._underruns_seen)
+        self.underruns += rise(underruns, self._underruns_seen)
         self._underruns_seen = underruns
         if late is not None:
-            self.late += _since(late, self._late_seen)
+            self.late += rise(late, self._late_seen)
             self._late_seen = late
 
     @property
@@ -318,6 +318,7 @@ class Peer:
         begin = self._sent_end + SKIPPED
         self._origin, self._sent_end = begin - position, begin
         self._start_position, self.begun = position, self.clock.ticks_at(time)
+        self.ledger.start(begin, time)
         self._status_due = time
         return m.Start(self.host.session, begin % TURN, 0, self.begun)
 
@@ -339,6 +340,28 @@ class Peer:
         assert self.clock is not None
         ticks = round((position - self._start_position) * self.clock.tick_hz / rate)
         return self.clock.host_time_at(self.begun + ticks)
+
+    def unplayed(self, first: int, written: int, held: int, *, running: bool) -> int:
+        """Return how many positions since playing began are not known to have been put out.
+
+        Parameters
+        ----------
+        first, written : int
+            Position with which playing began, and position after what was written.
+        held : int
+            Number of positions after that which have something to play.
+        running : bool
+            Whether positions that have not passed yet may still be put out.
+
+        Returns
+        -------
+        int
+            Number of positions.
+        """
+        ledger = self.ledger
+        if running and ledger.running:
+            written = min(written, self._start_position + ledger.passed)
+        return written - first - ledger.put_out(written - self._start_position, held)
 
     def wire_position(self, position: int, count: int) -> int:
         """Return a position on the wire, and record that samples from it on are sent.
@@ -403,10 +426,3 @@ class Peer:
     def rest(self) -> None:
         """Ask for STATUS no more."""
         self._status_due = math.inf
-
-
-def _since(count: int, last: int | None) -> int:
-    """Return how much a counter has risen since its last value; it may have begun anew at 0."""
-    if last is None:
-        return 0
-    return count - last if count >= last else count

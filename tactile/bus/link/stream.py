@@ -126,6 +126,8 @@ class LinkStream:
         # first position that may be written.
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
+        self._held = 0
+        """Number of positions after what was written that have something to play."""
 
     # Time
 
@@ -151,6 +153,8 @@ class LinkStream:
         self._from = position + fade_in
         self._anchor, self._playing, self.end = (position, time), True, position
         self._lowered = time
+        # A frame is in force for two spacings (`add_frame`).
+        self._held = 2 * self._plan.packet_samples if self._plan.carriers else 0
         for follower in self._followers:
             follower.begin(position)
         return [peer.start(position, time) for peer in self._peers]
@@ -258,6 +262,25 @@ class LinkStream:
             self.lead = max(self.lead - LOWER * (now - self._lowered), self._least)
         self._lowered = max(now, self._lowered)
 
+    def unplayed(self, first: int, written: int, *, running: bool) -> int:
+        """Return how many positions since playing began are not known to have been put out.
+
+        Parameters
+        ----------
+        first, written : int
+            Position with which playing began, and position after what was written.
+        running : bool
+            Whether positions that have not passed yet may still be put out.
+
+        Returns
+        -------
+        int
+            Number of positions, for the amplifier that lost most.
+        """
+        return max(
+            peer.unplayed(first, written, self._held, running=running) for peer in self._peers
+        )
+
     # What waits
 
     def add(self, position: int, volts: Floats) -> None:
@@ -301,7 +324,8 @@ class LinkStream:
         end = self.end
         self._flush()
         if self._last is not None:
-            held, size = end + math.ceil(HOLD * self._plan.sample_rate), self._plan.packet_samples
+            self._held = math.ceil(HOLD * self._plan.sample_rate)
+            held, size = end + self._held, self._plan.packet_samples
             for at in range(end, held, size):
                 self._pack(at, np.tile(self._last, (min(size, held - at), 1)))
         return end

@@ -1,16 +1,30 @@
 """Tests of the outcome of a stroke, against the counts of the amplifier itself."""
 
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from link_rig import RATE, Bench, Linked, disturb
 
 from firmware_protocol.machine import PlayedRun
+from firmware_protocol.messages import Fault
 from firmware_protocol.player import SamplePlayer
 from firmware_protocol.sources import Ints
 from tactile.bus.base import BusStatus, DriveBlock, Wiring
 from tactile.bus.simulated.line_model import Faults
 from tactile.bus.simulated.mock_bus import MockBus
+from tactile.bus.simulated.modeled_bus import ModeledBus
+from tactile.devices import open_bus
+from tactile.display.display import Display
+from tactile.playback import runs
 from tactile.playback.outcome import TOLERATED, Outcome, outcome_of
+from tactile.playback.trajectory_playback import PlayedBlock
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import Renderer
+from tactile.texture.surface import load_texture
 
 WIRING = Wiring(channels=2, sample_rate=8000.0, voltage=100.0, slew=1e5, fade=0.02)
 
@@ -181,3 +195,76 @@ def test_each_playing_adds_what_it_lost(linked: Linked) -> None:
         rig.bus.stop()
         silent = rig.model.amplifiers[0].counters.lost_samples
         assert rig.bus.unplayed == silent > played * 0.04 * RATE
+
+
+def overheat(bus: ModeledBus) -> None:
+    """Let the first amplifier report a fault of its hardware."""
+    bus.model.amplifiers[0].fault(Fault.OVERTEMPERATURE, bus.model.tick(0))
+
+
+def hold_up(bus: ModeledBus) -> None:
+    """Let the host do nothing for longer than the watchdog waits."""
+    bus.model.run_alone(bus.model.clock.now() + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("happens", "ending", "cause"),
+    [
+        (overheat, "failed", "reports a fault: overtemperature"),
+        (hold_up, "complete", "no heartbeat reached it for 150 ms"),
+    ],
+)
+def test_the_cause_is_what_the_amplifier_reported(
+    display: Display,
+    monkeypatch: pytest.MonkeyPatch,
+    happens: Callable[[ModeledBus], None],
+    ending: str,
+    cause: str,
+) -> None:
+    buses, blocks = list[ModeledBus](), list[PlayedBlock]()
+
+    def opened(*given: Any, **options: Any) -> ModeledBus:
+        bus = open_bus(*given, **options)
+        assert isinstance(bus, ModeledBus)
+        buses.append(bus)
+        return bus
+
+    def watch(block: PlayedBlock, renderer: Renderer) -> None:
+        blocks.append(block)
+        if len(blocks) == 10:
+            happens(buses[0])
+
+    monkeypatch.setattr(runs, "open_bus", opened)
+    oak, line = load_texture("wood-oak"), Trajectory.line(speed=0.08, duration=0.5)
+    url = "mock:?link=serial&bit_rate=3000000"
+    outcome = runs.run(display, oak, line, device=url, watch=watch).outcome
+    assert (outcome.ending, outcome.playing) == (ending, False)
+    assert cause in outcome.cause
+    assert 0 < outcome.put_out_samples <= 11 * 64
+    assert not outcome.is_within(TOLERATED)
+
+
+@pytest.mark.ci
+def test_an_amplifier_that_is_killed_within_a_stroke_put_out_no_more(
+    display: Display, virtual_amplifier: Path, tmp_path: Path
+) -> None:
+    """The amplifier in C is killed at the tenth block of a second, and put out no more."""
+    oak, line = load_texture("wood-oak"), Trajectory.line(speed=0.08, duration=1.0)
+    out = tmp_path / "out"
+    command: list[str | Path] = [virtual_amplifier, "--pty", "--channels", "24", "--out", out]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as amplifier:
+        assert amplifier.stdout is not None
+        url = f"serial://{amplifier.stdout.readline().strip()}"
+        blocks: list[PlayedBlock] = []
+
+        def watch(block: PlayedBlock, renderer: Renderer) -> None:
+            blocks.append(block)
+            if len(blocks) == 10:
+                amplifier.kill()
+
+        outcome = runs.run(display, oak, line, device=url, watch=watch).outcome
+    assert sum(len(block.time) for block in blocks) == 8000
+    assert outcome.put_out_samples <= 11 * 64
+    assert (outcome.link, outcome.ending) == ("down", "complete")
+    assert outcome.cause
+    assert not outcome.is_within(99)

@@ -13,6 +13,7 @@ from test_report import check_alone
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force, tip_response
+from tactile.cli import paper_command
 from tactile.cli.app import app
 from tactile.errors import InputError
 from tactile.study.paper import FIGURES, KINDS, Claim, PaperFigure, claims, summarize
@@ -89,6 +90,18 @@ def test_the_data_of_a_figure_is_the_model_s(entry: PaperFigure) -> None:
         "displacement_um_per_v": ("displacement", 1e6),
     }[entry.variable]  # fmt: skip
     assert np.allclose(data[entry.variable].values[0], getattr(tip, name) * scale, rtol=1e-12)
+
+
+def test_each_claim_is_printed_beside_its_own_numbers(
+    found: dict[str, Claim], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All claims are in one of three tables with the same columns."""
+    monkeypatch.setenv("COLUMNS", "200")
+    paper_command._print(list(found.values()), Path("out"))
+    cells = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
+    printed = {row[0]: row[1:3] for row in cells if len(row) == 6}
+    for words, claim in found.items():
+        assert printed[words] == [f"{claim.stated:.4g}", f"{claim.result:.4g}"]
 
 
 def test_numbers_are_written_as_they_are_drawn() -> None:

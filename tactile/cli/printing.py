@@ -74,8 +74,10 @@ def print_table(
     header : whether the headings are printed
     stderr : whether the table is printed to standard error
     """
+    # A column of rich collects the cells of its table, so that each table needs columns of its own.
+    own = (column.copy() if isinstance(column, Column) else column for column in columns)
     table = Table(
-        *columns, title=title or None, title_justify="left", show_header=header, box=None,
+        *own, title=title or None, title_justify="left", show_header=header, box=None,
         pad_edge=False,
     )  # fmt: skip
     for row in rows:

@@ -2,6 +2,7 @@
 
 import subprocess
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback import runs
-from tactile.playback.outcome import TOLERATED, Outcome, outcome_of
+from tactile.playback.outcome import Outcome, outcome_of
 from tactile.playback.trajectory_playback import PlayedBlock
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -45,7 +46,7 @@ def test_a_share_is_never_rounded_up_and_one_in_a_thousand_may_be_lost(
     outcome = Outcome(40_000, 40_000 - lost)
     assert outcome.lost_samples == lost
     assert outcome.percent == percent
-    assert outcome.is_within(TOLERATED) is is_within
+    assert outcome.is_within(Fraction("0.1")) is is_within
     assert outcome.is_within(100)
 
 
@@ -241,10 +242,10 @@ def test_the_cause_is_what_the_amplifier_reported(
     assert (outcome.ending, outcome.playing) == (ending, False)
     assert cause in outcome.cause
     assert 0 < outcome.put_out_samples <= 11 * 64
-    assert not outcome.is_within(TOLERATED)
+    assert not outcome.is_within(Fraction("0.1"))
 
 
-@pytest.mark.ci
+@pytest.mark.realtime
 def test_an_amplifier_that_is_killed_within_a_stroke_put_out_no_more(
     display: Display, virtual_amplifier: Path, tmp_path: Path
 ) -> None:

@@ -36,6 +36,8 @@ STROKE = {
 }
 """Least value, greatest value and default of each option that describes a straight stroke."""
 LARGEST_GAIN = 1e3
+ALLOWED_LOSS = "0.1%"
+"""Largest share that may be lost unless the user names another: 5 ms of 5 s (assumed)."""
 
 
 def run(
@@ -88,7 +90,7 @@ def run(
             metavar="PERCENT",
             help="Largest share of the stroke that may be lost without exit code 1, such as 1%.",
         ),
-    ] = "0.1%",
+    ] = ALLOWED_LOSS,
 ) -> None:
     """Play a texture under a moving finger.
 

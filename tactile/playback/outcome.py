@@ -14,9 +14,6 @@ from typing import Literal
 
 from tactile.bus.base import Bus, BusStatus
 
-TOLERATED = Fraction(1, 10)
-"""Largest share that may be lost unless the user names another: 5 ms of 5 s (assumed) [%]."""
-
 Ending = Literal["complete", "failed", "interrupted"]
 """How a stroke ended: by its own end, by a failure of the bus, or by Ctrl-C."""
 

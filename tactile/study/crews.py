@@ -186,7 +186,7 @@ class PoolCrew:
         CrewLostError
             If several pools died one after another.
         """
-        with _deaf_children():  # a pool starts its workers when parts are submitted
+        with _interrupts_blocked():  # a pool starts its workers when parts are submitted
             try:
                 future = self._pool.submit(solve_part, part)
             except BrokenExecutor:
@@ -238,8 +238,8 @@ class PoolCrew:
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Let the processes that are started meanwhile never see Ctrl-C, not even while they load.
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C, so that processes that are started meanwhile never see it, even as they load.
 
     A child inherits the mask of signals of the thread that starts it. An interrupt of this process
     is raised all the same, or comes at the end.

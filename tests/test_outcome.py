@@ -104,6 +104,19 @@ def test_an_amplifier_that_had_nothing_to_play_reports_it(
     assert rig.bus.unplayed == silent
 
 
+def test_samples_that_were_lost_on_the_wire_are_the_cause_where_nothing_else_is(
+    linked: Linked,
+) -> None:
+    rig = linked("serial", "&loss=0.02")
+    rig.begin(0.5)
+    status = rig.bus.status
+    rig.bus.stop()
+    outcome = outcome_of(rig.position, rig.bus, status)
+    silent = rig.model.amplifiers[0].counters.lost_samples
+    assert outcome.lost_samples == silent > 0
+    assert outcome.cause == f"{silent} samples did not reach the amplifier in time"
+
+
 class Truth:
     """Positions that amplifiers played as they were sent, noted inside the amplifiers."""
 

@@ -134,5 +134,7 @@ def outcome_of(
         counted = ", ".join(f"{count} {name}" for name, count in bus.counters.faults().items())
         interruption = "interrupted" if ending == "interrupted" else ""
         lines = [error, interruption, at_end.last_fault, at_end.detail, bus.status.detail, counted]
-        cause = next(filter(None, lines), "the amplifier reports gaps")
+        unit = "samples" if spacing == 1 else "frames"
+        gaps = f"{bus.unplayed} {unit} did not reach the amplifier in time"
+        cause = next(filter(None, lines), gaps)
     return Outcome(planned, put_out, at_end.link, at_end.playing, ending, cause)

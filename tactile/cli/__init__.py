@@ -14,8 +14,10 @@ def main() -> None:
     of the stroke than it may, `tactile check` saw a fault.
     """
     try:
+        from tactile.cli.encoding import replace_missing_characters
         from tactile.cli.execution import execute
 
+        replace_missing_characters()
         status = execute(sys.argv[1:])
     except KeyboardInterrupt:
         print("tactile: interrupted", file=sys.stderr)

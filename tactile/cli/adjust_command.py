@@ -93,7 +93,7 @@ def run(
     emit(_facts(result), as_json, lambda _: _print(result, loaded.name))
     for done, path in (("written", out), ("drawn", plot)):
         if path is not None and not as_json:
-            typer.echo(f"{done}: {path}")
+            print(f"{done}: {path}")
 
 
 def _check_options(
@@ -199,4 +199,4 @@ def _print(fit: "LoadFit | BimorphFit", name: str) -> None:
     columns = right("before, rms dB", "rms dB", "worst dB", "points")
     print_table(["misfit of", *columns], misfits)
     for note in (*fit.notes, *([] if bender else [EXACT_BENDER])):
-        typer.echo(f"note: {note}")
+        print(f"note: {note}")

@@ -4,6 +4,7 @@ The command ``tactile NAME`` is the function ``run`` of the module ``tactile.cli
 add a command, write its module and add its line to `COMMANDS`.
 """
 
+import sys
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple
@@ -124,7 +125,7 @@ def _new_name(name: str) -> str:
     """Return the name of an option, and warn on standard error if an old one was given."""
     if name not in RENAMED:
         return name
-    typer.echo(f"tactile: --{name} is deprecated; use --{RENAMED[name]}", err=True)
+    print(f"tactile: --{name} is deprecated; use --{RENAMED[name]}", file=sys.stderr)
     return RENAMED[name]
 
 
@@ -137,7 +138,7 @@ def _print_version(requested: bool) -> None:
         from importlib.metadata import PackageNotFoundError, version
 
         try:
-            typer.echo(f"tactile {version('tactile-display')}")
+            print(f"tactile {version('tactile-display')}")
         except PackageNotFoundError:
             raise NotFoundError("--version: the package tactile-display is not installed") from None
         raise typer.Exit

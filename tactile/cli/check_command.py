@@ -67,21 +67,19 @@ def run(
 def _print(r: dict[str, Any]) -> None:
     """Print the amplifiers, the channels and the faults of a report."""
     for one in r["amplifiers"]:
-        typer.echo(_amplifier(one))
+        print(_amplifier(one))
     names = [name for name in COLUMNS if any(one[name] is not None for one in r["channels"])]
     rows = ([_cell(one[name]) for name in names] for one in r["channels"])
     title = f"{r['display']} at {r['device']}, checked with {r['voltage_v']:g} V at most"
     print_table(right(*(COLUMNS[name] for name in names)), rows, title)
     for kind in ("note", "fault"):
         for line in r[f"{kind}s"]:
-            typer.echo(f"{kind}: {line}")
+            print(f"{kind}: {line}")
     if r["written"]:
-        typer.echo(f"written: {r['written']}")
+        print(f"written: {r['written']}")
     if not r["faults"]:
         whole = all(one["verdict"] == "good" for one in r["channels"])
-        typer.echo(
-            "all channels are good" if whole else "no faults found; not all values were measured"
-        )
+        print("all channels are good" if whole else "no faults found; not all values were measured")
 
 
 def _cell(value: Any) -> str:

@@ -101,6 +101,6 @@ def _confirm(name: str, number: int, reason: str) -> None:
 def _print(name: str | None, number: int) -> None:
     """Print which e-stop was cleared; the number 0 means that there was none."""
     if number:
-        typer.echo(f"{name}: e-stop {number} is cleared; the display is disarmed")
+        print(f"{name}: e-stop {number} is cleared; the display is disarmed")
     else:
-        typer.echo("no e-stop holds")
+        print("no e-stop holds")

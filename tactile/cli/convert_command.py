@@ -44,8 +44,8 @@ def run(
 def _print(f: dict[str, Any]) -> None:
     """Print what was written and what was lost."""
     if f["became"] == "effect":
-        typer.echo(f"{f['target']}: an effect, channels: {f['channels']}, {f['seconds']:.3g} s")
+        print(f"{f['target']}: an effect, channels: {f['channels']}, {f['seconds']:.3g} s")
     else:
-        typer.echo(f"{f['target']}: a {f['became']}")
+        print(f"{f['target']}: a {f['became']}")
     for line in f["lost"]:
-        typer.echo(f"  {line}")
+        print(f"  {line}")

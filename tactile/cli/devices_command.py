@@ -1,7 +1,5 @@
 """The command ``tactile devices``."""
 
-import typer
-
 from tactile.cli.options import AsJson, emit
 from tactile.cli.printing import print_table, unwrapped
 
@@ -22,4 +20,4 @@ def _print(devices: list[dict[str, str]]) -> None:
         columns = [unwrapped("device"), "description"]
         print_table(columns, ((one["url"], one["about"]) for one in devices))
     else:
-        typer.echo("no device found; sim: and mock: are always available")
+        print("no device found; sim: and mock: are always available")

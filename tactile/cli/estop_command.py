@@ -4,6 +4,7 @@ It must act at once, so this module imports nothing that it does not need.
 """
 
 import shlex
+import sys
 from dataclasses import asdict
 from typing import Annotated
 
@@ -44,8 +45,8 @@ def _print(answers: list[EstopAnswer], failed: list[EstopAnswer]) -> None:
     for answer in answers:
         for name, number in answer.estops.items():  # a name with a colon is the URL of a device
             way = f"tactile clear --device {shlex.quote(name)}" if ":" in name else "tactile clear"
-            typer.echo(f"{name}: e-stop {number} is latched; {way} ends it")
+            print(f"{name}: e-stop {number} is latched; {way} ends it")
     for answer in failed:
-        typer.echo(f"{answer.socket}: {answer.failure}", err=True)
+        print(f"{answer.socket}: {answer.failure}", file=sys.stderr)
     if not answers:
-        typer.echo("no tactile program that can be stopped is running on this machine", err=True)
+        print("no tactile program that can be stopped is running on this machine", file=sys.stderr)

@@ -120,7 +120,7 @@ def run(
         save(fit_figure(fit, verdict), plot)
     emit(_facts(fit, verdict), as_json, lambda _: _print_report(fit, verdict))
     if not as_json:
-        typer.echo(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))
+        print(f"written: {out}" + (f"; drawn: {plot}" if plot else ""))
 
 
 def _about(out: Path, category: str, description: str, source: str, license_: str) -> About:
@@ -247,4 +247,4 @@ def _print_report(fit: Fit, verdict: Verdict) -> None:
     ]
     print_table(columns, errors, "Difference from the recordings left out, in 16 bands")
     for note in fit.notes:
-        typer.echo(f"note: {note}")
+        print(f"note: {note}")

@@ -2,11 +2,9 @@
 
 from typing import Any
 
-import typer
-
 import tactile
 from tactile.cli.options import AsJson, emit
-from tactile.cli.printing import print_table, right, unwrapped
+from tactile.cli.printing import print_facts, print_table, right, unwrapped
 
 VACUUM_PF_PER_M = 8.8541878128
 """Permittivity of vacuum in pF/m, CODATA 2018."""
@@ -100,8 +98,11 @@ def _print(facts: dict[str, dict[str, dict[str, Any]]]) -> None:
     _print_kind("Piezoceramics", facts["piezos"])
     _print_kind("Shims", facts["shims"])
     _print_kind("Benders, computed by the model", facts["benders"])
-    for name, note in tactile.MATERIAL_NOTES.items():
-        typer.echo(f"{name}: {note.description}. Source: {note.source}.")
+    notes = {
+        name: f"{note.description}. Source: {note.source}."
+        for name, note in tactile.MATERIAL_NOTES.items()
+    }
+    print_facts(notes, "What they are")
 
 
 def _print_kind(title: str, rows: dict[str, dict[str, Any]]) -> None:

@@ -140,7 +140,7 @@ def run(
     _write_files(front, advice, out, plot, report)
     for path in (out, plot, report):
         if path is not None and not as_json:
-            typer.echo(f"written: {path}")
+            print(f"written: {path}")
 
 
 def _conditions(
@@ -244,12 +244,12 @@ def _print(front: "xarray.Dataset", advice: "Recommendation") -> None:
     )
     title = f"{count} Pareto-optimal designs of {front.attrs['evaluations']} evaluated"
     print_table([*right(*names), ""], rows, title)
-    typer.echo(f"{advice.words}")
+    print(f"{advice.words}")
     error = front.attrs["sampling_error"]
-    typer.echo(f"Between the computed frequencies, the criteria differ by at most {error:.2%}.")
+    print(f"Between the computed frequencies, the criteria differ by at most {error:.2%}.")
     if (loss := front.attrs.get("unseen_loss")) is not None:
         worse = f"at most {loss:.1%} worse" if loss > 0 else "not worse"
-        typer.echo(f"With fingers and tolerances that the search did not use, they are {worse}.")
+        print(f"With fingers and tolerances that the search did not use, they are {worse}.")
 
 
 def _write_files(

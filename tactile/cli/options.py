@@ -105,7 +105,7 @@ def emit(facts: Facts, as_json: bool, show: Callable[[Facts], object]) -> None:
     show : function that prints the result for a person
     """
     if as_json:
-        typer.echo(json.dumps(facts))
+        print(json.dumps(facts))
     else:
         show(facts)
 

@@ -56,5 +56,5 @@ def _print(claims: "list[Claim]", folder: Path) -> None:
             if claim.kind == name
         )  # fmt: skip
         print_table(columns, rows, f"{kind.title}: {kind.meaning}")
-    typer.echo(summarize(claims))
-    typer.echo(f"written: {folder / 'report.html'}")
+    print(summarize(claims))
+    print(f"written: {folder / 'report.html'}")

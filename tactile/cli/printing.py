@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
+from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
@@ -24,6 +26,8 @@ def plain_console(*, stderr: bool = False) -> Console:
 
 
 Heading = str | Column
+COLUMN_GAP = 2
+"""Number of spaces that rich puts between two columns of a table."""
 
 
 def right(*headings: str) -> list[Heading]:
@@ -64,7 +68,7 @@ def print_table(
     header: bool = True,
     stderr: bool = False,
 ) -> None:
-    """Print a table without lines.
+    """Print a table without lines, or row by row if the terminal is too narrow for its words.
 
     Parameters
     ----------
@@ -82,7 +86,46 @@ def print_table(
     )  # fmt: skip
     for row in rows:
         table.add_row(*row)
-    plain_console(stderr=stderr).print(table)
+    console = plain_console(stderr=stderr)
+    if header and not _fit(table, console.width):
+        _print_records(console, table)
+    else:
+        console.print(table)
+
+
+def _fit(table: Table, width: int) -> bool:
+    """Set the widths of columns such that no word is broken; return whether that is possible.
+
+    The first columns get all that they need, the others what is left of it: rich would break the
+    words of one column in order not to wrap the lines of another.
+    """
+    texts = [(str(column.header), *map(str, column.cells)) for column in table.columns]
+    most = [max(map(cell_len, column)) for column in texts]
+    least = [
+        m if column.no_wrap else max((cell_len(word) for word in " ".join(t).split()), default=0)
+        for column, t, m in zip(table.columns, texts, most, strict=True)
+    ]
+    spare = width - sum(least) - COLUMN_GAP * (len(texts) - 1)
+    if spare < 0:
+        return False
+    for column, narrow, wide in zip(table.columns, least, most, strict=True):
+        column.width = min(wide, narrow + spare)
+        spare -= column.width - narrow
+    return True
+
+
+def _print_records(console: Console, table: Table) -> None:
+    """Print the rows of a table one below the other: the first cell, then a line for each other."""
+    if table.title:
+        console.print(table.title)
+    names, *others = table.columns
+    cells = zip(*(column.cells for column in others), strict=True)
+    for name, values in zip(names.cells, cells, strict=True):
+        console.print(name)
+        lines = Table(show_header=False, box=None, pad_edge=False)
+        for column, value in zip(others, values, strict=True):
+            lines.add_row(column.header, value)
+        console.print(Padding(lines, (0, 0, 0, 2)))
 
 
 def print_facts(facts: Mapping[str, str], title: str) -> None:

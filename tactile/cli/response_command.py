@@ -45,7 +45,7 @@ def run(
         save(response_figure(curves, voltage=loaded.limits.voltage), plot)
     emit(figures, as_json, partial(_print, loaded.name))
     if plot is not None and not as_json:
-        typer.echo(f"drawn: {plot}")
+        print(f"drawn: {plot}")
 
 
 def _print(display: str, figures: dict[str, dict[str, Any]]) -> None:

@@ -1,5 +1,6 @@
 """The command ``tactile serve``."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,7 @@ def run(
     settings = load_config(config)
     names = ", ".join(f"{one.name} ({one.device})" for one in settings.display)
     try:
-        serve(settings, lambda server: typer.echo(f"{server.url} plays {names}; Ctrl-C ends it"))
+        serve(settings, lambda server: print(f"{server.url} plays {names}; Ctrl-C ends it"))
     except BusError as error:  # not 2: a device may be there when systemd tries again
-        typer.echo(f"tactile: {error}", err=True)
+        print(f"tactile: {error}", file=sys.stderr)
         raise typer.Exit(1) from error

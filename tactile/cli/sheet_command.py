@@ -35,4 +35,4 @@ def run(
         watched = bar.track(names, description="textures")
         tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
     save(sheet_figure(tiles, speed=speed), plot)
-    typer.echo(f"drawn: {plot}, {len(tiles)} textures")
+    print(f"drawn: {plot}, {len(tiles)} textures")

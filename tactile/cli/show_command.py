@@ -1,7 +1,5 @@
 """The command ``tactile show``."""
 
-import typer
-
 import tactile
 from tactile.cli.options import (
     AsJson,
@@ -44,6 +42,6 @@ def run(
         from tactile.show.plots import save, texture_figure
 
         save(texture_figure(view), plot)
-        emit(view_figures(view), as_json, lambda _: typer.echo(f"drawn: {plot}"))
+        emit(view_figures(view), as_json, lambda _: print(f"drawn: {plot}"))
     else:
         emit(view_figures(view), as_json, lambda _: plain_console().print(TextureScreen(view)))

@@ -133,13 +133,13 @@ def run(
     check_outputs(out, plot, report)
     data = _run(study, out, workers, scheduler, visible=not as_json)
     if out is not None and not as_json:
-        typer.echo(f"stored: {out}")
+        print(f"stored: {out}")
     facts = summarize(data, share=within) | {"stored": None if out is None else str(out)}
     emit(facts, as_json, _print)
     _draw(data, study, plot, report, share=within)
     for path in (plot, report):
         if path is not None and not as_json:
-            typer.echo(f"written: {path}")
+            print(f"written: {path}")
 
 
 def _draw(data: Any, study: Study, plot: Path | None, report: Path | None, *, share: float) -> None:

@@ -215,6 +215,44 @@ PROCESS = """
 """
 
 
+OPENING = """
+    import asyncio, os, sys
+    sys.path.insert(0, {tests!r})
+    import server_rig
+    from tactile.server import server
+    from tactile.server.config import Configuration, ServerConfig
+
+    class Hands(server_rig.Hands):
+        async def start(self):
+            os.kill(os.getpid(), {number})
+            await asyncio.Event().wait()
+        async def close(self):
+            if not self.closings:
+                print("closed", flush=True)
+            await super().close()
+
+    server.Host = lambda config: Hands()
+    try:
+        server.serve(Configuration(server=ServerConfig(port=0, socket="")), ready=print)
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "output"),
+    [(signal.SIGINT, "closed\ninterrupted\n"), (signal.SIGTERM, "closed\n")],
+)
+def test_a_signal_while_displays_are_opened_ends_the_process(
+    number: signal.Signals, output: str
+) -> None:
+    code = textwrap.dedent(OPENING.format(tests=str(Path(__file__).parent), number=int(number)))
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, output, "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_reload_and_end_the_process(
     number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -2,11 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tactile.errors import BusError
+
+if TYPE_CHECKING:
+    from tactile.server.server import Server
 
 
 def run(
@@ -29,8 +32,13 @@ def run(
 
     settings = load_config(config)
     names = ", ".join(f"{one.name} ({one.device})" for one in settings.display)
+
+    def announce(server: "Server") -> None:
+        line = f"{server.url} plays {names}; Ctrl-C ends it"
+        print(line, flush=True)  # also into a pipe, where a program waits for it
+
     try:
-        serve(settings, lambda server: print(f"{server.url} plays {names}; Ctrl-C ends it"))
+        serve(settings, announce)
     except BusError as error:  # not 2: a device may be there when systemd tries again
         print(f"tactile: {error}", file=sys.stderr)
         raise typer.Exit(1) from error

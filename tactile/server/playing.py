@@ -175,6 +175,7 @@ class Playing:
     async def _open(self) -> None:
         """Start a playback process and wait until it has opened the device."""
         config, loop = self.config, asyncio.get_running_loop()
+        log.info("%s: opening %s", config.name, config.device)
         shared = self.memory.descriptor, self.latch.descriptor
         inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
         self._device_opened = loop.create_future()

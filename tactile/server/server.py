@@ -236,26 +236,44 @@ def serve(config: Configuration, ready: Callable[[Server], None] | None = None) 
     ------
     TactileError
         If the server cannot start.
+    KeyboardInterrupt
+        If SIGINT arrived before the server was ready.
     """
     logs = Logs(config.log)
+    received: set[int] = set()
     try:
-        asyncio.run(_serve(config, logs, ready))
+        asyncio.run(_serve(config, logs, ready, received))
+    except asyncio.CancelledError:  # by a signal, while displays were opened
+        if signal.SIGINT in received:
+            raise KeyboardInterrupt from None
     finally:
         logs.close()
 
 
-async def _serve(config: Configuration, logs: Logs, ready: Callable[[Server], None] | None) -> None:
+async def _serve(
+    config: Configuration,
+    logs: Logs,
+    ready: Callable[[Server], None] | None,
+    received: set[int],
+) -> None:
+    """Run the server until a signal is received, which is added to those received."""
     loop, end = asyncio.get_running_loop(), asyncio.Event()
+    starting = asyncio.current_task()
+    signals = (signal.SIGINT, signal.SIGTERM)
 
-    def stop() -> None:
+    def stop(number: int) -> None:
+        received.add(number)
         end.set()
-        for number in (signal.SIGINT, signal.SIGTERM):  # the next signal ends the server at once
-            loop.remove_signal_handler(number)
+        for handled in signals:  # the next signal ends the server at once
+            loop.remove_signal_handler(handled)
+        if starting is not None:
+            starting.cancel()
 
     with suppress(NotImplementedError):  # on systems without such signals
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, stop)
+        for number in signals:
+            loop.add_signal_handler(number, stop, number)
     async with running(config, dropped_logs=lambda: logs.dropped) as server:
+        starting = None
         reloading = Reloading(server.host)
         with suppress(NotImplementedError, AttributeError):
             loop.add_signal_handler(signal.SIGHUP, reloading.begin)

@@ -9,6 +9,7 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
+from uvicorn._types import ASGISendEvent
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -211,6 +212,19 @@ class BoundedWebSocket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
         super().handle_connect(event)
         if hasattr(self, "scope"):  # else the handshake was refused
             self.scope["state"]["link"] = self
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Send a message of the application.
+
+        Parameters
+        ----------
+        message : ASGISendEvent
+            Message of the application.
+        """
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body":
+            # uvicorn 0.54 would log "returned without completing handshake" of a refusal
+            self.handshake_complete = True
 
     @property
     def socket(self) -> socket.socket:

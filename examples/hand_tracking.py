@@ -10,10 +10,12 @@ XrTime, converted to seconds, as the time of `touch`.
 import argparse
 import csv
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import tactile
 import tactile.client
 
 FRAME_RATE = 90.0  # Hz, of the headset
@@ -92,9 +94,13 @@ def main() -> None:
             frames, touches = run(display, locate, options.seconds)
         finally:
             display.disarm()
-        counters = display.stats().counters
-        print(f"{frames} frames, {touches} touches, {display.dropped_contacts} dropped; {counters}")
+        share = display.stats().put_out_share
+        dropped = display.dropped_contacts
+        print(f"{frames} frames, {touches} touches, {dropped} dropped; put out {share:.2%}")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except tactile.TactileError as error:
+        sys.exit(f"{error}")

@@ -8,8 +8,10 @@ If the server has only one display, only one finger is played, because a display
 import argparse
 import asyncio
 import math
+import sys
 import time
 
+import tactile
 from tactile.client import aio
 
 RATE = 120.0  # Hz, of the tracker
@@ -60,4 +62,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except tactile.TactileError as error:
+        sys.exit(f"{error}")

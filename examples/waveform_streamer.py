@@ -16,6 +16,7 @@ from array import array
 from collections.abc import Sequence
 from pathlib import Path
 
+import tactile
 import tactile.client
 
 SWEEP_RATE = 8000.0  # Hz
@@ -84,9 +85,12 @@ def main() -> None:
             calls = stream(display, samples, rate, options.amplitude_um * 1e-6)
         finally:
             display.disarm()
-        counters = display.stats().counters
-    print(f"{len(samples)} samples at {rate:g} Hz in {calls} messages; {counters}")
+        share = display.stats().put_out_share
+    print(f"{len(samples)} samples at {rate:g} Hz in {calls} messages; put out {share:.2%}")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except tactile.TactileError as error:
+        sys.exit(f"{error}")

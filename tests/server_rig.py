@@ -191,6 +191,9 @@ class Hands(Host):
     def displays(self) -> tuple[DisplayDescription, ...]:
         return tuple(display(name) for name in self.names)
 
+    def state(self, display: str) -> str:
+        return "armed" if self.armed else "disarmed"
+
     def connect(self, name: str, *, roles: frozenset[Role]) -> Hand:
         self.clients.append(Hand(self, name, roles))
         return self.clients[-1]

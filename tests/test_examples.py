@@ -101,6 +101,19 @@ def test_osc_sender(addresses: dict[str, str]) -> None:
     assert float(came.split()[-1]) > 50
 
 
+@pytest.mark.ci
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_without_a_server_an_example_is_one_line(path: Path) -> None:
+    scheme = "osc.udp://127.0.0.1:1" if path.stem == "osc_sender" else "ws://127.0.0.1:1/v1"
+    done = subprocess.run(
+        [sys.executable, str(path), "--url", scheme, "--seconds", "30"],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{scheme}: nob" if "ws" in scheme else f"{scheme}: nothing listens")
+
+
 def test_every_example_is_run_here() -> None:
     names = {path.stem for path in EXAMPLES.glob("*.py")}
     assert names == {name.removeprefix("test_") for name in globals() if name[5:] in names}

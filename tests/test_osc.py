@@ -234,9 +234,30 @@ async def test_what_is_wrong_is_counted_and_logged_in_bounds_and_nothing_is_arme
         assert wrong == len(BAD_PACKETS) + len(BAD_MESSAGES)
         assert figure(there, "tactile_failures_total", code="internal") == 0
         assert not hands.armed
-    complaints = [record for record in caplog.records if record.name == "tactile.osc"]
+    complaints = [record for record in caplog.records if "not used" in record.message]
     assert len(complaints) == len(BAD_PACKETS) + len(BAD_MESSAGES)
     assert all("\n" not in str(record.__dict__["fields"]) for record in complaints)
+
+
+async def test_contacts_on_a_display_that_is_not_armed_are_logged_once_per_sender_and_disarming(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def lines() -> list[dict[str, str]]:
+        warned = [record for record in caplog.records if record.message.endswith("no effect")]
+        return [record.__dict__["fields"] for record in warned]
+
+    async with sending() as (_, hands, link):
+
+        async def touch(*, armed: bool) -> None:
+            hands.armed, before = armed, len(hands.log)
+            link.send(packet("/tactile/left/contact", 1.0, 2.0, 0.5))
+            await until(lambda: len(hands.log) > before)
+
+        for armed in (False, False, True, True, False, False):
+            await touch(armed=armed)
+    assert [line["display"] for line in lines()] == ["left", "left"]
+    assert lines()[0]["state"] == "disarmed"
+    assert "arm_on_start" in lines()[0]["remedy"]
 
 
 async def test_a_host_that_breaks_is_counted_and_what_follows_is_heard() -> None:

@@ -228,6 +228,21 @@ class Host:
         """Displays that can be played on."""
         return tuple(playing.info for playing in self.playing.values())
 
+    def state(self, display: str) -> str:
+        """Return the state of a display that can be played on.
+
+        Parameters
+        ----------
+        display : str
+            Name of the display.
+
+        Returns
+        -------
+        str
+            State as in `tactile.messages.StatsReply`.
+        """
+        return self.playing[display].state
+
     def textures(self) -> tuple[m.TextureInfo, ...]:
         """Return the textures that can be selected.
 

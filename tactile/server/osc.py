@@ -70,6 +70,11 @@ FRESH = 0.05
 """Time for which the names of displays are not looked up again, whatever name is asked for [s]."""
 YIELDS_AFTER = 1.0
 """Silence after which a sender makes room for a new one [s]."""
+REMEDIES = {
+    "disarmed": "arm it by a program (tactile.connect, arm), or set arm_on_start = true",
+    "estopped": "tactile clear",
+}
+"""What lets a display play again, by its state."""
 Address = tuple[Any, ...]
 """Address of a sender."""
 
@@ -248,12 +253,15 @@ class Sender:
         Limit on its messages.
     last_received : float
         Time of its latest packet [s].
+    is_warned : bool
+        Whether it was logged that its contacts have no effect, since they last had one.
     """
 
     client: Client
     requests: Requests
     bucket: TokenBucket
     last_received: float
+    is_warned: bool = False
 
 
 class OscProtocol(asyncio.DatagramProtocol):
@@ -361,6 +369,8 @@ class OscProtocol(asyncio.DatagramProtocol):
         if isinstance(command, Contact):
             failure = sender.client.contact(command, now)
             self._traffic.message("contact", loop_time() - now)
+            if failure is None:
+                self._check_state(sender, command.display, addr)
         elif isinstance(command, Failure):
             failure = command
         else:
@@ -368,6 +378,18 @@ class OscProtocol(asyncio.DatagramProtocol):
         if failure is not None:
             self._log_failure(failure, addr)
         self._discard_outbox(sender.client)
+
+    def _check_state(self, sender: Sender, display: str, addr: Address) -> None:
+        """Log once that contacts have no effect because the display is not armed."""
+        state = self._host.state(display)
+        if state == "armed":
+            sender.is_warned = False
+        elif not sender.is_warned:
+            sender.is_warned = True
+            fields = {"display": display, "state": state, "sender": f"{addr[0]}:{addr[1]}"}
+            if state in REMEDIES:
+                fields["remedy"] = REMEDIES[state]
+            log.warning("OSC contacts have no effect", extra={"fields": fields})
 
     @staticmethod
     def _discard_outbox(client: Client) -> None:

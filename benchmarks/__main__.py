@@ -1,6 +1,5 @@
 """Command that measures the figures: ``python -m benchmarks [NAME …] [--long] [--json]``."""
 
-import json
 import sys
 from typing import Annotated
 
@@ -16,7 +15,10 @@ def main(
     only: Annotated[
         list[str] | None, typer.Argument(help="Names of benchmarks; by default all short ones.")
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Also run those that take minutes.")] = False,
+    long: Annotated[
+        bool,
+        typer.Option("--long", help='Also run the long ones, minutes each and "hour" an hour.'),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print figures for machines.")] = False,
 ) -> None:
     """Measure every figure that the documentation promises, compared with other libraries.
@@ -29,11 +31,8 @@ def main(
             print(f"no benchmark {name!r}; {nearest(name, list(known))}", file=sys.stderr)
             raise typer.Exit(2)
     names = only or [*BENCHMARKS, *(LONG if long else [])]
-    figures = measure([known[name] for name in names])
-    if as_json:
-        typer.echo(json.dumps([figure.as_dict() for figure in figures], indent=1))
-    else:
-        print_figures([figure.as_dict() for figure in figures])
+    figures = measure({name: known[name] for name in names})
+    print_figures((figure.as_dict() for figure in figures), as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -24,8 +24,8 @@ from benchmarks.server import (
     growth,
     observe,
 )
-from benchmarks.virtual import can_be_built
-from tactile.bench.figures import Figure, beside_machine
+from benchmarks.virtual import beside_amplifier
+from tactile.bench.figures import Figure
 
 BUSY = "while True: pass"
 """Code of the process that keeps a core busy."""
@@ -48,8 +48,7 @@ SOAK = Crowd("hour", 2, 3600.0, is_disturbed=False)
 
 def measure_crowd(crowd: Crowd = SHORT) -> Iterator[Figure]:
     """Measure a server under a crowd."""
-    if sys.platform == "linux" and can_be_built():
-        yield from beside_machine(crowd.name, _measured(crowd))
+    yield from beside_amplifier(crowd.name, _measured(crowd))
 
 
 def _measured(crowd: Crowd) -> Iterator[Figure]:

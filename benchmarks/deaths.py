@@ -33,8 +33,8 @@ from benchmarks.server import (
     last_after,
     send_signal,
 )
-from benchmarks.virtual import can_be_built
-from tactile.bench.figures import Figure, at_most, beside_machine
+from benchmarks.virtual import beside_amplifier
+from tactile.bench.figures import Figure, at_most
 
 if sys.platform == "linux":
     import resource
@@ -264,9 +264,8 @@ def schedule(faults: list[str], tries: range, rng: random.Random) -> list[tuple[
 
 def measure_deaths(tries: int = SHORT) -> Iterator[Figure]:
     """Measure how soon all is off after each fault."""
-    if sys.platform == "linux" and can_be_built():
-        name = "deaths-long" if tries == LONG else "deaths"
-        yield from beside_machine(name, _measured(name, tries))
+    name = "deaths-long" if tries == LONG else "deaths"
+    yield from beside_amplifier(name, _measured(name, tries))
 
 
 def _measured(name: str, tries: int) -> Iterator[Figure]:

@@ -42,8 +42,8 @@ from benchmarks.server import (
     send_signal,
     wait_for,
 )
-from benchmarks.virtual import can_be_built
-from tactile.bench.figures import Figure, at_most, beside_machine
+from benchmarks.virtual import beside_amplifier
+from tactile.bench.figures import Figure, at_most
 from tactile.client import RemoteDisplay
 from tactile.display.display import load_display
 from tactile.errors import ClientError, RequestError
@@ -274,9 +274,8 @@ def is_refused(display: RemoteDisplay) -> bool:
 
 def measure_estop(tries: int = SHORT) -> Iterator[Figure]:
     """Measure a number of e-stops of each way in each condition."""
-    if sys.platform == "linux" and can_be_built():
-        name = "estop-long" if tries == LONG else "estop"
-        yield from beside_machine(name, _measured(name, tries))
+    name = "estop-long" if tries == LONG else "estop"
+    yield from beside_amplifier(name, _measured(name, tries))
 
 
 def _measured(name: str, tries: int) -> Iterator[Figure]:
@@ -296,8 +295,7 @@ def _measured(name: str, tries: int) -> Iterator[Figure]:
 
 def measure_estop_play() -> Iterator[Figure]:
     """Measure e-stops of `tactile play`, which must then refuse to play again."""
-    if sys.platform == "linux" and can_be_built():
-        yield from beside_machine("estop-play", _measured_play("estop-play", PLAYS))
+    yield from beside_amplifier("estop-play", _measured_play("estop-play", PLAYS))
 
 
 def _measured_play(name: str, tries: int) -> Iterator[Figure]:

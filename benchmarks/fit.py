@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.bench.figures import Figure, at_least, at_most
+from tactile.bench.figures import Figure, at_least, at_most, not_measured
 from tactile.texture import measures
 from tactile.texture.descriptor import About
 from tactile.texture.fitting import RecordingMeasures, describe, measure_slides
@@ -84,6 +84,8 @@ def measure_fit() -> Iterator[Figure]:
     yield _speed()
     folder = recordings()
     if folder is None:
+        reason = "needs recordings: set TACTILE_DATA to a folder with biotac and textsense"
+        yield not_measured("fit.recordings", reason)
         return
     materials = biotac(folder)
     yield from _distances(materials)

@@ -10,7 +10,6 @@ import re
 import signal
 import socket
 import struct
-import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -33,8 +32,8 @@ from benchmarks.server import (
     observe,
     send_signal,
 )
-from benchmarks.virtual import can_be_built
-from tactile.bench.figures import Figure, at_least, at_most, beside_machine
+from benchmarks.virtual import beside_amplifier
+from tactile.bench.figures import Figure, at_least, at_most
 
 SECONDS = 600.0
 """Duration of the random messages [s]."""
@@ -144,8 +143,7 @@ def free_places(server: ServerProcess, most: int = PLACES) -> int:
 
 def measure_fuzz_server(seconds: float = SECONDS) -> Iterator[Figure]:
     """Measure the state of a server after a while of random messages."""
-    if sys.platform == "linux" and can_be_built():
-        yield from beside_machine("fuzz-server", _measured(seconds))
+    yield from beside_amplifier("fuzz-server", _measured(seconds))
 
 
 def _measured(seconds: float) -> Iterator[Figure]:

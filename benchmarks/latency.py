@@ -24,11 +24,11 @@ import numpy as np
 
 from benchmarks import traced_playback
 from benchmarks.traced_playback import FILE
-from benchmarks.virtual import VirtualAmplifier, can_be_built, workshop
+from benchmarks.virtual import NO_AMPLIFIER, VirtualAmplifier, can_be_built, workshop
 from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.arrays import Floats
-from tactile.bench.figures import Figure, at_most, beside_machine
+from tactile.bench.figures import Figure, at_most, beside_machine, not_measured
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.server import playing as server_playing
 from tactile.server.children import Child
@@ -133,6 +133,7 @@ def latencies(trace: Floats, sent: Floats, amplifier: VirtualAmplifier) -> Float
 def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     """Measure the latency over a pty, with samples and with spectrum frames."""
     if not can_be_built():
+        yield not_measured("latency", NO_AMPLIFIER)
         return
     yield from beside_machine("latency", _measured("latency", "", seconds, goals=True))
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)

@@ -20,7 +20,7 @@ from msgspec.structs import replace as changed
 
 from benchmarks.rendering import SKIPPED
 from tactile.arrays import Complex, Floats
-from tactile.bench.figures import RATE, Figure, at_least, at_most
+from tactile.bench.figures import RATE, Figure, at_least, at_most, not_measured
 from tactile.display.display import Display, load_display
 from tactile.playback.runs import run
 from tactile.rendering.contact import Trajectory
@@ -355,6 +355,8 @@ def _played_figures(
     fidelity = {name: stroke.fidelity for name, stroke in whole.items()}
     yield from worst_figures(f"played.{at}.snr", "dB", FIDELITY, fidelity, least=True)
     like = {n: s.similarity for n, s in whole.items() if not np.isnan(s.similarity)}
+    if not like:
+        yield not_measured(f"library.played.{at}.st_sim", "needs vibromaf: pip install vibromaf")
     yield from worst_figures(f"played.{at}.st_sim", "", SIMILARITY, like, least=True)
     for name, stroke in strokes.items():
         if stroke.limited:

@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.frames import stream_frames
 from benchmarks.ledger import Ledger
 from benchmarks.virtual import (
+    NO_AMPLIFIER,
     VirtualAmplifier,
     bus_figures,
     can_be_built,
@@ -29,7 +30,7 @@ from benchmarks.virtual import (
     workshop,
 )
 from firmware_protocol.host import codes_of
-from tactile.bench.figures import RATE, Figure, at_most, beside_machine
+from tactile.bench.figures import RATE, Figure, at_most, beside_machine, not_measured
 from tactile.bus.base import DriveBlock
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.stream import LONGEST_LEAD
@@ -127,6 +128,7 @@ STREAMS: dict[str, Callable[[str, float], Iterator[Figure]]] = {
 def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
     """Stream oak to the C amplifier over each link at its bit time, while a metronome runs."""
     if not can_be_built():
+        yield not_measured("links", NO_AMPLIFIER)
         return
     for name, stream in STREAMS.items():
         yield from beside_machine(name, stream(name, seconds))
@@ -135,6 +137,7 @@ def measure_streams(seconds: float = SHORT) -> Iterator[Figure]:
 def measure_cost() -> Iterator[Figure]:
     """Measure the load of a core by streaming 64 channels at 8 kHz over a pty, in blocks of 16."""
     if not can_be_built():
+        yield not_measured("links.cost", NO_AMPLIFIER)
         return
     display = load_display("reference-64")
     stroke = Trajectory.line(speed=0.08, duration=1.0)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from tactile.arrays import Floats
-from tactile.bench.figures import RATE, Figure, at_least, at_most
+from tactile.bench.figures import RATE, Figure, at_least, at_most, not_measured
 from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
@@ -388,7 +388,9 @@ def measure_gratings() -> Iterator[Figure]:
                 yield Figure(label, 100 * min(shares), "%")
             else:
                 yield at_least(label, 100 * min(shares), "%", 90)
-    if SLIDE.exists():
+    if not SLIDE.exists():
+        yield not_measured("tracking.grating_slide", f"needs the recording {SLIDE.name}")
+    else:
         slide = recorded()
         for end, make in (("", ContactTracker), (".not_predicted", Held)):
             times, place, _ = tracked(slide, SamplingClient(), tracker=make())

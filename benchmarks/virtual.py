@@ -6,6 +6,7 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 import firmware_protocol
 from firmware_protocol.can_link import Frame
 from firmware_protocol.messages import FULL_SCALE_CODE
-from tactile.bench.figures import RATE, Figure, at_most
+from tactile.bench.figures import RATE, Figure, at_most, beside_machine, not_measured
 from tactile.bus.base import Wiring
 from tactile.bus.budget import Ability, plan
 from tactile.bus.can_bus import CanChannel, CanWire
@@ -170,9 +171,21 @@ def build(folder: Path) -> Path:
     return program
 
 
+NO_AMPLIFIER = "needs Linux, make and a C compiler"
+"""Reason why nothing can be measured with the amplifier."""
+
+
 def can_be_built() -> bool:
     """Tell whether the tools for the build are there."""
     return os.name == "posix" and all(shutil.which(name) for name in ("make", "cc"))
+
+
+def beside_amplifier(name: str, measured: Iterator[Figure]) -> Iterator[Figure]:
+    """Measure beside the machine, if the amplifier can be built and observed here."""
+    if sys.platform == "linux" and can_be_built():
+        yield from beside_machine(name, measured)
+    else:
+        yield not_measured(name, NO_AMPLIFIER)
 
 
 @contextmanager

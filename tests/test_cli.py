@@ -15,7 +15,7 @@ from cli_rig import Command, assert_mistake, started
 import tactile
 from tactile import bench, cli
 from tactile.bench import link
-from tactile.bench.figures import at_least, at_most
+from tactile.bench.figures import at_least, at_most, not_measured
 from tactile.cli.app import COMMANDS, RENAMED, load_command
 
 # The other commands
@@ -127,18 +127,32 @@ def test_bench_as_json_is_a_list_of_figures_with_their_goals(tmp_path: Path) -> 
     assert figures["memory.play_10_s"]["reached"] is None
 
 
-def test_bench_tells_a_person_what_was_not_reached(
+def interrupted_benchmark() -> Any:
+    yield at_most("two.missed", 2.0, "dB", 1.0)
+    yield at_least("two.reached", 2.0, "dB", 1.0)
+    yield not_measured("two.other", "needs another library: pip install other")
+    raise KeyboardInterrupt
+
+
+def test_bench_prints_each_figure_as_soon_as_it_is_measured(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def two() -> Any:
-        yield at_most("two.missed", 2.0, "dB", 1.0)
-        yield at_least("two.reached", 2.0, "dB", 1.0)
-
-    monkeypatch.setattr(bench, "BENCHMARKS", {"two": two})
+    monkeypatch.setattr(bench, "BENCHMARKS", {"two": interrupted_benchmark})
     result = command("bench")
+    assert (result.code, result.err) == (130, "tactile: interrupted\n")
     lines = {line.split()[0]: line for line in result.out.splitlines()}
-    assert lines["two.missed"].rstrip().endswith("NOT REACHED")
-    assert lines["two.reached"].rstrip().endswith(" reached")
+    assert lines["two.missed"].endswith("NOT REACHED")
+    assert lines["two.reached"].endswith(" reached")
+    assert lines["two.other"].endswith("not measured: needs another library: pip install other")
+
+
+def test_bench_as_json_is_closed_when_it_is_interrupted(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "BENCHMARKS", {"two": interrupted_benchmark})
+    figures = command("bench", "--json").json
+    assert [figure["reached"] for figure in figures] == [False, True, None]
+    assert [figure["value"] for figure in figures] == [2.0, 2.0, None]
 
 
 def test_bench_measures_the_link_of_a_device(

@@ -4,10 +4,10 @@ Each benchmark is a function that yields `Figure` objects, some with a goal. The
 whole project are measured by ``python -m benchmarks`` in a checkout.
 """
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
-from rich.progress import track
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from threadpoolctl import threadpool_limits
 
 from tactile.bench.figures import Figure
@@ -27,21 +27,31 @@ BENCHMARKS: dict[str, Benchmark] = {
 """Benchmarks by name."""
 
 
-def measure(benchmarks: Sequence[Benchmark]) -> list[Figure]:
-    """Run benchmarks with one BLAS thread, and with a progress bar on a terminal.
+def measure(benchmarks: Mapping[str, Benchmark]) -> Iterator[Figure]:
+    """Run benchmarks with one BLAS thread; their progress is shown on a terminal's standard error.
 
     Parameters
     ----------
-    benchmarks : sequence of Benchmark
-        Benchmarks, in the order in which to run them.
+    benchmarks : mapping of str to Benchmark
+        Benchmarks by name, in the order in which to run them.
 
-    Returns
-    -------
-    list of Figure
-        All figures, in the order in which they were measured.
+    Yields
+    ------
+    Figure
+        Each figure as soon as it is measured.
     """
-    figures: list[Figure] = []
-    with threadpool_limits(1):
-        for run in track(benchmarks, "measuring", transient=True, disable=not sys.stdout.isatty()):
-            figures.extend(run())
-    return figures
+    console = Console(stderr=True)
+    columns = TextColumn("measuring {task.description}"), BarColumn(), MofNCompleteColumn()
+    with (
+        threadpool_limits(1),
+        Progress(
+            *columns, TimeElapsedColumn(),
+            console=console, transient=True, disable=not console.is_terminal,
+            redirect_stdout=False,
+        ) as progress,
+    ):  # fmt: skip
+        task = progress.add_task("", total=len(benchmarks))
+        for name, run in benchmarks.items():
+            progress.update(task, description=name)
+            yield from run()
+            progress.advance(task)

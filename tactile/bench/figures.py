@@ -33,20 +33,22 @@ figures stay the same as the library grows."""
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured number.
+    """One measured number, or the reason why it cannot be measured here.
 
     Attributes
     ----------
     name : str
         Name of the figure.
     value : float
-        Measured value.
+        Measured value; NaN if it cannot be measured here.
     unit : str
         Unit of the value.
     goal : str
         Goal as text; empty if there is none.
     reached : bool or None
         Whether the goal was reached; None if there is none.
+    reason : str
+        Why the value cannot be measured here; empty if it was.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Figure:
     unit: str
     goal: str = ""
     reached: bool | None = None
+    reason: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figure as plain data.
@@ -61,9 +64,9 @@ class Figure:
         Returns
         -------
         dict
-            Attributes by name.
+            Attributes by name; a value of NaN is None, because JSON has no NaN.
         """
-        return asdict(self)
+        return asdict(self) | {"value": None if math.isnan(self.value) else self.value}
 
 
 def at_most(name: str, value: float, unit: str, limit: float | None) -> Figure:
@@ -112,6 +115,24 @@ def at_least(name: str, value: float, unit: str, limit: float | None) -> Figure:
     if limit is None:
         return Figure(name, value, unit)
     return Figure(name, value, unit, f"≥ {limit:g}", bool(value >= limit))
+
+
+def not_measured(name: str, reason: str) -> Figure:
+    """Create a figure that stands for what cannot be measured here.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure, or the beginning of the names of several.
+    reason : str
+        Why it cannot be measured, and what would do.
+
+    Returns
+    -------
+    Figure
+        Figure without a value.
+    """
+    return Figure(name, math.nan, "", reason=reason)
 
 
 def beside_machine(name: str, measured: Iterator[Figure]) -> Iterator[Figure]:

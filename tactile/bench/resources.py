@@ -9,7 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, beside_machine, seconds
+from tactile.bench.figures import (
+    HANDFUL,
+    RATE,
+    Figure,
+    at_least,
+    at_most,
+    beside_machine,
+    not_measured,
+    seconds,
+)
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
@@ -101,10 +110,10 @@ def measure_memory(longest: int = 60) -> Iterator[Figure]:
     Yields
     ------
     Figure
-        Peak memory of the short play, and how much more the long one takes [MiB]. Nothing on
-        Windows, which does not account for a finished process.
+        Peak memory of the short play, and how much more the long one takes [MiB].
     """
-    if sys.platform == "win32":  # no accounting of finished processes
+    if sys.platform == "win32":
+        yield not_measured("memory", "needs accounting of finished processes, which Windows lacks")
         return
     peaks = []
     for length in (10, longest):

@@ -1,11 +1,12 @@
 """The command ``tactile bench``."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
 import tactile
-from tactile.cli.options import AsJson, DisplayOption, emit
+from tactile.cli.options import AsJson, DisplayOption
 from tactile.cli.printing import print_figures
 from tactile.errors import InputError
 from tactile.files import nearest
@@ -27,7 +28,8 @@ def run(
 ) -> None:
     """Measure the performance of this machine or of a link.
 
-    Of the machine, the rendering speed, the memory and the timing jitter are measured.
+    Of the machine, the rendering speed, the memory and the timing jitter are measured, which takes
+    about two minutes. Each figure is printed as soon as it is measured.
 
     Example: tactile bench speed jitter
     """
@@ -36,8 +38,8 @@ def run(
     for name in only or []:
         if name not in BENCHMARKS:
             raise InputError(f"no benchmark {name!r}; {nearest(name, list(BENCHMARKS))}")
-    chosen = [BENCHMARKS[name] for name in only or ([] if device else BENCHMARKS)]
+    chosen = {name: BENCHMARKS[name] for name in only or ([] if device else BENCHMARKS)}
     if device is not None:
         loaded = tactile.load_display(display)
-        chosen.append(lambda: measure_link(device, loaded))
-    emit([figure.as_dict() for figure in measure(chosen)], as_json, print_figures)
+        chosen[device] = partial(measure_link, device, loaded)
+    print_figures((figure.as_dict() for figure in measure(chosen)), as_json=as_json)

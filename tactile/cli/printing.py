@@ -1,5 +1,6 @@
 """Tables and progress bars for a terminal."""
 
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -26,6 +27,8 @@ def plain_console(*, stderr: bool = False) -> Console:
 
 
 Heading = str | Column
+NAME_WIDTH = 44
+"""Width of the names of measured figures; longer ones are printed in full [columns]."""
 COLUMN_GAP = 2
 """Number of spaces that rich puts between two columns of a table."""
 
@@ -178,18 +181,35 @@ def print_budget(
     print_table(columns, cells, title, stderr=stderr)
 
 
-def print_figures(figures: Iterable[Mapping[str, Any]]) -> None:
-    """Print measured figures beside their goals.
+def print_figures(figures: Iterable[Mapping[str, Any]], *, as_json: bool = False) -> None:
+    """Print measured figures beside their goals, each as soon as it is measured.
 
     Parameters
     ----------
-    figures : name, value, unit, goal and reached of each, as `Figure.as_dict` returns them
+    figures : name, value, unit, goal, reached and reason of each, as `Figure.as_dict` returns them
+    as_json : whether to print a JSON array; it is closed even if the measurement is interrupted
     """
-    mark = {None: "", True: "reached", False: "NOT REACHED"}
-    rows = (
-        (f["name"], f"{f['value']:.4g} {f['unit']}", f["goal"], mark[f["reached"]]) for f in figures
-    )
-    print_table(["figure", *right("measured"), "goal", ""], rows)
+    if not as_json:
+        for figure in figures:
+            print(_figure_line(figure).rstrip(), flush=True)
+        return
+    separator = "["
+    try:
+        for figure in figures:
+            print(separator, json.dumps(figure), sep="\n", end="", flush=True)
+            separator = ","
+    finally:
+        print("]" if separator == "," else "[]", flush=True)
+
+
+def _figure_line(figure: Mapping[str, Any]) -> str:
+    """Return one measured figure as a line."""
+    if figure["reason"]:
+        return f"{figure['name']:<{NAME_WIDTH}}  not measured: {figure['reason']}"
+    number = "none" if figure["value"] is None else f"{figure['value']:.4g}"
+    value = f"{number} {figure['unit']}"
+    mark = {None: "", True: "reached", False: "NOT REACHED"}[figure["reached"]]
+    return f"{figure['name']:<{NAME_WIDTH}}  {value:>14}  {figure['goal']:<10}  {mark}"
 
 
 def progress_bar(*, visible: bool) -> Progress:

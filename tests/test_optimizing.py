@@ -16,7 +16,7 @@ from tactile.errors import InputError
 from tactile.study.criteria import Conditions
 from tactile.study.optimizing import Task, attained, find_designs, judge
 from tactile.study.parameters import load_of_firmness
-from tactile.study.recommending import recommend
+from tactile.study.recommending import bulges, recommend
 from tactile.study.scenarios import TOLERANCES, draw_scenarios
 from tactile.study.sweep import Study, solve_study
 
@@ -340,6 +340,37 @@ def test_the_knee_of_a_hyperbola_is_where_it_lies_farthest_from_its_chord() -> N
         "Against the best in footprint (free length 40 mm) it has 75% less drive and "
         "4 times the footprint."
     )
+
+
+def straight_front(bend: float) -> xarray.Dataset:
+    """Return a front y = 1 − x that is bent toward the ideal point by a share of its range."""
+    x = np.linspace(0, 1, 101)
+    y = 1 - x - bend * 4 * x * (1 - x)
+    return xarray.Dataset(
+        {
+            "drive_v": ("design", 1 + x, {"units": "V", "criterion": "drive"}),
+            "footprint_mm2": ("design", 1 + y, {"units": "mm²", "criterion": "footprint"}),
+        },
+        coords={"length_mm": ("design", 10 + x)},
+        attrs={"objectives": "drive_v footprint_mm2"},
+    )
+
+
+@pytest.mark.parametrize(("bend", "place"), [(0.0, None), (0.09, None), (0.11, 50)])
+def test_a_front_that_is_nearly_straight_has_no_knee(bend: float, place: int | None) -> None:
+    advice = recommend(straight_front(bend))
+    assert advice.place == place
+    if place is None:
+        assert advice.words.startswith("No design is recommended")
+        assert "Best in footprint is free length 11 mm: drive 2 V and footprint 1 mm²." in (
+            advice.words
+        )
+
+
+def test_bulges_of_three_objectives_are_distances_from_the_plane_through_the_ends() -> None:
+    """The plane through (0, 1, 1), (1, 0, 1) and (1, 1, 0) is x + y + z = 2."""
+    scaled = np.array([[0, 1, 1], [1, 0, 1], [1, 1, 0], [1 / 3] * 3, [2 / 3] * 3])
+    assert bulges(scaled) == pytest.approx([0, 0, 0, 0.5, 0])
 
 
 # Bad input

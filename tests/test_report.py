@@ -170,9 +170,9 @@ def test_a_front_is_told_design_by_design() -> None:
         {"length_mm": ("design", [11.0, 17.0], {"units": "mm", "long_name": "free length"})},
         {"objectives": "footprint_mm2 drive_v", "seed": 3, "bounds": '{"length_mm": [8, 30]}'},
     )
-    walk = check_alone(html_of("t", front_report(front, knee=1)))
+    walk = check_alone(html_of("t", front_report(front, recommended=1)))
     assert ["1", "11", "1", "30"] in walk.rows
-    assert ["2 (knee)", "17", "2", "20"] in walk.rows
+    assert ["2 (recommended)", "17", "2", "20"] in walk.rows
     assert len(walk.sources) == 1
     with pytest.raises(InputError, match="names no objectives"):
         front_report(front.drop_attrs())

@@ -168,16 +168,16 @@ def front() -> xarray.Dataset:
     )
 
 
-def test_a_front_is_joined_in_order_and_its_knee_is_marked() -> None:
-    figure = plots.pareto_figure(front(), ("footprint_mm2", SMALLEST), knee=2)
+def test_a_front_is_joined_in_order_and_the_recommended_design_is_marked() -> None:
+    figure = plots.pareto_figure(front(), ("footprint_mm2", SMALLEST), recommended=2)
     (axes,) = figure.axes
     shown = [line for line in axes.lines if np.size(line.get_xdata())]
-    joined, knee = shown
+    joined, recommended = shown
     assert np.array_equal(points(joined), [[1, 0.2], [2, 0.6], [3, 0.9]])
-    assert np.array_equal(points(knee), [[2, 0.6]])
+    assert np.array_equal(points(recommended), [[2, 0.6]])
     assert axes.get_xlabel() == "footprint [u]\n(← less is better)"
     assert axes.get_ylabel().endswith("(more is better →)")
-    assert "knee: 2 u, 0.6 u" in words(figure)
+    assert "recommended: 2 u, 0.6 u" in words(figure)
 
 
 def test_a_third_objective_is_color() -> None:

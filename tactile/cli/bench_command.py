@@ -28,8 +28,8 @@ def run(
 ) -> None:
     """Measure the performance of this machine or of a link.
 
-    Of the machine, the rendering speed, the memory and the timing jitter are measured, which takes
-    about two minutes. Each figure is printed as soon as it is measured.
+    Of the machine, the rendering speed, the memory and the timing jitter are measured, within about
+    a minute. Each figure is printed as soon as it is measured.
 
     Example: tactile bench speed jitter
     """

@@ -99,7 +99,7 @@ def run(
     """Find the Pareto-optimal designs for the given objectives.
 
     No other design is better in one of the objectives without being worse in another. One of the
-    designs is recommended.
+    designs is recommended if the front has a knee.
 
     Example: tactile optimize length_mm=8:40 width_mm=1:6 --objective attainable
     --objective footprint --limit drive=60
@@ -215,7 +215,7 @@ def _find(task: "Task", *, visible: bool) -> "xarray.Dataset":
 
 
 def _facts(front: "xarray.Dataset", advice: "Recommendation") -> dict[str, Any]:
-    """Return the designs, and which of them is recommended."""
+    """Return the designs, and which of them is recommended, if any is."""
     columns = {name: front[name].values.tolist() for name in _columns(front)}
     return {
         "attributes": front.attrs, "designs": columns, "place": advice.place, "words": advice.words,
@@ -230,9 +230,8 @@ def _columns(front: "xarray.Dataset") -> list[str]:
 def _print(front: "xarray.Dataset", advice: "Recommendation") -> None:
     """Print designs along the front, the recommended one and how reliable they are."""
     count = front.sizes["design"]
-    places = sorted(
-        {*np.linspace(0, count - 1, PRINTED).round().astype(int).tolist(), advice.place}
-    )
+    along_front = np.linspace(0, count - 1, PRINTED).round().astype(int).tolist()
+    places = sorted({*along_front, *([] if advice.place is None else [advice.place])})
     along = _columns(front)
     names = [name for name in along if f"robust_{name}" not in along]
     rows = (
@@ -269,9 +268,9 @@ def _write_files(
         from tactile.study.plots import pareto_figure
 
         objectives = front.attrs["objectives"].split()
-        save_figure(pareto_figure(front, objectives, knee=advice.place), plot)
+        save_figure(pareto_figure(front, objectives, recommended=advice.place), plot)
     if report is not None:
         from tactile.study.report import front_report, write_report
 
-        sections = front_report(front, knee=advice.place)
+        sections = front_report(front, recommended=advice.place)
         write_report(report, "Pareto-optimal designs", sections, subtitle=advice.words)

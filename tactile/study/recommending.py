@@ -1,8 +1,9 @@
-"""Recommendation of one design of a Pareto front: the knee, and what it costs against each end.
+"""Recommendation of one design of a Pareto front: its knee, and what it costs against each end.
 
 With each objective scaled to 0 at its best along the front and 1 at its worst, the knee lies
-farthest from the line (of three objectives, the plane) between the ends: beyond it, little more of
-one objective costs much of another (Das 1999, doi 10.1007/s001580050111).
+farthest from the line (of three objectives, the plane) through the ends: beyond it, little more of
+one objective costs much of another (Das 1999, doi 10.1007/s001580050111). A front that is nearly
+straight has no knee, and none of its designs is recommended.
 """
 
 from dataclasses import dataclass
@@ -22,19 +23,24 @@ ALIKE = 0.005
 """Relative difference below which two values are not worth comparing."""
 
 
+LEAST_BULGE = 0.1
+"""Bulge of a front from which on it has a knee (assumed): two objectives are then better there by
+5 % of their ranges than in proportion, and fronts of the search scatter by less."""
+
+
 @dataclass(frozen=True)
 class Recommendation:
-    """A recommended design.
+    """A recommended design, or the reason why there is none.
 
     Attributes
     ----------
-    place : int
-        Position along ``design``.
+    place : int or None
+        Position along ``design``; None if no design is to be preferred.
     words : str
         Description of the design, and what it costs against each end of the front.
     """
 
-    place: int
+    place: int | None
     words: str
 
 
@@ -59,8 +65,33 @@ def lowered(front: "xarray.Dataset") -> Floats:
     return np.stack(columns, axis=-1)
 
 
+def bulges(scaled: Floats) -> Floats:
+    """Compute how far designs lie beyond the plane through the ends of a front.
+
+    Parameters
+    ----------
+    scaled : (N, O) array of float
+        Objectives as `lowered` returns them.
+
+    Returns
+    -------
+    (N,) array of float
+        Distance from the plane in units of that of the ideal point, whose objectives are all 0:
+        0 in the plane, 1 at the ideal point. All are 0 if the ends have no such plane.
+    """
+    ends = scaled[[_end(scaled, column) for column in range(scaled.shape[1])]]
+    if np.linalg.matrix_rank(ends) < len(ends):
+        return np.zeros(len(scaled))
+    return np.asarray(1 - scaled @ np.linalg.solve(ends, np.ones(len(ends))))
+
+
+def _end(scaled: Floats, column: int) -> int:
+    """Return the position of the best design in one objective, of several the best in all."""
+    return int(np.lexsort((scaled.sum(axis=1), scaled[:, column]))[0])
+
+
 def recommend(front: "xarray.Dataset") -> Recommendation:
-    """Recommend the knee of a front; see the module's docstring.
+    """Recommend the knee of a front, if there is one; see the module's docstring.
 
     Parameters
     ----------
@@ -70,17 +101,25 @@ def recommend(front: "xarray.Dataset") -> Recommendation:
     Returns
     -------
     Recommendation
-        Knee of the front, with a description.
+        Knee of the front, with a description; of a front of one design, that design.
     """
     scaled = lowered(front)
-    place = int(scaled.sum(axis=1).argmin())
-    lines = [f"{_design(front, place)}: {_objectives_of(front, place)}."]
-    if scaled.shape[1] == 1 or len(scaled) == 1:
-        lines.append("Nothing else within the bounds is better in anything that was asked for.")
-        return Recommendation(place, " ".join(lines))
     names = front.attrs["objectives"].split()
-    for column, name in enumerate(names):
-        end = int(np.lexsort((scaled.sum(axis=1), scaled[:, column]))[0])
+    ends = [_end(scaled, column) for column in range(len(names))]
+    if len({*ends}) == 1:
+        words = "Nothing else within the bounds is better in anything that was asked for."
+        return Recommendation(ends[0], f"{_described(front, ends[0])} {words}")
+    bulge = bulges(scaled)
+    place = int(bulge.argmax())
+    if bulge[place] < LEAST_BULGE:
+        lines = ["No design is recommended: along the front, the objectives change in proportion."]
+        lines += [
+            f"Best in {_criterion_name(front, name)} is {_described(front, end)}"
+            for name, end in zip(names, ends, strict=True)
+        ]
+        return Recommendation(None, " ".join(lines))
+    lines = [_described(front, place)]
+    for name, end in zip(names, ends, strict=True):
         if end == place:
             lines.append(f"It is itself the best in {_criterion_name(front, name)}.")
             continue
@@ -90,6 +129,11 @@ def recommend(front: "xarray.Dataset") -> Recommendation:
             f"{_join([words for words in differences if words])}."
         )
     return Recommendation(place, " ".join(lines))
+
+
+def _described(front: "xarray.Dataset", place: int) -> str:
+    """Return a design and its objectives, as a sentence."""
+    return f"{_design(front, place)}: {_objectives_of(front, place)}."
 
 
 def _design(front: "xarray.Dataset", place: int) -> str:

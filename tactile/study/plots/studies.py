@@ -326,7 +326,7 @@ def pareto_figure(
     front: "xarray.Dataset",
     objectives: Sequence[str],
     *,
-    knee: int | None = None,
+    recommended: int | None = None,
 ) -> "Figure":
     """Draw a Pareto front over two objectives, with a third as color.
 
@@ -336,8 +336,8 @@ def pareto_figure(
         Designs that no other dominates, along one dimension.
     objectives : sequence of str
         Two or three variables of ``front``, with the attributes ``units`` and ``long_name``.
-    knee : int, optional
-        Position along the front of the design to mark.
+    recommended : int, optional
+        Position along the front of the recommended design, which is marked.
 
     Returns
     -------
@@ -363,8 +363,8 @@ def pareto_figure(
         reached = "steps-pre" if sign_of(x) > 0 else "steps-post"
         axes.plot(x.values[order], y.values[order], "o-", color=BLUE, markersize=5, label="front",
                   drawstyle=reached, linewidth=1.0)  # fmt: skip
-    if knee is not None:
-        _mark_knee(axes, x, y, knee)
+    if recommended is not None:
+        _mark_recommended(axes, x, y, recommended)
     axes.set(xlabel=label(x) + _direction(x), ylabel=_vertical_label(y, 44) + _direction(y))
     plain(axes)
     axes.margins(0.06)
@@ -377,11 +377,13 @@ def _direction(values: "xarray.DataArray") -> str:
     return {1: "\n(more is better →)", -1: "\n(← less is better)", 0: ""}[sign_of(values)]
 
 
-def _mark_knee(axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", knee: int) -> None:
-    """Mark the knee of a front."""
-    at, up = float(x.values[knee]), float(y.values[knee])
+def _mark_recommended(
+    axes: "Axes", x: "xarray.DataArray", y: "xarray.DataArray", place: int
+) -> None:
+    """Mark the recommended design of a front."""
+    at, up = float(x.values[place]), float(y.values[place])
     units = [str(v.attrs.get("units", "")) for v in (x, y)]
-    text = f"knee: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
+    text = f"recommended: {at:.3g} {units[0]}, {up:.3g} {units[1]}"
     axes.plot(at, up, "*", color=RED, markersize=17, markeredgecolor="white", label=text, zorder=4,
               linestyle="none")  # fmt: skip
 

@@ -87,7 +87,7 @@ def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Sectio
     return [s for s in sections if s.content] + provenance_sections(data)
 
 
-def front_report(front: "xarray.Dataset", *, knee: int | None = None) -> list[Section]:
+def front_report(front: "xarray.Dataset", *, recommended: int | None = None) -> list[Section]:
     """Return the sections of a report on a front.
 
     Parameters
@@ -95,8 +95,8 @@ def front_report(front: "xarray.Dataset", *, knee: int | None = None) -> list[Se
     front : xarray.Dataset
         Designs along ``design``. Its attribute ``objectives`` names one to three of its variables,
         separated by spaces.
-    knee : int, optional
-        Position along the front of the design to mark.
+    recommended : int, optional
+        Position along the front of the recommended design, which is marked.
 
     Returns
     -------
@@ -113,11 +113,11 @@ def front_report(front: "xarray.Dataset", *, knee: int | None = None) -> list[Se
         raise InputError("this data set names no objectives: it is no front of designs")
     content: list[str | Picture | Table] = []
     if len(objectives) > 1:
-        figure = pareto_figure(front, objectives, knee=knee)
+        figure = pareto_figure(front, objectives, recommended=recommended)
         labels = ", ".join(label(front[name]) for name in objectives)
         words = "Designs that no other found beats in every objective"
         content.append(Picture(drawn(figure), f"{words}: {labels}", f"{words}: {labels}."))
-    content.append(_designs(front, knee))
+    content.append(_designs(front, recommended))
     return [Section("The front", tuple(content)), *provenance_sections(front)]
 
 
@@ -299,18 +299,18 @@ def _sentence(words: str) -> str:
 # Fronts and provenance
 
 
-def _designs(front: "xarray.Dataset", knee: int | None) -> Table:
+def _designs(front: "xarray.Dataset", recommended: int | None) -> Table:
     """Return a table of the designs of a front."""
     columns = [
         name for name in (*front.coords, *front.data_vars) if front[name].dims == ("design",)
     ]
     size = front.sizes["design"]
     chosen = np.unique(np.linspace(0, size - 1, min(size, MOST_DESIGNS)).round().astype(int))
-    if knee is not None:
-        chosen = np.union1d(chosen, [knee])
+    if recommended is not None:
+        chosen = np.union1d(chosen, [recommended])
     rows = tuple(
         (
-            f"{k + 1}" + (" (knee)" if k == knee else ""),
+            f"{k + 1}" + (" (recommended)" if k == recommended else ""),
             *(_cell(front[c].values[k]) for c in columns),
         )
         for k in chosen

@@ -17,6 +17,7 @@ from tactile import bench, cli
 from tactile.bench import link
 from tactile.bench.figures import at_least, at_most, not_measured
 from tactile.cli.app import COMMANDS, RENAMED, load_command
+from tactile.files import shipped
 
 # The other commands
 
@@ -96,7 +97,24 @@ def test_response_as_json_gives_the_figures_of_each_finger_asked_for(command: Co
     both = command("response", "--load", "high", "--load", "low", "--json").json
     assert list(both) == ["high", "low"]
     assert both["low"] == low
-    assert set(command("response", "--json").json) == {"low", "high", "none"}
+    assert set(command("response", "--json").json) == {"display", "low", "high", "none"}
+
+
+def test_response_shows_the_finger_of_the_display(command: Command) -> None:
+    text = next(shipped("displays").rglob("reference-24.toml")).read_text("utf-8")
+    own = "[finger]\nk0_n_per_m = 400.0\nd0_n_s_per_m = 0.1\n"
+    Path("mine.toml").write_text(text.replace('[finger]\npreset = "low"\n', own), "utf-8")
+    figures = command("response", "--display", "mine.toml", "--json").json
+    load = tactile.FingerLoad(k0=400.0, d0=0.1)
+    size = abs(tactile.tip_response(tactile.Bimorph(), load, [0.0]).displacement[0])
+    assert figures["display"]["static_um_per_v"] == pytest.approx(size * 1e6)
+    assert figures["display"] not in (figures["low"], figures["high"], figures["none"])
+    row = "[[finger.table]]\nnormal_force_n = {}\nk0_n_per_m = {}\nd0_n_s_per_m = 0.1\n"
+    rows = row.format(0.5, 400.0) + row.format(1.0, 900.0)
+    Path("table.toml").write_text(text.replace('[finger]\npreset = "low"\n', rows), "utf-8")
+    figures = command("response", "--display", "table.toml", "--load", "display", "--json").json
+    assert list(figures) == ["display, 0.5 N", "display, 1 N"]
+    assert figures["display, 0.5 N"]["static_um_per_v"] == pytest.approx(size * 1e6)
 
 
 def test_response_tells_a_person_a_line_per_finger(command: Command) -> None:
@@ -111,7 +129,9 @@ def test_response_draws_a_plot(command: Command) -> None:
     result = command("response", "--load", "low", "--plot", "response.svg")
     assert result.code == 0
     assert "drawn: response.svg" in result.out
-    assert Path("response.svg").read_text("utf-8").lstrip().startswith("<?xml")
+    drawing = Path("response.svg").read_text("utf-8")
+    assert drawing.lstrip().startswith("<?xml")
+    assert "Bimorph of reference-24" in drawing
     assert command("response", "--plot", "response.svg", "--json").json.keys() >= {"low"}
 
 

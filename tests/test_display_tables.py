@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tactile.actuator.benders import BENDERS
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.materials import PIEZOS, SHIMS
 from tactile.display.display import load_display
@@ -111,6 +113,7 @@ def test_a_bender_in_series_bears_twice_the_voltage(path: Path) -> None:
     ("line", "said"),
     [
         ('piezo = "pzt-5"', r"one.toml: bimorph.piezo = 'pzt-5': unknown; did you mean 'pzt-5"),
+        ('bender = "mtp"', r"bimorph.bender = 'mtp': unknown; "),
         ('shim = "bras"', r"one.toml: bimorph.shim = 'bras': unknown; did you mean 'brass'\?"),
         ('wiring = "serial"', r"bimorph.wiring = 'serial': unknown; did you mean 'series'\?"),
         ("d31_pm_per_v = 320.0", r"bimorph.d31_pm_per_v = 320.0: expected `?float`? <= -1"),
@@ -126,6 +129,16 @@ def test_what_no_bender_can_be_is_refused(line: str, said: str, path: Path) -> N
     assert "\n" not in str(caught.value)
 
 
+def test_a_display_names_a_bender_and_replaces_parts_of_it(path: Path) -> None:
+    text = TEXT.replace("[bimorph]                 #", '[bimorph]\nbender = "mtp35x2.1x0.7" #')
+    named = re.sub("^(width|length|piezo_h).*\n", "", text, flags=re.MULTILINE)
+    path.write_text(named, encoding="utf-8")
+    assert load_display(path).bimorph == BENDERS["mtp35x2.1x0.7"]
+    path.write_text(named.replace("bender =", 'shim = "steel"\nbender ='), encoding="utf-8")
+    changed = replace(BENDERS["mtp35x2.1x0.7"], shim=SHIMS["steel"])
+    assert load_display(path).bimorph == changed
+
+
 # Writing
 
 
@@ -134,12 +147,34 @@ def test_keys_of_the_bender_are_set_and_all_else_stays(path: Path) -> None:
     write_tables(path, target, bimorph=FITTED, force=False)
     before, after = tables(path), tables(target)
     assert after["bimorph"] == before["bimorph"] | FITTED
-    del before["bimorph"], after["bimorph"]
+    assert after["display"] == before["display"] | {"id": "new"}
+    for parts in (before, after):
+        del parts["bimorph"], parts["display"]
     assert after == before
     old, new = TEXT.splitlines(), target.read_text("utf-8").splitlines()
-    assert [line for line in old if line not in new] == ["length_mm = 20.0"]
+    assert [line for line in old if line not in new] == ['id = "one"', "length_mm = 20.0"]
     assert len(new) == len(old) + 2
     assert path.read_text("utf-8") == TEXT
+
+
+def test_the_description_ends_with_what_was_changed(path: Path) -> None:
+    """A change of the same part replaces the one before it."""
+    before = tables(path)["display"]["description"]
+    for number, part in enumerate(("finger", "bimorph", "finger")):
+        change = f"{part} fitted to {number}.csv"
+        write_tables(path, path, finger=LOAD, change=change, force=True)
+    after = tables(path)["display"]
+    ending = "; adjusted: bimorph fitted to 1.csv, finger fitted to 2.csv"
+    assert after == {**after, "id": "one", "description": before + ending}
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("My Hand_2.toml", "my-hand-2"), ("µ.toml", "display"), ("a.b.toml", "a-b")]
+)
+def test_a_new_file_names_its_display_after_itself(path: Path, file: str, name: str) -> None:
+    target = path.with_name(file)
+    write_tables(path, target, finger=LOAD, force=False)
+    assert load_display(target).name == name
 
 
 def test_a_key_that_is_set_keeps_its_comment(path: Path) -> None:

@@ -61,7 +61,11 @@ def run(
     display: DisplayOption = "reference-24",
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Display file to write, with the fitted values."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Display file to write, with the fitted values and a name of its own.",
+        ),
     ] = None,
     plot: PlotOption = None,
     force: Force = False,
@@ -84,16 +88,27 @@ def run(
         on_tip = getattr(tactile.FingerLoad, finger.value)()
         result, tables = _fit_bender(loaded, admittance, velocity, on_tip, stiffness=stiffness)
     if out is not None:
-        write_tables(display, out, **tables, force=force)
+        write_tables(
+            display, out, **tables, change=_change(load, admittance, velocity), force=force
+        )
     if plot is not None:
         from tactile.show.plots import save
         from tactile.study.plots import adjusted_figure
 
-        save(adjusted_figure(result.comparisons), plot)
+        part = "Finger" if load is not None else "Bimorph"
+        save(adjusted_figure(result.comparisons, title=f"{part} of {loaded.name}, fitted"), plot)
     emit(_facts(result), as_json, lambda _: _print(result, loaded.name))
     for done, path in (("written", out), ("drawn", plot)):
         if path is not None and not as_json:
             print(f"{done}: {path}")
+
+
+def _change(load: Path | None, admittance: Path | None, velocity: Path | None) -> str:
+    """Return what a display file has that the display before it had not."""
+    if load is not None:
+        return f"finger fitted to {load.name}"
+    names = [path.name for path in (admittance, velocity) if path is not None]
+    return f"bimorph fitted to {' and '.join(names)}"
 
 
 def _check_options(

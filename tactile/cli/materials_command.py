@@ -35,7 +35,8 @@ HEADINGS = {
 def run(as_json: AsJson = False) -> None:
     """List the known piezoceramics, shims and benders.
 
-    Their names can be used in a display file and as values of a study.
+    A display file names them in its table [bimorph] by the keys piezo, shim and bender; a study
+    varies piezo and shim.
 
     Example: tactile materials
     """
@@ -97,7 +98,7 @@ def _print(facts: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print a table of each kind, and the source of each material."""
     _print_kind("Piezoceramics", facts["piezos"])
     _print_kind("Shims", facts["shims"])
-    _print_kind("Benders, computed by the model", facts["benders"])
+    _print_kind("Benders that a display file can name, computed by the model", facts["benders"])
     notes = {
         name: f"{note.description}. Source: {note.source}."
         for name, note in tactile.MATERIAL_NOTES.items()

@@ -1,5 +1,6 @@
 """The command ``tactile response``."""
 
+from enum import StrEnum
 from functools import partial
 from typing import Annotated, Any
 
@@ -7,18 +8,28 @@ import numpy as np
 import typer
 
 import tactile
-from tactile.cli.options import AsJson, DisplayOption, Finger, PlotOption, emit
+from tactile.cli.options import AsJson, DisplayOption, PlotOption, emit
 from tactile.cli.printing import print_table, right
 
 UNITS = {"um_per_v": "µm/V", "mn_per_v": "mN/V", "um": "µm", "hz": "Hz", "db": "dB"}
 """Unit for a person, by the end of the name of a figure."""
 
 
+class ShownFinger(StrEnum):
+    """A finger whose load can be shown: that of the display, a preset, or none."""
+
+    DISPLAY = "display"
+    LOW = "low"
+    HIGH = "high"
+    AIR = "none"
+
+
 def run(
     load: Annotated[
-        list[Finger] | None,
+        list[ShownFinger] | None,
         typer.Option(
-            help="Finger that loads the bimorph. May be given several times; all by default."
+            help="Finger that loads the bimorph: that of the display file, a preset, or none. May "
+            "be given several times; all by default."
         ),
     ] = None,
     display: DisplayOption = "reference-24",
@@ -27,12 +38,20 @@ def run(
 ) -> None:
     """Report the frequency response of the bimorph of a display.
 
-    Example: tactile response --load low --load high --plot response.png
+    It is reported under the finger of the display file, which tactile adjust fits to a
+    measurement, and under the presets.
+
+    Example: tactile response --load display --load none --plot response.png
     """
     from tactile.study.figures import response_figures
 
     loaded = tactile.load_display(display)
-    loads = {f.value: getattr(tactile.FingerLoad, f.value)() for f in load or list(Finger)}
+    loads: dict[str, tactile.FingerLoad] = {}
+    for finger in load or list(ShownFinger):
+        if finger is ShownFinger.DISPLAY:
+            loads |= _own_fingers(loaded)
+        else:
+            loads[finger.value] = getattr(tactile.FingerLoad, finger.value)()
     figures = response_figures(loaded.bimorph, loads, loaded.limits.voltage)
     if plot is not None:
         from tactile.show.plots import response_figure, save
@@ -42,10 +61,18 @@ def run(
             name: tactile.tip_response(loaded.bimorph, finger, frequency)
             for name, finger in loads.items()
         }
-        save(response_figure(curves, voltage=loaded.limits.voltage), plot)
+        title = f"Bimorph of {loaded.name}"
+        save(response_figure(curves, voltage=loaded.limits.voltage, title=title), plot)
     emit(figures, as_json, partial(_print, loaded.name))
     if plot is not None and not as_json:
         print(f"drawn: {plot}")
+
+
+def _own_fingers(display: tactile.Display) -> dict[str, tactile.FingerLoad]:
+    """Return the load of the finger of a display, by name; of a table, one for each force."""
+    if len(display.load_forces) == 1:
+        return {"display": display.load_at(display.load_forces[0])}
+    return {f"display, {force:g} N": display.load_at(force) for force in display.load_forces}
 
 
 def _print(display: str, figures: dict[str, dict[str, Any]]) -> None:

@@ -10,7 +10,7 @@ units. Contactors and channels are counted from 0.
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tactile import files
 from tactile.actuator.actuator import Actuator
 from tactile.actuator.amplifier import Amplifier
+from tactile.actuator.benders import BENDERS
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.bimorph_actuator import BimorphActuator
 from tactile.actuator.finger import FingerLoad, FingerTable
@@ -40,7 +41,7 @@ from tactile.display.tables import (
 )
 from tactile.errors import InputError
 
-Material = TypeVar("Material", PiezoMaterial, ShimMaterial)
+Part = TypeVar("Part", Bimorph, PiezoMaterial, ShimMaterial)
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "unit")
 """Columns of a file with a measured response."""
@@ -413,28 +414,31 @@ def _actuator(content: DisplayFile, path: Path) -> Actuator:
 
 def _bimorph(table: BimorphTable) -> Bimorph:
     """Return the bender that a table describes."""
-    for key, known in (("piezo", PIEZOS), ("shim", SHIMS)):
+    for key, known in (("bender", BENDERS), ("piezo", PIEZOS), ("shim", SHIMS)):
         name = getattr(table, key)
-        if name not in known:
+        if name is not None and name not in known:
             raise InputError(f"bimorph.{key} = {name!r}: unknown; {files.nearest(name, [*known])}")
+    base = Bimorph() if table.bender is None else BENDERS[table.bender]
     piezo = _adjusted(
-        PIEZOS[table.piezo],
+        base.piezo if table.piezo is None else PIEZOS[table.piezo],
         s11E=_in_si(table.s11e_um2_per_n, 1e-12),
         d31=_in_si(table.d31_pm_per_v, 1e-12),
         eps33T=_in_si(table.eps33t_relative, VACUUM_PERMITTIVITY),
         quality_factor=table.piezo_quality,
         loss_tangent=table.loss_tangent,
     )
-    return Bimorph(
-        width=table.width_mm * 1e-3,
-        length=table.length_mm * 1e-3,
-        clamped_length=table.clamped_length_mm * 1e-3,
-        piezo_height=table.piezo_height_mm * 1e-3,
-        shim_height=table.shim_height_mm * 1e-3,
+    shim = base.shim if table.shim is None else SHIMS[table.shim]
+    return _adjusted(
+        base,
+        width=_in_si(table.width_mm, 1e-3),
+        length=_in_si(table.length_mm, 1e-3),
+        clamped_length=_in_si(table.clamped_length_mm, 1e-3),
+        piezo_height=_in_si(table.piezo_height_mm, 1e-3),
+        shim_height=_in_si(table.shim_height_mm, 1e-3),
         piezo=piezo,
-        shim=_adjusted(SHIMS[table.shim], quality_factor=table.shim_quality),
+        shim=_adjusted(shim, quality_factor=table.shim_quality),
         layer_stiffening=table.layer_stiffening,
-        series=table.wiring == "series",
+        series=None if table.wiring is None else table.wiring == "series",
     )
 
 
@@ -443,9 +447,9 @@ def _in_si(value: float | None, unit: float) -> float | None:
     return None if value is None else value * unit
 
 
-def _adjusted(material: Material, **constants: float | None) -> Material:
-    """Return a material with the given constants replaced; None leaves a constant unchanged."""
-    return replace(material, **{k: v for k, v in constants.items() if v is not None})
+def _adjusted(part: Part, **values: Any) -> Part:
+    """Return a bender or a material with values replaced; None leaves a value unchanged."""
+    return replace(part, **{k: v for k, v in values.items() if v is not None})
 
 
 def _load(finger: FingerLoadTable) -> FingerLoad | FingerTable:

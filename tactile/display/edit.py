@@ -135,6 +135,7 @@ def write_tables(
     *,
     bimorph: Mapping[str, Value] | None = None,
     finger: Mapping[str, Value] | None = None,
+    change: str = "",
     force: bool,
 ) -> None:
     """Write the file of a display with other constants of its bender, its finger, or both.
@@ -151,6 +152,10 @@ def write_tables(
     finger : mapping of str to value, optional
         All of ``[finger]`` (`tables.FingerLoadTable`): k0_n_per_m, d0_n_s_per_m and branches, or
         preset. It replaces the previous content.
+    change : str
+        What is different from the source, for people, beginning with the part that is changed, such
+        as "finger fitted to a.csv". The description ends with it. Whatever is changed, the name of
+        the display in a new file is that of the file.
     force : bool
         Whether an existing file may be overwritten.
 
@@ -160,8 +165,13 @@ def write_tables(
         If a key or value is not valid, if the target cannot be written, or if the source cannot be
         edited; nothing is written then.
     """
-    path, _ = _checked_place(source, target, force=force)
+    path, content = _checked_place(source, target, force=force)
     document, expected = _parsed(path)
+    names = {"description": _changed(content.display.description, change)}
+    if target.resolve() != path.resolve():
+        names["id"] = _id_of(target)
+    _set(document["display"], names)
+    expected["display"] |= names
     if bimorph:
         values = {name: _plain(value) for name, value in bimorph.items()}
         if "bimorph" in document:
@@ -174,6 +184,26 @@ def write_tables(
         _replace(document, "finger", "finger", tomlkit.item(values))
         expected["finger"] = values
     _write(_checked_text(path, document, expected), target, force=force)
+
+
+CHANGE_MARK = "; adjusted: "
+"""What separates the description of a display from what was changed in it."""
+
+
+def _changed(description: str, change: str) -> str:
+    """Return a description that ends with a change, in place of an earlier one of the same part."""
+    if not change:
+        return description
+    before, _, changes = description.partition(CHANGE_MARK)
+    part = change.split()[0]
+    kept = [earlier for earlier in changes.split(", ") if earlier and earlier.split()[0] != part]
+    return f"{before}{CHANGE_MARK}{', '.join([*kept, change])}"
+
+
+def _id_of(target: Path) -> str:
+    """Return the name of a display that is written to a file: lower-case words with hyphens."""
+    words = re.findall("[a-z0-9]+", target.stem.lower())
+    return "-".join(words) or "display"
 
 
 def _write(text: str, target: Path, *, force: bool, new_map: Map | None = None) -> None:

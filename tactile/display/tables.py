@@ -127,29 +127,33 @@ class Group(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Table ``[bimorph]``: geometry, materials by name, and wiring of the bender.
 
-    The last six keys are adjusted constants, such as a fit to a measurement writes. They take
-    precedence over those of the named material.
+    Every key replaces a value of the named bender, or of the default design. The last six keys are
+    adjusted constants, such as a fit to a measurement writes. They take precedence over those of
+    the named material.
 
     Attributes
     ----------
-    width_mm : float
+    bender : str or None
+        Name of a commercial bender; `tactile materials` lists them. Without it, the default design:
+        2.1 mm wide, 20 mm free and 5 mm clamped, layers of 0.26 mm of 3203hd around 0.2 mm of cfrp.
+    width_mm : float or None
         Width of the bender.
-    length_mm : float
+    length_mm : float or None
         Free length, from the clamp to the tip.
-    clamped_length_mm : float
+    clamped_length_mm : float or None
         Length within the clamp, which adds capacitance only: 0, or at least 0.1.
-    piezo_height_mm : float
+    piezo_height_mm : float or None
         Height of each of the two piezo layers.
-    shim_height_mm : float
+    shim_height_mm : float or None
         Height of the layer between them: 0, or at least 0.005.
     layer_stiffening : bool
         Whether the field that bending induces within each piezo layer stiffens it; the paper's
         model leaves this out (see [the physics](/guide/physics.md)).
-    piezo : str
+    piezo : str or None
         Name of the piezoceramic; `tactile materials` lists them.
-    shim : str
+    shim : str or None
         Name of the material of the shim; `tactile materials` lists them.
-    wiring : {"parallel", "series"}
+    wiring : {"parallel", "series"} or None
         `parallel`: the shim against both outer electrodes; `series`: one outer electrode
         against the other.
     s11e_um2_per_n : float or None
@@ -167,15 +171,16 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         Dielectric loss tangent of the piezoceramic.
     """
 
-    width_mm: Annotated[float, Meta(ge=0.1, le=50)] = 2.1
-    length_mm: Annotated[float, Meta(ge=1, le=100)] = 20.0
-    clamped_length_mm: Annotated[float, Meta(ge=0, le=100)] = 5.0
-    piezo_height_mm: Annotated[float, Meta(ge=0.01, le=5)] = 0.26
-    shim_height_mm: Annotated[float, Meta(ge=0, le=5)] = 0.20
+    bender: str | None = None
+    width_mm: Annotated[float, Meta(ge=0.1, le=50)] | None = None
+    length_mm: Annotated[float, Meta(ge=1, le=100)] | None = None
+    clamped_length_mm: Annotated[float, Meta(ge=0, le=100)] | None = None
+    piezo_height_mm: Annotated[float, Meta(ge=0.01, le=5)] | None = None
+    shim_height_mm: Annotated[float, Meta(ge=0, le=5)] | None = None
     layer_stiffening: bool = False
-    piezo: str = "3203hd"
-    shim: str = "cfrp"
-    wiring: Literal["parallel", "series"] = "parallel"
+    piezo: str | None = None
+    shim: str | None = None
+    wiring: Literal["parallel", "series"] | None = None
     s11e_um2_per_n: Annotated[float, Meta(ge=2, le=100)] | None = None
     d31_pm_per_v: Annotated[float, Meta(ge=-2000, le=-1)] | None = None
     eps33t_relative: Annotated[float, Meta(ge=100, le=20000)] | None = None
@@ -186,7 +191,7 @@ class BimorphTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def __post_init__(self) -> None:
         for name, least in (("clamped_length_mm", 0.1), ("shim_height_mm", 0.005)):
             value = getattr(self, name)
-            if 0 < value < least:
+            if value is not None and 0 < value < least:
                 raise ValueError(f"{name} = {value:g}: must be 0 or at least {least:g}")
 
 

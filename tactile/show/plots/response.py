@@ -26,7 +26,9 @@ NAMED_AT = 1.0
 """Height of the threshold's label, below its low end [µm]."""
 
 
-def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Figure":
+def response_figure(
+    responses: dict[str, TipResponse], *, voltage: float, title: str = ""
+) -> "Figure":
     """Draw magnitude, phase, and attainable shear against the detection threshold.
 
     Parameters
@@ -35,6 +37,8 @@ def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Fi
         Response (F,) for each finger, by its name.
     voltage : float
         Voltage limit of the drive [V].
+    title : str
+        Title, such as whose bimorph it is.
 
     Returns
     -------
@@ -47,6 +51,7 @@ def response_figure(responses: dict[str, TipResponse], *, voltage: float) -> "Fi
         If matplotlib is missing, or a response has no frequency in 1 … 2000 Hz.
     """
     figure = new_figure(7.0, 9.0)
+    figure.suptitle(title, fontsize=11)
     size, phase, reach = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 3))
     ends: list[list[tuple[float, str, str]]] = [[], [], []]
     for k, (name, r) in enumerate(responses.items()):

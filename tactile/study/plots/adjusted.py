@@ -22,13 +22,15 @@ VERTICAL_AXES = {
 """Axis label of each kind of measurement, and the size of one SI unit in the label's unit."""
 
 
-def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
+def adjusted_figure(comparisons: "Sequence[Comparison]", *, title: str = "") -> "Figure":
     """Draw magnitude, phase and misfit of each measurement and its fit.
 
     Parameters
     ----------
     comparisons : sequence of Comparison
         Measurements and fits, one for each column.
+    title : str
+        Title, such as whose finger it is.
 
     Returns
     -------
@@ -41,6 +43,7 @@ def adjusted_figure(comparisons: "Sequence[Comparison]") -> "Figure":
         If matplotlib is missing.
     """
     figure = new_figure(6.5 * len(comparisons), 8.0)
+    figure.suptitle(title, fontsize=11)
     grid = figure.subplots(
         3, len(comparisons), sharex="col", squeeze=False, height_ratios=(3, 2, 2)
     )

@@ -133,6 +133,7 @@ def test_response_draws_a_plot(command: Command) -> None:
     assert drawing.lstrip().startswith("<?xml")
     assert "Bimorph of reference-24" in drawing
     assert command("response", "--plot", "response.svg", "--json").json.keys() >= {"low"}
+    assert "display = low" in Path("response.svg").read_text("utf-8")
 
 
 @pytest.mark.ci

@@ -127,7 +127,9 @@ def test_a_study_is_told_in_full() -> None:
         assert any(row[1:3] == told for row in walk.rows)
     assert "shared by all" not in walk.words  # each finger's best has a width of its own
     assert "at width 2 mm" in walk.words
-    assert "base: shim density" in walk.words
+    assert ["base: piezo d31", "-320", "pm/V"] in walk.rows
+    assert ["conditions: field", "400", "V/mm"] in walk.rows
+    assert ["base: series", "false", ""] in walk.rows
     assert data.attrs["created"] in walk.words
     assert "Not drawn" not in walk.words
     assert len(walk.sources) == 4

@@ -59,13 +59,21 @@ def run(
         frequency = np.geomspace(1, 2000, 2000)
         curves = {
             name: tactile.tip_response(loaded.bimorph, finger, frequency)
-            for name, finger in loads.items()
+            for name, finger in _distinct(loads).items()
         }
         title = f"Bimorph of {loaded.name}"
         save(response_figure(curves, voltage=loaded.limits.voltage, title=title), plot)
     emit(figures, as_json, partial(_print, loaded.name))
     if plot is not None and not as_json:
         print(f"drawn: {plot}")
+
+
+def _distinct(loads: dict[str, tactile.FingerLoad]) -> dict[str, tactile.FingerLoad]:
+    """Return fingers without those that equal an earlier one, which is named after both."""
+    names: dict[tactile.FingerLoad, list[str]] = {}
+    for name, load in loads.items():
+        names.setdefault(load, []).append(name)
+    return {" = ".join(alike): load for load, alike in names.items()}
 
 
 def _own_fingers(display: tactile.Display) -> dict[str, tactile.FingerLoad]:

@@ -37,6 +37,8 @@ def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":
     bands, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     _bands(bands, fit)
     _errors(errors, fit, verdict)
+    named = errors.get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     about = fit.descriptor.texture
     count = f"{len(fit.names)} recording{'s' if len(fit.names) > 1 else ''}"
     figure.suptitle(f"{about.id}: {about.description}, from {count}", fontsize=11)
@@ -52,12 +54,12 @@ def _bands(axes: "Axes", fit: Fit) -> None:
     for row in law:
         axes.plot(k, row, color="#b8b8b8", linewidth=1.0)
     axes.plot([], [], color="#b8b8b8", linewidth=1.0, label="recordings, brought to its level")
+    name = "texture"
     if stochastic.level_sd_db:
+        name += ", ± its spread"
         sd = np.asarray(stochastic.level_sd_db)
         axes.fill_between(k, level - sd, level + sd, color=BLUE, alpha=0.15, linewidth=0)
-    axes.plot(
-        k, level, "o-", color=BLUE, linewidth=2.0, markersize=4, label="texture, ± its spread"
-    )
+    axes.plot(k, level, "o-", color=BLUE, linewidth=2.0, markersize=4, label=name)
     for grating in fit.descriptor.periodic:
         orders = np.flatnonzero(grating.harmonics_um) + 1
         top = level.max() + 3
@@ -101,9 +103,8 @@ def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
     errors = [s.level - verdict.held_out for _, s, _, _ in sides[:3]]
     most = 1.1 * float(np.nanmax(np.abs(errors))) + 1
     axes.set(
-        xscale="log", ylim=(-most, 1.8 * most), xlabel="spatial frequency [cycles/mm]",
+        xscale="log", ylim=(-most, most), xlabel="spatial frequency [cycles/mm]",
         ylabel="above what was held out [dB]",
     )  # fmt: skip
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.legend(frameon=False, ncols=2, fontsize=9, loc="upper left")
     plain(axes)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactile.actuator.materials import VACUUM_PERMITTIVITY
 from tactile.errors import InputError
 from tactile.show.plots import drawn
 from tactile.study.findings import (
@@ -50,6 +51,18 @@ MOST_DESIGNS = 40
 """Largest number of designs of a front in a table; more are sampled evenly."""
 DESIGN_ATTRIBUTES = ("base", "fixed", "fingers", "conditions", "bounds", "limits")
 """Attributes that hold values as JSON."""
+UNITS = {
+    **dict.fromkeys(
+        ("width", "length", "clamped_length", "piezo_height", "shim_height"), ("mm", 1e-3)
+    ),
+    **dict.fromkeys(("s11E", "s55E", "s11", "s55"), ("µm²/N", 1e-12)),
+    "d31": ("pm/V", 1e-12), "eps33T": ("ε0", VACUUM_PERMITTIVITY), "density": ("kg/m³", 1.0),
+    "k0": ("N/m", 1.0), "d0": ("N s/m", 1.0), "branches": ("[N/m, N s/m] each", 1.0),
+    "band": ("Hz", 1.0), "voltage": ("V", 1.0), "field": ("V/mm", 1e3), "current": ("mA", 1e-3),
+    "amplitude": ("µm", 1e-6),
+}  # fmt: skip
+"""Unit in which a report gives a constant, and its size in SI; all other values are numbers or have
+their unit in their name."""
 
 
 def study_report(data: "xarray.Dataset", *, share: float = SHARE) -> list[Section]:
@@ -338,18 +351,17 @@ def provenance_sections(data: "xarray.Dataset") -> list[Section]:
         Sections in order.
     """
     plain = [(k, str(v)) for k, v in data.attrs.items() if k not in DESIGN_ATTRIBUTES]
-    rows = [
-        (f"{name}: {path}" if path else name, text)
+    rows = tuple(
+        (f"{name}: {path}" if path else name, *value)
         for name in DESIGN_ATTRIBUTES
         if name in data.attrs
-        for path, text in _leaves(json.loads(data.attrs[name]))
-    ]
-    sections = (
-        [Section("Parameters", (Table(("parameter (SI)", "value"), tuple(rows)),))] if rows else []
+        for path, *value in _leaves(json.loads(data.attrs[name]))
     )
+    table = Table(("parameter", "value", "unit"), rows)
+    sections = [Section("Parameters", (table,))] if rows else []
     return [
         *sections,
-        Section("How it came to be", (Table(("", "said"), tuple(map(_row, plain))),)),
+        Section("Provenance", (Table(("attribute", "value"), tuple(map(_row, plain))),)),
     ]
 
 
@@ -358,12 +370,15 @@ def _row(pair: tuple[Any, str]) -> tuple[str, ...]:
     return str(pair[0]).replace("_", " "), pair[1]
 
 
-def _leaves(value: Any, path: str = "") -> list[tuple[str, str]]:
-    """Return the numbers and words within JSON, each with its path."""
+def _leaves(value: Any, path: str = "") -> list[tuple[str, str, str]]:
+    """Return the numbers and words within JSON, each with its path and its unit."""
     if isinstance(value, dict):
         return [
             leaf for key, part in value.items() for leaf in _leaves(part, f"{path} {key}".strip())
         ]
-    if isinstance(value, float):
-        return [(path, f"{value:.6g}")]
-    return [(path, json.dumps(value, ensure_ascii=False).strip('"'))]
+    unit, size = UNITS.get(path.rpartition(" ")[2], ("", 1.0))
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return [(path, f"{value / size:.6g}", unit)]
+    if isinstance(value, list) and size != 1.0:
+        value = [part / size for part in value]
+    return [(path, json.dumps(value, ensure_ascii=False).strip('"'), unit)]

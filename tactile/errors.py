@@ -119,3 +119,26 @@ def show_field(data: Any, field: str, longest: int = 1000) -> str:
             data = None
     plain = isinstance(data, int | float | str) and field
     return f"{field} = {repr(data)[:longest]}: " if plain else f"{field}: " if field else ""
+
+
+def missing_extra(what: str, library: str, extra: str) -> InputError:
+    """Create the error about a library that an extra of the package installs.
+
+    Parameters
+    ----------
+    what : str
+        Purpose of the library.
+    library : str
+        Name of the library.
+    extra : str
+        Name of the extra.
+
+    Returns
+    -------
+    InputError
+        Error that names the command to install the extra.
+    """
+    return InputError(
+        f"{what} needs {library}: pip install 'tactile-display[{extra}]', or in a checkout "
+        f"pip install '.[{extra}]'"
+    )

@@ -198,8 +198,9 @@ def test_without_matplotlib_it_is_told_before_anything_is_computed(
     monkeypatch.setattr("tactile.texture.surface.load_texture", computed)
     result = command(*arguments)
     assert (result.code, result.out) == (2, "")
-    wanted = "tactile: a figure needs matplotlib; pip install 'tactile-display[plot]'"
-    assert result.err.strip() == wanted
+    wanted = "tactile: a figure needs matplotlib: pip install 'tactile-display[plot]'"
+    assert result.err.startswith(wanted)
+    assert result.err.endswith("or in a checkout pip install '.[plot]'\n")
 
 
 @pytest.mark.ci

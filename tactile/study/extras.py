@@ -3,10 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tactile.errors import InputError
-
-EXTRA = "pip install 'tactile-display[study]'"
-"""Command that installs the libraries."""
+from tactile.errors import missing_extra
 
 
 @contextmanager
@@ -31,4 +28,4 @@ def study_extra(what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise InputError(f"{what} needs {error.name or error}; {EXTRA}") from None
+        raise missing_extra(what, error.name or str(error), "study") from None

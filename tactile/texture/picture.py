@@ -15,7 +15,7 @@ import numpy as np
 
 from tactile import files
 from tactile.arrays import Floats
-from tactile.errors import InputError, NotFoundError
+from tactile.errors import InputError, NotFoundError, missing_extra
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -142,9 +142,7 @@ def _open_png(path: Path) -> "Image":
     try:
         from PIL import Image as images  # noqa: N813
     except ImportError as error:
-        raise InputError(
-            "a picture needs Pillow; pip install 'tactile-display[picture]'"
-        ) from error
+        raise missing_extra("a picture", "Pillow", "picture") from error
     if not files.is_file(path):
         raise NotFoundError(f"{path}: no such file")
     try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile.errors import InputError
+from tactile.errors import InputError, missing_extra
 from tactile.texture.perception import THRESHOLD, THRESHOLD_SPREAD_DB, detection_threshold
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def new_figure(width: float, height: float) -> "Figure":
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        raise InputError("a figure needs matplotlib; pip install 'tactile-display[plot]'") from None
+        raise missing_extra("a figure", "matplotlib", "plot") from None
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
